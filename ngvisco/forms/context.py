@@ -1,0 +1,124 @@
+"""What the terms of a step share: unknown and old fields, step length, upwinding, integrands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from ngsolve import (
+    CoefficientFunction,
+    FacetFESpace,
+    GridFunction,
+    L2,
+    Mesh,
+    Parameter,
+    TaskManager,
+    specialcf,
+    sqrt,
+)
+
+from ngvisco.forms.spaces import Fields
+
+time = Parameter(0.0)
+"""Time in seconds, to be used in loads that depend on it; its value is the end of the last step."""
+
+
+@dataclass(frozen=True)
+class Integrand:
+    """What is to be integrated over the cells and over the cells' boundaries."""
+
+    cells: CoefficientFunction | None = None
+    facets: CoefficientFunction | None = None
+
+    def __neg__(self) -> Integrand:
+        return Integrand(
+            None if self.cells is None else -self.cells,
+            None if self.facets is None else -self.facets,
+        )
+
+
+def negative(integrands: Sequence[Integrand]) -> list[Integrand]:
+    """The integrands with the other sign."""
+    return [-integrand for integrand in integrands]
+
+
+Kind = Literal["dissipation", "power", "numerical"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A column of the ledger: a dissipation or power (W), or a numerical dissipation (J a step).
+
+    ``integrand`` is evaluated at the new state; dissipations and numerical ones enter the energy
+    identity with +, powers with -.
+    """
+
+    name: str
+    kind: Kind
+    integrand: Integrand
+
+
+class Term(Protocol):
+    """One term of the system.
+
+    ``form(u, w)`` is its contribution to R(u; w) = 0, a left-hand side, in summands that are assembled
+    one by one: NGSolve evaluates a whole integrand for each pair of components in it, so small
+    summands are many times cheaper to linearise than their sum.  ``entries(u)`` is what the term
+    puts into the energy ledger, such that form(u; v, zeta) is the sum of the entries' powers.
+    """
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]: ...
+
+    def entries(self, u: Fields) -> list[Entry]: ...
+
+
+class Context:
+    """Parameters and known fields of a Rothe step from t_old to t_old + tau."""
+
+    def __init__(self, mesh: Mesh, old: Fields) -> None:
+        self.mesh, self.old = mesh, old
+        self.tau = Parameter(1.0)
+        self.t_old = Parameter(0.0)
+        self.eta = Parameter(1e-6)
+        """Width of the smoothed sign sigma(v.n), m/s."""
+        self.curvature = Parameter(1e-6)
+        """Curvature of v below which the interior penalty stops following hess v, 1/(m s)."""
+        self.normal = specialcf.normal(mesh.dim)
+        self.inner = inner_facets(mesh)
+        self.h = cell_size(mesh)
+
+    def normal_velocity(self, v: CoefficientFunction) -> CoefficientFunction:
+        """v . n on inner facets and exactly 0 on walls."""
+        return self.inner * (v * self.normal)
+
+    def modulus(self, a: CoefficientFunction) -> CoefficientFunction:
+        """The smooth modulus sqrt(a^2 + eta^2)."""
+        return sqrt(a * a + self.eta * self.eta)
+
+    def inflow(self, v: CoefficientFunction) -> CoefficientFunction:
+        """n^- = (1 - sigma(v.n))/2, sigma(a) = a/sqrt(a^2 + eta^2): near 1 where v enters; 0 on walls."""
+        a = self.normal_velocity(v)
+        return 0.5 * (self.inner - a / self.modulus(a))
+
+
+def inner_facets(mesh: Mesh) -> GridFunction:
+    """1 on facets between two cells, 0 on walls, so that nothing is carried through a wall."""
+    space = FacetFESpace(mesh, order=0)
+    indicator = GridFunction(space)
+    indicator.vec[:] = 1.0
+    wall_dofs = space.GetDofs(mesh.Boundaries(".*"))
+    for i, on_wall in enumerate(wall_dofs):
+        if on_wall:
+            indicator.vec[i] = 0.0
+    return indicator
+
+
+def cell_size(mesh: Mesh) -> GridFunction:
+    """Cellwise h = |K|^{1/d} times a shape constant: the length in penalties and CFL numbers."""
+    size = GridFunction(L2(mesh, order=0))
+    with TaskManager():
+        size.Set(specialcf.mesh_size)
+    return size
+
+

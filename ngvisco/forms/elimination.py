@@ -1,0 +1,74 @@
+"""Local unknowns as functions of the others, evaluated exactly at every Newton iterate.
+
+zeta, |Hs|^2, its coefficient c_s and the hyperstress are unknowns only so that the elements can be
+condensed.  Newton on all of them at once may leave c_s negative and the velocity tangent indefinite
+(measured: 45 iterations with restarts, or failure, where the flow turns round at p = 4); with them
+recomputed from (v, a, z) after every update, it is Newton on the reduced, convex potential.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ngsolve import CoefficientFunction, FESpace, GridFunction, LinearForm
+
+from ngvisco.forms.context import Integrand
+from ngvisco.forms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.spaces import Layout
+from ngvisco.forms.transport import Conjugates
+from ngvisco.physics.material import components_of, conjugates
+from ngvisco.physics.tensors import inner, square
+
+
+class LocalProjection:
+    """target = cellwise L2 projection of an integrand that may have a part on the cell's boundary."""
+
+    def __init__(
+        self, space: FESpace, target: GridFunction, quadrature: Quadrature, integrand: Any
+    ) -> None:
+        """``integrand`` maps the test function of ``space`` to an Integrand."""
+        self.target = target
+        self.load = LinearForm(space)
+        parts: Integrand = integrand(space.TestFunction())
+        if parts.cells is not None:
+            self.load += parts.cells.Compile() * quadrature.cells
+        if parts.facets is not None:
+            self.load += parts.facets.Compile() * quadrature.facets
+        self.inverse_mass = space.Mass(1).Inverse()
+
+    def __call__(self) -> None:
+        self.load.Assemble()
+        self.target.vec.data = self.inverse_mass * self.load.vec
+
+
+class Elimination:
+    """The local unknowns of a step, recomputed in the order in which they depend on each other."""
+
+    def __init__(self, layout: Layout, state: GridFunction, quadrature: Quadrature, terms: Any) -> None:
+        u = layout.fields(state.components)
+        parts = dict(zip(layout.names, state.components, strict=True))
+        self.projections: list[LocalProjection] = []
+
+        def add(name: str, integrand: Any) -> None:
+            space = layout.blocks[name]
+            self.projections.append(LocalProjection(space, parts[name], quadrature, integrand))
+
+        for term in terms:
+            if isinstance(term, Conjugates):
+                slope = conjugates(term.material, u.z_tensors)
+                components = components_of(term.material, slope, term.dim)
+                add("zeta", _tested(components))
+            elif isinstance(term, Hyperviscosity) and not term.law.is_linear:
+                add("hess_square", _tested(square(u.hess)))
+                add("hyper_coefficient", lambda t, term=term: term.coefficient_load(u, t))
+                add("hyperstress", _tested(u.hyper_coefficient * parts["hess"]))
+
+    def __call__(self) -> None:
+        """Make the local unknowns of the state consistent with its v, a and z."""
+        for projection in self.projections:
+            projection()
+
+
+def _tested(value: CoefficientFunction) -> Any:
+    return lambda test: Integrand(inner(value, test))

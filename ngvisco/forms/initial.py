@@ -1,0 +1,173 @@
+"""Initial data on the spaces of a step, and start values of the unknowns that follow from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from ngsolve import (
+    CF,
+    BilinearForm,
+    BitArray,
+    CoefficientFunction,
+    Det,
+    GridFunction,
+    Id,
+    LinearForm,
+    TaskManager,
+)
+
+from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError
+from ngvisco.forms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.system import Step
+from ngvisco.physics.material import components_of, conjugates
+from ngvisco.physics.model import VectorLike, as_vector
+from ngvisco.physics.tensors import inner, square
+
+ScalarLike = float | CoefficientFunction
+
+
+@dataclass(frozen=True, kw_only=True)
+class Initial:
+    """Initial conditions (paper: Euler-small-IC-hyper, IC-large-disc).
+
+    Parameters
+    ----------
+    density : number or coefficient function
+        rho_0 > 0, kg/m^3.
+    velocity : vector of the mesh's dimension, optional
+        v_0, m/s; default zero.  Its normal component on walls is removed.
+    F : 3x3 coefficient function, optional
+        Initial elastic distortion, det F_0 > 0, default I; every variable's start value is derived
+        from it (J_0 = det F_0, E_0 = sym F_0 - I, ...).  In 2D its 13, 23, 31, 32 entries must be 0.
+    values : mapping of variable names to coefficient functions, optional
+        Start values that replace the derived ones, e.g. ``{"E": E_0}``.
+    """
+
+    density: ScalarLike = 1.0
+    velocity: VectorLike | None = None
+    F: CoefficientFunction | None = None
+    values: Mapping[str, CoefficientFunction] = field(default_factory=dict)
+
+
+def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
+    """Put the initial data into ``step.state`` and ``step.state_old``.
+
+    Raises
+    ------
+    InitialDataError
+        If rho_0 <= 0, det F_0 <= 0 or a value is not finite at a sampling point.
+    UnknownNameError
+        If ``initial.values`` names a variable that the material does not have.
+    """
+    parts = dict(zip(step.layout.names, step.state.components, strict=True))
+    dim = step.mesh.dim
+    density = CF(initial.density)
+    F = Id(3) if initial.F is None else initial.F
+    if tuple(F.dims) != (3, 3):
+        raise ParameterError("Initial.F", F.dims, "a 3x3 coefficient function, also in 2D")
+    values = _initial_values(step, initial, F)
+    sampler.require(density, "density rho_0", minimum=0.0)
+    sampler.require(Det(F), "det F_0", minimum=0.0)
+    with TaskManager():
+        step.state.vec[:] = 0.0
+        parts["rho"].Set(density)
+        parts["z"].Set(components_of(step.model.material, values, dim))
+        if initial.velocity is not None:
+            v_0 = as_vector(initial.velocity, dim, "Initial.velocity")
+            sampler.require(inner(v_0, v_0), "|v_0|^2")
+            parts["v"].Set(v_0)
+            remove_constrained(step)
+        sampler.require(inner(step.now.z, step.now.z), "material variables")
+        sampler.require(step.now.rho, "projected density rho_0", minimum=0.0)
+        complete(step)
+    step.state_old.vec.data = step.state.vec
+
+
+def _initial_values(
+    step: Step, initial: Initial, F: CoefficientFunction
+) -> dict[str, CoefficientFunction]:
+    names = [variable.name for variable in step.model.material.variables]
+    for name in initial.values:
+        if name not in names:
+            raise UnknownNameError("material variable", name, names)
+    derived = {v.name: v.from_distortion(F) for v in step.model.material.variables}
+    return {**derived, **initial.values}
+
+
+def remove_constrained(step: Step) -> None:
+    """Zero the constrained coefficients: ``Set`` leaves a small v.n, which the ledger would show."""
+    free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
+    step.state.vec.FV().NumPy()[~free] = 0.0
+
+
+def complete(step: Step) -> None:
+    """Start values of traces, conjugates and the hyperviscosity's unknowns from v, rho and z."""
+    parts = dict(zip(step.layout.names, step.state.components, strict=True))
+    u, material, dim = step.now, step.model.material, step.mesh.dim
+    parts["zeta"].Set(components_of(material, conjugates(material, u.z_tensors), dim))
+    _mean_traces(step)
+    law = step.model.hyperviscosity
+    if law is None:
+        return
+    _recover_hessian(step, Hyperviscosity(law, step.context))
+    coefficient = CF(law.mu + law.mu_1)
+    if not law.is_linear:
+        parts["hess_square"].Set(square(u.hess))
+        parts["hyper_coefficient"].Set(law.coefficient(u.hess_square))
+        coefficient = u.hyper_coefficient
+    parts["hyperstress"].Set(coefficient * parts["hess"])
+
+
+def _mean_traces(step: Step) -> None:
+    """Facet unknowns as the means of both sides' values."""
+    trial, test = step.layout.space.TnT()
+    u, w, now = step.layout.fields(trial), step.layout.fields(test), step.now
+    measure = step.quadrature.facets
+    mass = BilinearForm(step.layout.space, check_unused=False)
+    load = LinearForm(step.layout.space)
+    mass += u.rho_hat * w.rho_hat * measure
+    load += now.rho * w.rho_hat * measure
+    mass += inner(u.z_hat, w.z_hat) * measure
+    load += inner(now.z, w.z_hat) * measure
+    names = ["rho_hat", "z_hat"]
+    if step.model.hyperviscosity is not None:
+        n = step.context.normal
+        mass += inner(u.normal_derivative, w.normal_derivative) * measure
+        load += inner(now.grad_v * n, w.normal_derivative) * measure
+        names += [f"a_{i + 1}" for i in range(step.mesh.dim)]
+    _solve_blocks(step, mass, load, names)
+
+
+def _recover_hessian(step: Step, term: Hyperviscosity) -> None:
+    """The local projection int Hs : X = lifting of (v, a)."""
+    trial, test = step.layout.space.TnT()
+    u, w = step.layout.fields(trial), step.layout.fields(test)
+    mass = BilinearForm(step.layout.space, check_unused=False)
+    load = LinearForm(step.layout.space)
+    # the lifting is tested by hyperstress; its local space is the same as that of hess
+    mass += inner(u.hyperstress, w.hyperstress) * step.quadrature.cells
+    for part in term.lifting(step.now, w):
+        if part.cells is not None:
+            load += part.cells * step.quadrature.cells
+        if part.facets is not None:
+            load += part.facets * step.quadrature.facets
+    _solve_blocks(step, mass, load, ["hyperstress"])
+    parts = dict(zip(step.layout.names, step.state.components, strict=True))
+    parts["hess"].vec.data = parts["hyperstress"].vec
+
+
+def _solve_blocks(step: Step, mass: BilinearForm, load: LinearForm, names: list[str]) -> None:
+    mass.Assemble()
+    load.Assemble()
+    free = BitArray(step.layout.space.ndof)
+    free.Clear()
+    for name in names:
+        free[step.layout.ranges[name]] = True
+    solution = GridFunction(step.layout.space)
+    solution.vec.data = mass.mat.Inverse(free, inverse="umfpack") * load.vec
+    for name in names:
+        where = step.layout.ranges[name]
+        step.state.vec[where] = solution.vec[where]

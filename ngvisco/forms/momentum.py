@@ -1,0 +1,131 @@
+"""Density and momentum: conservative continuity, skew-symmetric inertia, viscosity, loads.
+
+Adding -1/2 v.w times the continuity equation to the paper's momentum equation gives, with the mass
+flux m = rho v,
+
+    int (rho v - rho_old v_old)/tau . w - 1/2 (rho - rho_old)/tau v . w
+      + 1/2 m . [(L^T w) - (grad w)^T v] + ... = 0,
+
+so that w = v returns exactly the change of kinetic energy plus 1/2 int rho_old |v - v_old|^2, the
+remainder of the paper's convexity inequality (Euler-ED-basic-convexity-calculus).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.forms.context import Context, Entry, Integrand, time
+from ngvisco.forms.spaces import Fields
+from ngvisco.physics.model import Gravity, Load, as_vector
+from ngvisco.physics.rheology import StokesViscosity
+from ngvisco.physics.tensors import inner, square, sym
+
+
+@dataclass(frozen=True)
+class Continuity:
+    """int (rho - rho_old)/tau q - rho v . grad q + sum_K int_{dK} F_hat (q - q_hat) = 0
+    (paper: Euler-small-viscoelastodyn+0disc with delta = 0 and no cut-off).
+
+    F_hat = a^+ rho - a^- rho_hat with a = v.n and a^{+-} = (sqrt(a^2 + eta^2) +- a)/2 > 0.  The test q_hat
+    makes the flux single-valued, i.e. rho_hat the upwind value n^+ rho_1 + n^- rho_2, a convex
+    combination whatever v.n; q = q_hat = 1 conserves mass to rounding (paper: Euler-small-est-1+).
+    """
+
+    context: Context
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        c = self.context
+        q, q_hat = w.rho, w.rho_hat
+        storage = Integrand((u.rho - c.old.rho) / c.tau * q)
+        convection = Integrand(-u.rho * (u.v * w.grad_rho))
+        a = c.normal_velocity(u.v)
+        flux = 0.5 * ((c.modulus(a) + a) * u.rho - (c.modulus(a) - a) * u.rho_hat)
+        return [storage, convection, Integrand(facets=flux * (q - q_hat))]
+
+    def entries(self, u: Fields) -> list[Entry]:
+        return []
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """(rho v - rho_old v_old)/tau . w - 1/2 (rho - rho_old)/tau v . w."""
+
+    context: Context
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        c = self.context
+        rate = (u.rho * u.v - c.old.rho * c.old.v) - 0.5 * (u.rho - c.old.rho) * u.v
+        return [Integrand(inner(rate, w.v) / c.tau)]
+
+    def entries(self, u: Fields) -> list[Entry]:
+        """1/2 rho_old |v - v_old|^2, what the implicit step dissipates of kinetic energy."""
+        old = self.context.old
+        return [Entry("inertial", "numerical", Integrand(0.5 * old.rho * square(u.v - old.v)))]
+
+
+@dataclass(frozen=True)
+class Convection:
+    """1/2 m . [(L^T w) - (grad w)^T v] with m = rho v: powerless (paper: calculus-for-kinetic)."""
+
+    context: Context
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        flux = u.rho * u.v
+        return [
+            Integrand(0.5 * inner(u.grad_v * flux, w.v)),
+            Integrand(-0.5 * inner(w.grad_v * flux, u.v)),
+        ]
+
+    def entries(self, u: Fields) -> list[Entry]:
+        return []
+
+
+@dataclass(frozen=True)
+class Stokes:
+    """int D eps(v) : eps(w) (paper: dissipation-pot)."""
+
+    viscosity: StokesViscosity
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        return [Integrand(inner(self.viscosity.stress(sym(u.L)), w.L))]
+
+    def entries(self, u: Fields) -> list[Entry]:
+        eps = sym(u.L)
+        return [
+            Entry("dissipation_stokes_bulk", "dissipation", Integrand(self.viscosity.bulk_dissipation(eps))),
+            Entry("dissipation_stokes_shear", "dissipation", Integrand(self.viscosity.shear_dissipation(eps))),
+        ]
+
+
+@dataclass(frozen=True)
+class Loading:
+    """-int f . w with f = rho g for gravity, averaged over the step (paper: g^k_{delta tau})."""
+
+    load: Load
+    context: Context
+
+    def force(self, u: Fields) -> CoefficientFunction:
+        dim = self.context.mesh.dim
+        if isinstance(self.load, Gravity):
+            return u.rho * self._average(as_vector(self.load.g, dim, "Gravity.g"))
+        return self._average(as_vector(self.load.force, dim, "BodyForce.force"))
+
+    def _average(self, value: CoefficientFunction) -> CoefficientFunction:
+        """1/tau int over the step by two Gauss points in time (exact for cubic ones)."""
+        spread = 0.5 / 3**0.5
+        c = self.context
+        early, late = (
+            value.Replace({time: c.t_old + s * c.tau}) for s in (0.5 - spread, 0.5 + spread)
+        )
+        return 0.5 * (early + late)
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        return [Integrand(-inner(self.force(u), w.v))]
+
+    def entries(self, u: Fields) -> list[Entry]:
+        power = Integrand(inner(self.force(u), u.v))
+        return [Entry(f"power_{self.load.name}", "power", power)]
+
+

@@ -1,0 +1,55 @@
+"""Pointwise checks and extrema, at the vertices and interior points of every cell."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh
+
+from ngvisco.errors import InitialDataError
+from ngvisco.forms.quadrature import Quadrature
+
+_VERTICES = {
+    ET.TRIG: [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)],
+    ET.QUAD: [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)],
+    ET.TET: [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)],
+}
+
+
+class Sampler:
+    """Evaluates coefficient functions at the vertices and quadrature points of all cells."""
+
+    def __init__(self, mesh: Mesh, quadrature: Quadrature) -> None:
+        self.mesh, self.quadrature = mesh, quadrature
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """Mesh points: at vertices (just inside each cell) and at the forms' quadrature points."""
+        rules = {}
+        for et, vertices in _VERTICES.items():
+            if et in self.quadrature.cell_rules:
+                inner_points = list(self.quadrature.cell_rules[et].points)
+                points = [tuple(p)[: len(vertices[0])] for p in inner_points] + vertices
+                rules[et] = IntegrationRule(points, [0.0] * len(points))
+        return self.mesh.MapToAllElements(rules, VOL)
+
+    def values(self, f: CoefficientFunction) -> np.ndarray:
+        """Values at all points, shape (points,) or (points, components)."""
+        result = np.asarray(f(self.points))
+        return result[:, 0] if result.ndim == 2 and result.shape[1] == 1 else result
+
+    def extrema(self, f: CoefficientFunction) -> tuple[float, float]:
+        """Minimum and maximum of a scalar."""
+        values = self.values(f)
+        return float(values.min()), float(values.max())
+
+    def require(
+        self, f: CoefficientFunction, name: str, minimum: float | None = None
+    ) -> None:
+        """Raise InitialDataError unless f is finite (and > ``minimum``) at all points."""
+        values = self.values(f)
+        if not np.all(np.isfinite(values)):
+            raise InitialDataError(name, "not finite somewhere", "finite values")
+        if minimum is not None and values.min() <= minimum:
+            raise InitialDataError(name, f"minimum {values.min():.6g}", f"> {minimum:g}")

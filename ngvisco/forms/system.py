@@ -1,0 +1,107 @@
+"""The system of one Rothe step, summed in the paper's order.
+
+R(u; w) = 0, every term a left-hand side (paper: Euler-small-viscoelastodyn+disc for E,
+Euler-large-viscoelastodyn+disc for F, J, ...):
+
+    continuity           (rho - rho_old)/tau + div(rho v)                         = 0
+    momentum             (rho v - rho_old v_old)/tau + div(rho v x v)
+                         - div(T + D eps(v) - div S) - f                          = 0
+    hyperstress          S - (mu_1 + mu |hess v|^{p-2}) hess v                    = 0
+    kinematics           (z - z_old)/tau + (v.grad) z - rate(z; grad v, Pi)       = 0
+    conjugates           zeta - phi'(z)                                           = 0
+    upwind traces        z_hat - z on the outflow side                            = 0
+
+with Pi = R M the creep rate.  ``Step`` owns the spaces, the fields and the compiled forms; it knows
+no solver and no time loop.
+"""
+
+from __future__ import annotations
+
+from ngsolve import BilinearForm, GridFunction, Mesh
+
+from ngvisco.forms import walls
+from ngvisco.forms.context import Context, Entry, Term
+from ngvisco.forms.elimination import Elimination
+from ngvisco.forms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.momentum import Continuity, Convection, Inertia, Loading, Stokes
+from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.spaces import Discretisation, Fields, Layout
+from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
+from ngvisco.physics.model import Model
+
+
+class Step:
+    """Spaces, fields and forms of the step (rho, v, z)_old -> (rho, v, z).
+
+    Parameters
+    ----------
+    mesh : ngsolve.Mesh
+    model : Model
+    discretisation : Discretisation
+    sources : Term, optional
+        A further term, for manufactured solutions.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        model: Model,
+        discretisation: Discretisation | None = None,
+        sources: Term | None = None,
+    ) -> None:
+        walls.check_mesh(mesh)
+        self.mesh, self.model = mesh, model
+        self.discretisation = discretisation or Discretisation()
+        self.layout = Layout(mesh, model, self.discretisation, walls.slip_constraints(mesh))
+        self.state = GridFunction(self.layout.space, name="state")
+        self.state_old = GridFunction(self.layout.space, name="state_old")
+        self.now = self.layout.fields(self.state.components)
+        self.old = self.layout.fields(self.state_old.components)
+        self.context = Context(mesh, self.old)
+        self.quadrature = Quadrature.for_orders(
+            mesh, self.discretisation.k, self.discretisation.m, self.discretisation.quadrature_bonus
+        )
+        self.terms = self._terms(sources)
+        self.residual = self._residual()
+        self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms)
+
+    def _terms(self, sources: Term | None) -> tuple[Term, ...]:
+        model, context = self.model, self.context
+        terms: list[Term] = [
+            Continuity(context),
+            Inertia(context),
+            Convection(context),
+            ElasticForce(model, context),
+        ]
+        if model.viscosity is not None:
+            terms.append(Stokes(model.viscosity))
+        if model.hyperviscosity is not None:
+            terms.append(Hyperviscosity(model.hyperviscosity, context))
+        terms += [Loading(load, context) for load in model.loads]
+        terms += [
+            Kinematics(model, context),
+            Conjugates(model, context),
+            UpwindTrace(model, context),
+        ]
+        terms += walls.wall_terms(self.mesh, context)
+        if sources is not None:
+            terms.append(sources)
+        return tuple(terms)
+
+    def _residual(self) -> BilinearForm:
+        """R(u; w) as one nonlinear form with element-local unknowns to be condensed."""
+        trial, test = self.layout.space.TnT()
+        u, w = self.layout.fields(trial), self.layout.fields(test)
+        form = BilinearForm(self.layout.space, condense=True)
+        for term in self.terms:
+            for integrand in term.form(u, w):
+                if integrand.cells is not None:
+                    form += integrand.cells.Compile() * self.quadrature.cells
+                if integrand.facets is not None:
+                    form += integrand.facets.Compile() * self.quadrature.facets
+        return form
+
+    def entries(self, fields: Fields | None = None) -> list[Entry]:
+        """All entries of the energy ledger at ``fields`` (default: the present state)."""
+        u = self.now if fields is None else fields
+        return [entry for term in self.terms for entry in term.entries(u)]

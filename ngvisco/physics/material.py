@@ -1,0 +1,163 @@
+"""Materials: a list of transported variables and a stored energy; all stresses are derived.
+
+For a material with variables z_i and stored energy phi(z) per actual volume (Pa = J/m^3), the rest
+follows from the energy balance and is never written by hand:
+
+* conjugates        zeta_i = d phi / d z_i
+* Cauchy stress     T : A = sum_i zeta_i : rate_i(z; A, 0) + phi tr A     for all A
+                    (paper: Cauchy-stress-polyconvex, Cauchy-stress-polyconvex+)
+* Mandel stress     M : P = -sum_i zeta_i : rate_i(z; 0, P)   for all symmetric trace-free P
+                    (paper: Mandel-stress-polyconvex, Mandel-stress-polyconvex+)
+
+The energy ledger closes with a Bregman remainder that is >= 0 exactly when phi is jointly convex in
+the variables z; this is the "generalised polyconvexity" of the paper's Section 3.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction
+
+from ngvisco.errors import ParameterError
+from ngvisco.physics.tensors import IDENTITY, inner, tensor_space, trace_free_tensors
+from ngvisco.physics.variables import Values, Variable
+
+
+class Material(ABC):
+    """What a constitutive law supplies: ``variables`` and ``energy``."""
+
+    @property
+    @abstractmethod
+    def variables(self) -> tuple[Variable, ...]:
+        """The transported variables, in the order in which they are stored."""
+
+    @abstractmethod
+    def energy(self, z: Values) -> CoefficientFunction:
+        """Stored energy per actual volume, Pa, from the variables' values by name."""
+
+
+def check_material(material: Material) -> None:
+    """Raise ParameterError when a material's list of variables does not make sense."""
+    names = [v.name for v in material.variables]
+    owner = type(material).__name__
+    if not names:
+        raise ParameterError(f"{owner}.variables", names, "at least one variable")
+    if len(set(names)) < len(names):
+        raise ParameterError(f"{owner}.variables", names, "distinct names")
+    for variable in material.variables:
+        for other in variable.requires:
+            if other not in names:
+                raise ParameterError(
+                    f"{owner}.variables", names, f"{other!r} too: the rate of {variable.name!r} reads it"
+                )
+
+
+def conjugates(material: Material, z: Values) -> dict[str, CoefficientFunction]:
+    """zeta_i = d phi / d z_i as coefficient functions of the values ``z`` (same shapes as z)."""
+    variables = {name: value.MakeVariable() for name, value in z.items()}
+    phi = material.energy(variables)
+    return {name: phi.Diff(variable) for name, variable in variables.items()}
+
+
+def rate_power(
+    material: Material,
+    z: Values,
+    zeta: Values,
+    L: CoefficientFunction,
+    Pi: CoefficientFunction,
+) -> CoefficientFunction:
+    """sum_i zeta_i : rate_i(z; L, Pi): power per volume of the conjugates, Pa/s."""
+    terms = [inner(zeta[v.name], v.rate(z, L, Pi)) for v in material.variables]
+    total = terms[0]
+    for term in terms[1:]:
+        total = total + term
+    return total
+
+
+def cauchy_stress(material: Material, z: Values, zeta: Values | None = None) -> CoefficientFunction:
+    """Cauchy stress T, 3x3, Pa (paper: Cauchy-stress-polyconvex).
+
+    ``zeta`` defaults to the exact conjugates; the discretisation passes its projected ones.
+    The affine part of a rate (eps(v) of E) is linear in L, so T : A = power(A) + phi tr A.
+    """
+    zeta = conjugates(material, z) if zeta is None else zeta
+    zero = _constant(np.zeros((3, 3)))
+    entries = []
+    for i in range(3):
+        for j in range(3):
+            unit = np.zeros((3, 3))
+            unit[i, j] = 1.0
+            entries.append(rate_power(material, z, zeta, _constant(unit), zero))
+    return CF(tuple(entries), dims=(3, 3)) + material.energy(z) * IDENTITY
+
+
+def mandel_stress(material: Material, z: Values, zeta: Values, dim: int) -> CoefficientFunction:
+    """Mandel stress M in R^{3x3}_dev (symmetric, trace-free), Pa; of the given conjugates.
+
+    M is minus the derivative of sum_i zeta_i : rate_i(z; 0, Pi) in Pi, restricted to symmetric
+    trace-free Pi; for F it is sym dev(F^T S_F), paper: Mandel-stress-polyconvex.
+    """
+    space = trace_free_tensors(dim)
+    zero = _constant(np.zeros((3, 3)))
+    entries = []
+    for P in space.basis:
+        powers = [
+            inner(zeta[v.name], v.rate(z, zero, _constant(np.array(P))))
+            for v in material.variables
+            if v.creeps
+        ]
+        entries.append(-sum(powers[1:], powers[0]) if powers else CF(0.0))
+    return space.tensor(CF(tuple(entries)))
+
+
+def component_slices(material: Material, dim: int) -> dict[str, slice]:
+    """Where every variable stands in the concatenated component vector, by name."""
+    slices, start = {}, 0
+    for variable in material.variables:
+        stop = start + tensor_space(variable.kind, dim).size
+        slices[variable.name] = slice(start, stop)
+        start = stop
+    return slices
+
+
+def component_count(material: Material, dim: int) -> int:
+    """Length of the concatenated component vector."""
+    return sum(tensor_space(v.kind, dim).size for v in material.variables)
+
+
+def tensors_of(
+    material: Material, components: CoefficientFunction, dim: int
+) -> dict[str, CoefficientFunction]:
+    """Values (scalars or 3x3) by name from the concatenated component vector of all variables."""
+    slices, size = component_slices(material, dim), component_count(material, dim)
+    values: dict[str, CoefficientFunction] = {}
+    for variable in material.variables:
+        where = slices[variable.name]
+        space = tensor_space(variable.kind, dim)
+        if space.is_scalar:
+            values[variable.name] = components[where.start]
+            continue
+        # one constant matrix that selects and embeds: far cheaper to linearise than component sums
+        matrix = np.zeros((9, size))
+        matrix[:, where] = space.columns
+        values[variable.name] = (_constant(matrix) * components).Reshape((3, 3))
+    return values
+
+
+def components_of(material: Material, values: Values, dim: int) -> CoefficientFunction:
+    """The concatenated component vector of values by name (orthogonal projection)."""
+    slices, size = component_slices(material, dim), component_count(material, dim)
+    total = CF(tuple([0.0] * size))
+    for variable in material.variables:
+        space = tensor_space(variable.kind, dim)
+        value = values[variable.name]
+        matrix = np.zeros((size, 1 if space.is_scalar else 9))
+        matrix[slices[variable.name]] = 1.0 if space.is_scalar else space.columns.T
+        total = total + _constant(matrix) * (CF((value,)) if space.is_scalar else value.Reshape((9,)))
+    return total
+
+
+def _constant(array: np.ndarray) -> CoefficientFunction:
+    return CF(tuple(float(x) for x in array.ravel()), dims=array.shape)

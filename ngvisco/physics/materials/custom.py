@@ -1,0 +1,45 @@
+"""A material of the user's own: variables and an energy given in a script."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import ParameterError
+from ngvisco.physics.material import Material, check_material
+from ngvisco.physics.variables import Values, Variable
+
+
+@dataclass(frozen=True, kw_only=True)
+class CustomMaterial(Material):
+    """phi = stored_energy(**values) for any list of transported variables.
+
+    Parameters
+    ----------
+    transported : sequence of Variable
+        E.g. ``(Distortion(), Jacobian())``.
+    stored_energy : callable
+        Takes the variables' values by name and returns the energy per actual volume, Pa, e.g.
+        ``lambda F, J: 5 * square(F) / J ** (2/3) + 10 * (J - 1) ** 2``.  Convex jointly in all of
+        them if the ledger's Bregman column is to be >= 0.
+    """
+
+    transported: tuple[Variable, ...]
+    stored_energy: Callable[..., CoefficientFunction]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "transported", tuple(self.transported))
+        if not callable(self.stored_energy):
+            raise ParameterError(
+                "CustomMaterial.stored_energy", self.stored_energy, "a function of the variables"
+            )
+        check_material(self)
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return self.transported
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        return self.stored_energy(**z)

@@ -1,0 +1,76 @@
+"""Materials of the linearised convective model (paper: Section 2), in the small strain E."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import ParameterError, require_positive
+from ngvisco.physics.material import Material
+from ngvisco.physics.tensors import dev, sph, square
+from ngvisco.physics.variables import SmallStrain, Values, Variable
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearElastic(Material):
+    """phi(E) = 3/2 K_e |sph E|^2 + G_e |dev E|^2 (paper: St.Venenat-Kirchhoff-linear).
+
+    Strongly convex.  No stress at rest: T(0) = 0.  The moduli are the usual bulk and shear moduli
+    of linear elasticity, S = K_e (tr E) I + 2 G_e dev E; T = S + phi I.
+
+    Parameters
+    ----------
+    K_e, G_e : float
+        Elastic bulk and shear modulus, Pa, > 0.
+
+    Raises
+    ------
+    ParameterError
+        If a modulus is not a finite positive number.
+    """
+
+    K_e: float
+    G_e: float
+
+    def __post_init__(self) -> None:
+        require_positive(self, K_e=self.K_e, G_e=self.G_e)
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (SmallStrain(),)
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        E = z["E"]
+        return 1.5 * self.K_e * square(sph(E)) + self.G_e * square(dev(E))
+
+
+@dataclass(frozen=True, kw_only=True)
+class IsotropicStrainEnergy(Material):
+    """phi(E) = strain_energy(E) for any convex isotropic function of E (paper: Euler-small-ass-phi).
+
+    Isotropy is needed, not only convexity: S E = E S is what makes the spin part of the
+    Zaremba-Jaumann rate powerless (paper: E:WS=E:SW), so that T = S + phi I is symmetric.
+
+    Parameters
+    ----------
+    strain_energy : callable
+        Maps E (3x3 coefficient function) to the energy density, Pa, e.g.
+        ``lambda E: 0.5*K*Trace(E)**2 + G*square(dev(E)) + c*square(dev(E))**2``.
+    """
+
+    strain_energy: Callable[[CoefficientFunction], CoefficientFunction]
+
+    def __post_init__(self) -> None:
+        if not callable(self.strain_energy):
+            raise ParameterError(
+                "IsotropicStrainEnergy.strain_energy", self.strain_energy, "a function of E"
+            )
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (SmallStrain(),)
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        return self.strain_energy(z["E"])

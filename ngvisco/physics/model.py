@@ -1,0 +1,108 @@
+"""The model of a run: a material, its dissipative mechanisms and its loads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from ngsolve import CF, CoefficientFunction
+
+from ngvisco.errors import ParameterError, _is_number
+from ngvisco.physics.material import Material, check_material
+from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+
+VectorLike = CoefficientFunction | Sequence[float | CoefficientFunction]
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """Gravity acceleration g: the force density rho g (paper: Euler-small-viscoelastodyn+1).
+
+    Parameters
+    ----------
+    g : sequence of numbers or coefficient functions, or a vector coefficient function
+        Acceleration, m/s^2, of the length of the mesh's dimension; a function of x and of the
+        run's time ``ngvisco.time``.
+    name : str
+        Under which the ledger reports its power, ``power_<name>``.
+    """
+
+    g: VectorLike
+    name: str = "gravity"
+
+
+@dataclass(frozen=True)
+class BodyForce:
+    """A force per actual volume, N/m^3, of the length of the mesh's dimension.
+
+    The name is that of the ledger's column, ``power_<name>``.
+    """
+
+    force: VectorLike
+    name: str = "body_force"
+
+
+Load = Gravity | BodyForce
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """Material and mechanisms of a run.
+
+    Parameters
+    ----------
+    material : Material
+    viscosity : StokesViscosity, optional
+    hyperviscosity : HyperViscosity, optional
+    creep : Creep, optional
+        None (default) is the Kelvin-Voigt rheology, otherwise Jeffreys in the deviatoric part.
+    loads : sequence of Gravity or BodyForce
+
+    Raises
+    ------
+    ParameterError
+        If a part is of the wrong type, two loads share a name, or the material's list of variables
+        makes no sense.
+    """
+
+    material: Material
+    viscosity: StokesViscosity | None = None
+    hyperviscosity: HyperViscosity | None = None
+    creep: Creep | None = None
+    loads: tuple[Load, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        for name, kind in (
+            ("material", Material),
+            ("viscosity", StokesViscosity),
+            ("hyperviscosity", HyperViscosity),
+            ("creep", Creep),
+        ):
+            value = getattr(self, name)
+            if not (isinstance(value, kind) or (value is None and name != "material")):
+                raise ParameterError(f"Model.{name}", value, f"a {kind.__name__}")
+        object.__setattr__(self, "loads", tuple(self.loads))
+        for load in self.loads:
+            if not isinstance(load, (Gravity, BodyForce)):
+                raise ParameterError("Model.loads", load, "Gravity or BodyForce objects")
+        names = [load.name for load in self.loads]
+        if len(set(names)) < len(names):
+            raise ParameterError("Model.loads", names, "distinct names")
+        check_material(self.material)
+
+
+def as_vector(value: VectorLike, dim: int, field_name: str) -> CoefficientFunction:
+    """A vector coefficient function of length ``dim``, or ParameterError naming the field."""
+    if isinstance(value, CoefficientFunction):
+        vector = value
+    else:
+        try:
+            parts = tuple(value)
+        except TypeError:
+            raise ParameterError(field_name, value, f"a vector of length {dim}") from None
+        if not all(isinstance(p, CoefficientFunction) or _is_number(p) for p in parts):
+            raise ParameterError(field_name, value, "finite numbers or coefficient functions")
+        vector = CF(parts)
+    if vector.dim != dim:
+        raise ParameterError(field_name, value, f"a vector of length {dim}, not {vector.dim}")
+    return vector

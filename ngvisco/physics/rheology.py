@@ -1,0 +1,119 @@
+"""Dissipative mechanisms: Stokes viscosity, hyperviscosity, Maxwellian creep."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import ParameterError, require_above, require_nonnegative, require_positive
+from ngvisco.physics.tensors import IDENTITY, dev, power_of_square, square, tr
+
+
+@dataclass(frozen=True, kw_only=True)
+class StokesViscosity:
+    """D eps = K_v (tr eps) I + 2 G_v dev eps (paper: dissipation-pot, Euler-small-ass-D).
+
+    Parameters
+    ----------
+    K_v, G_v : float
+        Bulk and shear viscosity, Pa s, >= 0.
+    """
+
+    K_v: float
+    G_v: float
+
+    def __post_init__(self) -> None:
+        require_nonnegative(self, K_v=self.K_v, G_v=self.G_v)
+
+    def stress(self, eps: CoefficientFunction) -> CoefficientFunction:
+        """D eps, 3x3, Pa, for the strain rate eps(v), 3x3, 1/s."""
+        return self.K_v * tr(eps) * IDENTITY + 2 * self.G_v * dev(eps)
+
+    def bulk_dissipation(self, eps: CoefficientFunction) -> CoefficientFunction:
+        """K_v (tr eps)^2, W/m^3."""
+        return self.K_v * tr(eps) * tr(eps)
+
+    def shear_dissipation(self, eps: CoefficientFunction) -> CoefficientFunction:
+        """2 G_v |dev eps|^2, W/m^3."""
+        return 2 * self.G_v * square(dev(eps))
+
+
+@dataclass(frozen=True, kw_only=True)
+class HyperViscosity:
+    """Hyperstress (mu_1 + mu |hess v|^{p-2}) hess v (paper: Euler-small-viscoelastodyn+1).
+
+    The paper's analysis wants p > 3; any p > 1 runs.
+
+    Parameters
+    ----------
+    mu : float
+        Coefficient of the p-homogeneous part, in units such that
+        mu |hess v|^p is W/m^3; > 0.
+    p : float
+        Exponent, > 1.
+    mu_1 : float
+        Coefficient of the quadratic part, Pa s m^2, >= 0 (the paper's mu_1 + mu_2 |.|^{p-2}).
+    penalty : float
+        Dimensionless weight sigma of the interior penalty in the lifted form, > 0.
+    floor : float
+        Regularisation of |hess v| at zero for exponents that are no even integers, 1/(m s), > 0.
+    """
+
+    mu: float
+    p: float = 4.0
+    mu_1: float = 0.0
+    penalty: float = 1.0
+    floor: float = 1e-10
+
+    def __post_init__(self) -> None:
+        require_positive(self, mu=self.mu, penalty=self.penalty, floor=self.floor)
+        require_above(self, 1, p=self.p)
+        require_nonnegative(self, mu_1=self.mu_1)
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the hyperstress is linear in hess v (p = 2)."""
+        return self.p == 2
+
+    def coefficient(self, s: CoefficientFunction) -> CoefficientFunction:
+        """c(s) = mu_1 + mu s^{(p-2)/2} for s = |hess v|^2."""
+        power = self.mu * power_of_square(s, 0.5 * (self.p - 2), self.floor)
+        return power + self.mu_1 if self.mu_1 else power
+
+    def slope(self, s: CoefficientFunction) -> CoefficientFunction:
+        """c'(s) = mu (p-2)/2 s^{(p-4)/2}."""
+        return 0.5 * (self.p - 2) * self.mu * power_of_square(s, 0.5 * (self.p - 4), self.floor)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Creep:
+    """Maxwellian creep G_m Pi = M, i.e. Pi = R M with R = 1/G_m (paper: ED-Euler-large3, nu = 0).
+
+    In the linearised model this is E_ZJ = eps(v) - R dev S (paper: Euler-small-viscoelastodyn+2).
+    The sign is that of the energy balance; the paper's flow rules print G_m Pi = -M.
+
+    Parameters
+    ----------
+    G_m : float
+        Maxwellian viscosity modulus, Pa s, > 0; ``math.inf`` is no creep (Kelvin-Voigt).
+    """
+
+    G_m: float
+
+    def __post_init__(self) -> None:
+        if self.G_m != math.inf:
+            require_positive(self, G_m=self.G_m)
+
+    @classmethod
+    def from_reciprocal(cls, R: float) -> Creep:
+        """Creep with R = 1/G_m >= 0, 1/(Pa s), as the linearised model writes it."""
+        if not (isinstance(R, (int, float)) and math.isfinite(R) and R >= 0):
+            raise ParameterError("Creep.R", R, "a finite number >= 0")
+        return cls(G_m=1 / R if R else math.inf)
+
+    @property
+    def R(self) -> float:
+        """Reciprocal creep modulus 1/G_m, 1/(Pa s)."""
+        return 1 / self.G_m

@@ -1,0 +1,172 @@
+"""Tensor algebra on 3x3 coefficient functions, and the spaces of tensors that fields live in.
+
+All tensors are three-dimensional.  A two-dimensional mesh means plane strain: v_3 = 0 and nothing
+depends on x_3, so a tensor keeps its 33 entry and has zero 13, 23, 31, 32 entries.  That subspace is
+closed under every operation used here (products, Cof, W E - E W, ...), so its fields are stored by
+their components in an orthonormal basis and all algebra is done on the full 3x3 tensor.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction, Id, InnerProduct, Trace
+
+IDENTITY = Id(3)
+
+
+def sym(A: CoefficientFunction) -> CoefficientFunction:
+    """Symmetric part (A + A^T)/2."""
+    return 0.5 * (A + A.trans)
+
+
+def skw(A: CoefficientFunction) -> CoefficientFunction:
+    """Skew part (A - A^T)/2; W = skw(grad v) is the spin (paper: ZJ)."""
+    return 0.5 * (A - A.trans)
+
+
+def tr(A: CoefficientFunction) -> CoefficientFunction:
+    """Trace."""
+    return Trace(A)
+
+
+def sph(A: CoefficientFunction) -> CoefficientFunction:
+    """Spherical part (tr A / 3) I (paper: St.Venenat-Kirchhoff-linear)."""
+    return (1 / 3) * Trace(A) * IDENTITY
+
+
+def dev(A: CoefficientFunction) -> CoefficientFunction:
+    """Deviatoric part A - sph A."""
+    return A - sph(A)
+
+
+def inner(A: CoefficientFunction, B: CoefficientFunction) -> CoefficientFunction:
+    """A : B (or a . b)."""
+    return InnerProduct(A, B)
+
+
+def square(A: CoefficientFunction) -> CoefficientFunction:
+    """|A|^2 = A : A."""
+    return InnerProduct(A, A)
+
+
+def embed_gradient(grad: CoefficientFunction, dim: int) -> CoefficientFunction:
+    """The 3x3 velocity gradient (grad v)_ij = d_j v_i from the dim x dim one (plane strain in 2D)."""
+    if dim == 3:
+        return grad
+    columns = CF((1, 0, 0, 1, 0, 0), dims=(3, 2))
+    return columns * grad * columns.trans
+
+
+def power_of_square(s: CoefficientFunction, exponent: float, floor: float) -> CoefficientFunction:
+    """s^exponent for s = |.|^2 >= 0, differentiable at s = 0.
+
+    Small integer exponents are exact.  Otherwise (floor^2 + s)^exponent, because the derivative of a
+    real power is NaN at zero; ``floor`` has the units of |.| and is far below any value of interest.
+    """
+    rounded = round(exponent)
+    if abs(exponent - rounded) < 1e-14 and 0 <= rounded <= 8:
+        result = CF(1.0)
+        for _ in range(rounded):
+            result = result * s
+        return result
+    return (floor**2 + s) ** exponent
+
+
+def _unit(i: int, j: int) -> np.ndarray:
+    E = np.zeros((3, 3))
+    E[i, j] = 1.0
+    return E
+
+
+@dataclass(frozen=True)
+class TensorSpace:
+    """A linear space of scalars or 3x3 tensors with an orthonormal basis (Frobenius product).
+
+    Attributes
+    ----------
+    name : str
+    basis : tuple of (3, 3) arrays; empty for scalars
+    labels : tuple of str, one for every component
+    """
+
+    name: str
+    basis: tuple[tuple[tuple[float, ...], ...], ...]
+    labels: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of components."""
+        return max(1, len(self.basis))
+
+    @property
+    def is_scalar(self) -> bool:
+        return not self.basis
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """The basis as a (9, size) array, tensors in row-major order."""
+        return np.array(self.basis).reshape(len(self.basis), 9).T
+
+    def tensor(self, components: CoefficientFunction) -> CoefficientFunction:
+        """The 3x3 tensor (or scalar) with these components, a vector of length ``size``."""
+        if self.is_scalar:
+            return components[0] if components.dims else components
+        matrix = CF(tuple(self.columns.ravel()), dims=(9, self.size))
+        return (matrix * components).Reshape((3, 3))
+
+    def components(self, value: CoefficientFunction) -> CoefficientFunction:
+        """Components of the orthogonal projection of a 3x3 tensor (or scalar) to this space."""
+        if self.is_scalar:
+            return CF((value,))
+        matrix = CF(tuple(self.columns.T.ravel()), dims=(self.size, 9))
+        return matrix * value.Reshape((9,))
+
+
+def _space(name: str, basis: list[np.ndarray], labels: list[str]) -> TensorSpace:
+    frozen = tuple(tuple(tuple(float(x) for x in row) for row in B) for B in basis)
+    return TensorSpace(name, frozen, tuple(labels))
+
+
+SCALAR = TensorSpace("scalar", (), ("",))
+
+
+def _pairs(dim: int) -> list[tuple[int, int]]:
+    if dim == 3:
+        return [(i, j) for i in range(3) for j in range(3)]
+    return [(0, 0), (0, 1), (1, 0), (1, 1), (2, 2)]
+
+
+def full_tensors(dim: int) -> TensorSpace:
+    """All 3x3 tensors (9 components); in plane strain the block one (5)."""
+    pairs = _pairs(dim)
+    return _space("full", [_unit(*p) for p in pairs], [f"{i + 1}{j + 1}" for i, j in pairs])
+
+
+def symmetric_tensors(dim: int) -> TensorSpace:
+    """Symmetric tensors: 6 components, 4 in plane strain; off-diagonal basis (e_ij + e_ji)/sqrt 2."""
+    pairs = [(i, j) for i, j in _pairs(dim) if i <= j]
+    basis = [
+        _unit(i, j) if i == j else (_unit(i, j) + _unit(j, i)) / math.sqrt(2) for i, j in pairs
+    ]
+    return _space("symmetric", basis, [f"{i + 1}{j + 1}" for i, j in pairs])
+
+
+def trace_free_tensors(dim: int) -> TensorSpace:
+    """R^{3x3}_dev: symmetric and trace-free; 5 components, 3 in plane strain."""
+    off = [(i, j) for i, j in _pairs(dim) if i < j]
+    basis = [(_unit(i, j) + _unit(j, i)) / math.sqrt(2) for i, j in off]
+    basis.append((_unit(0, 0) - _unit(1, 1)) / math.sqrt(2))
+    basis.append((_unit(0, 0) + _unit(1, 1) - 2 * _unit(2, 2)) / math.sqrt(6))
+    labels = [f"{i + 1}{j + 1}" for i, j in off] + ["11-22", "11+22-33"]
+    return _space("trace_free", basis, labels)
+
+
+def tensor_space(kind: str, dim: int) -> TensorSpace:
+    """The space of a kind ("scalar", "full", "symmetric") on a mesh of dimension ``dim``."""
+    if kind == "scalar":
+        return SCALAR
+    return {"full": full_tensors, "symmetric": symmetric_tensors}[kind](dim)

@@ -1,0 +1,204 @@
+"""Transported variables and their kinematic rates.
+
+A variable z obeys  dt z + (v . grad) z = rate(z; L, Pi)  with L = grad v, L_ij = d_j v_i, and the
+inelastic distortion rate Pi (symmetric, tr Pi = 0).  Every rate is linear in z, in L and in Pi
+(jointly affine), which is all that the discretisation and the derived stresses use.
+
+| variable      | rate                                  | paper                          |
+|---------------|---------------------------------------|--------------------------------|
+| E             | eps(v) + W E - E W - Pi               | Euler-small-flow-rule, ZJ      |
+| F             | L F - F Pi                            | ED-Euler-large2                |
+| J = det F     | (tr L) J                              | DT-det-extended                |
+| H = Cof F     | (tr L) H - L^T H + H Pi^T             | H-flow-rule                    |
+| H = J^a F     | a (tr L) H + L H - H Pi               | rem-behind-polyconvexity       |
+| H = J^b Cof F | (1 + b)(tr L) H - L^T H + H Pi^T      | exa-Mooney-Rivlin-ref          |
+| A = 1/J       | -(tr L) A                             | DT-det-inverse                 |
+| K = ln J / J  | (tr L)(A - K)                         | exa-neo-Hookean-ref            |
+
+The cofactor rows are the paper's (Cof' F)(L F - F Pi) written out: d/dt (J F^-T) with tr Pi = 0.
+The paper's line for Mooney-Rivlin prints (Cof' F)((grad v)H - H Pi) - (7/6)(div v)H, which is a slip:
+differentiating H = J^{-7/6} Cof F gives the row above with b = -7/6.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ngsolve import CoefficientFunction, Cof, Det, log
+
+from ngvisco.errors import ParameterError, _is_number
+from ngvisco.physics.tensors import IDENTITY, skw, sym, tr
+
+Values = Mapping[str, CoefficientFunction]
+
+
+@dataclass(frozen=True)
+class Variable(ABC):
+    """A transported variable.
+
+    Attributes
+    ----------
+    name : str
+        Key under which energies find it, e.g. ``"F"``.
+    kind : str
+        ``"scalar"``, ``"symmetric"`` or ``"full"`` (3x3); dimensionless.
+    """
+
+    name: str
+    kind: str
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.name, str) and self.name.isidentifier()):
+            raise ParameterError("Variable.name", self.name, "a Python identifier")
+        if self.kind not in ("scalar", "symmetric", "full"):
+            raise ParameterError("Variable.kind", self.kind, "'scalar', 'symmetric' or 'full'")
+
+    @abstractmethod
+    def rate(
+        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
+    ) -> CoefficientFunction:
+        """dt z + (v . grad) z, in 1/s, for the values ``z`` of all variables, L and Pi (3x3)."""
+
+    @abstractmethod
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        """Initial value that belongs to an elastic distortion F (3x3, det F > 0)."""
+
+    @property
+    def requires(self) -> tuple[str, ...]:
+        """Names of other variables that the rate reads."""
+        return ()
+
+    @property
+    def creeps(self) -> bool:
+        """Whether the rate depends on Pi; functions of J do not, since tr Pi = 0."""
+        return self.kind != "scalar"
+
+
+@dataclass(frozen=True)
+class SmallStrain(Variable):
+    """Small elastic strain E with the Zaremba-Jaumann rate (paper: ZJ, Euler-small-flow-rule).
+
+    The creep rate enters with the sign that the energy balance needs, E_ZJ = eps(v) - Pi with
+    G_m Pi = + dev S; the paper prints G_m Pi = - dev T in Euler-small-flow-rule, yet merges it
+    rightly into E_ZJ = eps(v) - R dev T.
+    """
+
+    name: str = "E"
+    kind: str = "symmetric"
+
+    def rate(
+        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
+    ) -> CoefficientFunction:
+        E, W = z[self.name], skw(L)
+        return sym(L) + W * E - E * W - Pi
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        return sym(F) - IDENTITY
+
+
+@dataclass(frozen=True)
+class Distortion(Variable):
+    """J^exponent F for the elastic distortion F (paper: ED-Euler-large2, rem-behind-polyconvexity)."""
+
+    name: str = "F"
+    kind: str = "full"
+    exponent: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_finite("Distortion.exponent", self.exponent)
+
+    def rate(
+        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
+    ) -> CoefficientFunction:
+        H = z[self.name]
+        convected = L * H - H * Pi
+        return convected + self.exponent * tr(L) * H if self.exponent else convected
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        return Det(F) ** float(self.exponent) * F if self.exponent else F
+
+
+@dataclass(frozen=True)
+class Cofactor(Variable):
+    """J^exponent Cof F (paper: H-flow-rule; exponent -7/6 for exa-Mooney-Rivlin-ref).
+
+    The paper prints another rate for the Mooney-Rivlin variable; see the module's docstring.
+    """
+
+    name: str = "H"
+    kind: str = "full"
+    exponent: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_finite("Cofactor.exponent", self.exponent)
+
+    def rate(
+        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
+    ) -> CoefficientFunction:
+        H = z[self.name]
+        return (1 + self.exponent) * tr(L) * H - L.trans * H + H * Pi.trans
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        return Det(F) ** float(self.exponent) * Cof(F) if self.exponent else Cof(F)
+
+
+@dataclass(frozen=True)
+class Jacobian(Variable):
+    """J = det F (paper: DT-det-extended); creep leaves it alone because tr Pi = 0."""
+
+    name: str = "J"
+    kind: str = "scalar"
+
+    def rate(
+        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
+    ) -> CoefficientFunction:
+        return tr(L) * z[self.name]
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        return Det(F)
+
+
+@dataclass(frozen=True)
+class ReciprocalJacobian(Variable):
+    """A = 1/J (paper: DT-det-inverse)."""
+
+    name: str = "A"
+    kind: str = "scalar"
+
+    def rate(
+        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
+    ) -> CoefficientFunction:
+        return -tr(L) * z[self.name]
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        return 1 / Det(F)
+
+
+@dataclass(frozen=True)
+class LogJacobian(Variable):
+    """K = ln J / J (paper: exa-neo-Hookean-ref); reads A = 1/J."""
+
+    name: str = "K"
+    kind: str = "scalar"
+    reciprocal: str = "A"
+
+    def rate(
+        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
+    ) -> CoefficientFunction:
+        return tr(L) * (z[self.reciprocal] - z[self.name])
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        return log(Det(F)) / Det(F)
+
+    @property
+    def requires(self) -> tuple[str, ...]:
+        return (self.reciprocal,)
+
+
+def _require_finite(field: str, value: float) -> None:
+    if not _is_number(value):
+        raise ParameterError(field, value, "a finite number")

@@ -1,0 +1,190 @@
+"""The time loop: the only place that advances time.
+
+Output, checkpoints, plots and progress are observers of it (``ngvisco.run.observers``).
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from ngsolve import CoefficientFunction, Mesh, TaskManager
+
+from ngvisco.errors import ParameterError, StepError, _is_number
+from ngvisco.forms.context import Term, time
+from ngvisco.forms.initial import Initial, set_initial
+from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.system import Step
+from ngvisco.physics.material import cauchy_stress, conjugates
+from ngvisco.physics.model import Gravity, Model, as_vector
+from ngvisco.physics.tensors import square
+from ngvisco.run.ledger import Ledger
+from ngvisco.solver.newton import NewtonOptions
+from ngvisco.solver.rothe import RotheSolver
+
+
+class Observer(Protocol):
+    """What wants to know of a run.  Every method may be called with the simulation at rest."""
+
+    def start(self, simulation: Simulation) -> None:
+        """Before the first step of a run; the initial row is ``simulation.ledger.rows[0]``."""
+
+    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
+        """After a step was accepted; ``row`` is its ledger row."""
+
+    def finish(self, simulation: Simulation) -> None:
+        """After the last step, and when the run ends with an error."""
+
+
+class Simulation:
+    """A model on a mesh, in time.
+
+    Parameters
+    ----------
+    mesh : ngsolve.Mesh
+        2D (plane strain) or 3D; every boundary is an impenetrable wall with a free tangential part.
+    model : Model
+    initial : Initial, optional
+    dt : float
+        Length tau of the Rothe steps, s, > 0.
+    discretisation : Discretisation, optional
+    newton : NewtonOptions, optional
+    observers : sequence of Observer
+    velocity_scale : float, optional
+        A typical velocity, m/s; sets the width of the smoothed upwinding (1e-4 of it).  Default: the
+        largest of max |v_0|, sqrt(|g| diameter) and 1e-3 sqrt(max |T_0 - mean T_0| / min rho_0).
+    sources : Term, optional
+        A further term of the system, for manufactured solutions.
+
+    Raises
+    ------
+    ParameterError, MeshError, InitialDataError, UnknownNameError
+        For bad input, before anything is computed.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        model: Model,
+        *,
+        dt: float,
+        initial: Initial | None = None,
+        discretisation: Discretisation | None = None,
+        newton: NewtonOptions | None = None,
+        observers: Sequence[Observer] = (),
+        velocity_scale: float | None = None,
+        sources: Term | None = None,
+    ) -> None:
+        if not (_is_number(dt) and dt > 0):
+            raise ParameterError("Simulation.dt", dt, "a finite number > 0")
+        if velocity_scale is not None and not (_is_number(velocity_scale) and velocity_scale > 0):
+            raise ParameterError("Simulation.velocity_scale", velocity_scale, "a number > 0")
+        self.mesh, self.model, self.dt = mesh, model, float(dt)
+        self.rothe_step = Step(mesh, model, discretisation, sources)
+        self.sampler = Sampler(mesh, self.rothe_step.quadrature)
+        self.observers = list(observers)
+        self.t, self.number = 0.0, 0
+        set_initial(self.rothe_step, initial or Initial(), self.sampler)
+        self.velocity_scale = velocity_scale or self._typical_velocity()
+        self.rothe_step.context.eta.Set(1e-4 * self.velocity_scale)
+        self.rothe_step.context.curvature.Set(0.1 * self.velocity_scale / self._diameter() ** 2)
+        self.solver = RotheSolver(self.rothe_step, newton or NewtonOptions())
+        self.ledger = Ledger(self.rothe_step, self.sampler)
+        self.wall_time = 0.0
+
+    @property
+    def fields(self) -> dict[str, CoefficientFunction]:
+        """Velocity, density, the material's variables and stresses at the present time.
+
+        ``velocity`` has the mesh's dimension, tensors are 3x3; ``cauchy_stress`` is the elastic one,
+        T of the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all Pa.
+        """
+        from ngvisco.run.fields import output_fields
+
+        return output_fields(self.rothe_step)
+
+    def advance(self) -> dict[str, float]:
+        """One Rothe step of length dt; returns its ledger row.
+
+        Raises
+        ------
+        StepError
+            When the step cannot be solved, or rho or J is not positive everywhere it is evaluated.
+            The state is then that before the step.
+        """
+        with TaskManager():
+            if not self.ledger.rows and self.ledger.balance is None:
+                self.ledger.start(self.t)
+            began = clock.perf_counter()
+            history = self.solver.advance(self.t, self.dt)
+            # (n + 1) dt, not a running sum: times are the same in a restarted run
+            new_time = (self.number + 1) * self.dt
+            balance = self.ledger.balance
+            row = self.ledger.record(self.number + 1, new_time, self.dt, len(history))
+            for name in ("rho_min", "J_min"):
+                if row[name] <= 0:
+                    self.rothe_step.state.vec.data = self.rothe_step.state_old.vec
+                    self.solver.forget()
+                    self.ledger.rows.pop()
+                    self.ledger.balance = balance
+                    time.Set(self.t)
+                    raise StepError(
+                        f"{name} = {row[name]:.3e} after the step from t = {self.t:g} s: "
+                        "take a smaller step or a finer mesh",
+                        history,
+                    )
+            self.t, self.number = new_time, self.number + 1
+            self.wall_time += clock.perf_counter() - began
+            return row
+
+    def run(self, until: float) -> Ledger:
+        """Step until ``until`` (s, a multiple of dt up to rounding); returns the ledger.
+
+        Raises
+        ------
+        StepError
+            As ``advance``; observers are finished first.
+        """
+        if not (_is_number(until) and until >= self.t):
+            raise ParameterError("until", until, f"a finite number >= {self.t:g}")
+        last = round(until / self.dt)
+        if not math.isclose(last * self.dt, until, rel_tol=1e-9, abs_tol=1e-12 * self.dt):
+            raise ParameterError("until", until, f"a multiple of dt = {self.dt:g}")
+        with TaskManager():
+            if not self.ledger.rows and self.ledger.balance is None:
+                self.ledger.start(self.t)
+            for observer in self.observers:
+                observer.start(self)
+            try:
+                while self.number < last:
+                    row = self.advance()
+                    for observer in self.observers:
+                        observer.step(self, row)
+            finally:
+                for observer in self.observers:
+                    observer.finish(self)
+        return self.ledger
+
+    def _typical_velocity(self) -> float:
+        u, model, dim = self.rothe_step.now, self.model, self.mesh.dim
+        speed = math.sqrt(self.sampler.extrema(square(u.v))[1])
+        diameter = self._diameter()
+        fall = 0.0
+        for load in model.loads:
+            if isinstance(load, Gravity):
+                g = square(as_vector(load.g, dim, "Gravity.g"))
+                fall = max(fall, math.sqrt(self.sampler.extrema(g)[1]) ** 0.5 * diameter**0.5)
+        z = {name: value for name, value in u.z_tensors.items()}
+        T = self.sampler.values(cauchy_stress(model.material, z, conjugates(model.material, z)))
+        spread = float(abs(T - T.mean(axis=0)).max())
+        elastic = 1e-3 * math.sqrt(spread / self.sampler.extrema(u.rho)[0])
+        return max(speed, fall, elastic) or 1.0
+
+    def _diameter(self) -> float:
+        """Diagonal of the mesh's bounding box, m."""
+        points = np.array([vertex.point for vertex in self.mesh.vertices])
+        return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))

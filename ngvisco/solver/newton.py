@@ -1,0 +1,228 @@
+"""Damped Newton iteration with a reused factorisation, on the statically condensed system.
+
+A Jacobian is assembled and factorised only where it is needed: at the start of a run and whenever the
+contraction of the last increment, theta = |d_{i+1}|/|d_i|, is worse than ``refresh``.  In between,
+increments come from the factorisation at hand.  Damping is the natural monotonicity test of affine
+invariant Newton methods: a step of length lambda is taken when the next increment by the same
+factorisation is shorter by the factor 1 - lambda/4.  The test is invariant under scaling of the
+equations, so residuals in different units are never compared.
+
+Norm.  |d| = max over the blocks v, rho, z of |d_block|_2 / scale_block, in coefficients, with
+scale_v = |v|_2 + 1e-3 sqrt(n) h/tau, scale_rho = |rho|_2, scale_z = |z|_2 + 1e-3 sqrt(n), where n is the
+number of the block's coefficients, h the smallest cell size: a velocity counts by the strain that it
+makes in the step.  The other unknowns are functions of these three.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from ngsolve import BaseVector, BilinearForm, BitArray
+
+from ngvisco.errors import StepError, require_above, require_choice, require_positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewtonOptions:
+    """Tolerances of the iteration, in the norm of the module's docstring.
+
+    Parameters
+    ----------
+    tolerance : float
+        The iteration ends when an increment is below it; that increment is still added.
+    stagnation : float
+        An increment below it that no longer shrinks is rounding and ends the iteration too.
+    max_iterations : int
+        Residual evaluations a Rothe step may take, over which the typed error is raised.
+    refresh : float
+        Contraction above which the Jacobian is assembled anew, in (0, 1).
+    min_damping : float
+        Smallest step length tried.
+    inverse : str
+        NGSolve's name of a sparse direct solver for nonsymmetric matrices.
+    """
+
+    tolerance: float = 1e-10
+    stagnation: float = 1e-7
+    max_iterations: int = 60
+    refresh: float = 0.25
+    min_damping: float = 1e-3
+    inverse: str = "umfpack"
+
+    def __post_init__(self) -> None:
+        require_positive(
+            self,
+            tolerance=self.tolerance,
+            stagnation=self.stagnation,
+            refresh=self.refresh,
+            min_damping=self.min_damping,
+        )
+        require_above(self, 0, max_iterations=self.max_iterations)
+        # sparsecholesky returns nonsense for nonsymmetric matrices, silently
+        require_choice(self, ("umfpack", "pardiso", "mumps"), inverse=self.inverse)
+
+
+@dataclass(frozen=True)
+class NewtonIteration:
+    """One line of a solver's history: increment and contraction in the module's norm."""
+
+    increment: float
+    contraction: float
+    damping: float
+    fresh_jacobian: bool
+
+
+class CondensedJacobian:
+    """The factorised linearisation of a condensed form; applies its inverse to full residuals."""
+
+    def __init__(self, form: BilinearForm, inverse: str) -> None:
+        self.form, self.inverse_type = form, inverse
+        self.free: BitArray = form.space.FreeDofs(True)
+        self._inverse = None
+        self._rhs: BaseVector | None = None
+
+    @property
+    def exists(self) -> bool:
+        return self._inverse is not None
+
+    def factorise(self, state: BaseVector) -> None:
+        """Assemble and factorise at ``state``; raises StepError if the matrix is singular."""
+        try:
+            self.form.AssembleLinearization(state)
+            if self._inverse is None:
+                self._inverse = self.form.mat.Inverse(self.free, inverse=self.inverse_type)
+                self._rhs = state.CreateVector()
+            else:
+                self._inverse.Update()
+        except Exception as error:  # NGSolve raises NgException and std::exception alike
+            self._inverse = None
+            raise StepError(f"the linearised step has no factorisation: {error}") from error
+
+    def forget(self) -> None:
+        """Drop the factorisation, so that the next solve makes a new one."""
+        self._inverse = None
+
+    def solve(self, residual: BaseVector, increment: BaseVector) -> None:
+        """increment = Jacobian^{-1} residual, all blocks."""
+        form, rhs = self.form, self._rhs
+        assert rhs is not None and self._inverse is not None
+        rhs.data = residual
+        rhs.data += form.harmonic_extension_trans * residual
+        increment.data = self._inverse * rhs
+        increment.data += form.harmonic_extension * increment
+        increment.data += form.inner_solve * rhs
+
+
+class Newton:
+    """Solves R(u; .) = 0 for ``state``; keeps its vectors and factorisation between solves."""
+
+    def __init__(
+        self,
+        form: BilinearForm,
+        state: BaseVector,
+        norm: Callable[[BaseVector, BaseVector], float],
+        eliminate: Callable[[], None],
+        options: NewtonOptions,
+    ) -> None:
+        """``eliminate`` recomputes the local unknowns of ``state`` from the others."""
+        self.form, self.state, self.norm, self.options = form, state, norm, options
+        self.eliminate = eliminate
+        self.jacobian = CondensedJacobian(form, options.inverse)
+        self._residual = state.CreateVector()
+        self._trial_residual = state.CreateVector()
+        self._increment = state.CreateVector()
+        self._next = state.CreateVector()
+        self._base = state.CreateVector()
+
+    def solve(self) -> list[NewtonIteration]:
+        """Iterate from the present state to a solution; returns the history.
+
+        Raises
+        ------
+        StepError
+            When the iteration does not converge; the state is then some iterate.
+        """
+        history: list[NewtonIteration] = []
+        options, u, jacobian = self.options, self.state, self.jacobian
+        fresh = self._start(history)
+        damping = 1.0
+        while len(history) < options.max_iterations:
+            size = self.norm(self._increment, u)
+            self._base.data = u
+            u.data -= damping * self._increment
+            self.eliminate()
+            self.form.Apply(u, self._trial_residual)
+            next_size = np.inf
+            if np.isfinite(self._trial_residual.Norm()):
+                jacobian.solve(self._trial_residual, self._next)
+                next_size = self.norm(self._next, u)
+            contraction = next_size / size if size > 0 else 0.0
+            history.append(NewtonIteration(size, contraction, damping, fresh))
+            if damping == 1.0 and (
+                next_size <= options.tolerance
+                or (size <= options.stagnation and 0.25 < contraction < 10)
+            ):
+                if contraction < 1:
+                    u.data -= self._next
+                    self.eliminate()
+                return history
+            if not contraction <= 1 - damping / 4:
+                u.data = self._base
+                if not fresh:
+                    fresh = self._refresh(history)
+                    damping = 1.0
+                elif damping > options.min_damping:
+                    damping /= 2
+                else:
+                    break
+                continue
+            self._residual.data = self._trial_residual
+            if contraction > options.refresh or damping < 1:
+                fresh = self._refresh(history)
+            else:
+                self._increment.data = self._next
+                fresh = False
+            damping = min(1.0, 2 * damping)
+        reason = "no step length reduces the increment" if fresh else "too many iterations"
+        last = history[-1].increment if history else np.inf
+        raise StepError(
+            f"Newton did not converge ({reason}; {len(history)} iterations, last increment "
+            f"{last:.1e}, wanted {options.tolerance:.0e}): take a smaller step",
+            history,
+        )
+
+    def _start(self, history: list[NewtonIteration]) -> bool:
+        self.form.Apply(self.state, self._residual)
+        if not np.isfinite(self._residual.Norm()):
+            raise StepError("the residual at the start of the step is not finite", history)
+        if not self.jacobian.exists:
+            return self._refresh(history)
+        self.jacobian.solve(self._residual, self._increment)
+        return False
+
+    def _refresh(self, history: list[NewtonIteration]) -> bool:
+        try:
+            self.jacobian.factorise(self.state)
+        except StepError as error:
+            raise StepError(str(error), history) from error
+        self.jacobian.solve(self._residual, self._increment)
+        return True
+
+
+def block_norm(
+    ranges: Mapping[str, slice], floors: Mapping[str, float]
+) -> Callable[[BaseVector, BaseVector], float]:
+    """The norm of the module's docstring; ``floors`` are per coefficient."""
+
+    def norm(increment: BaseVector, state: BaseVector) -> float:
+        d, u = increment.FV().NumPy(), state.FV().NumPy()
+        sizes = []
+        for name, floor in floors.items():
+            where = ranges[name]
+            scale = np.linalg.norm(u[where]) + floor * np.sqrt(where.stop - where.start)
+            sizes.append(np.linalg.norm(d[where]) / scale if scale > 0 else 0.0)
+        return float(max(sizes))
+
+    return norm
