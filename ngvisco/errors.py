@@ -98,9 +98,7 @@ def require_above(owner: object, bound: float, **values: float) -> None:
     """Raise ParameterError unless every value is a finite number > ``bound``."""
     for name, value in values.items():
         if not (_is_number(value) and value > bound):
-            raise ParameterError(
-                f"{type(owner).__name__}.{name}", value, f"a finite number > {bound:g}"
-            )
+            raise ParameterError(f"{type(owner).__name__}.{name}", value, f"a finite number > {bound:g}")
 
 
 def require_choice(owner: object, choices: Sequence[object], **values: object) -> None:
@@ -113,6 +111,4 @@ def require_choice(owner: object, choices: Sequence[object], **values: object) -
 
 
 def _is_number(value: object) -> bool:
-    return (
-        isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    )
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

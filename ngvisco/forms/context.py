@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from ngsolve import (
+    L2,
     CoefficientFunction,
     FacetFESpace,
     GridFunction,
-    L2,
     Mesh,
     Parameter,
     TaskManager,
@@ -120,5 +120,3 @@ def cell_size(mesh: Mesh) -> GridFunction:
     with TaskManager():
         size.Set(specialcf.mesh_size)
     return size
-
-

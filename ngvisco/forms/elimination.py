@@ -24,9 +24,7 @@ from ngvisco.physics.tensors import inner, square
 class LocalProjection:
     """target = cellwise L2 projection of an integrand that may have a part on the cell's boundary."""
 
-    def __init__(
-        self, space: FESpace, target: GridFunction, quadrature: Quadrature, integrand: Any
-    ) -> None:
+    def __init__(self, space: FESpace, target: GridFunction, quadrature: Quadrature, integrand: Any) -> None:
         """``integrand`` maps the test function of ``space`` to an Integrand."""
         self.target = target
         self.load = LinearForm(space)

@@ -104,5 +104,3 @@ class Hyperviscosity:
             facets = facets + coupling * (u.hess_square + square(u.jump) / (h * h))
             cells = self.law.coefficient(u.hess_square) * u.hess_square
         return [Entry("dissipation_hyper", "dissipation", Integrand(cells, facets))]
-
-

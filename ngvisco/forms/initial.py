@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from ngsolve import (
@@ -18,7 +19,7 @@ from ngsolve import (
     TaskManager,
 )
 
-from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError
+from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
@@ -26,7 +27,7 @@ from ngvisco.physics.material import components_of, conjugates
 from ngvisco.physics.model import VectorLike, as_vector
 from ngvisco.physics.tensors import inner, square
 
-ScalarLike = float | CoefficientFunction
+ScalarLike: TypeAlias = "float | CoefficientFunction"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,9 +87,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
     step.state_old.vec.data = step.state.vec
 
 
-def _initial_values(
-    step: Step, initial: Initial, F: CoefficientFunction
-) -> dict[str, CoefficientFunction]:
+def _initial_values(step: Step, initial: Initial, F: CoefficientFunction) -> dict[str, CoefficientFunction]:
     names = [variable.name for variable in step.model.material.variables]
     for name in initial.values:
         if name not in names:

@@ -93,9 +93,11 @@ class Stokes:
 
     def entries(self, u: Fields) -> list[Entry]:
         eps = sym(u.L)
+        bulk = Integrand(self.viscosity.bulk_dissipation(eps))
+        shear = Integrand(self.viscosity.shear_dissipation(eps))
         return [
-            Entry("dissipation_stokes_bulk", "dissipation", Integrand(self.viscosity.bulk_dissipation(eps))),
-            Entry("dissipation_stokes_shear", "dissipation", Integrand(self.viscosity.shear_dissipation(eps))),
+            Entry("dissipation_stokes_bulk", "dissipation", bulk),
+            Entry("dissipation_stokes_shear", "dissipation", shear),
         ]
 
 
@@ -116,9 +118,7 @@ class Loading:
         """1/tau int over the step by two Gauss points in time (exact for cubic ones)."""
         spread = 0.5 / 3**0.5
         c = self.context
-        early, late = (
-            value.Replace({time: c.t_old + s * c.tau}) for s in (0.5 - spread, 0.5 + spread)
-        )
+        early, late = (value.Replace({time: c.t_old + s * c.tau}) for s in (0.5 - spread, 0.5 + spread))
         return 0.5 * (early + late)
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
@@ -127,5 +127,3 @@ class Loading:
     def entries(self, u: Fields) -> list[Entry]:
         power = Integrand(inner(self.force(u), u.v))
         return [Entry(f"power_{self.load.name}", "power", power)]
-
-

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh
@@ -10,7 +11,7 @@ from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh
 from ngvisco.errors import InitialDataError
 from ngvisco.forms.quadrature import Quadrature
 
-_VERTICES = {
+_VERTICES: dict[Any, list[tuple[float, ...]]] = {
     ET.TRIG: [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)],
     ET.QUAD: [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)],
     ET.TET: [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)],
@@ -30,7 +31,7 @@ class Sampler:
         for et, vertices in _VERTICES.items():
             if et in self.quadrature.cell_rules:
                 inner_points = list(self.quadrature.cell_rules[et].points)
-                points = [tuple(p)[: len(vertices[0])] for p in inner_points] + vertices
+                points = [tuple(p)[: len(vertices[0])] for p in inner_points] + list(vertices)
                 rules[et] = IntegrationRule(points, [0.0] * len(points))
         return self.mesh.MapToAllElements(rules, VOL)
 
@@ -44,9 +45,7 @@ class Sampler:
         values = self.values(f)
         return float(values.min()), float(values.max())
 
-    def require(
-        self, f: CoefficientFunction, name: str, minimum: float | None = None
-    ) -> None:
+    def require(self, f: CoefficientFunction, name: str, minimum: float | None = None) -> None:
         """Raise InitialDataError unless f is finite (and > ``minimum``) at all points."""
         values = self.values(f)
         if not np.all(np.isfinite(values)):

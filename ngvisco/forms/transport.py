@@ -46,9 +46,7 @@ class Transport:
             Integrand(inner(variable.rate(z.z_tensors, direction.L, zero), G_tensors[variable.name]))
             for variable in self.material.variables
         ]
-        upwind = Integrand(
-            facets=-(w * c.normal) * c.inflow(v.v) * inner(z.z_hat - z.z, G)
-        )
+        upwind = Integrand(facets=-(w * c.normal) * c.inflow(v.v) * inner(z.z_hat - z.z, G))
         return [convection, *rates, upwind]
 
 

@@ -26,9 +26,7 @@ def check_mesh(mesh: Mesh) -> None:
         raise MeshError("the mesh has no volume elements: mesh the interior, not only its surface")
     volumes = np.asarray(Integrate(CF(1.0), mesh, element_wise=True))
     if not np.all(np.isfinite(volumes)) or volumes.min() <= 0:
-        raise MeshError(
-            f"element {int(np.argmin(volumes))} has volume {volumes.min():.3e}: expected > 0"
-        )
+        raise MeshError(f"element {int(np.argmin(volumes))} has volume {volumes.min():.3e}: expected > 0")
 
 
 def check_boundary_names(mesh: Mesh, names: Iterable[str]) -> None:
@@ -43,13 +41,11 @@ def axis_parallel_walls(mesh: Mesh) -> tuple[list[list[str]], list[str]]:
     """For each axis the boundaries normal to it, and the boundaries that are normal to none."""
     n = specialcf.normal(mesh.dim)
     walls: list[list[str]] = [[] for _ in range(mesh.dim)]
-    others = []
+    others: list[str] = []
     for name in sorted(set(mesh.GetBoundaries())):
         region = mesh.Boundaries(_exactly(name))
         area = Integrate(CF(1.0), mesh, BND, definedon=region)
-        tilt = [
-            abs(Integrate(1 - n[i] * n[i], mesh, BND, definedon=region)) for i in range(mesh.dim)
-        ]
+        tilt = [abs(Integrate(1 - n[i] * n[i], mesh, BND, definedon=region)) for i in range(mesh.dim)]
         axis = int(np.argmin(tilt))
         (walls[axis] if tilt[axis] <= _PARALLEL * area else others).append(name)
     return walls, others

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any, TypeAlias
 
 from ngsolve import CF, CoefficientFunction
 
@@ -11,7 +12,7 @@ from ngvisco.errors import ParameterError, _is_number
 from ngvisco.physics.material import Material, check_material
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 
-VectorLike = CoefficientFunction | Sequence[float | CoefficientFunction]
+VectorLike: TypeAlias = "CoefficientFunction | Sequence[float | CoefficientFunction]"
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ def as_vector(value: VectorLike, dim: int, field_name: str) -> CoefficientFuncti
         vector = value
     else:
         try:
-            parts = tuple(value)
+            parts: tuple[Any, ...] = tuple(value)
         except TypeError:
             raise ParameterError(field_name, value, f"a vector of length {dim}") from None
         if not all(isinstance(p, CoefficientFunction) or _is_number(p) for p in parts):

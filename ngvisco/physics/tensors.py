@@ -149,9 +149,7 @@ def full_tensors(dim: int) -> TensorSpace:
 def symmetric_tensors(dim: int) -> TensorSpace:
     """Symmetric tensors: 6 components, 4 in plane strain; off-diagonal basis (e_ij + e_ji)/sqrt 2."""
     pairs = [(i, j) for i, j in _pairs(dim) if i <= j]
-    basis = [
-        _unit(i, j) if i == j else (_unit(i, j) + _unit(j, i)) / math.sqrt(2) for i, j in pairs
-    ]
+    basis = [_unit(i, j) if i == j else (_unit(i, j) + _unit(j, i)) / math.sqrt(2) for i, j in pairs]
     return _space("symmetric", basis, [f"{i + 1}{j + 1}" for i, j in pairs])
 
 

@@ -56,9 +56,7 @@ class Variable(ABC):
             raise ParameterError("Variable.kind", self.kind, "'scalar', 'symmetric' or 'full'")
 
     @abstractmethod
-    def rate(
-        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
-    ) -> CoefficientFunction:
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         """dt z + (v . grad) z, in 1/s, for the values ``z`` of all variables, L and Pi (3x3)."""
 
     @abstractmethod
@@ -88,9 +86,7 @@ class SmallStrain(Variable):
     name: str = "E"
     kind: str = "symmetric"
 
-    def rate(
-        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
-    ) -> CoefficientFunction:
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         E, W = z[self.name], skw(L)
         return sym(L) + W * E - E * W - Pi
 
@@ -110,9 +106,7 @@ class Distortion(Variable):
         super().__post_init__()
         _require_finite("Distortion.exponent", self.exponent)
 
-    def rate(
-        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
-    ) -> CoefficientFunction:
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         H = z[self.name]
         convected = L * H - H * Pi
         return convected + self.exponent * tr(L) * H if self.exponent else convected
@@ -136,9 +130,7 @@ class Cofactor(Variable):
         super().__post_init__()
         _require_finite("Cofactor.exponent", self.exponent)
 
-    def rate(
-        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
-    ) -> CoefficientFunction:
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         H = z[self.name]
         return (1 + self.exponent) * tr(L) * H - L.trans * H + H * Pi.trans
 
@@ -153,9 +145,7 @@ class Jacobian(Variable):
     name: str = "J"
     kind: str = "scalar"
 
-    def rate(
-        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
-    ) -> CoefficientFunction:
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         return tr(L) * z[self.name]
 
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
@@ -169,9 +159,7 @@ class ReciprocalJacobian(Variable):
     name: str = "A"
     kind: str = "scalar"
 
-    def rate(
-        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
-    ) -> CoefficientFunction:
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         return -tr(L) * z[self.name]
 
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
@@ -186,9 +174,7 @@ class LogJacobian(Variable):
     kind: str = "scalar"
     reciprocal: str = "A"
 
-    def rate(
-        self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
-    ) -> CoefficientFunction:
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         return tr(L) * (z[self.reciprocal] - z[self.name])
 
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:

@@ -161,8 +161,7 @@ class Newton:
             contraction = next_size / size if size > 0 else 0.0
             history.append(NewtonIteration(size, contraction, damping, fresh))
             if damping == 1.0 and (
-                next_size <= options.tolerance
-                or (size <= options.stagnation and 0.25 < contraction < 10)
+                next_size <= options.tolerance or (size <= options.stagnation and 0.25 < contraction < 10)
             ):
                 if contraction < 1:
                     u.data -= self._next

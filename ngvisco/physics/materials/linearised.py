@@ -64,9 +64,7 @@ class IsotropicStrainEnergy(Material):
 
     def __post_init__(self) -> None:
         if not callable(self.strain_energy):
-            raise ParameterError(
-                "IsotropicStrainEnergy.strain_energy", self.strain_energy, "a function of E"
-            )
+            raise ParameterError("IsotropicStrainEnergy.strain_energy", self.strain_energy, "a function of E")
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -48,7 +48,5 @@ class NeoHookean(Material):
 
     def energy(self, z: Values) -> CoefficientFunction:
         F, J = z["F"], z["J"]
-        volumetric = 0.5 * self.K_e * (J - 1 + self.epsilon / self.K_e) * (
-            J - 1 + self.epsilon / self.K_e
-        )
+        volumetric = 0.5 * self.K_e * (J - 1 + self.epsilon / self.K_e) * (J - 1 + self.epsilon / self.K_e)
         return volumetric + self.G_e * J ** (-2 / 3) * square(F) - self.epsilon * log(J)

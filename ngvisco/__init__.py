@@ -1,0 +1,88 @@
+"""ngvisco: compressible viscoelastic solids and fluids at large strains in the Eulerian frame.
+
+Implements T. Roubíček, "Time discretization in visco-elastodynamics at large displacements and
+strains in the Eulerian frame" (2024) on Netgen/NGSolve.  Labels such as ED-Euler-large2 in the
+docstrings are those of the paper's equations.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import sys
+from pathlib import Path
+
+from ngvisco.errors import (
+    CheckpointError,
+    InitialDataError,
+    MeshError,
+    NgviscoError,
+    ParameterError,
+    StepError,
+    UnknownNameError,
+)
+from ngvisco.forms.context import time
+from ngvisco.forms.initial import Initial
+from ngvisco.forms.spaces import Discretisation
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials import (
+    CustomMaterial,
+    IsotropicStrainEnergy,
+    LinearElastic,
+    NeoHookean,
+)
+from ngvisco.physics.model import BodyForce, Gravity, Model
+from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.run.simulation import Observer, Simulation
+from ngvisco.solver.newton import NewtonOptions
+
+try:
+    __version__ = importlib.metadata.version("ngvisco")
+except importlib.metadata.PackageNotFoundError:  # a clone that was not installed
+    __version__ = "0+unknown"
+
+
+def _find_geometries() -> None:
+    """Make ngvisco.geometries importable from a clone, where geometries/ stands beside ngvisco/."""
+    here = Path(__file__).resolve().parent
+    init = here.parent / "geometries" / "__init__.py"
+    if importlib.util.find_spec("ngvisco.geometries") is not None or not init.is_file():
+        return
+    spec = importlib.util.spec_from_file_location(
+        "ngvisco.geometries", init, submodule_search_locations=[str(init.parent)]
+    )
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["ngvisco.geometries"] = module
+    spec.loader.exec_module(module)
+    globals()["geometries"] = module
+
+
+_find_geometries()
+
+__all__ = [
+    "BodyForce",
+    "CheckpointError",
+    "Creep",
+    "CustomMaterial",
+    "Discretisation",
+    "Gravity",
+    "HyperViscosity",
+    "Initial",
+    "InitialDataError",
+    "IsotropicStrainEnergy",
+    "LinearElastic",
+    "Material",
+    "MeshError",
+    "Model",
+    "NeoHookean",
+    "NewtonOptions",
+    "NgviscoError",
+    "Observer",
+    "ParameterError",
+    "Simulation",
+    "StepError",
+    "StokesViscosity",
+    "UnknownNameError",
+    "time",
+]
