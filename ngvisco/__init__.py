@@ -33,6 +33,8 @@ from ngvisco.physics.materials import (
 )
 from ngvisco.physics.model import BodyForce, Gravity, Model
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.run.checkpoint import Checkpoints, read_ledger
+from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.solver.newton import NewtonOptions
 
@@ -63,6 +65,7 @@ _find_geometries()
 __all__ = [
     "BodyForce",
     "CheckpointError",
+    "Checkpoints",
     "Creep",
     "CustomMaterial",
     "Discretisation",
@@ -71,6 +74,7 @@ __all__ = [
     "Initial",
     "InitialDataError",
     "IsotropicStrainEnergy",
+    "LedgerCSV",
     "LinearElastic",
     "Material",
     "MeshError",
@@ -80,9 +84,12 @@ __all__ = [
     "NgviscoError",
     "Observer",
     "ParameterError",
+    "Progress",
     "Simulation",
     "StepError",
     "StokesViscosity",
     "UnknownNameError",
+    "VTKSeries",
+    "read_ledger",
     "time",
 ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Sequence
+from os import PathLike
 from typing import Protocol
 
 import numpy as np
@@ -22,6 +23,8 @@ from ngvisco.forms.system import Step
 from ngvisco.physics.material import cauchy_stress, conjugates
 from ngvisco.physics.model import Gravity, Model, as_vector
 from ngvisco.physics.tensors import square
+from ngvisco.run import checkpoint
+from ngvisco.run.fields import output_fields
 from ngvisco.run.ledger import Ledger
 from ngvisco.solver.newton import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
@@ -89,12 +92,31 @@ class Simulation:
         self.observers = list(observers)
         self.t, self.number = 0.0, 0
         set_initial(self.rothe_step, initial or Initial(), self.sampler)
-        self.velocity_scale = velocity_scale or self._typical_velocity()
-        self.rothe_step.context.eta.Set(1e-4 * self.velocity_scale)
-        self.rothe_step.context.curvature.Set(0.1 * self.velocity_scale / self._diameter() ** 2)
+        self.set_velocity_scale(velocity_scale or self._typical_velocity())
         self.solver = RotheSolver(self.rothe_step, newton or NewtonOptions())
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.wall_time = 0.0
+
+    def set_velocity_scale(self, scale: float) -> None:
+        """Set the widths of the smoothed upwinding and of the penalty's weight, from m/s."""
+        self.velocity_scale = scale
+        self.rothe_step.context.eta.Set(1e-4 * scale)
+        self.rothe_step.context.curvature.Set(0.1 * scale / self._diameter() ** 2)
+
+    def set_time(self, t: float, number: int) -> None:
+        """Say that the present state is that of step ``number`` at ``t`` (s), as a restart does."""
+        self.t, self.number = t, number
+        time.Set(t)
+
+    def restore(self, path: str | PathLike[str], step: int | None = None) -> None:
+        """Go on from a checkpoint in a run's HDF5 file, by default its last one.
+
+        Raises
+        ------
+        CheckpointError
+            If the file does not fit this mesh, discretisation and material, or cannot be read.
+        """
+        checkpoint.restore(self, path, step)
 
     @property
     def fields(self) -> dict[str, CoefficientFunction]:
@@ -103,8 +125,6 @@ class Simulation:
         ``velocity`` has the mesh's dimension, tensors are 3x3; ``cauchy_stress`` is the elastic one,
         T of the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all Pa.
         """
-        from ngvisco.run.fields import output_fields
-
         return output_fields(self.rothe_step)
 
     def advance(self) -> dict[str, float]:

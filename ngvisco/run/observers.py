@@ -1,0 +1,218 @@
+"""Observers of a run: progress lines, the ledger as CSV, the VTK series.
+
+Each takes what it needs from the simulation and changes nothing in it.  Files appear under their
+names only when they are complete (written beside and renamed).
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import sys
+import time as clock
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from ngsolve import CF, CoefficientFunction, VTKOutput
+
+from ngvisco.errors import ParameterError, UnknownNameError
+
+if TYPE_CHECKING:
+    from ngvisco.run.simulation import Simulation
+
+
+class Progress:
+    """A line a step: time, energy, closure, Newton iterations, time to go.
+
+    Parameters
+    ----------
+    until : float
+        End time of the run, s, for the estimate of the remaining time.
+    every : int
+        Print every so many steps, and the last one.
+    stream : text stream, optional
+        Default ``sys.stdout``.
+    """
+
+    def __init__(self, until: float, every: int = 1, stream: TextIO | None = None) -> None:
+        _require_count("Progress.every", every)
+        self.until, self.every, self.stream = until, every, stream
+
+    def start(self, simulation: Simulation) -> None:
+        self._began, self._first = clock.perf_counter(), simulation.number
+        self._total = round(self.until / simulation.dt)
+        cells, unknowns = simulation.mesh.ne, simulation.rothe_step.layout.space.ndof
+        self._print(f"{cells} cells, {unknowns} unknowns, {self._total} steps of {simulation.dt:g} s")
+
+    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
+        number = simulation.number
+        if number % self.every and number != self._total:
+            return
+        spent = clock.perf_counter() - self._began
+        left = spent / (number - self._first) * (self._total - number)
+        self._print(
+            f"step {number:5d}/{self._total}  t {row['time']:.4g} s  kinetic {row['kinetic']:.4e}  "
+            f"stored {row['stored']:.6e} J  closure {row['closure_relative']:+.0e}  "
+            f"Newton {row['newton_iterations']:2.0f}  left {left:.0f} s"
+        )
+
+    def finish(self, simulation: Simulation) -> None:
+        self._print(f"stopped at t = {simulation.t:g} s after {simulation.number} steps")
+
+    def _print(self, line: str) -> None:
+        print(line, file=self.stream or sys.stdout, flush=True)
+
+
+class LedgerCSV:
+    """The ledger as CSV: a header, then a row a step, flushed at every step.
+
+    A resumed run continues the file after the row of the checkpoint; later rows are dropped.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+
+    def start(self, simulation: Simulation) -> None:
+        columns = simulation.ledger.columns
+        rows = simulation.ledger.rows
+        kept = [] if rows and rows[0]["step"] == 0 else self._rows_until(simulation.number, columns)
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        draft = self.path.with_name(self.path.name + ".part")
+        with draft.open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(columns)
+            writer.writerows(kept)
+            writer.writerows([row[name] for name in columns] for row in rows)
+        draft.replace(self.path)
+
+    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
+        with self.path.open("a", newline="") as file:
+            csv.writer(file).writerow([row[name] for name in simulation.ledger.columns])
+
+    def finish(self, simulation: Simulation) -> None:
+        """Nothing is left to write."""
+
+    def _rows_until(self, number: int, columns: list[str]) -> list[list[str]]:
+        """Rows of an earlier part of the run, up to and including step ``number``."""
+        if not self.path.exists():
+            return []
+        with self.path.open(newline="") as file:
+            lines = list(csv.reader(file))
+        if not lines or lines[0] != columns:
+            return []
+        return [line for line in lines[1:] if len(line) == len(columns) and float(line[0]) <= number]
+
+
+class VTKSeries:
+    """A series of .vtu files and the .pvd that ParaView opens.
+
+    Velocity, density, the material's variables, Cauchy stress, pressure and von Mises stress, with
+    their components labelled; vectors are padded to three components.
+
+    Parameters
+    ----------
+    directory : path
+        Made if missing.
+    every : int
+        Write every so many steps, besides the first and the last state.
+    fields : sequence of str, optional
+        Names out of ``simulation.fields``; default all.
+    subdivision : int
+        Bisections of every cell for output (fields are linear in the pieces), >= 0.
+    """
+
+    def __init__(
+        self,
+        directory: str | os.PathLike[str],
+        every: int = 1,
+        fields: Sequence[str] | None = None,
+        subdivision: int = 0,
+    ) -> None:
+        _require_count("VTKSeries.every", every)
+        self.directory, self.every = Path(directory), every
+        self.names, self.subdivision = fields, subdivision
+        self.written: list[tuple[float, str]] = []
+
+    def start(self, simulation: Simulation) -> None:
+        available = simulation.fields
+        for name in self.names or ():
+            if name not in available:
+                raise UnknownNameError("field", name, available)
+        self._fields = {name: _padded(available[name]) for name in self.names or available}
+        self.directory.mkdir(parents=True, exist_ok=True)
+        self.written = [
+            (time, name) for time, name in read_pvd(self._pvd) if time < simulation.t * (1 - 1e-12)
+        ]
+        self._write(simulation)
+
+    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
+        if simulation.number % self.every == 0:
+            self._write(simulation)
+
+    def finish(self, simulation: Simulation) -> None:
+        if not self.written or self.written[-1][0] != simulation.t:
+            self._write(simulation)
+
+    @property
+    def _pvd(self) -> Path:
+        return self.directory / "fields.pvd"
+
+    def _write(self, simulation: Simulation) -> None:
+        stem = f"fields_{simulation.number:06d}"
+        draft = self.directory / f"{stem}.part"
+        output = VTKOutput(
+            simulation.mesh,
+            coefs=list(self._fields.values()),
+            names=list(self._fields),
+            filename=str(draft),
+            subdivision=self.subdivision,
+            floatsize="double",
+        )
+        output.Do(time=simulation.t)
+        _label_components(Path(f"{draft}.vtu"), self._fields)
+        Path(f"{draft}.vtu").replace(self.directory / f"{stem}.vtu")
+        Path(f"{draft}.pvd").unlink(missing_ok=True)
+        self.written.append((simulation.t, f"{stem}.vtu"))
+        self._write_pvd()
+
+    def _write_pvd(self) -> None:
+        sets = "\n".join(
+            f'<DataSet timestep="{time!r}" group="" part="0" file="{name}"/>' for time, name in self.written
+        )
+        draft = self._pvd.with_suffix(".part")
+        draft.write_text(
+            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="1.0" '
+            f'byte_order="LittleEndian">\n<Collection>\n{sets}\n</Collection>\n</VTKFile>\n'
+        )
+        draft.replace(self._pvd)
+
+
+def read_pvd(path: Path) -> list[tuple[float, str]]:
+    """(time, file) of every data set that a .pvd of ours lists; empty if there is none."""
+    if not path.exists():
+        return []
+    found = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text())
+    return [(float(time), name) for time, name in found]
+
+
+def _padded(value: CoefficientFunction) -> CoefficientFunction:
+    """Vectors of two components get a third, as ParaView wants them."""
+    return CF((value[0], value[1], 0.0)) if value.dim == 2 else value
+
+
+def _label_components(path: Path, fields: dict[str, CoefficientFunction]) -> None:
+    """Write the components' names into the file's header (the data blocks' offsets stay valid)."""
+    head, mark, tail = path.read_bytes().partition(b"<AppendedData")
+    text = head.decode()
+    for name, value in fields.items():
+        labels = {3: ["x", "y", "z"], 9: [f"{i}{j}" for i in "123" for j in "123"]}.get(value.dim, [])
+        attributes = "".join(f' ComponentName{i}="{label}"' for i, label in enumerate(labels))
+        text = text.replace(f'Name="{name}" ', f'Name="{name}"{attributes} ')
+    path.write_bytes(text.encode() + mark + tail)
+
+
+def _require_count(field: str, value: object) -> None:
+    if not (isinstance(value, int) and not isinstance(value, bool) and value >= 1):
+        raise ParameterError(field, value, "an integer >= 1")
