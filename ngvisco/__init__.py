@@ -35,6 +35,7 @@ from ngvisco.physics.model import BodyForce, Gravity, Model
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
+from ngvisco.run.plots import plot_energies, plot_fields
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.solver.newton import NewtonOptions
 
@@ -90,6 +91,8 @@ __all__ = [
     "StokesViscosity",
     "UnknownNameError",
     "VTKSeries",
+    "plot_energies",
+    "plot_fields",
     "read_ledger",
     "time",
 ]

@@ -69,6 +69,11 @@ class Variable(ABC):
         return ()
 
     @property
+    def is_positive(self) -> bool:
+        """Whether the variable is a positive function of J, which a step must keep so."""
+        return False
+
+    @property
     def creeps(self) -> bool:
         """Whether the rate depends on Pi; functions of J do not, since tr Pi = 0."""
         return self.kind != "scalar"
@@ -151,6 +156,10 @@ class Jacobian(Variable):
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
         return Det(F)
 
+    @property
+    def is_positive(self) -> bool:
+        return True
+
 
 @dataclass(frozen=True)
 class ReciprocalJacobian(Variable):
@@ -164,6 +173,10 @@ class ReciprocalJacobian(Variable):
 
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
         return 1 / Det(F)
+
+    @property
+    def is_positive(self) -> bool:
+        return True
 
 
 @dataclass(frozen=True)

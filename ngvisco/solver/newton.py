@@ -8,9 +8,12 @@ factorisation is shorter by the factor 1 - lambda/4.  The test is invariant unde
 equations, so residuals in different units are never compared.
 
 Norm.  |d| = max over the blocks v, rho, z of |d_block|_2 / scale_block, in coefficients, with
-scale_v = |v|_2 + 1e-3 sqrt(n) h/tau, scale_rho = |rho|_2, scale_z = |z|_2 + 1e-3 sqrt(n), where n is the
-number of the block's coefficients, h the smallest cell size: a velocity counts by the strain that it
-makes in the step.  The other unknowns are functions of these three.
+scale_v = |v|_2 + f sqrt(n) h/tau, scale_rho = |rho|_2, scale_z = |z|_2 + f sqrt(n), where n is the
+number of the block's coefficients and h the smallest cell size: a velocity counts by the strain that
+it makes in the step.  The other unknowns are functions of these three.  The floor f = 1e-9 lets small
+strains and velocities converge relatively to themselves, as the ledger needs; near a state of rest that
+is below rounding, so an iteration that a fresh Jacobian no longer advances also ends where the
+increment is below the tolerance with f = 1e-3.
 """
 
 from __future__ import annotations
@@ -32,8 +35,6 @@ class NewtonOptions:
     ----------
     tolerance : float
         The iteration ends when an increment is below it; that increment is still added.
-    stagnation : float
-        An increment below it that no longer shrinks is rounding and ends the iteration too.
     max_iterations : int
         Residual evaluations a Rothe step may take, over which the typed error is raised.
     refresh : float
@@ -45,7 +46,6 @@ class NewtonOptions:
     """
 
     tolerance: float = 1e-10
-    stagnation: float = 1e-7
     max_iterations: int = 60
     refresh: float = 0.25
     min_damping: float = 1e-3
@@ -55,7 +55,6 @@ class NewtonOptions:
         require_positive(
             self,
             tolerance=self.tolerance,
-            stagnation=self.stagnation,
             refresh=self.refresh,
             min_damping=self.min_damping,
         )
@@ -115,6 +114,31 @@ class CondensedJacobian:
         increment.data += form.inner_solve * rhs
 
 
+class BlockNorm:
+    """The norm of the module's docstring.
+
+    Parameters
+    ----------
+    ranges : mapping of block names to slices of the coefficient vector
+    units : mapping of the counted blocks' names to the size that one unit of the floor f has there
+    """
+
+    FINE, COARSE = 1e-9, 1e-3
+
+    def __init__(self, ranges: Mapping[str, slice], units: dict[str, float]) -> None:
+        self.ranges, self.units = ranges, units
+
+    def __call__(self, increment: BaseVector, state: BaseVector, coarse: bool = False) -> float:
+        d, u = increment.FV().NumPy(), state.FV().NumPy()
+        floor = self.COARSE if coarse else self.FINE
+        sizes = []
+        for name, size in self.units.items():
+            where = self.ranges[name]
+            scale = np.linalg.norm(u[where]) + floor * size * np.sqrt(where.stop - where.start)
+            sizes.append(np.linalg.norm(d[where]) / scale if scale > 0 else 0.0)
+        return float(max(sizes))
+
+
 class Newton:
     """Solves R(u; .) = 0 for ``state``; keeps its vectors and factorisation between solves."""
 
@@ -122,7 +146,7 @@ class Newton:
         self,
         form: BilinearForm,
         state: BaseVector,
-        norm: Callable[[BaseVector, BaseVector], float],
+        norm: BlockNorm,
         eliminate: Callable[[], None],
         options: NewtonOptions,
     ) -> None:
@@ -160,9 +184,8 @@ class Newton:
                 next_size = self.norm(self._next, u)
             contraction = next_size / size if size > 0 else 0.0
             history.append(NewtonIteration(size, contraction, damping, fresh))
-            if damping == 1.0 and (
-                next_size <= options.tolerance or (size <= options.stagnation and 0.25 < contraction < 10)
-            ):
+            stalled = fresh and contraction > options.refresh
+            if damping == 1.0 and (next_size <= options.tolerance or (stalled and self._is_rounding())):
                 if contraction < 1:
                     u.data -= self._next
                     self.eliminate()
@@ -192,6 +215,10 @@ class Newton:
             history,
         )
 
+    def _is_rounding(self) -> bool:
+        """Whether the next increment is below the tolerance in the norm with the large floor."""
+        return self.norm(self._next, self.state, coarse=True) <= self.options.tolerance
+
     def _start(self, history: list[NewtonIteration]) -> bool:
         self.form.Apply(self.state, self._residual)
         if not np.isfinite(self._residual.Norm()):
@@ -208,20 +235,3 @@ class Newton:
             raise StepError(str(error), history) from error
         self.jacobian.solve(self._residual, self._increment)
         return True
-
-
-def block_norm(
-    ranges: Mapping[str, slice], floors: Mapping[str, float]
-) -> Callable[[BaseVector, BaseVector], float]:
-    """The norm of the module's docstring; ``floors`` are per coefficient."""
-
-    def norm(increment: BaseVector, state: BaseVector) -> float:
-        d, u = increment.FV().NumPy(), state.FV().NumPy()
-        sizes = []
-        for name, floor in floors.items():
-            where = ranges[name]
-            scale = np.linalg.norm(u[where]) + floor * np.sqrt(where.stop - where.start)
-            sizes.append(np.linalg.norm(d[where]) / scale if scale > 0 else 0.0)
-        return float(max(sizes))
-
-    return norm

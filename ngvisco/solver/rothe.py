@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
-from ngsolve import GridFunction
+import math
+from collections.abc import Callable
+
+from ngsolve import BaseVector
 
 from ngvisco.errors import StepError
 from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
-from ngvisco.solver.newton import Newton, NewtonIteration, NewtonOptions, block_norm
+from ngvisco.solver.newton import BlockNorm, Newton, NewtonIteration, NewtonOptions
 
-CONTINUATION = (1 / 16, 1 / 4, 1.0)
-"""Fractions of tau whose solutions are start values for the next, when tau itself does not converge."""
+MAX_CONTINUATION = 20
+"""Shorter steps tried for start values, when tau itself does not converge from the old state."""
 
 
 class RotheSolver:
     """Advances a Step by the implicit Euler formula (paper: Euler-large-viscoelastodyn+disc)."""
 
-    def __init__(self, step: Step, options: NewtonOptions) -> None:
+    def __init__(
+        self, step: Step, options: NewtonOptions, defect: Callable[[], str | None] | None = None
+    ) -> None:
+        """``defect`` says what is wrong with a solution (rho <= 0, J <= 0), or None if nothing is.
+
+        The equations of a long step have solutions of negative density too; they are not accepted.
+        """
         self.step, self.options = step, options
+        self._defect = defect or (lambda: None)
         self.h_min = min(step.context.h.vec)
-        self._floors = {"v": 0.0, "rho": 0.0, "z": 1e-3}
-        norm = block_norm(step.layout.ranges, self._floors)
-        self.newton = Newton(step.residual, step.state.vec, norm, step.eliminate, options)
+        self.norm = BlockNorm(step.layout.ranges, {"v": 0.0, "rho": 0.0, "z": 1.0})
+        self.newton = Newton(step.residual, step.state.vec, self.norm, step.eliminate, options)
         self._last_tau: float | None = None
 
     def advance(self, t_old: float, tau: float) -> list[NewtonIteration]:
@@ -30,7 +39,8 @@ class RotheSolver:
         Raises
         ------
         StepError
-            When Newton and the continuation in tau fail; both grid functions then hold the old state.
+            When Newton or the positivity of rho and J fails, with the continuation in tau too; both
+            grid functions then hold the old state.
         """
         step = self.step
         step.state_old.vec.data = step.state.vec
@@ -41,17 +51,35 @@ class RotheSolver:
             return self._solve(t_old, tau)
         except StepError as error:
             history = list(error.history)
-            self._restore()
         try:
-            for fraction in CONTINUATION:
-                self.forget()
-                history += self._solve(t_old, fraction * tau)
-            return history
+            self._continue(t_old, tau, history)
         except StepError as error:
-            self._restore()
+            self._restore(step.state_old.vec)
             time.Set(t_old)
-            message = f"step of length {tau:g} s from t = {t_old:g} s: {error}"
-            raise StepError(message, [*history, *error.history]) from error
+            raise StepError(f"step of length {tau:g} s from t = {t_old:g} s: {error}", history) from error
+        return history
+
+    def _continue(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
+        """Solve steps of growing length from t_old, each the start value of the next, up to tau."""
+        guess = self.step.state_old.vec.CreateVector()
+        guess.data = self.step.state_old.vec
+        solved, fraction = 0.0, 0.25
+        failure: StepError | None = None
+        for _ in range(MAX_CONTINUATION):
+            self._restore(guess)
+            try:
+                history += self._solve(t_old, fraction * tau)
+            except StepError as error:
+                failure = error
+                history += error.history
+                fraction = math.sqrt(solved * fraction) if solved else fraction / 8
+                continue
+            if fraction == 1.0:
+                return
+            guess.data = self.step.state.vec
+            solved, fraction = fraction, min(1.0, 4 * fraction)
+        assert failure is not None
+        raise failure
 
     def forget(self) -> None:
         """Drop the factorisation; a run that does so at checkpoints is reproduced by its restart."""
@@ -62,10 +90,13 @@ class RotheSolver:
         context.t_old.Set(t_old)
         context.tau.Set(tau)
         time.Set(t_old + tau)
-        self._floors["v"] = 1e-3 * self.h_min / tau
-        return self.newton.solve()
+        self.norm.units["v"] = self.h_min / tau
+        history = self.newton.solve()
+        reason = self._defect()
+        if reason is not None:
+            raise StepError(f"{reason}: take a smaller step or a finer mesh", history)
+        return history
 
-    def _restore(self) -> None:
-        state: GridFunction = self.step.state
-        state.vec.data = self.step.state_old.vec
+    def _restore(self, values: BaseVector) -> None:
+        self.step.state.vec.data = values
         self.forget()

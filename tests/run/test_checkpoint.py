@@ -1,0 +1,92 @@
+"""A restarted run is the uninterrupted one, and a checkpoint that does not fit is refused."""
+
+import h5py
+import numpy as np
+import pytest
+from ngsolve import SetNumThreads, cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+
+NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+
+
+def simulation(observers=(), material=NEO_HOOKEAN, maxh=0.5, **options):
+    model = nv.Model(
+        material=material,
+        hyperviscosity=nv.HyperViscosity(mu=1e-4),
+        creep=nv.Creep(G_m=5.0),
+        loads=[nv.Gravity((0.0, sin(3 * nv.time)))],
+    )
+    initial = nv.Initial(velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))
+    mesh = box((1, 1), maxh=maxh)
+    return nv.Simulation(mesh, model, dt=0.02, initial=initial, observers=observers, **options)
+
+
+def observers(directory):
+    return [
+        nv.LedgerCSV(directory / "ledger.csv"),
+        nv.VTKSeries(directory / "vtk", every=2),
+        nv.Checkpoints(directory / "run.h5", every=3),
+    ]
+
+
+@pytest.mark.parametrize("material", [NEO_HOOKEAN, nv.LinearElastic(K_e=10.0, G_e=5.0)])
+def test_restart_is_bitwise_identical(tmp_path, material):
+    SetNumThreads(1)  # sums over threads have no fixed order
+    whole = simulation(observers(tmp_path / "whole"), material)
+    whole.run(0.16)
+    simulation(observers(tmp_path / "parts"), material).run(0.06)
+    rest = simulation(observers(tmp_path / "parts"), material)
+    rest.restore(tmp_path / "parts" / "run.h5")
+    assert (rest.t, rest.number) == (3 * 0.02, 3)
+    rest.run(0.16)
+    a, b = (run.rothe_step.state.vec.FV().NumPy() for run in (whole, rest))
+    assert np.array_equal(a, b)
+    assert (tmp_path / "whole/ledger.csv").read_bytes() == (tmp_path / "parts/ledger.csv").read_bytes()
+    first, second = (nv.read_ledger(tmp_path / name / "run.h5") for name in ("whole", "parts"))
+    assert all(np.array_equal(first[name], second[name], equal_nan=True) for name in first)
+    series = (tmp_path / "whole/vtk/fields.pvd").read_text()
+    assert [line.split('file="')[1] for line in series.splitlines() if "file=" in line] == [
+        f'fields_{n:06d}.vtu"/>' for n in (0, 2, 4, 6, 8)
+    ]
+
+
+def test_a_given_checkpoint_is_restored_and_the_last_ones_are_kept(tmp_path):
+    run = simulation([nv.Checkpoints(tmp_path / "run.h5", every=1, keep=2)])
+    run.run(0.08)
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert list(file["checkpoints"]) == ["00000003", "00000004"]
+    again = simulation()
+    again.restore(tmp_path / "run.h5", step=3)
+    assert again.number == 3
+    with pytest.raises(nv.CheckpointError, match=r"no checkpoint of step 1 \(there are 3, 4\)"):
+        again.restore(tmp_path / "run.h5", step=1)
+
+
+def test_a_checkpoint_of_something_else_is_refused_with_the_reason(tmp_path):
+    simulation([nv.Checkpoints(tmp_path / "run.h5")]).run(0.02)
+    stiffer = nv.NeoHookean(K_e=20.0, G_e=5.0, epsilon=0.1)
+    for reason, other in (
+        ("mesh", simulation(maxh=0.3)),
+        ("spaces", simulation(discretisation=nv.Discretisation(m=2))),
+        ("material", simulation(material=stiffer)),
+    ):
+        before = other.rothe_step.state.vec.FV().NumPy().copy()
+        with pytest.raises(nv.CheckpointError, match=f"its {reason} is"):
+            other.restore(tmp_path / "run.h5")
+        assert np.array_equal(before, other.rothe_step.state.vec.FV().NumPy())
+
+
+@pytest.mark.parametrize("damage", ["missing", "truncated", "empty", "text"])
+def test_a_damaged_file_is_refused(tmp_path, damage):
+    path = tmp_path / "run.h5"
+    simulation([nv.Checkpoints(path)]).run(0.02)
+    if damage == "missing":
+        path.unlink()
+    elif damage == "truncated":
+        path.write_bytes(path.read_bytes()[:1000])
+    else:
+        path.write_bytes(b"" if damage == "empty" else b"not an HDF5 file")
+    with pytest.raises(nv.CheckpointError, match=r"run\.h5"):
+        simulation().restore(path)

@@ -1,0 +1,124 @@
+"""VTK series, CSV ledger and pictures: what is in the files is what was computed."""
+
+import csv
+import re
+import struct
+import xml.dom.minidom
+
+import numpy as np
+import pytest
+from ngsolve import cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.run.ledger import unit
+from ngvisco.run.observers import read_pvd
+
+
+def small_run(observers, material=None, steps=4):
+    model = nv.Model(
+        material=material or nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
+        loads=[nv.Gravity((0.0, -1.0))],
+    )
+    velocity = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+    initial = nv.Initial(velocity=velocity)
+    run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=initial, observers=observers)
+    run.run(steps * 0.02)
+    return run
+
+
+def read_vtu(path):
+    """Arrays by name with their components' names, from a .vtu with raw appended data."""
+    head, _, tail = path.read_bytes().partition(b'<AppendedData encoding="raw">')
+    document = xml.dom.minidom.parseString(head + b"</VTKFile>")
+    raw = tail[tail.index(b"_") + 1 :]
+    kinds = {"Float64": "<f8", "Int32": "<i4", "UInt8": "<u1"}
+    arrays = {}
+    for node in document.getElementsByTagName("DataArray"):
+        offset, count = int(node.getAttribute("offset")), int(node.getAttribute("NumberOfComponents") or 1)
+        (length,) = struct.unpack_from("<I", raw, offset)
+        data = np.frombuffer(raw, kinds[node.getAttribute("type")], length // 8, offset + 4) if length else []
+        labels = [node.getAttribute(f"ComponentName{i}") for i in range(count)]
+        if node.getAttribute("type") == "Float64":
+            arrays[node.getAttribute("Name")] = (np.reshape(data, (-1, count)), labels)
+    return arrays
+
+
+def test_vtk_series_holds_the_fields_with_labelled_components(tmp_path):
+    run = small_run([nv.VTKSeries(tmp_path, every=2)])
+    series = read_pvd(tmp_path / "fields.pvd")
+    assert [time for time, _ in series] == [0.0, 0.04, 0.08]
+    arrays = read_vtu(tmp_path / series[-1][1])
+    assert set(arrays) - {"Points"} == set(run.fields)
+    assert arrays["velocity"][1] == ["x", "y", "z"]
+    assert arrays["cauchy_stress"][1] == ["11", "12", "13", "21", "22", "23", "31", "32", "33"]
+    rho, _ = arrays["density"]
+    points, _ = arrays["Points"]
+    assert rho.shape == (3 * run.mesh.ne, 1)
+    low, high = run.sampler.extrema(run.fields["density"])
+    # density is linear in each cell: its extrema are at the vertices, which are the output's points
+    assert rho.min() == pytest.approx(low, rel=1e-12) and rho.max() == pytest.approx(high, rel=1e-12)
+    assert points.min() >= -1e-12 and points.max() <= 1 + 1e-12
+    T, _ = arrays["cauchy_stress"]
+    assert arrays["pressure"][0][:, 0] == pytest.approx(-T[:, [0, 4, 8]].sum(axis=1) / 3, rel=1e-10)
+    deviator = T - T[:, [0, 4, 8]].mean(axis=1)[:, None] * np.eye(3).ravel()
+    mises = np.sqrt(1.5 * (deviator**2).sum(axis=1))
+    assert arrays["von_mises"][0][:, 0] == pytest.approx(mises, rel=1e-9)
+
+
+def test_vtk_of_a_chosen_field_and_of_an_unknown_one(tmp_path):
+    small_run([nv.VTKSeries(tmp_path, every=9, fields=["density"])], steps=1)
+    assert set(read_vtu(tmp_path / "fields_000001.vtu")) == {"Points", "density"}
+    with pytest.raises(nv.UnknownNameError, match="'desity'; did you mean 'density'"):
+        small_run([nv.VTKSeries(tmp_path / "b", fields=["desity"])], steps=1)
+
+
+def test_nothing_half_written_stays_behind(tmp_path):
+    series = nv.VTKSeries(tmp_path / "vtk")
+    small_run([series, nv.LedgerCSV(tmp_path / "l.csv"), nv.Checkpoints(tmp_path / "r.h5")], steps=2)
+    assert not [path for path in tmp_path.rglob("*") if ".part" in path.name]
+
+
+def test_csv_has_a_row_a_step_under_the_agreed_names(tmp_path):
+    run = small_run([nv.LedgerCSV(tmp_path / "ledger.csv")])
+    with (tmp_path / "ledger.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    agreed = "step time dt kinetic stored closure closure_relative mass mass_drift rho_min rho_max J_min"
+    assert set([*agreed.split(), "newton_iterations", "cfl"]) <= set(rows[0])
+    assert [float(row["step"]) for row in rows] == [0, 1, 2, 3, 4]
+    for name in run.ledger.columns:
+        assert [float(row[name]) for row in rows] == list(run.ledger.column(name))
+
+
+def test_hdf5_ledger_equals_the_csv_and_has_units(tmp_path):
+    run = small_run([nv.Checkpoints(tmp_path / "run.h5", every=100)])
+    columns = nv.read_ledger(tmp_path / "run.h5")
+    assert list(columns["kinetic"]) == list(run.ledger.column("kinetic"))
+    import h5py
+
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert {name: file["ledger"][name].attrs["unit"] for name in run.ledger.columns} == {
+            name: unit(name) for name in run.ledger.columns
+        }
+        assert file["ledger/power_gravity"].attrs["unit"] == "W"
+        assert file["ledger/mass"].attrs["unit"] == "kg"
+
+
+def test_progress_prints_every_nth_step_and_the_last(tmp_path, capsys):
+    small_run([nv.Progress(until=0.08, every=3)])
+    printed = capsys.readouterr().out
+    assert re.findall(r"step\s+(\d+)/4", printed) == ["3", "4"]
+    assert "closure" in printed and "left 0 s" in printed
+
+
+def test_pictures_are_drawn_without_a_display(tmp_path, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    run = small_run([], steps=2)
+    nv.plot_energies(run.ledger, tmp_path / "energies.png")
+    nv.plot_fields(run.mesh, [("J", run.fields["J"])], tmp_path / "fields.png")
+    for name in ("energies.png", "fields.png"):
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(nv.ParameterError, match=r"'T'.*a scalar"):
+        nv.plot_fields(run.mesh, [("T", run.fields["cauchy_stress"])], tmp_path / "bad.png")
+    assert not (tmp_path / "bad.png").exists()
