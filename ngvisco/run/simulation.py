@@ -95,11 +95,10 @@ class Simulation:
         self.set_velocity_scale(velocity_scale or self._typical_velocity())
         self.solver = RotheSolver(self.rothe_step, newton or NewtonOptions(), self._defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
-        u = self.rothe_step.now
-        self._positive = {"rho": u.rho}
-        for variable in model.material.variables:
-            if variable.is_positive:
-                self._positive[variable.name] = u.z_tensors[variable.name]
+        u, variables = self.rothe_step.now, model.material.variables
+        positive = {v.name: u.z_tensors[v.name] for v in variables if v.is_positive}
+        self._positive_names = ("rho", *positive)
+        self._positive_values = CF((u.rho, *positive.values()))
         self.wall_time = 0.0
 
     def set_velocity_scale(self, scale: float) -> None:
@@ -183,9 +182,9 @@ class Simulation:
 
     def _defect(self) -> str | None:
         """The first of rho, J (A) that is not positive at a sampling point, in words."""
-        values = self.sampler.values(CF(tuple(self._positive.values())))
+        values = self.sampler.values(self._positive_values)
         minima = values.reshape(len(values), -1).min(axis=0)
-        for name, minimum in zip(self._positive, minima, strict=True):
+        for name, minimum in zip(self._positive_names, minima, strict=True):
             if not minimum > 0:
                 return f"{name} is not positive (minimum {minimum:.3e})"
         return None
