@@ -12,7 +12,7 @@ from os import PathLike
 from typing import Protocol
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Id, Mesh, TaskManager
+from ngsolve import CF, CoefficientFunction, Id, Mesh
 
 from ngvisco.errors import ParameterError, _is_number
 from ngvisco.forms.context import Term, time
@@ -26,6 +26,7 @@ from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
 from ngvisco.run.fields import output_fields
 from ngvisco.run.ledger import Ledger
+from ngvisco.run.threads import computing
 from ngvisco.solver.newton import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
 
@@ -140,7 +141,7 @@ class Simulation:
             When the step cannot be solved, or rho or J is not positive everywhere it is evaluated.
             The state is then that before the step.
         """
-        with TaskManager():
+        with computing():
             if not self.ledger.rows and self.ledger.balance is None:
                 self.ledger.start(self.t)
             began = clock.perf_counter()
@@ -165,7 +166,7 @@ class Simulation:
         last = round(until / self.dt)
         if not math.isclose(last * self.dt, until, rel_tol=1e-9, abs_tol=1e-12 * self.dt):
             raise ParameterError("until", until, f"a multiple of dt = {self.dt:g}")
-        with TaskManager():
+        with computing():
             if not self.ledger.rows and self.ledger.balance is None:
                 self.ledger.start(self.t)
             for observer in self.observers:
