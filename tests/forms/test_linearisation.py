@@ -1,0 +1,120 @@
+"""Every term's Jacobian, as NGSolve assembles it, against central differences of its residual."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ngsolve import GridFunction
+from support import (
+    Case,
+    difference_times,
+    jacobian_times,
+    random_direction,
+    randomise,
+    step_of,
+    uncondensed,
+)
+
+from ngvisco.forms.context import Integrand, Term
+from ngvisco.forms.system import Step
+
+CASES = [
+    Case(),
+    Case(k=3, m=2, p=3.5, mu_1=0.3),
+    Case(m=0, p=2.0, creep=False),
+    Case(material="linear", mu_1=0.3),
+    Case(material="linear", k=3, p=2.0, mu_1=0.1),
+    Case(material="hardening", m=2, p=3.5),
+    Case(dim=3),
+    Case(dim=3, material="linear", m=0, p=3.5, mu_1=0.3),
+    Case(dim=3, material="linear", k=3, p=4.0, creep=False),
+]
+TERMS = [
+    "Continuity",
+    "Inertia",
+    "Convection",
+    "ElasticForce",
+    "Stokes",
+    "Hyperviscosity",
+    "Loading",
+    "Kinematics",
+    "Conjugates",
+    "UpwindTrace",
+]
+TOLERANCE = 1e-8
+
+
+def integrands(step: Step, term: Term) -> list[Integrand]:
+    trial, test = step.layout.space.TnT()
+    return term.form(step.layout.fields(trial), step.layout.fields(test))
+
+
+def mismatch(step: Step, parts: list[Integrand], seed: int) -> float:
+    """Largest error of Jacobian times direction relative to its largest entry."""
+    randomise(step, seed)
+    direction = random_direction(step, seed + 100)
+    form = uncondensed(step, parts)
+    assembled = jacobian_times(form, step.state.vec, direction)
+    difference = difference_times(form, step.state.vec, direction)
+    scale = np.abs(difference).max()
+    assert scale > 0 and np.all(np.isfinite(assembled))
+    return float(np.abs(assembled - difference).max() / scale)
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_all_terms_of_the_system_are_listed_here(case: Case) -> None:
+    """A new term cannot escape the differences below."""
+    names = {type(term).__name__ for term in step_of(case).terms}
+    assert names == set(TERMS)
+
+
+@pytest.mark.parametrize("name", TERMS)
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_linearisation_of_a_term_is_its_difference(case: Case, name: str) -> None:
+    step = step_of(case)
+    for term in step.terms:
+        if type(term).__name__ == name:
+            if name == "Loading" and "force" in vars(term.load):
+                continue  # a force that does not depend on the unknowns
+            assert mismatch(step, integrands(step, term), seed=3) < TOLERANCE
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_linearisation_of_the_whole_residual_is_its_difference(case: Case) -> None:
+    step = step_of(case)
+    parts = [part for term in step.terms for part in integrands(step, term)]
+    for seed in range(3 if case.dim == 2 else 1):
+        assert mismatch(step, parts, seed) < TOLERANCE
+
+
+@pytest.mark.parametrize("name", ["Continuity", "ElasticForce", "Kinematics", "UpwindTrace", "Convection"])
+def test_a_jacobian_that_misses_the_velocity_is_seen(name: str) -> None:
+    """Negative control: with the velocity frozen at the state, the residual is the same, its Jacobian not."""
+    step = step_of(Case())
+    randomise(step, 5)
+    frozen = GridFunction(step.layout.space)
+    frozen.vec.data = step.state.vec
+    trial, test = step.layout.space.TnT()
+    parts = dict(zip(step.layout.names, trial, strict=True)) | {"v": frozen.components[0]}
+    (term,) = (term for term in step.terms if type(term).__name__ == name)
+    w = step.layout.fields(test)
+    wrong = term.form(step.layout.fields(list(parts.values())), w)
+    right = uncondensed(step, integrands(step, term))
+    direction = random_direction(step)
+    assembled = jacobian_times(uncondensed(step, wrong), step.state.vec, direction)
+    difference = difference_times(right, step.state.vec, direction)
+    assert np.abs(assembled - difference).max() > 1e-2 * np.abs(difference).max()
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_linearisation_at_rest_is_finite(case: Case) -> None:
+    """Zero velocity and Hessian: no power or root of zero may give NaN."""
+    step = step_of(case)
+    randomise(step, size=0.0)
+    step.eliminate()  # |Hs|^2 = 0 exactly
+    step.context.eta.Set(1e-8)
+    try:
+        applied = jacobian_times(uncondensed(step), step.state.vec, random_direction(step))
+    finally:
+        step.context.eta.Set(0.3)
+    assert np.all(np.isfinite(applied)) and np.abs(applied).max() > 0

@@ -1,0 +1,102 @@
+"""Tensor spaces and the algebra on 3x3 coefficient functions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ngsolve import CF
+from support import one_triangle, plane_strain, tensor, value
+
+from ngvisco.physics.tensors import (
+    TensorSpace,
+    dev,
+    embed_gradient,
+    full_tensors,
+    power_of_square,
+    skw,
+    sph,
+    sym,
+    symmetric_tensors,
+    tensor_space,
+    trace_free_tensors,
+)
+
+SPACES = {
+    (make.__name__, dim): (make(dim), size)
+    for make, sizes in (
+        (full_tensors, (5, 9)),
+        (symmetric_tensors, (4, 6)),
+        (trace_free_tensors, (3, 5)),
+    )
+    for dim, size in zip((2, 3), sizes, strict=True)
+}
+
+
+def admissible(name: str, dim: int, A: np.ndarray) -> np.ndarray:
+    """The orthogonal projection of A to the space, written by hand."""
+    A = A if dim == 3 else plane_strain(A)
+    if name != "full_tensors":
+        A = (A + A.T) / 2
+    return A - np.trace(A) / 3 * np.eye(3) if name == "trace_free_tensors" else A
+
+
+@pytest.mark.parametrize("key", SPACES, ids=str)
+def test_basis_is_orthonormal_and_complete(key: tuple[str, int]) -> None:
+    space, size = SPACES[key]
+    assert space.size == size == len(space.labels) == len(set(space.labels))
+    assert space.columns.T @ space.columns == pytest.approx(np.eye(size), abs=1e-15)
+
+
+@pytest.mark.parametrize("key", SPACES, ids=str)
+def test_components_are_the_orthogonal_projection(key: tuple[str, int], rng: np.random.Generator) -> None:
+    space, _ = SPACES[key]
+    A = rng.standard_normal((3, 3))
+    projected = value(space.tensor(space.components(tensor(A))))
+    assert projected == pytest.approx(admissible(*key, A), abs=1e-14)
+    again = value(space.tensor(space.components(tensor(projected))))
+    assert again == pytest.approx(projected, abs=1e-14)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_labels_of_full_tensors_name_the_entries(dim: int) -> None:
+    space = full_tensors(dim)
+    for i, label in enumerate(space.labels):
+        A = value(space.tensor(tensor(np.eye(space.size)[i])))
+        assert A[int(label[0]) - 1, int(label[1]) - 1] == 1 and np.abs(A).sum() == 1
+
+
+def test_scalar_space_is_one_number() -> None:
+    space = tensor_space("scalar", 2)
+    assert isinstance(space, TensorSpace) and space.is_scalar and space.size == 1
+    assert float(value(space.components(CF(3.0)))) == 3.0
+    assert float(value(space.tensor(tensor(np.array([4.0]))))) == 4.0
+
+
+def test_parts_of_a_tensor_are_three_dimensional(rng: np.random.Generator) -> None:
+    A = plane_strain(rng.standard_normal((3, 3)))
+    t = tensor(A)
+    assert value(sym(t)) + value(skw(t)) == pytest.approx(A, abs=1e-15)
+    assert value(skw(t)) == pytest.approx((A - A.T) / 2, abs=1e-15)
+    assert value(sph(t)) == pytest.approx((A[0, 0] + A[1, 1] + A[2, 2]) / 3 * np.eye(3), abs=1e-15)
+    assert np.trace(value(dev(t))) == pytest.approx(0, abs=1e-15)
+
+
+def test_plane_gradient_is_embedded_with_zero_third_row_and_column(rng: np.random.Generator) -> None:
+    G = rng.standard_normal((2, 2))
+    expected = np.zeros((3, 3))
+    expected[:2, :2] = G
+    assert value(embed_gradient(tensor(G), 2)) == pytest.approx(expected)
+    A = rng.standard_normal((3, 3))
+    assert value(embed_gradient(tensor(A), 3)) == pytest.approx(A)
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0, 0.75, -0.25, 2.5])
+def test_power_of_square_has_finite_derivatives_at_zero(exponent: float) -> None:
+    s = CF(0.0).MakeVariable()
+    f = power_of_square(s, exponent, 1e-5)
+    point = one_triangle()(0.3, 0.3)
+    assert np.isfinite(f(point)) and np.isfinite(f.Diff(s)(point))
+    s = CF(1.7).MakeVariable()
+    f = power_of_square(s, exponent, 1e-5)
+    assert f(point) == pytest.approx(1.7**exponent, rel=1e-9)
+    assert f.Diff(s)(point) == pytest.approx(exponent * 1.7 ** (exponent - 1), rel=1e-9)

@@ -1,0 +1,273 @@
+"""Kinematic rates against the time-integrated equation of the distortion they belong to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ngsolve import CoefficientFunction
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from support import plane_strain, random_rotation, tensor, tensors, trace_free, value
+
+from ngvisco.physics.tensors import inner, tensor_space
+from ngvisco.physics.variables import (
+    Cofactor,
+    Distortion,
+    Jacobian,
+    LogJacobian,
+    ReciprocalJacobian,
+    SmallStrain,
+    Variable,
+)
+
+MOONEY_RIVLIN = Cofactor(exponent=-7 / 6)
+EXPONENTS = (-7 / 6, -5 / 6, -1 / 3, 0.0, 0.7)
+LISTS = {
+    "J": [Jacobian()],
+    "A": [ReciprocalJacobian()],
+    "K": [ReciprocalJacobian(), LogJacobian()],
+    **{f"J^{a:.3g} F": [Distortion(exponent=a)] for a in EXPONENTS},
+    **{f"J^{b:.3g} Cof F": [Cofactor(exponent=b)] for b in EXPONENTS},
+}
+TIME = 0.7
+
+
+def motion(seed: int, creep: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Constant L and Pi, and F at time 0."""
+    rng = np.random.default_rng(seed)
+    L, A = rng.standard_normal((2, 3, 3))
+    F_0 = expm(0.4 * rng.standard_normal((3, 3)))
+    return L, trace_free(A + A.T) / 2 if creep else np.zeros((3, 3)), F_0
+
+
+def integrate(rate, start: np.ndarray) -> np.ndarray:
+    solution = solve_ivp(rate, (0, TIME), start, method="DOP853", rtol=1e-12, atol=1e-13)
+    return solution.y[:, -1]
+
+
+def distortion(L: np.ndarray, Pi: np.ndarray, F_0: np.ndarray) -> np.ndarray:
+    """F at TIME by its own equation dF/dt = L F - F Pi."""
+
+    def rate(t: float, F: np.ndarray) -> np.ndarray:
+        F = F.reshape(3, 3)
+        return (L @ F - F @ Pi).ravel()
+
+    return integrate(rate, F_0.ravel()).reshape(3, 3)
+
+
+def pack(variables: list[Variable], F: np.ndarray) -> np.ndarray:
+    return np.concatenate([value(v.from_distortion(tensor(F))).ravel() for v in variables])
+
+
+def unpack(variables: list[Variable], flat: np.ndarray) -> dict[str, np.ndarray]:
+    shapes = [() if v.kind == "scalar" else (3, 3) for v in variables]
+    ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
+    parts = np.split(flat, ends[:-1])
+    return {v.name: p.reshape(s) for v, p, s in zip(variables, parts, shapes, strict=True)}
+
+
+def rates(variables: list[Variable], flat: np.ndarray, L: np.ndarray, Pi: np.ndarray) -> np.ndarray:
+    z = tensors(unpack(variables, flat))
+    return np.concatenate([value(v.rate(z, tensor(L), tensor(Pi))).ravel() for v in variables])
+
+
+def linear_rate(variables: list[Variable], size: int, L: np.ndarray, Pi: np.ndarray):
+    """The rates as an affine map of the values: matrix and constant part."""
+    constant = rates(variables, np.zeros(size), L, Pi)
+    columns = [rates(variables, e, L, Pi) - constant for e in np.eye(size)]
+    return np.array(columns).T, constant
+
+
+def transported(variables: list[Variable], L: np.ndarray, Pi: np.ndarray, F_0: np.ndarray) -> np.ndarray:
+    """The variables at TIME by their own rates, from the values that belong to F_0."""
+    start = pack(variables, F_0)
+    A, b = linear_rate(variables, start.size, L, Pi)
+    return integrate(lambda t, z: A @ z + b, start)
+
+
+@pytest.mark.parametrize("creep", [False, True], ids=["elastic", "creep"])
+@pytest.mark.parametrize("name", LISTS)
+def test_rate_follows_the_integrated_distortion(name: str, creep: bool) -> None:
+    variables = LISTS[name]
+    for seed in range(3):
+        L, Pi, F_0 = motion(seed, creep)
+        expected = pack(variables, distortion(L, Pi, F_0))
+        assert transported(variables, L, Pi, F_0) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", LISTS)
+def test_rate_is_linear_in_value_gradient_and_creep_rate(name: str) -> None:
+    variables = LISTS[name]
+    L, Pi, F_0 = motion(3, True)
+    M, P, _ = motion(4, True)
+    z = pack(variables, F_0)
+    both = rates(variables, z, 2 * L - 3 * M, 2 * Pi - 3 * P)
+    assert both == pytest.approx(2 * rates(variables, z, L, Pi) - 3 * rates(variables, z, M, P), abs=1e-12)
+    assert rates(variables, -2.5 * z, L, Pi) == pytest.approx(-2.5 * rates(variables, z, L, Pi), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", LISTS)
+def test_creep_flag_says_whether_the_rate_reads_the_creep_rate(name: str) -> None:
+    L, Pi, F_0 = motion(5, True)
+    z = tensors(unpack(LISTS[name], pack(LISTS[name], F_0)))
+    for variable in LISTS[name]:
+        change = value(variable.rate(z, tensor(L), tensor(Pi)) - variable.rate(z, tensor(L), 0 * tensor(Pi)))
+        assert (np.abs(change).max() > 0.1) == variable.creeps
+
+
+class PrintedMooneyRivlin(Cofactor):
+    """The rate as the paper prints it: (Cof' F)((grad v) H - H Pi) - 7/6 (div v) H.
+
+    With Cof' evaluated at F, i.e. the derivative of Cof at F in the direction (grad v) H - H Pi.
+    """
+
+    F: np.ndarray
+
+    def rate(self, z, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+        H, F = value(z[self.name]), self.F
+        G = value(L) @ H - H @ value(Pi)
+        J, inverse = np.linalg.det(F), np.linalg.inv(F)
+        derivative = J * (np.trace(inverse @ G) * inverse.T - inverse.T @ G.T @ inverse.T)
+        return tensor(derivative - 7 / 6 * np.trace(value(L)) * H)
+
+
+def test_mooney_rivlin_rate_of_the_paper_is_a_slip() -> None:
+    """The printed rate misses the derivative of J^{-7/6} Cof F by order one; ours meets it."""
+    L, Pi, F_0 = motion(6, True)
+    h = 1e-4
+
+    def H(t: float) -> np.ndarray:
+        F = F_0 + t * (L @ F_0 - F_0 @ Pi)
+        return value(MOONEY_RIVLIN.from_distortion(tensor(F)))
+
+    derivative = (8 * (H(h) - H(-h)) - (H(2 * h) - H(-2 * h))) / (12 * h)
+    z = {"H": tensor(H(0))}
+    assert value(MOONEY_RIVLIN.rate(z, tensor(L), tensor(Pi))) == pytest.approx(derivative, abs=1e-9)
+    printed = PrintedMooneyRivlin(exponent=-7 / 6)
+    object.__setattr__(printed, "F", F_0)
+    miss = np.abs(value(printed.rate(z, tensor(L), tensor(Pi))) - derivative).max()
+    assert miss > 0.1 * np.abs(derivative).max()
+
+
+def test_mooney_rivlin_exponent_is_seen() -> None:
+    """Negative control: with the rate of another exponent the integrated values differ visibly."""
+    L, Pi, F_0 = motion(7, True)
+    start = pack([MOONEY_RIVLIN], F_0)
+    A, b = linear_rate([Cofactor(exponent=-1.0)], start.size, L, Pi)
+    wrong = integrate(lambda t, z: A @ z + b, start)
+    expected = pack([MOONEY_RIVLIN], distortion(L, Pi, F_0))
+    assert np.abs(wrong - expected).max() > 1e-2 * np.abs(expected).max()
+
+
+# --- the small strain and the Zaremba-Jaumann rate --------------------------------------------------
+
+
+def zaremba_jaumann(L: np.ndarray, Pi: np.ndarray, E_0: np.ndarray, t: float) -> np.ndarray:
+    """E(t) = Q E_0 Q^T + int_0^t Q(t-s) (eps(v) - Pi) Q(t-s)^T ds with Q(t) = exp(t W), closed form."""
+    W, D = (L - L.T) / 2, (L + L.T) / 2 - Pi
+    nodes, weights = np.polynomial.legendre.leggauss(30)
+    Q = expm(t * W)
+    E = Q @ E_0 @ Q.T
+    for node, weight in zip(nodes, weights, strict=True):
+        Q = expm(0.5 * t * (1 + node) * W)
+        E = E + 0.5 * t * weight * Q @ D @ Q.T
+    return E
+
+
+@pytest.mark.parametrize("creep", [False, True], ids=["elastic", "creep"])
+def test_small_strain_follows_the_zaremba_jaumann_equation(creep: bool) -> None:
+    for seed in range(3):
+        L, Pi, F_0 = motion(seed, creep)
+        expected = zaremba_jaumann(L, Pi, value(SmallStrain().from_distortion(tensor(F_0))), TIME)
+        result = transported([SmallStrain()], L, Pi, F_0).reshape(3, 3)
+        assert result == pytest.approx(expected, abs=1e-9)
+
+
+def test_small_strain_in_simple_shear_is_the_known_rotation() -> None:
+    """2 E_12 = sin gamma, 2 E_11 = 1 - cos gamma: no monotone stress in the Zaremba-Jaumann model."""
+    gamma = 5.0 * TIME
+    L = np.zeros((3, 3))
+    L[0, 1] = 5.0
+    E = transported([SmallStrain()], L, np.zeros((3, 3)), np.eye(3)).reshape(3, 3)
+    assert 2 * E[0, 1] == pytest.approx(np.sin(gamma), abs=1e-9)
+    assert 2 * E[0, 0] == pytest.approx(1 - np.cos(gamma), abs=1e-9)
+
+
+def test_zaremba_jaumann_rate_is_objective() -> None:
+    """E* = Q(t) E Q(t)^T obeys the same equation with L* = Q L Q^T + Q' Q^T and Pi* = Q Pi Q^T."""
+    rng = np.random.default_rng(8)
+    L, Pi, F_0 = motion(8, True)
+    spin = rng.standard_normal((3, 3))
+    spin = spin - spin.T
+    Q = random_rotation(rng)
+    E = (F_0 + F_0.T) / 2
+    rate = rates([SmallStrain()], E.ravel(), L, Pi).reshape(3, 3)
+    # the derivative of Q E Q^T, where Q' = spin Q
+    expected = spin @ Q @ E @ Q.T + Q @ rate @ Q.T - Q @ E @ Q.T @ spin
+    E_star, L_star, Pi_star = Q @ E @ Q.T, Q @ L @ Q.T + spin, Q @ Pi @ Q.T
+    assert rates([SmallStrain()], E_star.ravel(), L_star, Pi_star).reshape(3, 3) == pytest.approx(
+        expected, abs=1e-12
+    )
+    # a rate without the spin is not objective: what the test above would see
+    assert np.abs(expected - ((L_star + L_star.T) / 2 - Pi_star)).max() > 0.1
+
+
+@pytest.mark.parametrize("name", [n for n in LISTS if n not in ("J", "A", "K")])
+def test_superposed_rotation_turns_the_left_leg_only(name: str) -> None:
+    """F* = Q(t) F with L* = Q L Q^T + Q' Q^T and the same Pi: H* = Q H for F- and cofactor-like ones."""
+    rng = np.random.default_rng(9)
+    L, Pi, F_0 = motion(9, True)
+    spin = rng.standard_normal((3, 3))
+    spin = spin - spin.T
+    Q = random_rotation(rng)
+    (variable,) = LISTS[name]
+    H = pack([variable], F_0).reshape(3, 3)
+    assert pack([variable], Q @ F_0).reshape(3, 3) == pytest.approx(Q @ H, abs=1e-12)
+    rate = rates([variable], H.ravel(), L, Pi).reshape(3, 3)
+    star = rates([variable], (Q @ H).ravel(), Q @ L @ Q.T + spin, Pi).reshape(3, 3)
+    assert star == pytest.approx(Q @ rate + spin @ Q @ H, abs=1e-12)
+
+
+# --- plane strain ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["E", *LISTS])
+def test_plane_strain_components_reproduce_the_3d_rate(name: str) -> None:
+    """The subspace with a free 33 entry is closed under every rate, and loses nothing of it."""
+    variables: list[Variable] = [SmallStrain()] if name == "E" else LISTS[name]
+    rng = np.random.default_rng(10)
+    L = plane_strain(rng.standard_normal((3, 3)))
+    L[2, 2] = 0.0  # v_3 = 0 and nothing depends on x_3
+    A = plane_strain(rng.standard_normal((3, 3)))
+    Pi = trace_free(A + A.T)
+    F = plane_strain(expm(0.5 * rng.standard_normal((3, 3))))
+    F[2, 2] = 1.3
+    flat = pack(variables, F)
+    z = unpack(variables, flat)
+    dz = unpack(variables, rates(variables, flat, L, Pi))
+    for variable in variables:
+        space = tensor_space(variable.kind, 2)
+        if space.is_scalar:
+            continue
+        for array in (z[variable.name], dz[variable.name]):
+            assert abs(array[2, 2]) > 1e-3
+            assert value(space.tensor(space.components(tensor(array)))) == pytest.approx(array, abs=1e-14)
+
+
+def test_distortion_keeps_the_33_entry_in_plane_strain_creep() -> None:
+    """In-plane creep thins or thickens the body: F_33 follows exp(-Pi_33 t), and det F stays."""
+    Pi = np.diag([0.4, 0.2, -0.6])
+    F = transported([Distortion()], np.zeros((3, 3)), Pi, np.eye(3)).reshape(3, 3)
+    assert F[2, 2] == pytest.approx(np.exp(0.6 * TIME), rel=1e-10)
+    assert np.linalg.det(F) == pytest.approx(1.0, rel=1e-10)
+
+
+def test_conjugate_power_is_that_of_the_components() -> None:
+    """Orthonormal bases: the product of component vectors is the product of tensors."""
+    rng = np.random.default_rng(11)
+    for dim in (2, 3):
+        for kind in ("full", "symmetric"):
+            space = tensor_space(kind, dim)
+            a, b = rng.standard_normal((2, space.size))
+            A, B = (space.tensor(tensor(x)) for x in (a, b))
+            assert value(inner(A, B)) == pytest.approx(a @ b, abs=1e-13)

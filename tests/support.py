@@ -1,0 +1,240 @@
+"""Small tools of the unit tests: constant tensors in and out of NGSolve, random states, differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from netgen.meshing import Element2D, FaceDescriptor, MeshPoint, Pnt
+from netgen.meshing import Mesh as NetgenMesh
+from ngsolve import (
+    CF,
+    BaseVector,
+    BilinearForm,
+    CoefficientFunction,
+    GridFunction,
+    Id,
+    Mesh,
+    OuterProduct,
+    Trace,
+    sin,
+    x,
+    y,
+)
+from ngsolve.meshes import MakeStructured3DMesh
+from ngvisco.geometries import box
+
+from ngvisco import (
+    BodyForce,
+    Creep,
+    Discretisation,
+    Gravity,
+    HyperViscosity,
+    Initial,
+    IsotropicStrainEnergy,
+    LinearElastic,
+    Material,
+    Model,
+    NeoHookean,
+    StokesViscosity,
+    time,
+)
+from ngvisco.forms.context import Integrand
+from ngvisco.forms.initial import set_initial
+from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.system import Step
+from ngvisco.physics.tensors import dev, square
+
+
+@cache
+def one_triangle() -> Mesh:
+    """A mesh of one element, to evaluate constant coefficient functions on."""
+    mesh = NetgenMesh(dim=2)
+    corners = [mesh.Add(MeshPoint(Pnt(x, y, 0))) for x, y in ((0, 0), (1, 0), (0, 1))]
+    mesh.Add(FaceDescriptor(surfnr=1, domin=1, bc=1))
+    mesh.Add(Element2D(1, corners))
+    return Mesh(mesh)
+
+
+def tensor(array: np.ndarray) -> CoefficientFunction:
+    """A constant coefficient function with the entries and the shape of ``array``."""
+    array = np.asarray(array, dtype=float)
+    return CF(tuple(array.ravel()), dims=array.shape) if array.shape else CF(float(array))
+
+
+def value(f: CoefficientFunction) -> np.ndarray:
+    """The value of a constant coefficient function, in its shape."""
+    flat = np.asarray(f(one_triangle()(0.3, 0.3)))
+    return flat.reshape(tuple(f.dims))
+
+
+def values(named: Mapping[str, CoefficientFunction]) -> dict[str, np.ndarray]:
+    return {name: value(f) for name, f in named.items()}
+
+
+def tensors(named: Mapping[str, np.ndarray]) -> dict[str, CoefficientFunction]:
+    return {name: tensor(array) for name, array in named.items()}
+
+
+def trace_free(A: np.ndarray) -> np.ndarray:
+    return A - np.trace(A) / 3 * np.eye(3)
+
+
+def random_rotation(rng: np.random.Generator) -> np.ndarray:
+    Q, R = np.linalg.qr(rng.standard_normal((3, 3)))
+    Q = Q @ np.diag(np.sign(np.diag(R)))
+    return Q if np.linalg.det(Q) > 0 else -Q
+
+
+def plane_strain(A: np.ndarray) -> np.ndarray:
+    """``A`` with zero 13, 23, 31, 32 entries."""
+    A = A.copy()
+    A[:2, 2] = A[2, :2] = 0.0
+    return A
+
+
+def central_difference(f: Callable[[float], np.ndarray], h: float) -> np.ndarray:
+    """f'(0) to fourth order in h."""
+    return (8 * (f(h) - f(-h)) - (f(2 * h) - f(-2 * h))) / (12 * h)
+
+
+def uncondensed(step: Step, integrands: list[Integrand] | None = None) -> BilinearForm:
+    """A form with all its unknowns global: of ``integrands``, or of all terms of the step."""
+    form = BilinearForm(step.layout.space, check_unused=False)
+    if integrands is None:
+        trial, test = step.layout.space.TnT()
+        u, w = step.layout.fields(trial), step.layout.fields(test)
+        integrands = [part for term in step.terms for part in term.form(u, w)]
+    for integrand in integrands:
+        if integrand.cells is not None:
+            form += integrand.cells.Compile() * step.quadrature.cells
+        if integrand.facets is not None:
+            form += integrand.facets.Compile() * step.quadrature.facets
+    return form
+
+
+def residual(form: BilinearForm, state: BaseVector) -> np.ndarray:
+    """R(state; .) as an array of coefficients."""
+    result = state.CreateVector()
+    form.Apply(state, result)
+    return result.FV().NumPy().copy()
+
+
+def jacobian_times(form: BilinearForm, state: BaseVector, direction: BaseVector) -> np.ndarray:
+    form.AssembleLinearization(state)
+    result = state.CreateVector()
+    result.data = form.mat * direction
+    return result.FV().NumPy().copy()
+
+
+def difference_times(
+    form: BilinearForm, state: BaseVector, direction: BaseVector, h: float = 1e-3
+) -> np.ndarray:
+    """The derivative of ``residual`` in ``direction`` by central differences of fourth order."""
+    shifted = state.CreateVector()
+
+    def shifted_residual(s: float) -> np.ndarray:
+        shifted.data = state + s * direction
+        return residual(form, shifted)
+
+    return central_difference(shifted_residual, h)
+
+
+# --- steps on the smallest meshes --------------------------------------------------------------------
+
+LINEAR = LinearElastic(K_e=3.0, G_e=1.3)
+HARDENING = IsotropicStrainEnergy(
+    strain_energy=lambda E: 0.7 * Trace(E) * Trace(E) + square(dev(E)) + 2 * square(dev(E)) * square(E)
+)
+NEO_HOOKEAN = NeoHookean(K_e=3.0, G_e=1.3, epsilon=0.4)
+MATERIALS: dict[str, Material] = {"linear": LINEAR, "hardening": HARDENING, "neo_hookean": NEO_HOOKEAN}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A model and a discretisation on two triangles or six tetrahedra."""
+
+    dim: int = 2
+    material: str = "neo_hookean"
+    k: int = 2
+    m: int = 1
+    p: float | None = 4.0
+    mu_1: float = 0.0
+    creep: bool = True
+
+    def __str__(self) -> str:
+        creep = "creep" if self.creep else "elastic"
+        return f"{self.dim}d-{self.material}-k{self.k}-m{self.m}-p{self.p}-mu{self.mu_1}-{creep}"
+
+    @property
+    def model(self) -> Model:
+        g = (0.3 + x, -1.0 + sin(2 * time)) if self.dim == 2 else (0.3 + x, y * time, -1.0)
+        return Model(
+            material=MATERIALS[self.material],
+            viscosity=StokesViscosity(K_v=0.3, G_v=0.2),
+            hyperviscosity=HyperViscosity(mu=0.05, p=self.p, mu_1=self.mu_1) if self.p else None,
+            creep=Creep(G_m=1.7) if self.creep else None,
+            loads=(Gravity(g), BodyForce((y,) * self.dim)),
+        )
+
+
+@cache
+def small_box(dim: int) -> Mesh:
+    """Two triangles or six tetrahedra, with named walls."""
+    if dim == 2:
+        return box((1.0, 0.8), 2.0)
+    return MakeStructured3DMesh(hexes=False, nx=1, ny=1, nz=1, mapping=lambda x, y, z: (x, 0.8 * y, 0.9 * z))
+
+
+@cache
+def step_of(case: Case) -> Step:
+    """The case's step; tests share it, so that each must set all its fields by ``randomise``."""
+    step = Step(small_box(case.dim), case.model, Discretisation(k=case.k, m=case.m))
+    step.context.tau.Set(0.3)
+    step.context.t_old.Set(0.2)
+    # wide smoothing: differences then see the derivative of the upwinding
+    step.context.eta.Set(0.3)
+    step.context.curvature.Set(0.2)
+    return step
+
+
+def randomise(step: Step, seed: int = 0, size: float = 0.15) -> None:
+    """Random values of all unknowns, old and new; rho, J and |Hs|^2 positive."""
+    rng = np.random.default_rng(seed)
+    for target in (step.state_old, step.state):
+        target.vec.FV().NumPy()[:] = smooth_state(step)
+        target.vec.FV().NumPy()[:] += size * rng.uniform(-1, 1, step.layout.space.ndof)
+    positive = {"rho": step.now.rho, "J": step.now.z_tensors.get("J")}
+    if "hess_square" in step.layout.names:
+        positive["|Hs|^2"] = step.now.hess_square
+    for name, f in positive.items():
+        if f is not None:
+            Sampler(step.mesh, step.quadrature).require(f, f"random {name}", minimum=0.0)
+
+
+@cache
+def smooth_state(step: Step) -> np.ndarray:
+    """Coefficients of a deformed body with variable density, at rest, with |Hs|^2 = 4."""
+    shear = OuterProduct(CF((y, x, 0)), CF((1, 1, 0)))
+    initial = Initial(density=1.3 + 0.3 * x * y, F=Id(3) + 0.1 * shear)
+    set_initial(step, initial, Sampler(step.mesh, step.quadrature))
+    if "hess_square" in step.layout.names:
+        parts_of(step)["hess_square"].Set(CF(4.0))
+    return step.state.vec.FV().NumPy().copy()
+
+
+def random_direction(step: Step, seed: int = 1) -> BaseVector:
+    vector = step.state.vec.CreateVector()
+    vector.FV().NumPy()[:] = np.random.default_rng(seed).uniform(-1, 1, step.layout.space.ndof)
+    return vector
+
+
+def parts_of(step: Step) -> dict[str, GridFunction]:
+    return dict(zip(step.layout.names, step.state.components, strict=True))
+
+
+def block(step: Step, array: np.ndarray, name: str) -> np.ndarray:
+    """The coefficients of one unknown in an array of all."""
+    return array[step.layout.ranges[name]]
