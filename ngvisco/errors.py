@@ -101,10 +101,16 @@ def require_above(owner: object, bound: float, **values: float) -> None:
             raise ParameterError(f"{type(owner).__name__}.{name}", value, f"a finite number > {bound:g}")
 
 
+def require_type(field: str, value: object, kind: type) -> None:
+    """Raise ParameterError unless the value is a ``kind``."""
+    if not isinstance(value, kind):
+        raise ParameterError(field, value, f"a {kind.__module__.split('.')[0]}.{kind.__name__}")
+
+
 def require_choice(owner: object, choices: Sequence[object], **values: object) -> None:
     """Raise ParameterError unless every value is one of ``choices``."""
     for name, value in values.items():
-        if value not in choices or isinstance(value, bool):
+        if value not in choices or isinstance(value, (bool, float)):
             raise ParameterError(
                 f"{type(owner).__name__}.{name}", value, f"one of {', '.join(map(str, choices))}"
             )

@@ -19,13 +19,13 @@ from ngsolve import (
     TaskManager,
 )
 
-from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.physics.material import components_of, conjugates
 from ngvisco.physics.model import VectorLike, as_vector
-from ngvisco.physics.tensors import inner, square
+from ngvisco.physics.tensors import inner, square, tensor_space
 
 ScalarLike: TypeAlias = "float | CoefficientFunction"
 
@@ -59,19 +59,22 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
     Raises
     ------
     InitialDataError
-        If rho_0 <= 0, det F_0 <= 0 or a value is not finite at a sampling point.
+        If rho_0 <= 0, det F_0 <= 0, a positive variable is not so, or a value or the stored energy
+        is not finite at a sampling point; or if a tensor does not fit its variable (in plane strain:
+        13, 23, 31, 32 entries; E not symmetric).
+    ParameterError
+        If a value has the wrong type or shape.
     UnknownNameError
         If ``initial.values`` names a variable that the material does not have.
     """
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     dim = step.mesh.dim
-    density = CF(initial.density)
-    F = Id(3) if initial.F is None else initial.F
-    if tuple(F.dims) != (3, 3):
-        raise ParameterError("Initial.F", F.dims, "a 3x3 coefficient function, also in 2D")
+    density = _as_shape("Initial.density", initial.density, ())
+    F = Id(3) if initial.F is None else _as_shape("Initial.F", initial.F, (3, 3))
     values = _initial_values(step, initial, F)
     sampler.require(density, "density rho_0", minimum=0.0)
     sampler.require(Det(F), "det F_0", minimum=0.0)
+    _check_spaces(step, values, sampler)
     with TaskManager():
         step.state.vec[:] = 0.0
         parts["rho"].Set(density)
@@ -83,6 +86,11 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
             remove_constrained(step)
         sampler.require(inner(step.now.z, step.now.z), "material variables")
         sampler.require(step.now.rho, "projected density rho_0", minimum=0.0)
+        for variable in step.model.material.variables:
+            if variable.is_positive:
+                value = step.now.z_tensors[variable.name]
+                sampler.require(value, f"projected {variable.name}_0", minimum=0.0)
+        sampler.require(step.model.material.energy(step.now.z_tensors), "stored energy")
         complete(step)
     step.state_old.vec.data = step.state.vec
 
@@ -92,8 +100,40 @@ def _initial_values(step: Step, initial: Initial, F: CoefficientFunction) -> dic
     for name in initial.values:
         if name not in names:
             raise UnknownNameError("material variable", name, names)
-    derived = {v.name: v.from_distortion(F) for v in step.model.material.variables}
-    return {**derived, **initial.values}
+    values = {v.name: v.from_distortion(F) for v in step.model.material.variables}
+    for name, value in initial.values.items():
+        values[name] = _as_shape(f"Initial.values[{name!r}]", value, tuple(values[name].dims))
+    return values
+
+
+def _as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> CoefficientFunction:
+    """A coefficient function of this shape, or ParameterError; a number will do for a scalar."""
+    expected = (
+        "a 3x3 coefficient function, also in 2D" if shape else "a number or a scalar coefficient function"
+    )
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and not shape:
+        return CF(float(value))
+    if not isinstance(value, CoefficientFunction):
+        raise ParameterError(field_name, value, expected)
+    if tuple(value.dims) != shape:
+        raise ParameterError(field_name, f"shape {tuple(value.dims)}", expected)
+    return value
+
+
+def _check_spaces(step: Step, values: Mapping[str, CoefficientFunction], sampler: Sampler) -> None:
+    """Raise InitialDataError when a tensor loses something in the space of its variable."""
+    for variable in step.model.material.variables:
+        space = tensor_space(variable.kind, step.mesh.dim)
+        if space.is_scalar:
+            continue
+        value = values[variable.name]
+        lost = value - space.tensor(space.components(value))
+        sampler.require(square(value), f"{variable.name}_0")
+        if sampler.extrema(square(lost))[1] > 1e-20 * (1 + sampler.extrema(square(value))[1]):
+            shape = "symmetric" if variable.kind == "symmetric" else "3x3"
+            if step.mesh.dim == 2:
+                shape += " with zero 13, 23, 31, 32 entries (plane strain)"
+            raise InitialDataError(f"{variable.name}_0", "entries that its space does not hold", shape)
 
 
 def remove_constrained(step: Step) -> None:

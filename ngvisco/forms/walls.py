@@ -14,6 +14,7 @@ from ngsolve import BND, CF, Integrate, Mesh, specialcf
 
 from ngvisco.errors import MeshError, UnknownNameError
 from ngvisco.forms.context import Context, Term
+from ngvisco.forms.orientation import check_orientation
 
 _PARALLEL = 1e-10
 
@@ -24,9 +25,7 @@ def check_mesh(mesh: Mesh) -> None:
         raise MeshError(f"the mesh has dimension {mesh.dim}: expected 2 (plane strain) or 3")
     if mesh.ne == 0:
         raise MeshError("the mesh has no volume elements: mesh the interior, not only its surface")
-    volumes = np.asarray(Integrate(CF(1.0), mesh, element_wise=True))
-    if not np.all(np.isfinite(volumes)) or volumes.min() <= 0:
-        raise MeshError(f"element {int(np.argmin(volumes))} has volume {volumes.min():.3e}: expected > 0")
+    check_orientation(mesh)
 
 
 def check_boundary_names(mesh: Mesh, names: Iterable[str]) -> None:

@@ -82,6 +82,8 @@ class Model:
             value = getattr(self, name)
             if not (isinstance(value, kind) or (value is None and name != "material")):
                 raise ParameterError(f"Model.{name}", value, f"a {kind.__name__}")
+        if not isinstance(self.loads, (tuple, list)):
+            raise ParameterError("Model.loads", self.loads, "a sequence of Gravity or BodyForce objects")
         object.__setattr__(self, "loads", tuple(self.loads))
         for load in self.loads:
             if not isinstance(load, (Gravity, BodyForce)):

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, Mesh
 
-from ngvisco.errors import ParameterError, _is_number
+from ngvisco.errors import ParameterError, _is_number, require_type
 from ngvisco.forms.context import Term, time
 from ngvisco.forms.initial import Initial, set_initial
 from ngvisco.forms.momentum import Loading
@@ -83,6 +83,14 @@ class Simulation:
         velocity_scale: float | None = None,
         sources: Term | None = None,
     ) -> None:
+        require_type("Simulation.mesh", mesh, Mesh)
+        require_type("Simulation.model", model, Model)
+        for name, value, kind in (
+            ("initial", initial, Initial),
+            ("discretisation", discretisation, Discretisation),
+            ("newton", newton, NewtonOptions),
+        ):
+            require_type(f"Simulation.{name}", kind() if value is None else value, kind)
         if not (_is_number(dt) and dt > 0):
             raise ParameterError("Simulation.dt", dt, "a finite number > 0")
         if velocity_scale is not None and not (_is_number(velocity_scale) and velocity_scale > 0):

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from ngsolve import BaseVector, BilinearForm, BitArray
 
-from ngvisco.errors import StepError, require_above, require_choice, require_positive
+from ngvisco.errors import ParameterError, StepError, require_choice, require_positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,11 @@ class NewtonOptions:
             refresh=self.refresh,
             min_damping=self.min_damping,
         )
-        require_above(self, 0, max_iterations=self.max_iterations)
+        if not isinstance(self.max_iterations, int) or self.max_iterations < 1:
+            raise ParameterError("NewtonOptions.max_iterations", self.max_iterations, "an integer >= 1")
+        for name, value in (("refresh", self.refresh), ("min_damping", self.min_damping)):
+            if value >= 1:
+                raise ParameterError(f"NewtonOptions.{name}", value, "a number in (0, 1)")
         # sparsecholesky returns nonsense for nonsymmetric matrices, silently
         require_choice(self, ("umfpack", "pardiso", "mumps"), inverse=self.inverse)
 
@@ -136,7 +140,8 @@ class BlockNorm:
             where = self.ranges[name]
             scale = np.linalg.norm(u[where]) + floor * size * np.sqrt(where.stop - where.start)
             sizes.append(np.linalg.norm(d[where]) / scale if scale > 0 else 0.0)
-        return float(max(sizes))
+        # numpy's maximum passes NaN on, Python's may drop it
+        return float(np.max(sizes))
 
 
 class Newton:

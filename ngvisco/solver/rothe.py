@@ -47,17 +47,20 @@ class RotheSolver:
         if tau != self._last_tau:
             self.forget()
             self._last_tau = tau
+        history: list[NewtonIteration] = []
         try:
-            return self._solve(t_old, tau)
-        except StepError as error:
-            history = list(error.history)
-        try:
+            try:
+                return self._solve(t_old, tau)
+            except StepError as error:
+                history += error.history
             self._continue(t_old, tau, history)
-        except StepError as error:
+            return history
+        except BaseException as error:  # also an interrupt: never leave an iterate behind
             self._restore(step.state_old.vec)
             time.Set(t_old)
-            raise StepError(f"step of length {tau:g} s from t = {t_old:g} s: {error}", history) from error
-        return history
+            if isinstance(error, StepError):
+                raise StepError(f"step of length {tau:g} s from t = {t_old:g} s: {error}", history) from error
+            raise
 
     def _continue(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
         """Solve steps of growing length from t_old, each the start value of the next, up to tau."""

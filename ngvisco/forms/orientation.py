@@ -1,0 +1,71 @@
+"""Inverted cells: NGSolve integrates with |det|, so that a cell's volume never shows one."""
+
+from __future__ import annotations
+
+import numpy as np
+from ngsolve import (
+    ET,
+    VOL,
+    CoefficientFunction,
+    Det,
+    FacetFESpace,
+    IntegrationRule,
+    LinearForm,
+    Mesh,
+    dx,
+    specialcf,
+)
+
+from ngvisco.errors import MeshError
+
+_ORDER = 4  # degree of the points at which the determinant is looked at; curved cells vary inside
+
+
+def check_orientation(mesh: Mesh) -> None:
+    """Raise MeshError for a cell that is turned inside out, in part or as a whole.
+
+    Two things are looked at.  The determinant of the map from the reference cell keeps its sign and
+    is nowhere zero in a cell; which sign is only a matter of the order of its vertices.  The two cells
+    of an inner facet lie on different sides of it, so that their outward normals cancel.
+    """
+    _check_determinants(mesh)
+    _check_sides(mesh)
+
+
+def _check_determinants(mesh: Mesh) -> None:
+    types = (ET.TRIG, ET.QUAD) if mesh.dim == 2 else (ET.TET, ET.PRISM, ET.PYRAMID, ET.HEX)
+    determinant = Det(specialcf.JacobianMatrix(mesh.dim))
+    for et in types:
+        rule = IntegrationRule(et, _ORDER)
+        points = mesh.MapToAllElements({et: rule}, VOL)
+        values = np.asarray(determinant(points)).reshape(-1, len(rule.points))
+        numbers = [element.nr for element in mesh.Elements(VOL) if element.type == et]
+        flat = np.sign(values).min(axis=1) * np.sign(values).max(axis=1) <= 0
+        if flat.any():
+            row = int(np.argmax(flat))
+            raise MeshError(
+                f"element {numbers[row]} is inverted or flat: the determinant of its map takes values from "
+                f"{values[row].min():.3e} to {values[row].max():.3e}; expected one sign and no zero"
+            )
+
+
+def _check_sides(mesh: Mesh) -> None:
+    space = FacetFESpace(mesh, order=0)
+    q = space.TestFunction()
+    on_boundary = np.array(list(space.GetDofs(mesh.Boundaries(".*"))), dtype=bool)
+    n = specialcf.normal(mesh.dim)
+
+    def assembled(value: CoefficientFunction) -> np.ndarray:
+        return LinearForm(value * q * dx(element_boundary=True)).Assemble().vec.FV().NumPy().copy()
+
+    # the mean normals of both sides, over twice the area of the facet
+    sums = np.array([assembled(n[i]) for i in range(mesh.dim)])
+    areas = assembled(1 + 0 * n[0])
+    doubled = np.linalg.norm(sums, axis=0) > 1e-6 * areas
+    doubled[on_boundary] = False
+    if doubled.any():
+        facet = int(np.argmax(doubled))
+        raise MeshError(
+            f"facet {facet}, on no boundary, has cells on one side only: "
+            "a cell is inverted, cells overlap, or the mesh lacks a boundary element there"
+        )
