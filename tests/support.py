@@ -24,7 +24,6 @@ from ngsolve import (
     y,
 )
 from ngsolve.meshes import MakeStructured3DMesh
-from ngvisco.geometries import box
 
 from ngvisco import (
     BodyForce,
@@ -45,6 +44,7 @@ from ngvisco.forms.context import Integrand
 from ngvisco.forms.initial import set_initial
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.geometries import box
 from ngvisco.physics.tensors import dev, square
 
 

@@ -1,0 +1,306 @@
+"""Identities of the discrete forms on which mass and energy balances rest, on random states."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ngsolve import CF, BaseVector, BilinearForm, BitArray, Id, OuterProduct, x, y
+from support import (
+    Case,
+    block,
+    parts_of,
+    randomise,
+    residual,
+    small_box,
+    step_of,
+    uncondensed,
+)
+
+from ngvisco import Discretisation, Gravity, Model, StokesViscosity, time
+from ngvisco.forms.context import Integrand, Term
+from ngvisco.forms.initial import complete
+from ngvisco.forms.system import Step
+from ngvisco.physics.material import cauchy_stress, components_of
+from ngvisco.physics.tensors import embed_gradient, inner, square
+
+CASES = [
+    Case(),
+    Case(k=3, m=2, p=None),
+    Case(m=0, p=None),
+    Case(material="linear", p=None),
+    Case(material="hardening", m=2, p=None, creep=False),
+    Case(dim=3, p=None),
+    Case(dim=3, material="linear", m=0, p=None),
+]
+by_case = pytest.mark.parametrize("case", CASES, ids=str)
+
+
+def term_of(step: Step, name: str) -> Term:
+    (term,) = (term for term in step.terms if type(term).__name__ == name)
+    return term
+
+
+def rows(step: Step, name: str) -> np.ndarray:
+    """R(u; .) of one term at the step's state, by test coefficient."""
+    trial, test = step.layout.space.TnT()
+    parts = term_of(step, name).form(step.layout.fields(trial), step.layout.fields(test))
+    return residual(uncondensed(step, parts), step.state.vec)
+
+
+def powers(step: Step, parts: list[Integrand]) -> np.ndarray:
+    return residual(uncondensed(step, parts), step.state.vec)
+
+
+def coefficients(step: Step, name: str) -> np.ndarray:
+    return block(step, step.state.vec.FV().NumPy(), name)
+
+
+def unit_test(step: Step) -> np.ndarray:
+    """Coefficients of q = 1 and q_hat = 1, other tests 0."""
+    parts = parts_of(step)
+    kept = step.state.vec.FV().NumPy().copy()
+    step.state.vec[:] = 0.0
+    parts["rho"].Set(1.0)
+    parts["rho_hat"].Set(1.0, dual=True)
+    one = step.state.vec.FV().NumPy().copy()
+    step.state.vec.FV().NumPy()[:] = kept
+    return one
+
+
+# --- mass --------------------------------------------------------------------------------------------
+
+
+@by_case
+def test_continuity_conserves_mass_for_any_state(case: Case) -> None:
+    """With q = q_hat = 1 only the storage is left, whatever v, rho and rho_hat are."""
+    step = step_of(case)
+    randomise(step, 1)
+    rate = rows(step, "Continuity") @ unit_test(step)
+    old, now = (step.quadrature.integrate_cells(f.rho) for f in (step.old, step.now))
+    tau = step.context.tau.Get()
+    assert rate == pytest.approx((now - old) / tau, abs=1e-13)
+    assert abs(now - old) > 1e-3  # the storage is not zero by itself
+
+
+def test_mass_is_lost_when_the_trace_is_not_tested() -> None:
+    """Negative control: q = 1 alone leaves the facet flux."""
+    step = step_of(Case())
+    randomise(step, 1)
+    one = unit_test(step)
+    one[step.layout.ranges["rho_hat"]] = 0.0
+    old, now = (step.quadrature.integrate_cells(f.rho) for f in (step.old, step.now))
+    assert abs(rows(step, "Continuity") @ one - (now - old) / step.context.tau.Get()) > 1e-3
+
+
+# --- momentum ----------------------------------------------------------------------------------------
+
+
+@by_case
+def test_convection_is_powerless(case: Case) -> None:
+    step = step_of(case)
+    randomise(step, 2)
+    force = block(step, rows(step, "Convection"), "v")
+    assert np.abs(force).max() > 1e-4
+    assert force @ coefficients(step, "v") == pytest.approx(0, abs=1e-14)
+
+
+@by_case
+def test_inertia_returns_kinetic_energy_and_its_remainder(case: Case) -> None:
+    """tau <R, v> = kinetic - kinetic_old + 1/2 int rho_old |v - v_old|^2."""
+    step = step_of(case)
+    randomise(step, 3)
+    power = block(step, rows(step, "Inertia"), "v") @ coefficients(step, "v")
+    u, old = step.now, step.old
+    energy = 0.5 * (u.rho * square(u.v) - old.rho * square(old.v) + old.rho * square(u.v - old.v))
+    assert step.context.tau.Get() * power == pytest.approx(step.quadrature.integrate_cells(energy), rel=1e-12)
+
+
+# --- the operator used twice ---------------------------------------------------------------------------
+
+
+@by_case
+def test_elastic_force_is_the_adjoint_of_the_transport(case: Case) -> None:
+    """B_h(v; z, zeta) in the momentum equation cancels its copy in the kinematic one, facets included."""
+    step = step_of(case)
+    randomise(step, 4)
+    power = block(step, rows(step, "ElasticForce"), "v") @ coefficients(step, "v")
+    trial, test = step.layout.space.TnT()
+    u, w = step.layout.fields(trial), step.layout.fields(test)
+    kinematics = term_of(step, "Kinematics")
+    transport = kinematics.operator(u, u, w.z, w.z_tensors, u)
+    rate = block(step, powers(step, transport), "z") @ coefficients(step, "zeta")
+    assert abs(power) > 1e-3
+    assert rate == pytest.approx(power, rel=1e-12)
+
+
+@by_case
+def test_facets_take_part_in_the_elastic_power(case: Case) -> None:
+    """Negative control: another upwinding in one of the two leaves a remainder."""
+    step = step_of(case)
+    randomise(step, 4)
+    power = block(step, rows(step, "ElasticForce"), "v") @ coefficients(step, "v")
+    step.context.eta.Set(0.01)
+    try:
+        other = block(step, rows(step, "ElasticForce"), "v") @ coefficients(step, "v")
+    finally:
+        step.context.eta.Set(0.3)
+    assert abs(other - power) > 1e-5 * abs(power)
+
+
+@by_case
+def test_creep_power_is_a_square(case: Case) -> None:
+    """- int rate(z; 0, Pi) : zeta = int R |M|^2 with the projected conjugates."""
+    step = step_of(case)
+    randomise(step, 5)
+    kinematics = term_of(step, "Kinematics")
+    trial, test = step.layout.space.TnT()
+    u, w = step.layout.fields(trial), step.layout.fields(test)
+    creep = kinematics._creep(u, w.z_tensors)
+    if not case.creep:
+        assert creep == []
+        return
+    released = -block(step, powers(step, creep), "z") @ coefficients(step, "zeta")
+    R = step.model.creep.R
+    assert released > 1e-3
+    assert released == pytest.approx(
+        step.quadrature.integrate_cells(R * square(kinematics.mandel(step.now))), rel=1e-12
+    )
+
+
+@by_case
+def test_creep_leaves_the_jacobian_alone(case: Case) -> None:
+    step = step_of(case)
+    if not case.creep or "J" not in step.now.z_tensors:
+        return
+    randomise(step, 5)
+    trial, test = step.layout.space.TnT()
+    u, w = step.layout.fields(trial), step.layout.fields(test)
+    creep = block(step, powers(step, term_of(step, "Kinematics")._creep(u, w.z_tensors)), "z")
+    assert [v.name for v in step.model.material.variables] == ["F", "J"]
+    per_component = creep.reshape(-1, creep.size // step.now.z.dim)
+    assert np.abs(per_component[:-1]).max() > 1e-3  # F
+    assert np.abs(per_component[-1]).max() == 0  # J, the last component
+
+
+# --- what the forms mean -------------------------------------------------------------------------------
+
+
+def elastic_rows(case: Case, values: dict) -> tuple[Step, np.ndarray]:
+    """The elastic force at smooth variables with exact traces and conjugates, and a random velocity."""
+    step = step_of(case)
+    randomise(step, 6)
+    parts = parts_of(step)
+    velocity = parts["v"].vec.FV().NumPy().copy()
+    z_values = components_of(step.model.material, values, case.dim)
+    parts["z"].Set(z_values)
+    complete(step)
+    parts["v"].vec.FV().NumPy()[:] = velocity
+    return step, rows(step, "ElasticForce")
+
+
+def check_against_stress(case: Case, values: dict) -> None:
+    """Rows equal int T : grad w for every w with w.n = 0 on the walls, whatever the velocity is."""
+    step, force = elastic_rows(case, values)
+    T = cauchy_stress(step.model.material, step.now.z_tensors)
+    fields = step.layout.fields(step.layout.space.TestFunction())
+    expected = powers(step, [Integrand(inner(T, fields.L))])
+    free = np.array(list(step.layout.blocks["v"].FreeDofs()), dtype=bool)
+    force, expected = block(step, force, "v"), block(step, expected, "v")
+    assert np.abs(expected[free]).max() > 1e-2
+    assert force[free] == pytest.approx(expected[free], abs=1e-12)
+    # on walls the pressure part of T pushes the wall, which B_h leaves out
+    assert np.abs((force - expected)[~free]).max() > 1e-3
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_elastic_force_of_a_linear_strain_is_the_stress_s(dim: int) -> None:
+    """E in P_1, continuous: T = S + phi I varies in space, and B_h is exact for it."""
+    E = CF((0.2 * x, 0.1 * y, 0, 0.1 * y, -0.1 * x, 0, 0, 0, 0.3 * y), dims=(3, 3))
+    check_against_stress(Case(dim=dim, material="linear", p=None), {"E": E + 0.1 * Id(3)})
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("m", [0, 1])
+def test_elastic_force_of_a_uniform_distortion_is_the_stress_s(dim: int, m: int) -> None:
+    F = Id(3) + 0.3 * OuterProduct(CF((1, 0.5, 0)), CF((0.2, 1, 0)))
+    case = Case(dim=dim, m=m, p=None)
+    check_against_stress(case, {"F": F, "J": CF(1.4)})
+
+
+def test_stokes_force_is_that_of_the_viscosities() -> None:
+    """int (K_v tr eps I + 2 G_v dev eps) : eps(w), deviator of the 3x3 tensor also in 2D."""
+    for dim in (2, 3):
+        step = step_of(Case(dim=dim, p=None))
+        randomise(step, 7)
+        law = step.model.viscosity
+        assert isinstance(law, StokesViscosity)
+        power = block(step, rows(step, "Stokes"), "v") @ coefficients(step, "v")
+        G = embed_gradient(step.now.grad_v, dim)
+        eps = 0.5 * (G + G.trans)
+        trace = sum(eps[i, i] for i in range(3))
+        squares = sum(eps[i, j] * eps[i, j] for i in range(3) for j in range(3))
+        by_hand = law.K_v * trace * trace + 2 * law.G_v * (squares - trace * trace / 3)
+        assert power == pytest.approx(step.quadrature.integrate_cells(by_hand), rel=1e-12)
+
+
+def test_gravity_is_averaged_over_the_step() -> None:
+    """g = (0, t^3): the force is rho times 1/tau int t^3 over the step, exact by two Gauss points."""
+    model = Model(material=Case().model.material, loads=(Gravity((0, time**3)),))
+    step = Step(small_box(2), model, Discretisation())
+    step.context.t_old.Set(0.2)
+    step.context.tau.Set(0.5)
+    parts_of(step)["rho"].Set(2.0)
+    force = block(step, rows(step, "Loading"), "v")
+    parts_of(step)["v"].Set(CF((0, 1)))
+    mean = (0.7**4 - 0.2**4) / 4 / 0.5
+    assert force @ coefficients(step, "v") == pytest.approx(-2.0 * mean * 0.8, rel=1e-13)
+
+
+@by_case
+def test_trace_is_the_upwind_value(case: Case) -> None:
+    """With z constant in cells and v uniform, z_hat is that of the cell where the flow comes from."""
+    step = step_of(case)
+    randomise(step, 8)
+    parts = parts_of(step)
+    step.context.eta.Set(1e-6)
+    try:
+        parts["v"].Set(CF((1.0, 0.7, 0.4)[: case.dim]))
+        # the trace's own equation, linear in it
+        form = uncondensed(
+            step, term_of(step, "UpwindTrace").form(*map(step.layout.fields, step.layout.space.TnT()))
+        )
+        form.AssembleLinearization(step.state.vec)
+        free = BitArray(step.layout.space.ndof)
+        free.Clear()
+        free[step.layout.ranges["z_hat"]] = True
+        correction = step.state.vec.CreateVector()
+        correction.data = form.mat.Inverse(free, inverse="umfpack") * residual_vector(form, step)
+        step.state.vec.data -= correction
+        u, n = step.now, step.context.normal
+        outflow = 0.5 * (1 + (u.v * n) / step.context.modulus(u.v * n)) * step.context.inner
+        downstream = outflow * square(u.z_hat - u.z)
+        wall = (1 - step.context.inner) * square(u.z_hat - u.z)
+        assert step.quadrature.integrate_facets(square(u.z_hat - u.z)) > 1e-3
+        assert step.quadrature.integrate_facets(downstream) < 1e-10
+        assert step.quadrature.integrate_facets(wall) < 1e-20
+    finally:
+        step.context.eta.Set(0.3)
+
+
+def residual_vector(form: BilinearForm, step: Step) -> BaseVector:
+    vector = step.state.vec.CreateVector()
+    form.Apply(step.state.vec, vector)
+    return vector
+
+
+@by_case
+def test_elimination_solves_the_local_equations(case: Case) -> None:
+    step = step_of(case)
+    randomise(step, 9)
+    before = step.state.vec.FV().NumPy().copy()
+    assert np.abs(block(step, rows(step, "Conjugates"), "zeta")).max() > 1e-3
+    step.eliminate()
+    assert np.abs(block(step, rows(step, "Conjugates"), "zeta")).max() < 1e-13
+    after = step.state.vec.FV().NumPy()
+    for name in ("v", "rho", "rho_hat", "z", "z_hat"):
+        assert np.array_equal(block(step, before, name), block(step, after, name))

@@ -1,0 +1,90 @@
+"""One rule for a form and for the ledger's integral of the same thing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from ngsolve import L2, BilinearForm, CoefficientFunction, GridFunction, Mesh, exp, sin, specialcf, x, y, z
+from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
+
+from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.sampling import Sampler
+from ngvisco.geometries import box
+
+MESHES: dict[str, Callable[[], Mesh]] = {
+    "triangles": lambda: box((1, 0.7), 0.5),
+    "tetrahedra": lambda: box((1, 0.7, 0.8), 1.0),
+    "quadrilaterals": lambda: MakeStructured2DMesh(quads=True, nx=2, ny=1),
+    "hexahedra": lambda: MakeStructured3DMesh(hexes=True, nx=1, ny=2, nz=1),
+}
+DEGREES = [3, 6, 9]
+f: CoefficientFunction = exp(3 * x) * sin(5 * y + 2 * z) + 2  # no polynomial: another rule shows
+
+
+def applied(mesh: Mesh, measure, integrand: CoefficientFunction) -> float:
+    """The integral as a nonlinear form sees it, at u = 1 with the test function 1."""
+    space = L2(mesh, order=0)
+    u, test = space.TnT()
+    form = BilinearForm(space)
+    form += integrand * u * u * test * measure
+    state = GridFunction(space)
+    state.vec[:] = 1.0
+    rows = state.vec.CreateVector()
+    form.Apply(state.vec, rows)
+    return float(rows.FV().NumPy().sum())
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+@pytest.mark.parametrize("name", MESHES)
+def test_forms_and_integrals_share_the_rule(name: str, degree: int) -> None:
+    mesh = MESHES[name]()
+    quadrature = Quadrature(mesh, degree, degree)
+    assert applied(mesh, quadrature.cells, f) == pytest.approx(quadrature.integrate_cells(f), rel=1e-14)
+    assert applied(mesh, quadrature.facets, f) == pytest.approx(quadrature.integrate_facets(f), rel=1e-14)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_another_degree_would_be_seen(name: str) -> None:
+    """Negative control for the equality above."""
+    mesh = MESHES[name]()
+    low, high = Quadrature(mesh, 4, 4), Quadrature(mesh, 6, 6)
+    assert applied(mesh, low.cells, f) != pytest.approx(high.integrate_cells(f), rel=1e-10)
+    assert applied(mesh, low.facets, f) != pytest.approx(high.integrate_facets(f), rel=1e-10)
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+def test_polynomials_of_the_degree_are_exact(degree: int) -> None:
+    quadrature = Quadrature(box((1, 1), 0.5), degree, degree)
+    assert quadrature.integrate_cells(x**degree) == pytest.approx(1 / (degree + 1), rel=1e-13)
+    # the divergence theorem over all cells' boundaries
+    flux = x**degree * specialcf.normal(2)[0]
+    assert quadrature.integrate_facets(flux) == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("k, m", [(2, 0), (2, 1), (3, 1), (3, 2)])
+def test_degree_resolves_the_polynomial_terms(k: int, m: int) -> None:
+    """Momentum's 3k - 1 + m with v three times is left out on purpose; the others are exact."""
+    quadrature = Quadrature.for_orders(box((1, 1), 1.0), k, m)
+    assert quadrature.volume_degree == quadrature.facet_degree >= max(2 * k + m, k - 1 + 2 * m)
+    more = Quadrature.for_orders(box((1, 1), 1.0), k, m, bonus=3)
+    assert more.volume_degree == quadrature.volume_degree + 3
+
+
+def test_vector_integrands_are_integrated_by_component() -> None:
+    quadrature = Quadrature(box((1, 1), 0.5), 4, 4)
+    from ngsolve import CF
+
+    assert np.asarray(quadrature.integrate_cells(CF((1, x, y * y)))) == pytest.approx([1, 0.5, 1 / 3])
+
+
+@pytest.mark.parametrize("name", ["triangles", "tetrahedra", "quadrilaterals"])
+def test_sampler_sees_vertices_and_interior(name: str) -> None:
+    """An extremum at a corner or inside is found: the points hold all vertices of all cells."""
+    mesh = MESHES[name]()
+    sampler = Sampler(mesh, Quadrature(mesh, 4, 4))
+    assert sampler.extrema(x + y)[0] == pytest.approx(0.0, abs=1e-12)
+    top = max(v.point[0] + v.point[1] for v in mesh.vertices)
+    assert sampler.extrema(x + y)[1] == pytest.approx(top)
+    assert sampler.values(x).shape == sampler.values(y).shape

@@ -1,0 +1,199 @@
+"""Walls by name, and meshes that the scheme refuses."""
+
+from __future__ import annotations
+
+import netgen.occ as occ
+import numpy as np
+import pytest
+from netgen.meshing import Element1D, Element2D, FaceDescriptor, MeshingStep, MeshPoint, Pnt
+from netgen.meshing import Mesh as NetgenMesh
+from ngsolve import CF, Mesh, VectorH1
+from ngsolve.meshes import Make1DMesh, MakeStructured2DMesh, MakeStructured3DMesh
+
+from ngvisco import MeshError, UnknownNameError
+from ngvisco.forms.walls import axis_parallel_walls, check_boundary_names, check_mesh, slip_constraints
+from ngvisco.geometries import box
+
+
+def named_square(names: tuple[str, str, str, str]) -> Mesh:
+    """A unit square with the walls x = 0, x = 1, y = 0, y = 1 under these names."""
+    face = occ.Rectangle(1, 1).Face()
+    for name, direction in zip(names, (-occ.X, occ.X, -occ.Y, occ.Y), strict=True):
+        face.edges.Max(direction).name = name
+    return Mesh(occ.OCCGeometry(face, dim=2).GenerateMesh(maxh=0.6))
+
+
+def cells(points: list[tuple[float, float]], corners: list[tuple[int, ...]], edges=()) -> Mesh:
+    """A 2D mesh from its cells' corners and its boundary edges."""
+    mesh = NetgenMesh(dim=2)
+    numbers = [mesh.Add(MeshPoint(Pnt(x, y, 0))) for x, y in points]
+    mesh.Add(FaceDescriptor(surfnr=1, domin=1, bc=1))
+    for cell in corners:
+        mesh.Add(Element2D(1, [numbers[i] for i in cell]))
+    for a, b in edges:
+        mesh.Add(Element1D([numbers[a], numbers[b]], index=1))
+    return Mesh(mesh)
+
+
+def test_walls_of_a_box_are_sorted_by_axis() -> None:
+    assert axis_parallel_walls(box((1, 2), 1.0)) == ([["left", "right"], ["bottom", "top"]], [])
+    walls = [["left", "right"], ["back", "front"], ["bottom", "top"]]
+    assert axis_parallel_walls(box((1, 2, 1.5), 2.0)) == (walls, [])
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_only_normal_components_are_constrained(dim: int) -> None:
+    """Every wall keeps its tangential part, and a corner only the components that no wall takes."""
+    mesh = box((1.0, 2.0, 1.5)[:dim], 2.0)
+    keywords = dict(
+        zip(("dirichletx", "dirichlety", "dirichletz")[:dim], slip_constraints(mesh), strict=True)
+    )
+    free = np.array(list(VectorH1(mesh, order=1, **keywords).FreeDofs())).reshape(dim, mesh.nv)
+    sizes = (1.0, 2.0, 1.5)
+    for vertex in mesh.vertices:
+        for i in range(dim):
+            on_wall = min(vertex.point[i], sizes[i] - vertex.point[i]) < 1e-12
+            assert free[i, vertex.nr] == (not on_wall)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("a.b", "a.b2", "axb", "axb2"),
+        ("in|out", "in", "out", "x"),
+        ("in (1)", "wall*", "w[a]", "top+"),
+        ("^", "$", "\\", "?"),
+        ("a b", "wänd", "c-d", "e/f"),
+        ("side", "side", "lid", "lid"),
+    ],
+    ids=str,
+)
+def test_names_with_signs_of_regular_expressions_mean_themselves(names: tuple[str, str, str, str]) -> None:
+    """As a pattern "a.b" would take "axb" with it, and constrain a wall in a wrong direction."""
+    mesh, plain = named_square(names), named_square(("left", "right", "bottom", "top"))
+    assert axis_parallel_walls(mesh)[0] == [sorted(set(names[:2])), sorted(set(names[2:]))]
+
+    def free(m: Mesh) -> list[bool]:
+        first, second = slip_constraints(m)
+        return list(VectorH1(m, order=2, dirichletx=first, dirichlety=second).FreeDofs())
+
+    assert free(mesh) == free(plain)
+
+
+def test_unnamed_walls_are_found() -> None:
+    mesh = named_square(("", "a", "b", "c"))
+    assert axis_parallel_walls(mesh) == ([["a", "default"], ["b", "c"]], [])
+
+
+def disc() -> Mesh:
+    face = occ.Circle(occ.Pnt(0, 0), 1).Face()
+    face.edges.name = "rim"
+    return Mesh(occ.OCCGeometry(face, dim=2).GenerateMesh(maxh=0.5)).Curve(3)
+
+
+def test_a_curved_wall_is_not_axis_parallel() -> None:
+    assert axis_parallel_walls(disc()) == ([[], []], ["rim"])
+
+
+def test_one_name_for_walls_of_two_directions_is_not_axis_parallel() -> None:
+    assert axis_parallel_walls(named_square(("all", "all", "all", "all"))) == ([[], []], ["all"])
+
+
+def test_a_curved_wall_has_no_constraint_of_components() -> None:
+    with pytest.raises(MeshError, match="'rim' is not normal to an axis"):
+        slip_constraints(disc())
+
+
+def test_unknown_boundary_name_raises_with_the_nearest() -> None:
+    with pytest.raises(UnknownNameError, match="unknown boundary 'lfet'; did you mean 'left'") as error:
+        check_boundary_names(box((1, 1), 1.0), ["top", "lfet"])
+    assert error.value.name == "lfet" and "bottom" in error.value.known
+    check_boundary_names(box((1, 1), 1.0), ["top", "left"])
+
+
+# --- meshes ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        lambda: box((1, 1), 0.5),
+        lambda: box((1, 1, 1), 1.0),
+        disc,
+        lambda: Mesh(occ.OCCGeometry(occ.Sphere(occ.Pnt(0, 0, 0), 1)).GenerateMesh(maxh=1.0)).Curve(2),
+        lambda: MakeStructured2DMesh(quads=True, nx=2, ny=2),
+        lambda: MakeStructured3DMesh(hexes=True, nx=2),
+        lambda: MakeStructured3DMesh(prism=True, nx=1),
+        lambda: MakeStructured2DMesh(quads=False, nx=3, ny=3, periodic_x=True),
+    ],
+    ids=["box", "box3d", "disc", "sphere", "quads", "hexes", "prisms", "periodic"],
+)
+def test_sound_meshes_pass(mesh) -> None:
+    check_mesh(mesh())
+
+
+SQUARE = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
+RIM = [(0, 1), (1, 2), (2, 3), (3, 0)]
+
+
+@pytest.mark.parametrize("corners", [[(0, 1, 2), (0, 2, 3)], [(0, 1, 2), (0, 3, 2)], [(0, 2, 1), (0, 3, 2)]])
+def test_the_order_of_a_cell_s_vertices_does_not_matter(corners: list[tuple[int, ...]]) -> None:
+    check_mesh(cells(SQUARE, corners, RIM))
+
+
+def test_a_folded_mesh_is_refused() -> None:
+    """The second triangle lies inside the first; both have positive volume."""
+    points = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.2, 0.2)]
+    mesh = cells(points, [(0, 1, 2), (1, 3, 2)], [(0, 1), (2, 0), (1, 3), (3, 2)])
+    with pytest.raises(MeshError, match="cells on one side only"):
+        check_mesh(mesh)
+
+
+def test_an_inverted_tetrahedron_is_refused() -> None:
+    netgen_mesh = MakeStructured3DMesh(hexes=False, nx=2, ny=2, nz=2).ngmesh
+    inner = [p for p in netgen_mesh.Points() if max(abs(c - 0.5) for c in p.p) < 1e-9]
+    assert len(inner) == 1
+    inner[0][0] = 1.4  # through the wall at x = 1
+    with pytest.raises(MeshError, match="cells on one side only"):
+        check_mesh(Mesh(netgen_mesh))
+
+
+def test_a_quadrilateral_with_a_reentrant_corner_is_refused() -> None:
+    mesh = cells([(0, 0), (1, 0), (0.2, 0.2), (0, 1)], [(0, 1, 2, 3)], RIM)
+    with pytest.raises(MeshError, match="element 0 is inverted or flat"):
+        check_mesh(mesh)
+
+
+def test_a_flat_cell_is_refused() -> None:
+    points = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.5)]
+    mesh = cells(points, [(0, 1, 2), (1, 3, 2)], [(0, 1), (2, 0), (1, 3), (3, 2)])
+    with pytest.raises(MeshError, match="element 1 is inverted or flat"):
+        check_mesh(mesh)
+
+
+def test_a_mesh_without_walls_is_refused() -> None:
+    """Facets that belong to one cell and to no boundary: mass would leave through them."""
+    with pytest.raises(MeshError, match="lacks a boundary element"):
+        check_mesh(cells(SQUARE, [(0, 1, 2), (0, 2, 3)]))
+
+
+def test_a_surface_mesh_is_refused() -> None:
+    geometry = occ.OCCGeometry(occ.Box(occ.Pnt(0, 0, 0), occ.Pnt(1, 1, 1)))
+    mesh = Mesh(geometry.GenerateMesh(maxh=1.0, perfstepsend=MeshingStep.MESHSURFACE))
+    assert mesh.dim == 3
+    with pytest.raises(MeshError, match="no volume elements"):
+        check_mesh(mesh)
+
+
+def test_a_one_dimensional_mesh_is_refused() -> None:
+    with pytest.raises(MeshError, match="dimension 1: expected 2"):
+        check_mesh(Make1DMesh(3))
+
+
+def test_constants_are_integrated_over_the_right_walls() -> None:
+    """The wall x = 0 of a 1 x 2 box has length 2: names and geometry belong together."""
+    from ngsolve import BND, Integrate
+
+    mesh = box((1, 2), 1.0)
+    assert Integrate(CF(1.0), mesh, BND, definedon=mesh.Boundaries("left")) == pytest.approx(2.0)
+    assert Integrate(CF(1.0), mesh, BND, definedon=mesh.Boundaries("top")) == pytest.approx(1.0)
