@@ -5,7 +5,9 @@ contraction of the last increment, theta = |d_{i+1}|/|d_i|, is worse than ``refr
 increments come from the factorisation at hand.  Damping is the natural monotonicity test of affine
 invariant Newton methods: a step of length lambda is taken when the next increment by the same
 factorisation is shorter by the factor 1 - lambda/4.  The test is invariant under scaling of the
-equations, so residuals in different units are never compared.
+equations, so residuals in different units are never compared.  Both increments are measured by the same
+scales, the larger of those before and after the step: a step that is far too long would otherwise
+pass the test because it makes the scale grow.
 
 Norm.  |d| = max over the blocks v, rho, z of |d_block|_2 / scale_block, in coefficients, with
 scale_v = |v|_2 + f sqrt(n) h/tau, scale_rho = |rho|_2, scale_z = |z|_2 + f sqrt(n), where n is the
@@ -132,13 +134,15 @@ class BlockNorm:
     def __init__(self, ranges: Mapping[str, slice], units: dict[str, float]) -> None:
         self.ranges, self.units = ranges, units
 
-    def __call__(self, increment: BaseVector, state: BaseVector, coarse: bool = False) -> float:
-        d, u = increment.FV().NumPy(), state.FV().NumPy()
+    def __call__(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> float:
+        """|increment| with the scales of the largest of ``states`` in each block."""
+        d = increment.FV().NumPy()
         floor = self.COARSE if coarse else self.FINE
         sizes = []
         for name, size in self.units.items():
             where = self.ranges[name]
-            scale = np.linalg.norm(u[where]) + floor * size * np.sqrt(where.stop - where.start)
+            largest = max(np.linalg.norm(u.FV().NumPy()[where]) for u in states)
+            scale = largest + floor * size * np.sqrt(where.stop - where.start)
             sizes.append(np.linalg.norm(d[where]) / scale if scale > 0 else 0.0)
         # numpy's maximum passes NaN on, Python's may drop it
         return float(np.max(sizes))
@@ -176,18 +180,19 @@ class Newton:
         history: list[NewtonIteration] = []
         options, u, jacobian = self.options, self.state, self.jacobian
         fresh = self._start(history)
-        damping = 1.0
+        damping, reason = 1.0, "too many iterations"
         while len(history) < options.max_iterations:
-            size = self.norm(self._increment, u)
             self._base.data = u
             u.data -= damping * self._increment
             self.eliminate()
             self.form.Apply(u, self._trial_residual)
-            next_size = np.inf
+            size = self.norm(self._increment, self._base, u)
+            next_size = contraction = np.inf
             if np.isfinite(self._trial_residual.Norm()):
                 jacobian.solve(self._trial_residual, self._next)
                 next_size = self.norm(self._next, u)
-            contraction = next_size / size if size > 0 else 0.0
+                # NaN where an increment is not finite, which passes no test below
+                contraction = self.norm(self._next, self._base, u) / size if size != 0 else 0.0
             history.append(NewtonIteration(size, contraction, damping, fresh))
             stalled = fresh and contraction > options.refresh
             if damping == 1.0 and (next_size <= options.tolerance or (stalled and self._is_rounding())):
@@ -203,6 +208,7 @@ class Newton:
                 elif damping > options.min_damping:
                     damping /= 2
                 else:
+                    reason = "no step length reduces the increment"
                     break
                 continue
             self._residual.data = self._trial_residual
@@ -212,7 +218,6 @@ class Newton:
                 self._increment.data = self._next
                 fresh = False
             damping = min(1.0, 2 * damping)
-        reason = "no step length reduces the increment" if fresh else "too many iterations"
         last = history[-1].increment if history else np.inf
         raise StepError(
             f"Newton did not converge ({reason}; {len(history)} iterations, last increment "
