@@ -1,0 +1,192 @@
+"""Newton's iteration on small problems, its norm, and the condensed solve."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from ngsolve import H1, BilinearForm, CoefficientFunction, GridFunction, atan, dx, exp, grad
+from support import Case, random_direction, randomise, step_of, uncondensed
+
+from ngvisco import NewtonOptions, StepError
+from ngvisco.forms.system import Step
+from ngvisco.geometries import box
+from ngvisco.solver.newton import BlockNorm, CondensedJacobian, Newton
+
+SPACE = H1(box((1, 1), 0.7), order=2)
+
+
+def newton(start: float, equation, diffusion: float = 1e-2, **options) -> tuple[Newton, GridFunction]:
+    """equation(u) = diffusion Laplace u with natural conditions: u constant where equation(u) = 0."""
+    u, v = SPACE.TnT()
+    form = BilinearForm(SPACE, condense=True)
+    form += equation(u) * v * dx + diffusion * grad(u) * grad(v) * dx
+    state = GridFunction(SPACE)
+    state.Set(start)
+    norm = BlockNorm({"u": slice(0, SPACE.ndof)}, {"u": 1.0})
+    return Newton(form, state.vec, norm, lambda: None, NewtonOptions(**options)), state
+
+
+def arc(u: CoefficientFunction) -> CoefficientFunction:
+    return atan(u - 1)
+
+
+def spread(state: GridFunction, value: float) -> float:
+    constant = GridFunction(SPACE)
+    constant.Set(value)
+    return float(np.abs(state.vec.FV().NumPy() - constant.vec.FV().NumPy()).max())
+
+
+@pytest.mark.parametrize("start", [1.5, 3.0, 10.0, 100.0, -40.0])
+def test_damping_converges_from_far_away(start: float) -> None:
+    """Plain Newton for atan diverges beyond |u - 1| = 1.39; steps that overshoot are halved."""
+    solver, state = newton(start, arc)
+    history = solver.solve()
+    assert spread(state, 1.0) < 1e-8
+    assert (min(line.damping for line in history) < 1) == (abs(start - 1) > 1.4)
+
+
+def test_undamped_iteration_would_diverge() -> None:
+    """Negative control: with full steps only, the same start fails."""
+    solver, _ = newton(10.0, arc, min_damping=0.99)
+    with pytest.raises(StepError, match="no step length reduces the increment"):
+        solver.solve()
+
+
+def test_accepted_steps_are_monotone() -> None:
+    """A step of length lambda is kept only if the next increment is shorter by 1 - lambda/4."""
+    solver, _ = newton(100.0, arc)
+    history = solver.solve()
+    rejected = 0
+    for line, following in itertools.pairwise(history):
+        if line.contraction <= 1 - line.damping / 4:
+            assert following.damping == min(1.0, 2 * line.damping)
+        else:
+            rejected += 1
+            assert following.damping == line.damping / 2
+    assert rejected > 3
+    assert history[-1].damping == 1.0
+
+
+def test_factorisation_is_kept_while_it_contracts() -> None:
+    solver, _ = newton(1.2, arc)
+    history = solver.solve()
+    assert [line.fresh_jacobian for line in history].count(True) <= 2 < len(history)
+    assert solver.solve()[0].fresh_jacobian is False
+    solver.jacobian.forget()
+    assert solver.solve()[0].fresh_jacobian is True
+
+
+def test_tolerance_is_met_in_the_stated_norm() -> None:
+    for tolerance in (1e-4, 1e-10):
+        solver, state = newton(1.3, arc, tolerance=tolerance)
+        history = solver.solve()
+        assert history[-1].increment * history[-1].contraction <= tolerance
+        assert history[-2].increment * history[-2].contraction > tolerance
+        assert spread(state, 1.0) < tolerance
+
+
+@pytest.mark.parametrize(
+    "equation, start, reason",
+    [
+        (lambda u: u * u - 1, 0.0, "no factorisation"),  # the Jacobian 2u vanishes
+        (lambda u: u * u + 1, 0.3, "did not converge"),  # no root
+        (lambda u: exp(u), 0.0, "did not converge"),  # root at minus infinity
+        (lambda u: u * math.nan, 0.0, "not finite"),
+    ],
+    ids=["singular", "no root", "root at infinity", "NaN"],
+)
+def test_failure_is_a_typed_error_with_history(equation, start: float, reason: str, capfd) -> None:
+    solver, _ = newton(start, equation, diffusion=0.0, max_iterations=25)
+    with pytest.raises(StepError, match=reason) as error:
+        solver.solve()
+    lines = error.value.history
+    assert isinstance(lines, tuple) and len(lines) <= 25
+    assert bool(lines) == (reason == "did not converge")
+    assert all(math.isfinite(line.increment) for line in lines)
+    capfd.readouterr()  # UMFPACK announces a singular matrix on its own
+
+
+def test_too_many_iterations_says_so() -> None:
+    solver, _ = newton(1.9, arc, max_iterations=2)
+    with pytest.raises(StepError, match="too many iterations; 2 iterations") as error:
+        solver.solve()
+    assert len(error.value.history) == 2
+
+
+# --- the norm ----------------------------------------------------------------------------------------
+
+
+def vectors(*arrays: list[float]):
+    space = H1(box((1, 1), 2.0), order=1)  # four coefficients
+    result = []
+    for array in arrays:
+        vector = GridFunction(space).vec.CreateVector()
+        vector.FV().NumPy()[:] = array
+        result.append(vector)
+    return result
+
+
+BLOCKS = BlockNorm({"v": slice(0, 2), "z": slice(2, 4), "ignored": slice(0, 4)}, {"v": 1.0, "z": 5.0})
+
+
+def test_norm_is_the_largest_block_s_relative_size() -> None:
+    increment, state = vectors([0.3, 0.4, 0.0, 0.1], [3.0, 4.0, 0.0, 10.0])
+    assert BLOCKS(increment, state) == pytest.approx(0.1, rel=1e-6)
+    state.FV().NumPy()[:2] *= 100
+    assert BLOCKS(increment, state) == pytest.approx(0.01, rel=1e-6)
+
+
+def test_norm_near_zero_is_that_of_the_floor() -> None:
+    increment, state = vectors([0.0, 0.0, 0.3, 0.4], [1.0, 1.0, 0.0, 0.0])
+    assert BLOCKS(increment, state) == pytest.approx(0.5 / (1e-9 * 5 * math.sqrt(2)))
+    assert BLOCKS(increment, state, coarse=True) == pytest.approx(0.5 / (1e-3 * 5 * math.sqrt(2)))
+
+
+def test_norm_takes_the_larger_scale_of_two_states() -> None:
+    increment, small, large = vectors([1.0, 0, 0, 0], [1.0, 0, 1, 0], [10.0, 0, 1, 0])
+    assert BLOCKS(increment, small, large) == BLOCKS(increment, large) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("where", range(4))
+def test_norm_of_nan_is_nan(where: int) -> None:
+    """In whichever block it sits: Python's max would drop the second."""
+    increment, state = vectors([0.1, 0.1, 0.1, 0.1], [1.0, 1.0, 1.0, 1.0])
+    increment.FV().NumPy()[where] = math.nan
+    assert math.isnan(BLOCKS(increment, state))
+
+
+# --- static condensation -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case(),
+        Case(k=3, m=2, p=3.5, mu_1=0.3),
+        Case(material="linear", m=0, p=2.0),
+        Case(p=None),
+        Case(dim=3, material="linear"),
+    ],
+    ids=str,
+)
+def test_condensed_solve_solves_the_full_system(case: Case) -> None:
+    """The increment equals that of the uncondensed matrix, and its image is the right-hand side."""
+    step: Step = step_of(case)
+    randomise(step, 12)
+    right = random_direction(step, 13)
+    condensed = CondensedJacobian(step.residual, "umfpack")
+    condensed.factorise(step.state.vec)
+    increment, expected, image = (step.state.vec.CreateVector() for _ in range(3))
+    condensed.solve(right, increment)
+    form = uncondensed(step)
+    form.AssembleLinearization(step.state.vec)
+    expected.data = form.mat.Inverse(step.layout.space.FreeDofs(), inverse="umfpack") * right
+    size = np.abs(expected.FV().NumPy()).max()
+    assert size > 1e-3
+    assert np.abs(increment.FV().NumPy() - expected.FV().NumPy()).max() < 1e-8 * size
+    image.data = form.mat * increment - right
+    free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
+    assert np.abs(image.FV().NumPy()[free]).max() < 1e-9 * max(1.0, size)
