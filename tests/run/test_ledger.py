@@ -1,0 +1,344 @@
+"""The energy ledger: every entry is its form's power, and all together close to rounding."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from ngsolve import CF, Id, OuterProduct, cos, pi, sin, x, y
+from support import Case, parts_of, randomise, residual, small_box, step_of, uncondensed
+
+from ngvisco import (
+    Creep,
+    Gravity,
+    HyperViscosity,
+    Initial,
+    Model,
+    NewtonOptions,
+    Simulation,
+    StokesViscosity,
+    time,
+)
+from ngvisco.forms.context import Entry, Integrand
+from ngvisco.forms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.initial import _recover_hessian
+from ngvisco.forms.momentum import Convection, Inertia, Loading, Stokes
+from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.system import Step
+from ngvisco.forms.transport import ElasticForce, Kinematics
+from ngvisco.geometries import box
+from ngvisco.run.ledger import unit
+
+CASES = [
+    Case(),
+    Case(k=3, m=2, p=3.5, mu_1=0.3),
+    Case(m=0, p=2.0),
+    Case(material="linear", p=None),
+    Case(material="hardening", m=2, creep=False),
+    Case(dim=3),
+    Case(dim=3, material="linear", m=0, p=3.5, mu_1=0.3),
+]
+by_case = pytest.mark.parametrize("case", CASES, ids=str)
+COLUMNS = (
+    *("step", "time", "dt", "kinetic", "stored", "closure", "closure_relative", "mass", "mass_drift"),
+    *("rho_min", "rho_max", "J_min", "newton_iterations", "cfl"),
+)
+
+
+# --- entries against forms ---------------------------------------------------------------------------
+
+
+def random_step(case: Case, seed: int) -> Step:
+    """Random fields with consistent local unknowns."""
+    step = step_of(case)
+    randomise(step, seed)
+    make_consistent(step)
+    return step
+
+
+def make_consistent(step: Step) -> None:
+    for term in step.terms:
+        if isinstance(term, Hyperviscosity):
+            _recover_hessian(step, term)
+            if term.law.is_linear:
+                parts = parts_of(step)
+                parts["hyperstress"].vec.data = (term.law.mu + term.law.mu_1) * parts["hess"].vec
+    step.eliminate()
+
+
+def own_test(step: Step) -> np.ndarray:
+    """The test function of the energy balance: w = v with its trace a, G = zeta."""
+    state, test = step.state.vec.FV().NumPy(), np.zeros(step.layout.space.ndof)
+    ranges = step.layout.ranges
+    for name in step.layout.names:
+        if name == "v" or name.startswith("a_"):
+            test[ranges[name]] = state[ranges[name]]
+    test[ranges["z"]] = state[ranges["zeta"]]
+    return test
+
+
+def power(step: Step, *terms: type) -> float:
+    trial, test = step.layout.space.TnT()
+    u, w = step.layout.fields(trial), step.layout.fields(test)
+    parts = [part for term in step.terms if isinstance(term, terms) for part in term.form(u, w)]
+    return float(residual(uncondensed(step, parts), step.state.vec) @ own_test(step))
+
+
+def entered(step: Step, *terms: type) -> dict[str, float]:
+    totals = {}
+    for term in step.terms:
+        if isinstance(term, terms):
+            for entry in term.entries(step.now):
+                totals[entry.name] = integral(step, entry.integrand)
+    return totals
+
+
+def integral(step: Step, integrand: Integrand) -> float:
+    total = 0.0
+    if integrand.cells is not None:
+        total += step.quadrature.integrate_cells(integrand.cells)
+    if integrand.facets is not None:
+        total += step.quadrature.integrate_facets(integrand.facets)
+    return total
+
+
+@by_case
+def test_dissipations_are_the_powers_of_their_forms(case: Case) -> None:
+    step = random_step(case, 1)
+    for term in (Stokes, Hyperviscosity):
+        entries = entered(step, term)
+        assert (term is Hyperviscosity and case.p is None) or all(e > 0 for e in entries.values())
+        assert sum(entries.values()) == pytest.approx(power(step, term), rel=1e-12)
+
+
+@by_case
+def test_load_powers_are_those_of_their_forms(case: Case) -> None:
+    step = random_step(case, 2)
+    entries = entered(step, Loading)
+    assert set(entries) == {"power_gravity", "power_body_force"}
+    assert sum(entries.values()) == pytest.approx(-power(step, Loading), rel=1e-12)
+
+
+@by_case
+def test_convection_has_neither_power_nor_entry(case: Case) -> None:
+    step = random_step(case, 3)
+    assert entered(step, Convection) == {}
+    assert power(step, Convection) == pytest.approx(0, abs=1e-14)
+
+
+@by_case
+def test_kinematic_entries_complete_the_change_of_stored_energy(case: Case) -> None:
+    """tau <kinematics + elastic force, (v, zeta)> = stored - stored_old + bregman + tau creep."""
+    step = random_step(case, 4)
+    tau, material = step.context.tau.Get(), step.model.material
+    entries = entered(step, Kinematics)
+    stored, stored_old = (
+        step.quadrature.integrate_cells(material.energy(u.z_tensors)) for u in (step.now, step.old)
+    )
+    expected = stored - stored_old + entries["bregman"] + tau * entries.get("dissipation_creep", 0.0)
+    assert ("dissipation_creep" in entries) == case.creep
+    assert entries["bregman"] > 0
+    assert tau * power(step, Kinematics, ElasticForce) == pytest.approx(expected, rel=1e-11)
+
+
+@by_case
+def test_closure_is_the_residual_tested_by_the_solution(case: Case) -> None:
+    """For any state, converged or not: closure = tau <R(u), (v, zeta)>; so it is zero for a solution."""
+    run = Simulation(
+        small_box(case.dim), case.model, dt=0.3, discretisation=Discretisation(k=case.k, m=case.m)
+    )
+    step = run.rothe_step
+    step.context.eta.Set(0.3)
+    step.context.curvature.Set(0.2)
+    step.context.tau.Set(0.3)
+    step.context.t_old.Set(0.2)
+    randomise(step, 5)
+    new = step.state.vec.CreateVector()
+    new.data = step.state.vec
+    step.state.vec.data = step.state_old.vec
+    run.ledger.start(0.2)
+    step.state.vec.data = new
+    make_consistent(step)
+    row = run.ledger.record(1, 0.5, 0.3, 7)
+    tested = 0.3 * float(residual(uncondensed(step), step.state.vec) @ own_test(step))
+    assert abs(tested) > 1e-3
+    assert row["closure"] == pytest.approx(tested, rel=1e-10)
+    assert row["newton_iterations"] == 7 and set(COLUMNS) <= set(row)
+
+
+# --- runs --------------------------------------------------------------------------------------------
+
+
+def swirl(dim: int) -> tuple:
+    v = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+    return v if dim == 2 else (*v, CF(0.0))
+
+
+def run_of(
+    dim: int,
+    material: str,
+    *,
+    tau: float = 0.05,
+    creep: bool = True,
+    loaded: bool = True,
+    tolerance: float = 1e-12,
+) -> Simulation:
+    g = (0.5 * sin(20 * time), -1.0 - time, 0.3)[:dim]
+    model = Model(
+        material=Case(material=material).model.material,
+        viscosity=StokesViscosity(K_v=0.02, G_v=0.01),
+        hyperviscosity=HyperViscosity(mu=1e-3, p=4),
+        creep=Creep(G_m=2.0) if creep else None,
+        loads=(Gravity(g),) if loaded else (),
+    )
+    mesh = box((1, 1), 0.6) if dim == 2 else small_box(3)
+    F = Id(3) + 0.1 * x * y * OuterProduct(CF((1, 0.5, 0)), CF((0, 1, 0)))
+    initial = Initial(density=1 + 0.3 * x, velocity=swirl(dim), F=F)
+    return Simulation(mesh, model, dt=tau, initial=initial, newton=NewtonOptions(tolerance=tolerance))
+
+
+@pytest.mark.parametrize(
+    "dim, material, creep",
+    [
+        *(
+            (2, material, creep)
+            for material in ("linear", "neo_hookean", "hardening")
+            for creep in (True, False)
+        ),
+        (3, "linear", True),
+        (3, "neo_hookean", True),
+    ],
+)
+def test_ledger_closes_to_rounding(dim: int, material: str, creep: bool) -> None:
+    """With gravity that changes in time; every entry at work."""
+    run = run_of(dim, material, creep=creep)
+    ledger = run.run(until=(4 if dim == 2 else 2) * run.dt)
+    rows = ledger.rows[1:]
+    assert max(abs(row["closure_relative"]) for row in rows) <= 1e-12
+    assert max(abs(row["mass_drift"]) for row in rows) <= 1e-13
+    for row in rows:
+        assert row["rho_min"] > 0
+        assert row["inertial"] > 0 and row["bregman"] > 0
+        assert abs(row["power_gravity"]) > 1e-4
+        for name in ledger.columns:
+            if name.startswith("dissipation_"):
+                assert row[name] > 0
+    assert ("dissipation_creep" in ledger.columns) == creep
+    assert set(COLUMNS) <= set(ledger.columns)
+
+
+@pytest.mark.parametrize(
+    "dim, material, factor",
+    [
+        *((2, material, factor) for material in ("linear", "neo_hookean") for factor in (1, 10, 100)),
+        *((3, material, factor) for material in ("linear", "neo_hookean") for factor in (1, 100)),
+    ],
+)
+def test_energy_never_rises_without_load(dim: int, material: str, factor: int) -> None:
+    """Whatever the step (the paper's unconditional stability)."""
+    run = run_of(dim, material, tau=0.05 * factor, loaded=False)
+    ledger = run.run(until=(3 if dim == 2 else 2) * run.dt)
+    energy = ledger.column("kinetic") + ledger.column("stored")
+    assert np.all(np.diff(energy) < 0)
+    assert abs(ledger.column("closure_relative")).max() <= 1e-12
+    assert abs(ledger.column("mass_drift")).max() <= 1e-13
+
+
+def scaled(entries: Callable[..., list[Entry]], name: str, factor: float) -> Callable[..., list[Entry]]:
+    def broken(self, u) -> list[Entry]:
+        result = []
+        for entry in entries(self, u):
+            part = entry.integrand
+            if entry.name == name:
+                part = Integrand(
+                    None if part.cells is None else factor * part.cells,
+                    None if part.facets is None else factor * part.facets,
+                )
+            result.append(Entry(entry.name, entry.kind, part))
+        return result
+
+    return broken
+
+
+BROKEN = {
+    "inertial": (Inertia, 2.0),  # without its factor 1/2
+    "bregman": (Kinematics, 1.01),
+    "dissipation_creep": (Kinematics, 0.99),
+    "dissipation_stokes_bulk": (Stokes, 1.01),
+    "dissipation_stokes_shear": (Stokes, 0.5),
+    "dissipation_hyper": (Hyperviscosity, 1.01),
+    "power_gravity": (Loading, -1.0),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_wrong_entry_opens_the_ledger(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Negative control: each entry is needed, with its factor, for the closure to be rounding."""
+    term, factor = BROKEN[name]
+    monkeypatch.setattr(term, "entries", scaled(term.entries, name, factor))
+    row = run_of(2, "neo_hookean").advance()
+    assert abs(row["closure_relative"]) > 1e-8
+
+
+def test_a_gravity_frozen_in_the_form_opens_the_ledger(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Negative control: the ledger's power must be averaged over the step like the force."""
+    plain = Loading.entries
+
+    def at_the_end(self, u) -> list[Entry]:
+        average = Loading._average
+        monkeypatch.setattr(Loading, "_average", lambda self, value: value)
+        entries = plain(self, u)
+        monkeypatch.setattr(Loading, "_average", average)
+        return entries
+
+    monkeypatch.setattr(Loading, "entries", at_the_end)
+    assert abs(run_of(2, "linear").advance()["closure_relative"]) > 1e-6
+
+
+# --- the other columns ---------------------------------------------------------------------------------
+
+
+def test_extrema_of_density_and_jacobian_are_those_of_the_fields() -> None:
+    stretch = CF((1 + 0.5 * x, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
+    material = Case().model.material
+    initial = Initial(density=2 - y, F=stretch)
+    run = Simulation(box((1, 1), 0.5), Model(material=material), dt=0.1, initial=initial)
+    row = run.ledger.start(0.0)
+    assert row["rho_min"] == pytest.approx(1.0) and row["rho_max"] == pytest.approx(2.0)
+    assert row["J_min"] == pytest.approx(1.0)
+    assert row["mass"] == pytest.approx(1.5)
+    assert row["J_defect"] == pytest.approx(0.0, abs=1e-13)
+
+
+def test_jacobian_defect_is_the_norm_of_j_minus_det_f() -> None:
+    initial = Initial(F=1.1 * Id(3), values={"J": 1.1**3 + 0.2})
+    run = Simulation(box((1, 2), 0.7), Model(material=Case().model.material), dt=0.1, initial=initial)
+    row = run.ledger.start(0.0)
+    assert row["J_defect"] == pytest.approx(0.2 * 2**0.5)
+    assert row["J_min"] == pytest.approx(1.1**3 + 0.2)
+
+
+def test_linearised_material_has_no_jacobian() -> None:
+    run = Simulation(box((1, 1), 0.7), Model(material=Case(material="linear").model.material), dt=0.1)
+    row = run.ledger.start(0.0)
+    assert np.isnan(row["J_min"]) and np.isnan(row["J_defect"])
+
+
+def test_speed_and_cfl_number() -> None:
+    mesh = box((1, 1), 0.5)
+    run = Simulation(mesh, Model(material=Case().model.material), dt=0.1)
+    parts_of(run.rothe_step)["v"].Set(CF((3, 4)))
+    run.ledger.start(0.0)
+    row = run.ledger.record(1, 0.1, 0.1, 1)
+    assert row["v_max"] == pytest.approx(5.0)
+    assert row["cfl"] == pytest.approx(0.5 / min(run.rothe_step.context.h.vec))
+    assert row["kinetic"] == pytest.approx(12.5)
+
+
+def test_columns_have_units() -> None:
+    ledger = run_of(2, "neo_hookean").ledger
+    units = {name: unit(name) for name in ledger.columns}
+    assert units["kinetic"] == units["bregman"] == units["closure"] == "J"
+    assert units["power_gravity"] == units["dissipation_hyper"] == "W"
+    assert units["mass"] == "kg" and units["cfl"] == units["mass_drift"] == "1"

@@ -1,0 +1,122 @@
+"""A Rothe step: solved from a rough start, or the old state with a typed error."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ngsolve import CF, Id, IfPos, OuterProduct, cos, pi, sin, x, y
+from support import MATERIALS
+
+from ngvisco import (
+    HyperViscosity,
+    Initial,
+    Model,
+    NewtonOptions,
+    Simulation,
+    StepError,
+    StokesViscosity,
+    time,
+)
+from ngvisco.geometries import box
+
+SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+JUMP = Id(3) + IfPos(x - 0.4, 0.4, -0.2) * OuterProduct(CF((1, 0, 0)), CF((0.3, 1, 0)))
+
+
+def simulation(material: str = "neo_hookean", speed: float = 1.0, F=None, dt: float = 0.05, **options):
+    model = Model(
+        material=MATERIALS[material],
+        viscosity=StokesViscosity(K_v=0.01, G_v=0.01),
+        hyperviscosity=HyperViscosity(mu=1e-3, p=4),
+    )
+    velocity = tuple(speed * component for component in SWIRL)
+    return Simulation(box((1, 1), 0.5), model, dt=dt, initial=Initial(velocity=velocity, F=F), **options)
+
+
+def state(run: Simulation) -> np.ndarray:
+    return run.rothe_step.state.vec.FV().NumPy().copy()
+
+
+@pytest.mark.parametrize("material", ["linear", "neo_hookean"])
+def test_first_step_from_a_rough_start_converges(material: str) -> None:
+    """A distortion with jumps inside cells, and a velocity that crosses more than a cell in the step."""
+    run = simulation(material, speed=10.0, F=JUMP)
+    assert run.ledger.start(0.0)["v_max"] * run.dt > min(run.rothe_step.context.h.vec)
+    row = run.advance()
+    assert abs(row["closure_relative"]) < 1e-10
+    assert row["rho_min"] > 0
+
+
+def test_failed_step_restores_the_state_bitwise() -> None:
+    run = simulation(newton=NewtonOptions(max_iterations=2))
+    run.ledger.start(0.0)
+    before = state(run)
+    with pytest.raises(StepError, match=r"step of length 0\.05 s from t = 0 s.*too many iterations") as error:
+        run.advance()
+    assert np.array_equal(state(run), before)
+    assert np.array_equal(run.rothe_step.state_old.vec.FV().NumPy(), before)
+    assert (run.t, run.number, time.Get()) == (0.0, 0, 0.0)
+    assert len(run.ledger.rows) == 1
+    # all attempts are in the history: the step itself and those with shorter steps
+    assert len(error.value.history) > 4
+    assert all(line.increment > 0 for line in error.value.history)
+
+
+def test_step_after_a_failure_equals_one_without() -> None:
+    """Nothing of the failed attempt stays: not in the state, the time, the step length or the matrix."""
+    clean, failed = simulation(), simulation()
+    for run in (clean, failed):
+        run.advance()
+    sound = failed.solver.newton.options
+    failed.solver.newton.options = NewtonOptions(max_iterations=2, tolerance=1e-14)
+    with pytest.raises(StepError):
+        failed.advance()
+    assert (failed.t, time.Get()) == (0.05, 0.05)
+    failed.solver.newton.options = sound
+    clean.solver.forget()
+    rows = [run.advance() for run in (clean, failed)]
+    assert np.array_equal(state(clean), state(failed))
+    assert rows[0] == rows[1] or {k for k in rows[0] if rows[0][k] != rows[1][k]} <= {"J_min", "J_defect"}
+
+
+def test_solution_with_a_defect_is_not_accepted() -> None:
+    """What solves the equations but has rho or J <= 0 somewhere is no step."""
+    run = simulation()
+    before = state(run)
+    run.solver._defect = lambda: "rho is not positive (minimum -1.000e-03)"
+    with pytest.raises(StepError, match=r"rho is not positive .*take a smaller step"):
+        run.advance()
+    assert np.array_equal(state(run), before)
+
+
+def test_interrupt_inside_a_step_restores_the_state() -> None:
+    """Not only our own errors: no exception may leave an iterate behind as if it were a state."""
+    run = simulation()
+    run.advance()
+    before = state(run)
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    run.solver._defect = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        run.advance()
+    assert np.array_equal(state(run), before)
+    assert (run.t, time.Get()) == (0.05, 0.05)
+
+
+def test_body_that_starts_at_rest_stays_bitwise_at_rest() -> None:
+    """The uniform state solves the step: one evaluation, no velocity out of rounding."""
+    run = simulation(speed=0.0)
+    row = run.advance()
+    assert row["v_max"] < 1e-12
+    assert row["kinetic"] < 1e-24
+    assert abs(row["stored"] - run.ledger.rows[0]["stored"]) < 1e-13
+
+
+def test_change_of_the_step_length_assembles_anew() -> None:
+    run = simulation()
+    run.advance()
+    assert run.solver.newton.jacobian.exists
+    history = run.solver.advance(run.t, 0.02)
+    assert history[0].fresh_jacobian
