@@ -127,7 +127,7 @@ PARAMETERS = {
             (
                 "Model.loads",
                 lambda v: Model(material=LINEAR, loads=v),
-                (9.81, (9.81,)),
+                (9.81,),
                 "Gravity or BodyForce",
             ),
             ("Gravity.g", lambda v: loaded(Gravity(v))(), ((0, 0, -1), (1,)), "a vector of length 2, not"),
