@@ -6,13 +6,16 @@ import math
 
 import numpy as np
 import pytest
+from cases import KINDS
 from manufactured import RateTable
-from ngsolve import CF, BilinearForm, GridFunction, y
+from ngsolve import CF, BilinearForm, GridFunction, x, y
 from problems import PartialLayout
 
 from ngvisco import (
     Creep,
     Discretisation,
+    Gravity,
+    HyperViscosity,
     Initial,
     LinearElastic,
     Model,
@@ -77,6 +80,62 @@ def test_maxwell_relaxation_converges_to_the_exponential() -> None:
     errors = [abs(relaxed_stress(**units, steps=n)[-1] - exact) / exact for n in steps]
     table = RateTable("Maxwell relaxation", [1 / n for n in steps], {"stress": errors})
     table.require(stress=0.95)
+
+
+def driven_run(kind: str, length: float, density: float, seconds: float) -> Simulation:
+    """Three steps of a block under gravity, all data given as multiples of these three units."""
+    stress = density * (length / seconds) ** 2
+    K_e, G_e = 2.0 * stress, 1.0 * stress
+    linear = LinearElastic(K_e=K_e, G_e=G_e)
+    model = Model(
+        material=linear if kind == "linear" else NeoHookean(K_e=K_e, G_e=G_e, epsilon=0.1 * stress),
+        viscosity=StokesViscosity(K_v=0.2 * stress * seconds, G_v=0.3 * stress * seconds),
+        # mu |hess v|^4 is a power per volume
+        hyperviscosity=HyperViscosity(mu=1e-3 * stress * seconds**3 * length**4, p=4.0),
+        creep=Creep(G_m=2.0 * stress * seconds),
+        loads=(Gravity((0.3 * length / seconds**2, -0.8 * length / seconds**2)),),
+    )
+    rho_0 = density * (1 + 0.3 * x / length)
+    simulation = Simulation(
+        box((length, length), 0.5 * length), model, dt=0.1 * seconds, initial=Initial(density=rho_0)
+    )
+    simulation.run(0.3 * seconds)
+    return simulation
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_runs_do_not_depend_on_the_units(kind: str) -> None:
+    """Once in units of one, once for a block of rock of 100 km in SI units."""
+    length, density, seconds = 1e5, 3300.0, 57.0
+    one, rock = driven_run(kind, 1.0, 1.0, 1.0), driven_run(kind, length, density, seconds)
+    for name, unit in {"velocity": length / seconds, "density": density}.items():
+        for point in [(0.2, 0.3), (0.7, 0.6)]:
+            here = np.array(one.fields[name](one.mesh(*point)))
+            there = np.array(rock.fields[name](rock.mesh(*(length * s for s in point)))) / unit
+            assert np.allclose(here, there, rtol=1e-8, atol=1e-10)
+    assert abs(rock.ledger.column("closure_relative")).max() <= 1e-10
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_creeping_rock_in_si_units_keeps_its_ledger_and_its_upwinding(kind: str) -> None:
+    """100 km of rock, 1e22 Pa s, 1,000 years a step: 1e-8 m/s, 1e-11 of what free fall would be."""
+    linear = LinearElastic(K_e=2e10, G_e=1e10)
+    model = Model(
+        material=linear if kind == "linear" else NeoHookean(K_e=2e10, G_e=1e10, epsilon=1e9),
+        viscosity=StokesViscosity(K_v=1e19, G_v=1e19),
+        creep=Creep(G_m=2e22),
+        loads=(Gravity((0.0, -9.81)),),
+    )
+    initial = Initial(density=3300 * (1 - 0.1 * x / 1e5))
+    simulation = Simulation(box((1e5, 1e5), 5e4), model, dt=1e-3 * MYR, initial=initial)
+    simulation.run(3e-3 * MYR)
+    ledger = simulation.ledger
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert abs(ledger.column("mass_drift")).max() <= 1e-12
+    # with the width of free fall, 0.1 m/s, jumps of density would be spread over the whole block
+    width = simulation.rothe_step.context.eta.Get()
+    assert width * simulation.dt <= 2e-4 * 1e5
+    assert width <= 0.1 * ledger.column("v_max").max()
 
 
 MODULUS = VISCOSITY = 100.0
