@@ -205,6 +205,8 @@ def _solve_blocks(step: Step, mass: BilinearForm, load: LinearForm, names: list[
     free.Clear()
     for name in names:
         free[step.layout.ranges[name]] = True
+    # a refined mesh keeps the coarse facets, whose coefficients belong to no cell
+    free &= step.layout.space.FreeDofs()
     solution = GridFunction(step.layout.space)
     solution.vec.data = mass.mat.Inverse(free, inverse="umfpack") * load.vec
     for name in names:

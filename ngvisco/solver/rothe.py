@@ -12,6 +12,13 @@ from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
 from ngvisco.solver.newton import BlockNorm, Newton, NewtonIteration, NewtonOptions
 
+SOFTENING = (100.0, 10.0, 1.0)
+"""Widths of the smoothed upwinding, in units of the scheme's, solved in turn for start values.
+
+Where v.n changes sign on a facet within the step, the elastic force jumps by [z]:[zeta] across that
+width: the sharp problem can have a fold between the old state and the solution, the soft one has none.
+"""
+
 MAX_CONTINUATION = 20
 """Shorter steps tried for start values, when tau itself does not converge from the old state."""
 
@@ -39,7 +46,7 @@ class RotheSolver:
         Raises
         ------
         StepError
-            When Newton or the positivity of rho and J fails, with the continuation in tau too; both
+            When Newton or the positivity of rho and J fails, with both continuations too; both
             grid functions then hold the old state.
         """
         step = self.step
@@ -49,10 +56,12 @@ class RotheSolver:
             self._last_tau = tau
         history: list[NewtonIteration] = []
         try:
-            try:
-                return self._solve(t_old, tau)
-            except StepError as error:
-                history += error.history
+            for solve in (self._solve_directly, self._soften):
+                try:
+                    solve(t_old, tau, history)
+                    return history
+                except StepError:
+                    self._restore(step.state_old.vec)
             self._continue(t_old, tau, history)
             return history
         except BaseException as error:  # also an interrupt: never leave an iterate behind
@@ -61,6 +70,26 @@ class RotheSolver:
             if isinstance(error, StepError):
                 raise StepError(f"step of length {tau:g} s from t = {t_old:g} s: {error}", history) from error
             raise
+
+    def _solve_directly(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
+        """Solve the step from the present state, and record the iterations, also failed ones."""
+        try:
+            history += self._solve(t_old, tau)
+        except StepError as error:
+            history += error.history
+            raise
+
+    def _soften(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
+        """Solve the step with wide upwinding and narrow it to the scheme's."""
+        eta = self.step.context.eta
+        width = eta.Get()
+        try:
+            for factor in SOFTENING:
+                eta.Set(factor * width)
+                self.forget()
+                self._solve_directly(t_old, tau, history)
+        finally:
+            eta.Set(width)
 
     def _continue(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
         """Solve steps of growing length from t_old, each the start value of the next, up to tau."""

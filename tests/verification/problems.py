@@ -1,0 +1,127 @@
+"""Single equations of a step, with the other unknowns given; and sequences of meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from manufactured import Exact
+from ngsolve import BilinearForm, CoefficientFunction, FESpace, GridFunction, Integrate, Mesh
+
+from ngvisco import Discretisation, Model, NewtonOptions, time
+from ngvisco.forms import walls
+from ngvisco.forms.context import Context, Entry, Integrand, Term
+from ngvisco.forms.elimination import Elimination
+from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.spaces import Fields, Layout
+from ngvisco.geometries import box
+from ngvisco.physics.tensors import square
+from ngvisco.solver.newton import BlockNorm, Newton
+
+ERROR_ORDER = 12
+
+
+def refinements(dim: int, maxh: float, levels: int) -> Iterator[tuple[float, Mesh]]:
+    """The unstructured mesh of the unit box and its uniform refinements, each with its cell size."""
+    mesh = box((1.0,) * dim, maxh)
+    for level in range(levels):
+        if level:
+            mesh.Refine()
+        yield maxh / 2**level, mesh
+
+
+def distance(f: CoefficientFunction, g: CoefficientFunction, mesh: Mesh) -> float:
+    """L2 norm of f - g."""
+    return float(Integrate(square(f - g), mesh, order=ERROR_ORDER)) ** 0.5
+
+
+class PartialLayout(Layout):
+    """Some of a step's blocks; the other fields are given functions."""
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        model: Model,
+        discretisation: Discretisation,
+        names: Sequence[str],
+    ) -> None:
+        super().__init__(mesh, model, discretisation, walls.slip_constraints(mesh))
+        self.blocks = {name: space for name, space in self.blocks.items() if name in names}
+        self.names = tuple(self.blocks)
+        self.space = FESpace(list(self.blocks.values()))
+        ranges = [self.space.Range(i) for i in range(len(self.names))]
+        self.ranges = {n: slice(r.start, r.stop) for n, r in zip(self.names, ranges, strict=True)}
+
+    def with_given(self, parts: Sequence[Any], exact: Exact | None) -> Fields:
+        """Fields of this layout's blocks, completed by the exact ones."""
+        fields = self.fields(parts)
+        if exact is not None:
+            for name in ("v", "rho", "z"):
+                if name not in self.names:
+                    fields.parts[name] = getattr(exact, name)
+            if "v" not in self.names:
+                fields.grad_v = exact.grad_v
+        return fields
+
+
+class Source:
+    """A load -int s . w of a partial system, given as integrands of the test functions."""
+
+    def __init__(self, integrands: Callable[[Fields], list[Integrand]]) -> None:
+        self.integrands = integrands
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        return self.integrands(w)
+
+    def entries(self, u: Fields) -> list[Entry]:
+        return []
+
+
+class Problem:
+    """Rothe steps of some of the equations."""
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        model: Model,
+        discretisation: Discretisation,
+        names: Sequence[str],
+        terms: Callable[[Context], Sequence[Term]],
+        tau: float,
+        given: bool = True,
+    ) -> None:
+        """``terms`` makes the equations' terms; fields not in ``names`` are the exact ones if ``given``."""
+        self.mesh, self.tau = mesh, tau
+        self.layout = layout = PartialLayout(mesh, model, discretisation, names)
+        self.state, self.state_old = GridFunction(layout.space), GridFunction(layout.space)
+        new = Exact(model, mesh.dim, time) if given else None
+        old = Exact(model, mesh.dim, time - tau) if given else None
+        self.now = layout.with_given(self.state.components, new)
+        self.context = Context(mesh, layout.with_given(self.state_old.components, old))
+        self.context.tau.Set(tau)
+        self.context.eta.Set(1e-4)
+        self.quadrature = Quadrature.for_orders(mesh, discretisation.k, discretisation.m)
+        self.terms = tuple(terms(self.context))
+        trial, test = layout.space.TnT()
+        u, w = layout.with_given(trial, new), layout.fields(test)
+        form = BilinearForm(layout.space, condense=True)
+        for term in self.terms:
+            for part in term.form(u, w):
+                if part.cells is not None:
+                    form += part.cells.Compile() * self.quadrature.cells
+                if part.facets is not None:
+                    form += part.facets.Compile() * self.quadrature.facets
+        eliminate = Elimination(layout, self.state, self.quadrature, self.terms)
+        norm = BlockNorm(layout.ranges, dict.fromkeys(set(layout.names) & {"v", "rho", "z"}, 1.0))
+        self.newton = Newton(form, self.state.vec, norm, eliminate, NewtonOptions())
+
+    def set(self, name: str, value: CoefficientFunction) -> None:
+        """Start value of a block."""
+        self.state.components[self.layout.names.index(name)].Set(value)
+
+    def advance(self, t_old: float) -> None:
+        """One step from t_old; with terms without a time derivative, their stationary problem."""
+        self.state_old.vec.data = self.state.vec
+        self.context.t_old.Set(t_old)
+        time.Set(t_old + self.tau)
+        self.newton.solve()

@@ -1,0 +1,74 @@
+"""The whole system with creep, gravity and viscosity, without and with hyperviscosity."""
+
+from __future__ import annotations
+
+import pytest
+from cases import KINDS, model
+from manufactured import Exact, RateTable, Sources
+from problems import distance, refinements
+
+from ngvisco import Discretisation, Initial, Simulation, time
+
+TAU, STEPS = 0.05, 2
+
+
+def coupled_rates(
+    kind: str, dim: int, p: float | None, k: int, m: int, maxh: float, levels: int
+) -> RateTable:
+    system = model(kind, dim, p)
+    table = RateTable(f"coupled, {kind}, {dim}D, p = {p}, k = {k}, m = {m}")
+    for h, mesh in refinements(dim, maxh, levels):
+        time.Set(0.0)
+        exact = Exact(system, dim, time)
+        simulation = Simulation(
+            mesh,
+            system,
+            dt=TAU,
+            initial=Initial(density=exact.rho, velocity=exact.v, values=exact.values),
+            discretisation=Discretisation(k=k, m=m),
+            sources=Sources(system, dim, TAU),
+        )
+        for _ in range(STEPS):
+            simulation.advance()
+        u = simulation.rothe_step.now
+        table.add(
+            h,
+            v=distance(u.v, exact.v, mesh),
+            rho=distance(u.rho, exact.rho, mesh),
+            z=distance(u.z, exact.z, mesh),
+        )
+    return table
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_coupled_rates_without_hyperviscosity_are_k_plus_1_and_m_plus_1(kind: str) -> None:
+    coupled_rates(kind, 2, None, 2, 1, 0.4, 3).require(v=2.7, rho=1.85, z=1.85)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_coupled_rates_with_hyperviscosity_are_2_for_k_2(kind: str) -> None:
+    coupled_rates(kind, 2, 4.0, 2, 1, 0.4, 3).require(v=1.7, rho=1.75, z=1.75)
+
+
+@pytest.mark.long  # half a minute to two minutes each
+@pytest.mark.parametrize(
+    ("p", "k", "m", "least"),
+    [
+        (2.0, 2, 1, {"v": 1.7, "rho": 1.75, "z": 1.75}),
+        (None, 3, 2, {"v": 3.5, "rho": 2.7, "z": 2.7}),
+        (2.0, 3, 2, {"v": 3.4, "rho": 2.7, "z": 2.7}),
+        (4.0, 3, 2, {"v": 2.9, "rho": 2.35, "z": 2.5}),
+    ],
+)
+@pytest.mark.parametrize("kind", KINDS)
+def test_coupled_rates_of_higher_order(
+    kind: str, p: float | None, k: int, m: int, least: dict[str, float]
+) -> None:
+    coupled_rates(kind, 2, p, k, m, 0.4, 3).require(**least)
+
+
+@pytest.mark.long  # two to ten minutes each
+@pytest.mark.parametrize("p", [None, 4.0])
+@pytest.mark.parametrize("kind", KINDS)
+def test_coupled_rates_in_3d_on_small_meshes(kind: str, p: float | None) -> None:
+    coupled_rates(kind, 3, p, 2, 1, 1.0, 2).require(v=1.5, rho=1.5, z=1.5)

@@ -1,0 +1,214 @@
+"""Reference solutions: relaxation of a Maxwell body, Zaremba-Jaumann shear, neo-Hookean shear."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from cases import KINDS
+from manufactured import RateTable
+from ngsolve import CF, BilinearForm, GridFunction, x, y
+from problems import PartialLayout
+
+from ngvisco import (
+    Creep,
+    Discretisation,
+    Gravity,
+    HyperViscosity,
+    Initial,
+    LinearElastic,
+    Model,
+    NeoHookean,
+    Simulation,
+    StokesViscosity,
+)
+from ngvisco.forms.context import Context
+from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.transport import Conjugates, Kinematics, UpwindTrace
+from ngvisco.geometries import box
+from ngvisco.physics.material import tensors_of
+from ngvisco.solver.newton import CondensedJacobian
+
+MYR = 1e6 * 365.25 * 24 * 3600
+
+
+def relaxed_stress(
+    G: float, eta: float, tau_0: float, duration: float, steps: int, size: float, rho: float
+) -> list[float]:
+    """dev S_11 after every step in a box with slip, v = 0, from the uniform deviator diag(1, -1, 0) tau_0."""
+    E_0 = CF((1, 0, 0, 0, -1, 0, 0, 0, 0), dims=(3, 3)) * (tau_0 / (2 * G))
+    model = Model(
+        material=LinearElastic(K_e=2 * G, G_e=G),
+        viscosity=StokesViscosity(K_v=0.1 * eta, G_v=0.1 * eta),
+        creep=Creep.from_reciprocal(1 / (2 * eta)),
+    )
+    mesh = box((size, size), 0.6 * size)
+    initial = Initial(density=rho, values={"E": E_0})
+    simulation = Simulation(mesh, model, dt=duration / steps, initial=initial)
+    E = simulation.fields["E"]
+    stresses = []
+    for _ in range(steps):
+        row = simulation.advance()
+        assert abs(row["closure_relative"]) <= 1e-10
+        points = [(0.2 * size, 0.3 * size), (0.8 * size, 0.6 * size)]
+        values = [2 * G * E(mesh(*point))[0] for point in points]
+        assert values[0] == pytest.approx(values[1], rel=1e-11)
+        stresses.append(values[0])
+    return stresses
+
+
+SCALED = {"G": 1.0, "eta": 1.0, "tau_0": 2e-3, "duration": 7.9, "size": 1.0, "rho": 1.0}
+SI = {"G": 1e10, "eta": 1e22, "tau_0": 20e6, "duration": 0.25 * MYR, "size": 100e3, "rho": 3300.0}
+
+
+@pytest.mark.parametrize("units", [SCALED, SI], ids=["scaled", "SI"])
+def test_maxwell_relaxation_is_that_of_the_implicit_euler_formula(units: dict[str, float]) -> None:
+    steps = 10
+    stresses = relaxed_stress(**units, steps=steps)
+    decay = 1 / (1 + units["duration"] / steps * units["G"] / units["eta"])
+    exact = units["tau_0"] * decay ** np.arange(1, steps + 1)
+    assert np.allclose(stresses, exact, rtol=1e-10, atol=0)
+
+
+def test_maxwell_relaxation_converges_to_the_exponential() -> None:
+    """20 MPa fall to 7.49 kPa in 250 kyr (ASPECT, viscoelastic_relaxation); here an eighth of that time."""
+    assert 20e6 * math.exp(-SI["G"] * SI["duration"] / SI["eta"]) == pytest.approx(7.49e3, rel=1e-3)
+    units = {**SI, "duration": SI["duration"] / 8}
+    exact = units["tau_0"] * math.exp(-units["G"] * units["duration"] / units["eta"])
+    steps = [8, 16, 32]
+    errors = [abs(relaxed_stress(**units, steps=n)[-1] - exact) / exact for n in steps]
+    table = RateTable("Maxwell relaxation", [1 / n for n in steps], {"stress": errors})
+    table.require(stress=0.95)
+
+
+def driven_run(kind: str, length: float, density: float, seconds: float) -> Simulation:
+    """Three steps of a block under gravity, all data given as multiples of these three units."""
+    stress = density * (length / seconds) ** 2
+    K_e, G_e = 2.0 * stress, 1.0 * stress
+    linear = LinearElastic(K_e=K_e, G_e=G_e)
+    model = Model(
+        material=linear if kind == "linear" else NeoHookean(K_e=K_e, G_e=G_e, epsilon=0.1 * stress),
+        viscosity=StokesViscosity(K_v=0.2 * stress * seconds, G_v=0.3 * stress * seconds),
+        # mu |hess v|^4 is a power per volume
+        hyperviscosity=HyperViscosity(mu=1e-3 * stress * seconds**3 * length**4, p=4.0),
+        creep=Creep(G_m=2.0 * stress * seconds),
+        loads=(Gravity((0.3 * length / seconds**2, -0.8 * length / seconds**2)),),
+    )
+    rho_0 = density * (1 + 0.3 * x / length)
+    simulation = Simulation(
+        box((length, length), 0.5 * length), model, dt=0.1 * seconds, initial=Initial(density=rho_0)
+    )
+    simulation.run(0.3 * seconds)
+    return simulation
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_runs_do_not_depend_on_the_units(kind: str) -> None:
+    """Once in units of one, once for a block of rock of 100 km in SI units."""
+    length, density, seconds = 1e5, 3300.0, 57.0
+    one, rock = driven_run(kind, 1.0, 1.0, 1.0), driven_run(kind, length, density, seconds)
+    for name, unit in {"velocity": length / seconds, "density": density}.items():
+        for point in [(0.2, 0.3), (0.7, 0.6)]:
+            here = np.array(one.fields[name](one.mesh(*point)))
+            there = np.array(rock.fields[name](rock.mesh(*(length * s for s in point)))) / unit
+            assert np.allclose(here, there, rtol=1e-8, atol=1e-10)
+    assert abs(rock.ledger.column("closure_relative")).max() <= 1e-10
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_creeping_rock_in_si_units_keeps_its_ledger_and_its_upwinding(kind: str) -> None:
+    """100 km of rock, 1e22 Pa s, 1,000 years a step: 1e-8 m/s, 1e-11 of what free fall would be."""
+    linear = LinearElastic(K_e=2e10, G_e=1e10)
+    model = Model(
+        material=linear if kind == "linear" else NeoHookean(K_e=2e10, G_e=1e10, epsilon=1e9),
+        viscosity=StokesViscosity(K_v=1e19, G_v=1e19),
+        creep=Creep(G_m=2e22),
+        loads=(Gravity((0.0, -9.81)),),
+    )
+    initial = Initial(density=3300 * (1 - 0.1 * x / 1e5))
+    simulation = Simulation(box((1e5, 1e5), 5e4), model, dt=1e-3 * MYR, initial=initial)
+    simulation.run(3e-3 * MYR)
+    ledger = simulation.ledger
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert abs(ledger.column("mass_drift")).max() <= 1e-12
+    # with the width of free fall, 0.1 m/s, jumps of density would be spread over the whole block
+    width = simulation.rothe_step.context.eta.Get()
+    assert width * simulation.dt <= 2e-4 * 1e5
+    assert width <= 0.1 * ledger.column("v_max").max()
+
+
+MODULUS = VISCOSITY = 100.0
+SHEAR_RATE = 0.3
+SHEAR_TABLE = {0.25: (6.630142, 0.238383), 1.0: (18.747691, 2.362833)}
+"""(tau_12, tau_11) at t of Farrington et al. 2014 (ASPECT, simple_shear)."""
+
+
+def zaremba_jaumann_shear(duration: float, steps: int) -> tuple[float, float]:
+    """(tau_12, tau_11) of the discrete kinematic equation with creep, for the given v = (0.3 y, 0).
+
+    On a box with slip this velocity is no solution of the whole problem, so only the package's
+    equations of E, its conjugates and its traces are solved; uniform E stays uniform.
+    """
+    model = Model(
+        material=LinearElastic(K_e=MODULUS, G_e=MODULUS),
+        creep=Creep.from_reciprocal(1 / (2 * VISCOSITY)),
+    )
+    mesh = box((1, 1), 1.5)
+    layout = PartialLayout(mesh, model, Discretisation(m=1), ("z", "zeta", "z_hat"))
+    state, state_old = GridFunction(layout.space), GridFunction(layout.space)
+    context = Context(mesh, layout.fields(state_old.components))
+    context.tau.Set(duration / steps)
+    trial, test = layout.space.TnT()
+    u, w = layout.fields(trial), layout.fields(test)
+    u.parts["v"] = CF((SHEAR_RATE * y, 0))
+    u.grad_v = CF((0, SHEAR_RATE, 0, 0), dims=(2, 2))
+    quadrature = Quadrature.for_orders(mesh, 2, 1)
+    form = BilinearForm(layout.space, condense=True)
+    for term in (Kinematics(model, context), Conjugates(model, context), UpwindTrace(model, context)):
+        for part in term.form(u, w):
+            if part.cells is not None:
+                form += part.cells * quadrature.cells
+            if part.facets is not None:
+                form += part.facets * quadrature.facets
+    jacobian = CondensedJacobian(form, "umfpack")  # the equations are linear and never change
+    jacobian.factorise(state.vec)
+    residual, increment = state.vec.CreateVector(), state.vec.CreateVector()
+    for _ in range(steps):
+        state_old.vec.data = state.vec
+        form.Apply(state.vec, residual)
+        jacobian.solve(residual, increment)
+        state.vec.data -= increment
+    E = tensors_of(model.material, layout.fields(state.components).z, 2)["E"]
+    here, there = (np.array(E(mesh(*point))).reshape(3, 3) for point in [(0.2, 0.1), (0.7, 0.8)])
+    assert np.allclose(here, there, rtol=0, atol=1e-12)
+    return 2 * MODULUS * here[0, 1], 2 * MODULUS * here[0, 0]
+
+
+@pytest.mark.parametrize("t", SHEAR_TABLE)
+def test_zaremba_jaumann_shear_converges_to_the_table(t: float) -> None:
+    steps = [20, 40, 80, 160]
+    results = np.array([zaremba_jaumann_shear(t, n) for n in steps])
+    errors = abs(results - np.array(SHEAR_TABLE[t]))
+    table = RateTable(
+        f"Zaremba-Jaumann shear, t = {t}",
+        [t / n for n in steps],
+        {"tau_12": list(errors[:, 0]), "tau_11": list(errors[:, 1])},
+    )
+    table.require(tau_12=0.95, tau_11=0.95)
+    extrapolated = 2 * results[-1] - results[-2]
+    assert extrapolated == pytest.approx(SHEAR_TABLE[t], rel=2e-5), table
+
+
+def test_neo_hookean_shear_stress_is_twice_G_gamma() -> None:
+    """The paper's G_e is half the usual shear modulus: T_12 = 2 G_e gamma for F = I + gamma e1 x e2."""
+    G_e, gamma = 0.7, 0.3
+    F_0 = CF((1, gamma, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
+    for dim in (2, 3):
+        mesh = box((1.0,) * dim, 1.0)
+        model = Model(material=NeoHookean(K_e=3.0, G_e=G_e, epsilon=0.2))
+        simulation = Simulation(mesh, model, dt=0.1, initial=Initial(F=F_0))
+        T = np.array(simulation.fields["cauchy_stress"](mesh(*[0.3] * dim))).reshape(3, 3)
+        assert T[0, 1] == pytest.approx(2 * G_e * gamma, rel=1e-12)
+        assert T[1, 0] == pytest.approx(2 * G_e * gamma, rel=1e-12)
+        assert T[0, 0] - T[1, 1] == pytest.approx(2 * G_e * gamma**2, rel=1e-12)
