@@ -24,12 +24,20 @@ from ngvisco.errors import (
 from ngvisco.forms.context import time
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import (
+    BarotropicFluid,
     CustomMaterial,
+    HardeningElastic,
+    IsochoricNeoHookean,
     IsotropicStrainEnergy,
     LinearElastic,
+    LogarithmicNeoHookean,
+    MooneyRivlin,
     NeoHookean,
+    ReferentialMooneyRivlin,
+    ReferentialNeoHookean,
 )
 from ngvisco.physics.model import BodyForce, Gravity, Model
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
@@ -64,33 +72,43 @@ def _find_geometries() -> None:
 _find_geometries()
 
 __all__ = [
+    "BarotropicFluid",
     "BodyForce",
     "CheckpointError",
     "Checkpoints",
+    "ConvexityReport",
+    "ConvexityWarning",
     "Creep",
     "CustomMaterial",
     "Discretisation",
     "Gravity",
+    "HardeningElastic",
     "HyperViscosity",
     "Initial",
     "InitialDataError",
+    "IsochoricNeoHookean",
     "IsotropicStrainEnergy",
     "LedgerCSV",
     "LinearElastic",
+    "LogarithmicNeoHookean",
     "Material",
     "MeshError",
     "Model",
+    "MooneyRivlin",
     "NeoHookean",
     "NewtonOptions",
     "NgviscoError",
     "Observer",
     "ParameterError",
     "Progress",
+    "ReferentialMooneyRivlin",
+    "ReferentialNeoHookean",
     "Simulation",
     "StepError",
     "StokesViscosity",
     "UnknownNameError",
     "VTKSeries",
+    "check_convexity",
     "plot_energies",
     "plot_fields",
     "read_ledger",

@@ -21,6 +21,8 @@ from ngvisco.forms.momentum import Loading
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
+from ngvisco.physics.convexity import check_convexity
+from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
@@ -86,6 +88,8 @@ class Simulation:
             raise ParameterError("Simulation.dt", dt, "a finite number > 0")
         if velocity_scale is not None and not (_is_number(velocity_scale) and velocity_scale > 0):
             raise ParameterError("Simulation.velocity_scale", velocity_scale, "a number > 0")
+        if isinstance(model.material, (CustomMaterial, IsotropicStrainEnergy)):
+            check_convexity(model.material, dim=mesh.dim)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.rothe_step = Step(mesh, model, discretisation, sources)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
