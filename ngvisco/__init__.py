@@ -38,8 +38,10 @@ from ngvisco.physics.materials import (
     NeoHookean,
     ReferentialMooneyRivlin,
     ReferentialNeoHookean,
+    WithQuadratic,
 )
 from ngvisco.physics.model import BodyForce, Gravity, Model
+from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
@@ -103,11 +105,13 @@ __all__ = [
     "Progress",
     "ReferentialMooneyRivlin",
     "ReferentialNeoHookean",
+    "Regularisation",
     "Simulation",
     "StepError",
     "StokesViscosity",
     "UnknownNameError",
     "VTKSeries",
+    "WithQuadratic",
     "check_convexity",
     "plot_energies",
     "plot_fields",

@@ -28,6 +28,7 @@ from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
 from ngvisco.run.fields import output_fields
 from ngvisco.run.ledger import Ledger
+from ngvisco.run.passive import PassiveFields
 from ngvisco.solver.newton import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
 
@@ -64,6 +65,8 @@ class Simulation:
         largest of max |v_0|, sqrt(diameter |force|/rho) and sqrt(2 max |phi(z_0) - phi(rest)| / min rho_0).
     sources : Term, optional
         A further term of the system, for manufactured solutions.
+    passive : sequence of str
+        Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
 
     Raises
     ------
@@ -83,6 +86,7 @@ class Simulation:
         observers: Sequence[Observer] = (),
         velocity_scale: float | None = None,
         sources: Term | None = None,
+        passive: Sequence[str] = (),
     ) -> None:
         if not (_is_number(dt) and dt > 0):
             raise ParameterError("Simulation.dt", dt, "a finite number > 0")
@@ -103,6 +107,7 @@ class Simulation:
         positive = {v.name: u.z_tensors[v.name] for v in variables if v.is_positive}
         self._positive_names = ("rho", *positive)
         self._positive_values = CF((u.rho, *positive.values()))
+        self.passive = PassiveFields(self.rothe_step, passive)
         self.wall_time = 0.0
 
     def set_velocity_scale(self, scale: float) -> None:
@@ -131,9 +136,10 @@ class Simulation:
         """Velocity, density, the material's variables and stresses at the present time.
 
         ``velocity`` has the mesh's dimension, tensors are 3x3; ``cauchy_stress`` is the elastic one,
-        T of the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all Pa.
+        T of the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all Pa.  The passive
+        fields of the run follow under their names.
         """
-        return output_fields(self.rothe_step)
+        return {**output_fields(self.rothe_step), **self.passive.fields}
 
     def advance(self) -> dict[str, float]:
         """One Rothe step of length dt; returns its ledger row.
@@ -152,6 +158,7 @@ class Simulation:
             # (n + 1) dt, not a running sum: times are the same in a restarted run
             new_time = (self.number + 1) * self.dt
             row = self.ledger.record(self.number + 1, new_time, self.dt, len(history))
+            self.passive.advance(self.dt)
             self.t, self.number = new_time, self.number + 1
             self.wall_time += clock.perf_counter() - began
             return row

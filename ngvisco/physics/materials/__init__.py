@@ -11,6 +11,7 @@ from ngvisco.physics.materials.referential import (
     LogarithmicNeoHookean,
     ReferentialNeoHookean,
 )
+from ngvisco.physics.materials.regularised import WithQuadratic
 
 __all__ = [
     "BarotropicFluid",
@@ -24,6 +25,7 @@ __all__ = [
     "NeoHookean",
     "ReferentialMooneyRivlin",
     "ReferentialNeoHookean",
+    "WithQuadratic",
     "examples",
     "table",
 ]
