@@ -11,8 +11,8 @@ Euler-large-viscoelastodyn+disc for F, J, ...):
     conjugates           zeta - phi'(z)                                           = 0
     upwind traces        z_hat - z on the outflow side                            = 0
 
-with Pi = R M the creep rate, or its own equation where nu > 0, and the regularising terms if asked for.  ``Step`` owns the spaces, the fields and the compiled forms; it knows
-no solver and no time loop.
+with Pi = R M the creep rate, or its own equation where nu > 0, and the regularising terms if asked for.
+``Step`` owns the spaces, the fields and the compiled forms; it knows no solver and no time loop.
 """
 
 from __future__ import annotations

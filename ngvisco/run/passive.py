@@ -29,7 +29,7 @@ from ngsolve import (
     IfPos,
     LinearForm,
     Parameter,
-    VectorValued,
+    VectorL2,
     dx,
     specialcf,
     sqrt,
@@ -70,8 +70,8 @@ class PassiveFields:
         self.tau = Parameter(1.0)
         self._v = step.now.v
         dim, order = step.mesh.dim, max(1, step.discretisation.m)
-        scalar = L2(step.mesh, order=order)
-        vector = VectorValued(L2(step.mesh, order=order), dim)
+        scalar = L2(step.mesh, order=order, dgjumps=True)
+        vector = VectorL2(step.mesh, order=order, dgjumps=True)
         self._parts: dict[str, GridFunction] = {}
         self._sources: dict[str, CoefficientFunction] = {}
         self._solvers: dict[str, _Carrier] = {}
