@@ -24,14 +24,24 @@ from ngvisco.errors import (
 from ngvisco.forms.context import time
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import (
+    BarotropicFluid,
     CustomMaterial,
+    HardeningElastic,
+    IsochoricNeoHookean,
     IsotropicStrainEnergy,
     LinearElastic,
+    LogarithmicNeoHookean,
+    MooneyRivlin,
     NeoHookean,
+    ReferentialMooneyRivlin,
+    ReferentialNeoHookean,
+    WithQuadratic,
 )
 from ngvisco.physics.model import BodyForce, Gravity, Model
+from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
@@ -64,33 +74,45 @@ def _find_geometries() -> None:
 _find_geometries()
 
 __all__ = [
+    "BarotropicFluid",
     "BodyForce",
     "CheckpointError",
     "Checkpoints",
+    "ConvexityReport",
+    "ConvexityWarning",
     "Creep",
     "CustomMaterial",
     "Discretisation",
     "Gravity",
+    "HardeningElastic",
     "HyperViscosity",
     "Initial",
     "InitialDataError",
+    "IsochoricNeoHookean",
     "IsotropicStrainEnergy",
     "LedgerCSV",
     "LinearElastic",
+    "LogarithmicNeoHookean",
     "Material",
     "MeshError",
     "Model",
+    "MooneyRivlin",
     "NeoHookean",
     "NewtonOptions",
     "NgviscoError",
     "Observer",
     "ParameterError",
     "Progress",
+    "ReferentialMooneyRivlin",
+    "ReferentialNeoHookean",
+    "Regularisation",
     "Simulation",
     "StepError",
     "StokesViscosity",
     "UnknownNameError",
     "VTKSeries",
+    "WithQuadratic",
+    "check_convexity",
     "plot_energies",
     "plot_fields",
     "read_ledger",

@@ -43,7 +43,7 @@ def negative(integrands: Sequence[Integrand]) -> list[Integrand]:
     return [-integrand for integrand in integrands]
 
 
-Kind = Literal["dissipation", "power", "numerical"]
+Kind = Literal["dissipation", "power", "numerical", "monitor"]
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Entry:
     """A column of the ledger: a dissipation or power (W), or a numerical dissipation (J a step).
 
     ``integrand`` is evaluated at the new state; dissipations and numerical ones enter the energy
-    identity with +, powers with -.
+    identity with +, powers with -, monitors not at all.
     """
 
     name: str

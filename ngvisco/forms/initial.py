@@ -172,6 +172,11 @@ def _mean_traces(step: Step) -> None:
     mass += inner(u.z_hat, w.z_hat) * measure
     load += inner(now.z, w.z_hat) * measure
     names = ["rho_hat", "z_hat"]
+    for name, value in (("rho_delta_hat", now.rho), ("z_delta_hat", now.z)):
+        if name in step.layout.names:
+            mass += inner(u.parts[name], w.parts[name]) * measure
+            load += inner(value, w.parts[name]) * measure
+            names.append(name)
     if step.model.hyperviscosity is not None:
         n = step.context.normal
         mass += inner(u.normal_derivative, w.normal_derivative) * measure

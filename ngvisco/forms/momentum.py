@@ -19,6 +19,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.context import Context, Entry, Integrand, time
 from ngvisco.forms.spaces import Fields
 from ngvisco.physics.model import Gravity, Load, as_vector
+from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import StokesViscosity
 from ngvisco.physics.tensors import inner, square, sym
 
@@ -26,7 +27,9 @@ from ngvisco.physics.tensors import inner, square, sym
 @dataclass(frozen=True)
 class Continuity:
     """int (rho - rho_old)/tau q - rho v . grad q + sum_K int_{dK} F_hat (q - q_hat) = 0
-    (paper: Euler-small-viscoelastodyn+0disc with delta = 0 and no cut-off).
+    (paper: Euler-small-viscoelastodyn+0disc; its delta-term is ``DensityDiffusion``).
+
+    With a cut-off, rho is K(rho) rho here and rho_hat its trace (not that of rho: K may vanish).
 
     F_hat = a^+ rho - a^- rho_hat with a = v.n and a^{+-} = (sqrt(a^2 + eta^2) +- a)/2 > 0.  The test q_hat
     makes the flux single-valued, i.e. rho_hat the upwind value n^+ rho_1 + n^- rho_2, a convex
@@ -34,14 +37,16 @@ class Continuity:
     """
 
     context: Context
+    regularisation: Regularisation | None = None
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
         c = self.context
+        carried = carried_density(u, self.regularisation)
         q, q_hat = w.rho, w.rho_hat
         storage = Integrand((u.rho - c.old.rho) / c.tau * q)
-        convection = Integrand(-u.rho * (u.v * w.grad_rho))
+        convection = Integrand(-carried * (u.v * w.grad_rho))
         a = c.normal_velocity(u.v)
-        flux = 0.5 * ((c.modulus(a) + a) * u.rho - (c.modulus(a) - a) * u.rho_hat)
+        flux = 0.5 * ((c.modulus(a) + a) * carried - (c.modulus(a) - a) * u.rho_hat)
         return [storage, convection, Integrand(facets=flux * (q - q_hat))]
 
     def entries(self, u: Fields) -> list[Entry]:
@@ -67,12 +72,20 @@ class Inertia:
 
 @dataclass(frozen=True)
 class Convection:
-    """1/2 m . [(L^T w) - (grad w)^T v] with m = rho v: powerless (paper: calculus-for-kinetic)."""
+    """1/2 m . [(L^T w) - (grad w)^T v] with m = rho v: powerless (paper: calculus-for-kinetic).
+
+    With regularisation m = K(rho) rho v + delta |grad rho|^{r-2} grad rho: the paper's compensating term
+    - delta |grad rho|^{r-2} (grad v) grad rho takes this shape when -1/2 v.w times the continuity equation
+    is added, and is powerless too.
+    """
 
     context: Context
+    regularisation: Regularisation | None = None
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        flux = u.rho * u.v
+        flux = carried_density(u, self.regularisation) * u.v
+        if self.regularisation is not None and self.regularisation.delta_density > 0:
+            flux = flux + self.regularisation.diffusivity(square(u.grad_rho)) * u.grad_rho
         return [
             Integrand(0.5 * inner(u.grad_v * flux, w.v)),
             Integrand(-0.5 * inner(w.grad_v * flux, u.v)),
@@ -80,6 +93,13 @@ class Convection:
 
     def entries(self, u: Fields) -> list[Entry]:
         return []
+
+
+def carried_density(u: Fields, regularisation: Regularisation | None) -> CoefficientFunction:
+    """K(rho) rho; rho itself without a cut-off."""
+    if regularisation is None or regularisation.rho_max is None:
+        return u.rho
+    return regularisation.cut_off(u.rho) * u.rho
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@
 | hess, hyperstress| P_{k-2}, symmetric in the last two indices        | local          |
 | rho, rho_hat     | discontinuous P_m, its trace on facets            | local, global  |
 | z, z_hat, zeta   | all transported components, trace, conjugates     | local, global  |
+| Pi               | creep rate where nu > 0, continuous P_max(1, m)   | global         |
+| rho_delta_hat, z_delta_hat | traces of the delta-regularisation      | global         |
 
 The local unknowns are condensed out cell by cell.
 """
@@ -21,6 +23,7 @@ from typing import Any
 import numpy as np
 from ngsolve import (
     CF,
+    H1,
     L2,
     CoefficientFunction,
     FacetFESpace,
@@ -33,10 +36,10 @@ from ngsolve import (
     specialcf,
 )
 
-from ngvisco.errors import require_choice
+from ngvisco.errors import ParameterError, require_choice
 from ngvisco.physics.material import component_count, tensors_of
 from ngvisco.physics.model import Model
-from ngvisco.physics.tensors import embed_gradient
+from ngvisco.physics.tensors import embed_gradient, trace_free_tensors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +97,20 @@ class Layout:
                 blocks["hyper_coefficient"] = L2(mesh, order=2 * k - 4)
             for i in range(dim):
                 blocks[f"a_{i + 1}"] = NormalFacetFESpace(mesh, order=k - 1)
+        if model.creep is not None and not model.creep.is_local:
+            blocks["Pi"] = VectorValued(H1(mesh, order=max(1, m)), trace_free_tensors(dim).size)
+        if model.regularisation is not None:
+            diffused = {"delta_density": model.regularisation.delta_density}
+            diffused["delta_fields"] = model.regularisation.delta_fields
+            for name, delta in diffused.items():
+                if delta > 0 and m == 0:
+                    raise ParameterError(
+                        f"Regularisation.{name}", delta, "0 with m = 0, which has no gradients"
+                    )
+            if model.regularisation.delta_density > 0:
+                blocks["rho_delta_hat"] = FacetFESpace(mesh, order=m)
+            if model.regularisation.delta_fields > 0:
+                blocks["z_delta_hat"] = VectorValued(FacetFESpace(mesh, order=m), components)
         self.blocks = blocks
         self.names = tuple(blocks)
         self.space = FESpace(list(blocks.values()))
@@ -176,6 +193,31 @@ class Fields:
     def zeta(self) -> CoefficientFunction:
         """Projected conjugates, components."""
         return self.parts["zeta"]
+
+    @cached_property
+    def grad_zeta(self) -> CoefficientFunction:
+        """Gradient of the conjugates' components, (components, dim)."""
+        return Grad(self.parts["zeta"])
+
+    @property
+    def rho_delta_hat(self) -> CoefficientFunction:
+        """Trace of rho in the delta-regularisation."""
+        return self.parts["rho_delta_hat"]
+
+    @property
+    def z_delta_hat(self) -> CoefficientFunction:
+        """Trace of z in the delta-regularisation."""
+        return self.parts["z_delta_hat"]
+
+    @cached_property
+    def Pi(self) -> CoefficientFunction:
+        """Creep rate, 3x3, symmetric and trace-free, 1/s (where nu > 0)."""
+        return trace_free_tensors(self.dim).tensor(self.parts["Pi"])
+
+    @cached_property
+    def grad_Pi(self) -> CoefficientFunction:
+        """Gradient of the creep rate's components, (components, dim), 1/(m s)."""
+        return Grad(self.parts["Pi"])
 
     @cached_property
     def z_tensors(self) -> dict[str, CoefficientFunction]:

@@ -11,8 +11,8 @@ Euler-large-viscoelastodyn+disc for F, J, ...):
     conjugates           zeta - phi'(z)                                           = 0
     upwind traces        z_hat - z on the outflow side                            = 0
 
-with Pi = R M the creep rate.  ``Step`` owns the spaces, the fields and the compiled forms; it knows
-no solver and no time loop.
+with Pi = R M the creep rate, or its own equation where nu > 0, and the regularising terms if asked for.
+``Step`` owns the spaces, the fields and the compiled forms; it knows no solver and no time loop.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ from ngsolve import BilinearForm, GridFunction, Mesh
 
 from ngvisco.forms import walls
 from ngvisco.forms.context import Context, Entry, Term
+from ngvisco.forms.creep import CreepRate
 from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Continuity, Convection, Inertia, Loading, Stokes
 from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.regularisation import regularising_terms
 from ngvisco.forms.spaces import Discretisation, Fields, Layout
 from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
 from ngvisco.physics.model import Model
@@ -68,9 +70,9 @@ class Step:
     def _terms(self, sources: Term | None) -> tuple[Term, ...]:
         model, context = self.model, self.context
         terms: list[Term] = [
-            Continuity(context),
+            Continuity(context, model.regularisation),
             Inertia(context),
-            Convection(context),
+            Convection(context, model.regularisation),
             ElasticForce(model, context),
         ]
         if model.viscosity is not None:
@@ -83,6 +85,9 @@ class Step:
             Conjugates(model, context),
             UpwindTrace(model, context),
         ]
+        if model.creep is not None and not model.creep.is_local:
+            terms.append(CreepRate(model, context))
+        terms += regularising_terms(model.regularisation, context)
         terms += walls.wall_terms(self.mesh, context)
         if sources is not None:
             terms.append(sources)

@@ -17,6 +17,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.context import Context, Entry, Integrand, negative
 from ngvisco.forms.spaces import Fields
 from ngvisco.physics.material import components_of, conjugates, mandel_stress
+from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner, square
 from ngvisco.physics.variables import Values
@@ -49,6 +50,17 @@ class Transport:
         upwind = Integrand(facets=-(w * c.normal) * c.inflow(v.v) * inner(z.z_hat - z.z, G))
         return [convection, *rates, upwind]
 
+    def mandel(self, u: Fields) -> CoefficientFunction:
+        """Mandel stress of the projected conjugates, 3x3, Pa."""
+        return mandel_stress(self.material, u.z_tensors, u.zeta_tensors, self.dim)
+
+    def creep_rate(self, u: Fields) -> CoefficientFunction | None:
+        """Pi, 3x3, 1/s: R M at every point or the field of its own; None without creep."""
+        creep = self.model.creep
+        if creep is None or creep.R == 0:
+            return None
+        return creep.R * self.mandel(u) if creep.is_local else u.Pi
+
 
 class Kinematics(Transport):
     """int (z - z_old)/tau : G - B_h(v; z, G) - int rate(z; 0, Pi) : G = 0  (paper: Euler-small-
@@ -56,7 +68,7 @@ class Kinematics(Transport):
 
     G is the test function of z in the discontinuous P_m.  Keeps: J untouched by creep, tr Pi = 0.
     With creep and nu = 0 the rate Pi = R M is pointwise, M the Mandel stress of the projected
-    conjugates, so that G = zeta gives the dissipation R |M|^2 = G_m |Pi|^2.
+    conjugates, so that G = zeta gives the dissipation R |M|^2 = G_m |Pi|^2; see ``CreepRate`` for nu > 0.
     """
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
@@ -67,18 +79,14 @@ class Kinematics(Transport):
 
     def _creep(self, u: Fields, G_tensors: Values) -> list[Integrand]:
         """int rate(z; 0, Pi) : G; the affine parts of a rate vanish at L = 0."""
-        if self.model.creep is None or self.model.creep.R == 0:
+        Pi = self.creep_rate(u)
+        if Pi is None:
             return []
-        Pi = self.model.creep.R * self.mandel(u)
         return [
             Integrand(inner(variable.rate(u.z_tensors, 0 * Pi, Pi), G_tensors[variable.name]))
             for variable in self.material.variables
             if variable.creeps
         ]
-
-    def mandel(self, u: Fields) -> CoefficientFunction:
-        """Mandel stress of the projected conjugates, 3x3, Pa."""
-        return mandel_stress(self.material, u.z_tensors, u.zeta_tensors, self.dim)
 
     def entries(self, u: Fields) -> list[Entry]:
         """Creep's dissipation and the Bregman distance phi(z_old) - phi(z) - phi'(z):(z_old - z)."""
@@ -87,7 +95,7 @@ class Kinematics(Transport):
         slope = components_of(self.material, conjugates(self.material, z), self.dim)
         bregman = phi_old - phi - inner(slope, self.context.old.z - u.z)
         entries = [Entry("bregman", "numerical", Integrand(bregman))]
-        if self.model.creep is not None and self.model.creep.R > 0:
+        if self.model.creep is not None and self.model.creep.is_local and self.model.creep.R > 0:
             R = self.model.creep.R
             creep = Integrand(R * square(self.mandel(u)))
             entries.append(Entry("dissipation_creep", "dissipation", creep))
@@ -121,6 +129,10 @@ class Conjugates(Transport):
         ]
 
     def entries(self, u: Fields) -> list[Entry]:
+        """No power; the share of a quadratic regularisation in the stored energy, for information."""
+        if isinstance(self.material, WithQuadratic):
+            added = Integrand(self.material.added_energy(u.z_tensors))
+            return [Entry("stored_quadratic", "monitor", added)]
         return []
 
 

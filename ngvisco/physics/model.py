@@ -10,6 +10,7 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError, _is_number
 from ngvisco.physics.material import Material, check_material
+from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 
 VectorLike: TypeAlias = "CoefficientFunction | Sequence[float | CoefficientFunction]"
@@ -58,6 +59,8 @@ class Model:
     creep : Creep, optional
         None (default) is the Kelvin-Voigt rheology, otherwise Jeffreys in the deviatoric part.
     loads : sequence of Gravity or BodyForce
+    regularisation : Regularisation, optional
+        None (default) is none of the paper's regularising terms.
 
     Raises
     ------
@@ -71,6 +74,7 @@ class Model:
     hyperviscosity: HyperViscosity | None = None
     creep: Creep | None = None
     loads: tuple[Load, ...] = field(default=())
+    regularisation: Regularisation | None = None
 
     def __post_init__(self) -> None:
         for name, kind in (
@@ -78,6 +82,7 @@ class Model:
             ("viscosity", StokesViscosity),
             ("hyperviscosity", HyperViscosity),
             ("creep", Creep),
+            ("regularisation", Regularisation),
         ):
             value = getattr(self, name)
             if not (isinstance(value, kind) or (value is None and name != "material")):

@@ -89,7 +89,10 @@ class HyperViscosity:
 
 @dataclass(frozen=True, kw_only=True)
 class Creep:
-    """Maxwellian creep G_m Pi = M, i.e. Pi = R M with R = 1/G_m (paper: ED-Euler-large3, nu = 0).
+    """Maxwellian creep G_m Pi - div(nu |grad Pi|^{q-2} grad Pi) = M (paper: ED-Euler-large3).
+
+    With nu = 0 (default) that is Pi = R M at every point, R = 1/G_m; with nu > 0, Pi is a continuous field
+    with (n . grad) Pi = 0 on walls.
 
     In the linearised model this is E_ZJ = eps(v) - R dev S (paper: Euler-small-viscoelastodyn+2).
     The sign is that of the energy balance; the paper's flow rules print G_m Pi = -M.
@@ -98,13 +101,25 @@ class Creep:
     ----------
     G_m : float
         Maxwellian viscosity modulus, Pa s, > 0; ``math.inf`` is no creep (Kelvin-Voigt).
+    nu : float
+        Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; >= 0.
+    q : float
+        Its exponent, > 1; the paper's analysis wants q > 3.  Default 4.
+    floor : float
+        Regularisation of |grad Pi| at zero for exponents that are no even integers, 1/(m s), > 0.
     """
 
     G_m: float
+    nu: float = 0.0
+    q: float = 4.0
+    floor: float = 1e-10
 
     def __post_init__(self) -> None:
         if self.G_m != math.inf:
             require_positive(self, G_m=self.G_m)
+        require_nonnegative(self, nu=self.nu)
+        require_above(self, 1, q=self.q)
+        require_positive(self, floor=self.floor)
 
     @classmethod
     def from_reciprocal(cls, R: float) -> Creep:
@@ -117,3 +132,12 @@ class Creep:
     def R(self) -> float:
         """Reciprocal creep modulus 1/G_m, 1/(Pa s)."""
         return 1 / self.G_m
+
+    @property
+    def is_local(self) -> bool:
+        """Whether Pi = R M at every point, without a field of its own (nu = 0, or no creep at all)."""
+        return self.nu == 0 or self.R == 0
+
+    def gradient_coefficient(self, s: CoefficientFunction) -> CoefficientFunction:
+        """nu s^{(q-2)/2} for s = |grad Pi|^2."""
+        return self.nu * power_of_square(s, 0.5 * (self.q - 2), self.floor)

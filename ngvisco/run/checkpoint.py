@@ -6,6 +6,7 @@ Layout::
     /ledger/<column>         one value a step, attribute ``unit``
     /checkpoints/<step>/state   all coefficients of the step's space; attributes time, step,
                                 energy, mass, initial_mass, velocity_scale
+    /checkpoints/<step>/passive/<field>   coefficients of the run's passive fields, if any
 
 The file is written beside and renamed, so that a kill at any moment leaves the last one readable.
 A run forgets its factorised Jacobian where it writes a checkpoint, because a resumed run has none: so
@@ -52,7 +53,7 @@ class Checkpoints:
             if not (isinstance(value, int) and value >= 1):
                 raise ParameterError(f"Checkpoints.{name}", value, "an integer >= 1")
         self.path, self.every, self.keep = Path(path), every, keep
-        self._kept: dict[int, tuple[dict[str, float], np.ndarray]] = {}
+        self._kept: dict[int, tuple[dict[str, float], dict[str, np.ndarray]]] = {}
         self._earlier: list[dict[str, float]] = []
 
     def start(self, simulation: Simulation) -> None:
@@ -84,15 +85,16 @@ class Checkpoints:
             for column in simulation.ledger.columns:
                 data = group.create_dataset(column, data=[row[column] for row in rows])
                 data.attrs["unit"] = unit(column)
-            for number, (attributes, state) in self._kept.items():
+            for number, (attributes, arrays) in self._kept.items():
                 checkpoint = file.create_group(f"checkpoints/{number:08d}")
                 checkpoint.attrs.update(attributes)
-                checkpoint.create_dataset("state", data=state)
+                for name, array in arrays.items():
+                    checkpoint.create_dataset(name, data=array)
         draft.replace(self.path)
 
 
-def snapshot(simulation: Simulation) -> tuple[dict[str, float], np.ndarray]:
-    """What a restart needs: attributes and a copy of all coefficients."""
+def snapshot(simulation: Simulation) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    """What a restart needs: attributes and copies of all coefficients, by data set."""
     balance = simulation.ledger.balance
     assert balance is not None
     attributes = {
@@ -101,7 +103,9 @@ def snapshot(simulation: Simulation) -> tuple[dict[str, float], np.ndarray]:
         "velocity_scale": simulation.velocity_scale,
         **dataclasses.asdict(balance),
     }
-    return attributes, simulation.rothe_step.state.vec.FV().NumPy().copy()
+    arrays = {"state": simulation.rothe_step.state.vec.FV().NumPy().copy()}
+    arrays |= {f"passive/{name}": array for name, array in simulation.passive.arrays().items()}
+    return attributes, arrays
 
 
 def restore(simulation: Simulation, path: str | os.PathLike[str], step: int | None = None) -> None:
@@ -113,10 +117,13 @@ def restore(simulation: Simulation, path: str | os.PathLike[str], step: int | No
         If the file is missing or damaged, has no such checkpoint, or belongs to another mesh,
         discretisation or material; the message says which.
     """
-    attributes, state = _read_checkpoint(Path(path), identity(simulation), step)
+    attributes, arrays = _read_checkpoint(Path(path), identity(simulation), step)
+    state = arrays["state"]
     vector = simulation.rothe_step.state.vec
     if state.shape != (len(vector),):
         raise CheckpointError(f"{path}: the state has {state.size} coefficients, not {len(vector)}")
+    passive = {name.removeprefix("passive/"): array for name, array in arrays.items() if name != "state"}
+    simulation.passive.load(passive)
     vector.FV().NumPy()[:] = state
     simulation.rothe_step.state_old.vec.data = vector
     simulation.set_time(attributes["time"], int(attributes["step"]))
@@ -128,7 +135,7 @@ def restore(simulation: Simulation, path: str | os.PathLike[str], step: int | No
 
 def _read_checkpoint(
     path: Path, expected: dict[str, Any], step: int | None
-) -> tuple[dict[str, float], np.ndarray]:
+) -> tuple[dict[str, float], dict[str, np.ndarray]]:
     if not path.exists():
         raise CheckpointError(f"{path}: no such file")
     try:
@@ -143,7 +150,10 @@ def _read_checkpoint(
                 steps = ", ".join(str(int(n)) for n in names)
                 raise CheckpointError(f"{path}: no checkpoint of step {step} (there are {steps})")
             group = file["checkpoints"][name]
-            return {k: float(v) for k, v in group.attrs.items()}, np.array(group["state"])
+            arrays = {"state": np.array(group["state"])}
+            for name, data in group.get("passive", {}).items():
+                arrays[f"passive/{name}"] = np.array(data)
+            return {k: float(v) for k, v in group.attrs.items()}, arrays
     except (OSError, KeyError) as error:
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
 

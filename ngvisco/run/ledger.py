@@ -37,6 +37,8 @@ UNITS = {
     "v_max": "m/s",
     "newton_iterations": "1",
     "cfl": "1",
+    "density_diffusion": "kg^2/m^3/s",
+    "cutoff_volume": "m^3",
 }
 """Units of the columns that are neither energies (J) nor powers (W)."""
 
@@ -114,7 +116,8 @@ class Ledger:
         dissipated, worked = self._sum(values, "dissipation"), self._sum(values, "power")
         remainder = self._sum(values, "numerical")
         closure = energy - self.balance.energy + tau * (dissipated - worked) + remainder
-        exchanged = tau * sum(abs(values[e.name]) for e in self.entries if e.kind != "numerical")
+        physical = [e.name for e in self.entries if e.kind in ("dissipation", "power")]
+        exchanged = tau * sum(abs(values[name]) for name in physical)
         scale = max(abs(energy), abs(self.balance.energy), exchanged)
         drift = (values["mass"] - self.balance.initial_mass) / self.balance.initial_mass
         self.balance = Balance(energy, values["mass"], self.balance.initial_mass)

@@ -21,11 +21,14 @@ from ngvisco.forms.momentum import Loading
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
+from ngvisco.physics.convexity import check_convexity
+from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
 from ngvisco.run.fields import output_fields
 from ngvisco.run.ledger import Ledger
+from ngvisco.run.passive import PassiveFields
 from ngvisco.run.threads import computing
 from ngvisco.solver.newton import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
@@ -63,6 +66,8 @@ class Simulation:
         largest of max |v_0|, sqrt(diameter |force|/rho) and sqrt(2 max |phi(z_0) - phi(rest)| / min rho_0).
     sources : Term, optional
         A further term of the system, for manufactured solutions.
+    passive : sequence of str
+        Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
 
     Raises
     ------
@@ -82,6 +87,7 @@ class Simulation:
         observers: Sequence[Observer] = (),
         velocity_scale: float | None = None,
         sources: Term | None = None,
+        passive: Sequence[str] = (),
     ) -> None:
         require_type("Simulation.mesh", mesh, Mesh)
         require_type("Simulation.model", model, Model)
@@ -95,6 +101,8 @@ class Simulation:
             raise ParameterError("Simulation.dt", dt, "a finite number > 0")
         if velocity_scale is not None and not (_is_number(velocity_scale) and velocity_scale > 0):
             raise ParameterError("Simulation.velocity_scale", velocity_scale, "a number > 0")
+        if isinstance(model.material, (CustomMaterial, IsotropicStrainEnergy)):
+            check_convexity(model.material, dim=mesh.dim)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.rothe_step = Step(mesh, model, discretisation, sources)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
@@ -108,6 +116,7 @@ class Simulation:
         positive = {v.name: u.z_tensors[v.name] for v in variables if v.is_positive}
         self._positive_names = ("rho", *positive)
         self._positive_values = CF((u.rho, *positive.values()))
+        self.passive = PassiveFields(self.rothe_step, passive)
         self.wall_time = 0.0
 
     def set_velocity_scale(self, scale: float) -> None:
@@ -136,9 +145,10 @@ class Simulation:
         """Velocity, density, the material's variables and stresses at the present time.
 
         ``velocity`` has the mesh's dimension, tensors are 3x3; ``cauchy_stress`` is the elastic one,
-        T of the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all Pa.
+        T of the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all Pa.  The passive
+        fields of the run follow under their names.
         """
-        return output_fields(self.rothe_step)
+        return {**output_fields(self.rothe_step), **self.passive.fields}
 
     def advance(self) -> dict[str, float]:
         """One Rothe step of length dt; returns its ledger row.
@@ -157,6 +167,7 @@ class Simulation:
             # (n + 1) dt, not a running sum: times are the same in a restarted run
             new_time = (self.number + 1) * self.dt
             row = self.ledger.record(self.number + 1, new_time, self.dt, len(history))
+            self.passive.advance(self.dt)
             self.t, self.number = new_time, self.number + 1
             self.wall_time += clock.perf_counter() - began
             return row

@@ -1,7 +1,31 @@
 """Constitutive laws, one family a file; each is a list of variables and an energy."""
 
+from ngvisco.physics.materials.barotropic import BarotropicFluid
+from ngvisco.physics.materials.catalogue import examples, table
 from ngvisco.physics.materials.custom import CustomMaterial
-from ngvisco.physics.materials.linearised import IsotropicStrainEnergy, LinearElastic
+from ngvisco.physics.materials.linearised import HardeningElastic, IsotropicStrainEnergy, LinearElastic
+from ngvisco.physics.materials.mooney_rivlin import MooneyRivlin, ReferentialMooneyRivlin
 from ngvisco.physics.materials.neo_hookean import NeoHookean
+from ngvisco.physics.materials.referential import (
+    IsochoricNeoHookean,
+    LogarithmicNeoHookean,
+    ReferentialNeoHookean,
+)
+from ngvisco.physics.materials.regularised import WithQuadratic
 
-__all__ = ["CustomMaterial", "IsotropicStrainEnergy", "LinearElastic", "NeoHookean"]
+__all__ = [
+    "BarotropicFluid",
+    "CustomMaterial",
+    "HardeningElastic",
+    "IsochoricNeoHookean",
+    "IsotropicStrainEnergy",
+    "LinearElastic",
+    "LogarithmicNeoHookean",
+    "MooneyRivlin",
+    "NeoHookean",
+    "ReferentialMooneyRivlin",
+    "ReferentialNeoHookean",
+    "WithQuadratic",
+    "examples",
+    "table",
+]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, require_positive
+from ngvisco.errors import ParameterError, require_above, require_nonnegative, require_positive
 from ngvisco.physics.material import Material
-from ngvisco.physics.tensors import dev, sph, square
+from ngvisco.physics.tensors import dev, power_of_square, sph, square, tr
 from ngvisco.physics.variables import SmallStrain, Values, Variable
 
 
@@ -72,3 +72,51 @@ class IsotropicStrainEnergy(Material):
 
     def energy(self, z: Values) -> CoefficientFunction:
         return self.strain_energy(z["E"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class HardeningElastic(Material):
+    """phi(E) = 3/2 K_e |sph E|^2 + G_e |dev E|^2 + K_h/s |tr E|^s + 2 G_h/s |dev E|^s, s > 2.
+
+    The St Venant-Kirchhoff-type energy with the growth above quadratic that the paper's analysis of
+    large strains allows for (paper: rem-general-phi).  Strongly convex and isotropic.  T(0) = 0; at small
+    strains K_e and G_e are the usual bulk and shear moduli, and the tangent ones grow like |E|^{s-2}.
+
+    Parameters
+    ----------
+    K_e, G_e : float
+        Elastic bulk and shear modulus at E = 0, Pa, > 0.
+    K_h, G_h : float
+        Hardening moduli, Pa, >= 0.
+    s : float
+        Growth, > 2; default 4.
+    floor : float
+        Regularisation of |tr E| and |dev E| at 0 where s is not an even integer, > 0.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
+    """
+
+    K_e: float
+    G_e: float
+    K_h: float
+    G_h: float
+    s: float = 4.0
+    floor: float = 1e-8
+
+    def __post_init__(self) -> None:
+        require_positive(self, K_e=self.K_e, G_e=self.G_e, floor=self.floor)
+        require_nonnegative(self, K_h=self.K_h, G_h=self.G_h)
+        require_above(self, 2, s=self.s)
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (SmallStrain(),)
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        E, half = z["E"], 0.5 * self.s
+        quadratic = 1.5 * self.K_e * square(sph(E)) + self.G_e * square(dev(E))
+        bulk = self.K_h / self.s * power_of_square(tr(E) * tr(E), half, self.floor)
+        return quadratic + bulk + 2 * self.G_h / self.s * power_of_square(square(dev(E)), half, self.floor)

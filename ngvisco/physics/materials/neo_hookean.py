@@ -1,13 +1,14 @@
-"""Neo-Hookean materials of the finite-strain model (paper: Section 3)."""
+"""The actual neo-Hookean material of the finite-strain model (paper: Section 3)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ngsolve import CoefficientFunction, log
+from ngsolve import CoefficientFunction
 
 from ngvisco.errors import require_positive
 from ngvisco.physics.material import Material
+from ngvisco.physics.materials.singular import check_continuation, inverse_power, minus_log
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, Values, Variable
 
@@ -18,16 +19,25 @@ class NeoHookean(Material):
 
         phi(F, J) = K_e/2 (J - 1 + epsilon/K_e)^2 + G_e J^{-2/3} |F|^2 - epsilon ln J
 
+    or, with ``kappa``, epsilon/J^kappa in place of -epsilon ln J and kappa epsilon/K_e in place of
+    epsilon/K_e, which keeps the minimum at J = 1 (paper: exa-polyconvex-general, its last sentence).
+
     Jointly convex in (F, J) (paper: convexity-neo-Hookean), strictly so in J by epsilon and K_e; it
     blows up as J -> 0+.  Its minimum is on SO(3).  Stress at rest is hydrostatic and constant,
-    T(I, 1) = phi(I, 1) I = (3 G_e + epsilon^2/(2 K_e)) I: an energy per *actual* volume, which a
-    body with a fixed shape does not feel.  The paper's G_e is half the usual shear modulus:
-    in simple shear F = I + gamma e1 x e2, T_12 = 2 G_e gamma.
+    T(I, 1) = phi(I, 1) I = (3 G_e + epsilon^2/(2 K_e)) I (with kappa: (3 G_e + epsilon +
+    (kappa epsilon)^2/(2 K_e)) I): an energy per *actual* volume, which a body with a fixed shape does not
+    feel.  The paper's G_e is half the usual shear modulus: in simple shear F = I + gamma e1 x e2,
+    T_12 = 2 G_e gamma.
 
     Parameters
     ----------
     K_e, G_e, epsilon : float
         Bulk modulus, half the shear modulus, and weight of the singular term, all Pa, > 0.
+    kappa : float, optional
+        Exponent of the singular term; None (default) is the logarithm.  The paper has kappa >= 1.
+    J_min : float, optional
+        Where given, the singular term is continued linearly below it (paper: rem-neo-Hookean-ref).
+        G_e J^{-2/3} |F|^2 stays as it is.
 
     Raises
     ------
@@ -38,15 +48,28 @@ class NeoHookean(Material):
     K_e: float
     G_e: float
     epsilon: float
+    kappa: float | None = None
+    J_min: float | None = None
 
     def __post_init__(self) -> None:
         require_positive(self, K_e=self.K_e, G_e=self.G_e, epsilon=self.epsilon)
+        if self.kappa is not None:
+            require_positive(self, kappa=self.kappa)
+        check_continuation(self, self.J_min)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
         return (Distortion(), Jacobian())
 
     def energy(self, z: Values) -> CoefficientFunction:
-        F, J = z["F"], z["J"]
-        volumetric = 0.5 * self.K_e * (J - 1 + self.epsilon / self.K_e) * (J - 1 + self.epsilon / self.K_e)
-        return volumetric + self.G_e * J ** (-2 / 3) * square(F) - self.epsilon * log(J)
+        return volumetric(self, z["J"]) + self.G_e * z["J"] ** (-2 / 3) * square(z["F"])
+
+
+def volumetric(material: NeoHookean, J: CoefficientFunction) -> CoefficientFunction:
+    """K_e/2 (J - 1 + c)^2 + s(J), with c such that the minimum is at J = 1."""
+    K_e, epsilon, kappa = material.K_e, material.epsilon, material.kappa
+    c = epsilon / K_e if kappa is None else kappa * epsilon / K_e
+    quadratic = 0.5 * K_e * (J - 1 + c) * (J - 1 + c)
+    if kappa is None:
+        return quadratic + minus_log(epsilon, J, material.J_min)
+    return quadratic + inverse_power(epsilon, kappa, J, material.J_min)

@@ -1,0 +1,151 @@
+"""The regularising terms of the discrete scheme, see ``ngvisco.physics.regularisation``.
+
+Diffusion is a hybrid interior penalty with a trace of its own (u_hat below, free on walls, which is the
+natural condition n . grad u = 0 of BC-disc).  For a flux c grad u,
+
+    int c grad u . grad w - sum_K int_{dK} c d_n u (w - w_hat)
+      + sum_K int_{dK} s/h c_pen (u - u_hat)(w - w_hat),
+
+s = penalty (m + 1)^2.  The test w_hat makes the flux single-valued, so that w = w_hat = 1 conserves mass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ngsolve import CF, CoefficientFunction, IfPos
+
+from ngvisco.forms.context import Context, Entry, Integrand, Term
+from ngvisco.forms.spaces import Fields
+from ngvisco.physics.regularisation import Regularisation
+from ngvisco.physics.tensors import inner, square
+
+
+@dataclass(frozen=True)
+class DensityDiffusion:
+    """div(delta |grad rho|^{r-2} grad rho) in the continuity equation (paper: Euler-small-
+    viscoelastodyn+0disc): incomplete penalty, c_pen = c(|grad rho|^2 + |rho - rho_hat|^2/h^2 + floor^2).
+
+    Its compensating term in the momentum equation is in ``Convection``, in a skew form, so that it has no
+    power; keeps mass to rounding.  The ledger's ``density_diffusion`` is what it takes from int 1/2 rho^2.
+    """
+
+    law: Regularisation
+    context: Context
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        c = self.law.diffusivity(square(u.grad_rho))
+        jump = u.rho - u.rho_delta_hat
+        test = w.rho - w.rho_delta_hat
+        flux = c * (u.grad_rho * self.context.normal)
+        return [
+            Integrand(c * inner(u.grad_rho, w.grad_rho)),
+            Integrand(facets=-flux * test),
+            Integrand(facets=self._penalty(u, jump) * jump * test),
+        ]
+
+    def _penalty(self, u: Fields, jump: CoefficientFunction) -> CoefficientFunction:
+        h, floor = self.context.h, self.law.gradient_floor
+        size = square(u.grad_rho) + jump * jump / (h * h) + floor**2
+        return penalty_weight(self.law, u) / h * self.law.diffusivity(size)
+
+    def entries(self, u: Fields) -> list[Entry]:
+        c = self.law.diffusivity(square(u.grad_rho))
+        jump = u.rho - u.rho_delta_hat
+        flux = c * (u.grad_rho * self.context.normal)
+        facets = (self._penalty(u, jump) * jump - flux) * jump
+        return [Entry("density_diffusion", "monitor", Integrand(c * square(u.grad_rho), facets))]
+
+
+@dataclass(frozen=True)
+class FieldDiffusion:
+    """delta Laplace z in the kinematic equations (paper: Euler-small-viscoelastodyn+2disc, Euler-large-
+    viscoelastodyn+2disc, +3disc, -H, -H+), symmetric interior penalty.
+
+    Tested by zeta it has the power that the ledger reports; for a quadratic energy zeta is a multiple of
+    z and the power is delta |grad z|^2 with its penalty, a square.
+    """
+
+    law: Regularisation
+    context: Context
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        return self._diffusion(u, w.z, w.z_delta_hat, w.grad_z)
+
+    def _diffusion(
+        self,
+        u: Fields,
+        G: CoefficientFunction,
+        G_hat: CoefficientFunction | None,
+        grad_G: CoefficientFunction,
+    ) -> list[Integrand]:
+        n, delta = self.context.normal, self.law.delta_fields
+        weight = penalty_weight(self.law, u) / self.context.h
+        jump = u.z - u.z_delta_hat
+        test = G if G_hat is None else G - G_hat
+        return [
+            Integrand(delta * inner(u.grad_z, grad_G)),
+            Integrand(facets=-delta * inner(u.grad_z * n, test)),
+            Integrand(facets=-delta * inner(grad_G * n, jump)),
+            Integrand(facets=delta * weight * inner(jump, test)),
+        ]
+
+    def entries(self, u: Fields) -> list[Entry]:
+        """The form at G = zeta; the facet test may be any, since the flux is single-valued."""
+        cells, *facets = self._diffusion(u, u.zeta, None, u.grad_zeta)
+        total: Any = 0
+        for part in facets:
+            total = total + part.facets
+        return [Entry("dissipation_delta_fields", "dissipation", Integrand(cells.cells, total))]
+
+
+@dataclass(frozen=True)
+class VelocityDamping:
+    """epsilon |v|^{p-2} v in the momentum equation (paper: Euler-small-viscoelastodyn+1disc; printed as
+    delta |v|^p in two of the discrete balances)."""
+
+    law: Regularisation
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        return [Integrand(self.law.friction(square(u.v)) * inner(u.v, w.v))]
+
+    def entries(self, u: Fields) -> list[Entry]:
+        power = self.law.friction(square(u.v)) * square(u.v)
+        return [Entry("dissipation_epsilon", "dissipation", Integrand(power))]
+
+
+@dataclass(frozen=True)
+class CutOffVolume:
+    """Where the cut-off K(rho) acts, i.e. rho > rho_max; K itself is in ``Continuity`` and ``Convection``."""
+
+    law: Regularisation
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        return []
+
+    def entries(self, u: Fields) -> list[Entry]:
+        assert self.law.rho_max is not None
+        acting = IfPos(u.rho - self.law.rho_max, CF(1.0), CF(0.0))
+        return [Entry("cutoff_volume", "monitor", Integrand(acting))]
+
+
+def regularising_terms(law: Regularisation | None, context: Context) -> list[Term]:
+    """The terms of a model's regularisation that are not part of another one."""
+    terms: list[Term] = []
+    if law is None:
+        return terms
+    if law.delta_density > 0:
+        terms.append(DensityDiffusion(law, context))
+    if law.delta_fields > 0:
+        terms.append(FieldDiffusion(law, context))
+    if law.epsilon > 0:
+        terms.append(VelocityDamping(law))
+    if law.rho_max is not None:
+        terms.append(CutOffVolume(law))
+    return terms
+
+
+def penalty_weight(law: Regularisation, u: Fields) -> float:
+    """s = penalty (m + 1)^2, for polynomials of degree m."""
+    return law.penalty * (u.layout.discretisation.m + 1) ** 2

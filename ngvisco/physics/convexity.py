@@ -1,0 +1,200 @@
+"""A sampling check of the joint convexity on which the ledger's guarantee rests.
+
+The scheme never creates energy because every step's Bregman distance
+phi(b) - phi(a) - phi'(a) : (b - a) is >= 0, which is convexity in all variables together, taken as
+independent ones (the discrete J is not exactly det F).  ``check_convexity`` evaluates that distance for
+random states a and, for each, b along the eigenvector of the smallest eigenvalue of the Hessian, near
+and farther, and at another random state; it reports the worst negative one.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from ngsolve import CF, ET, L2, VOL, CoefficientFunction, GridFunction, IntegrationRule, VectorValued
+from ngsolve.meshes import MakeStructured2DMesh
+
+from ngvisco.errors import require_positive
+from ngvisco.physics.material import (
+    Material,
+    component_count,
+    components_of,
+    conjugates,
+    tensors_of,
+)
+from ngvisco.physics.tensors import tensor_space
+
+_CELLS = 16  # random states are the values of a cellwise constant field on this many squares squared
+_DISTANCES = (1.0, 0.1)
+_ROUNDING = 1e-9
+
+
+class ConvexityWarning(UserWarning):
+    """A stored energy is not jointly convex: the ledger's bregman column may be negative."""
+
+
+@dataclass(frozen=True)
+class ConvexityReport:
+    """What the sampling found.
+
+    Attributes
+    ----------
+    samples : int
+        Pairs with finite energies that were compared.
+    worst : float
+        Smallest [phi(b) - phi(a) - phi'(a):(b - a)]/|b - a|^2 found, Pa; 0 when the energy passed.
+    point, direction : mapping of names to arrays, or None
+        a and b - a of the worst pair, 3x3 or scalar; None when the energy passed.
+    """
+
+    samples: int
+    worst: float
+    point: dict[str, np.ndarray] | None
+    direction: dict[str, np.ndarray] | None
+
+    @property
+    def passed(self) -> bool:
+        return self.point is None
+
+    def __str__(self) -> str:
+        if self.point is None or self.direction is None:
+            return f"no violation of convexity in {self.samples} samples"
+        at = ", ".join(f"{name} = {_text(value)}" for name, value in self.point.items())
+        along = ", ".join(f"{name}: {_text(value)}" for name, value in self.direction.items())
+        return f"not convex at {at} in the direction {along}"
+
+
+def check_convexity(
+    material: Material, *, dim: int = 3, spread: float = 0.4, seed: int = 0, warn: bool = True
+) -> ConvexityReport:
+    """Look for states where a material's energy is not jointly convex.
+
+    Parameters
+    ----------
+    material : Material
+    dim : int
+        Dimension of the mesh it is for; 2 samples plane-strain tensors.
+    spread : float
+        Size of the sampled region: entries of F - I, and relative changes of the single variables.
+    seed : int
+        Of the random states.
+    warn : bool
+        Whether to issue a ConvexityWarning with the point where the energy fails.
+
+    Returns
+    -------
+    ConvexityReport
+    """
+    require_positive(check_convexity, spread=spread)
+    rng = np.random.default_rng(seed)
+    sampling = _Sampling(material, dim)
+    a = sampling.random_states(rng, spread)
+    phi_a, slope = sampling.energy_and_slope(a)
+    weakest = spread * sampling.weakest_directions(a)
+    far = sampling.random_states(rng, spread) - a
+    worst, found, samples = 0.0, None, 0
+    for step in (*(t * weakest for t in _DISTANCES), *(-t * weakest for t in _DISTANCES), far):
+        phi_b, _ = sampling.energy_and_slope(a + step)
+        first_order = np.einsum("ij,ij->i", slope, step)
+        bregman = phi_b - phi_a - first_order
+        size = np.einsum("ij,ij->i", step, step)
+        finite = np.isfinite(bregman) & (size > 0)
+        samples += int(finite.sum())
+        rounding = _ROUNDING * (abs(phi_a) + abs(phi_b) + abs(first_order))
+        relative = np.where(finite & (bregman < -rounding), bregman / np.where(size > 0, size, 1), 0.0)
+        i = int(np.argmin(relative))
+        if relative[i] < worst:
+            worst, found = float(relative[i]), (a[i], step[i])
+    if found is None:
+        return ConvexityReport(samples, 0.0, None, None)
+    point, direction = (sampling.named(components) for components in found)
+    report = ConvexityReport(samples, worst, point, direction)
+    if warn:
+        warnings.warn(
+            f"{type(material).__name__}: the stored energy is {report}; the scheme stays consistent, but its "
+            "numerical dissipation (the ledger's bregman) may be negative there",
+            ConvexityWarning,
+            stacklevel=2,
+        )
+    return report
+
+
+class _Sampling:
+    """Evaluates a material at many states at once, as cellwise constants on a mesh of squares."""
+
+    def __init__(self, material: Material, dim: int) -> None:
+        self.material, self.dim = material, dim
+        self.mesh, self.points = _squares()
+        self.size = component_count(material, dim)
+        self.state = GridFunction(VectorValued(L2(self.mesh, order=0), self.size))
+        z = tensors_of(material, self.state, dim)
+        slope = components_of(material, conjugates(material, z), dim)
+        self.outputs = CF((material.energy(z), slope)).Compile()
+
+    def random_states(self, rng: np.random.Generator, spread: float) -> np.ndarray:
+        """States of a random F, with every variable then changed on its own."""
+        count = self.mesh.ne
+        F = np.eye(3) + spread * rng.uniform(-1, 1, (count, 3, 3))
+        if self.dim == 2:
+            F[:, 2, :2] = F[:, :2, 2] = 0
+        F[np.linalg.det(F) < 0.2] = np.eye(3)
+        gf = GridFunction(VectorValued(L2(self.mesh, order=0), 9))
+        _set(gf, F.reshape(count, 9))
+        tensor = gf.Reshape((3, 3))
+        values = {v.name: v.from_distortion(tensor) for v in self.material.variables}
+        states = self._evaluate(components_of(self.material, values, self.dim))
+        start = 0
+        for variable in self.material.variables:
+            size = tensor_space(variable.kind, self.dim).size
+            part = states[:, start : start + size]
+            if size == 1:
+                part *= np.exp(spread * rng.uniform(-1, 1, part.shape))
+            else:
+                part += spread * rng.uniform(-1, 1, part.shape)
+            start += size
+        return states
+
+    def energy_and_slope(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        _set(self.state, states)
+        values = self._evaluate(self.outputs)
+        return values[:, 0], values[:, 1:]
+
+    def weakest_directions(self, states: np.ndarray) -> np.ndarray:
+        """Unit eigenvectors of the smallest eigenvalue of the Hessian (central differences of the slope)."""
+        hessian = np.empty((len(states), self.size, self.size))
+        for i in range(self.size):
+            shift = np.zeros(self.size)
+            shift[i] = 1e-5
+            ahead, behind = (self.energy_and_slope(states + s)[1] for s in (shift, -shift))
+            hessian[:, i] = (ahead - behind) / 2e-5
+        hessian = np.nan_to_num(0.5 * (hessian + hessian.transpose(0, 2, 1)), posinf=0, neginf=0)
+        return np.linalg.eigh(hessian)[1][:, :, 0]
+
+    def named(self, components: np.ndarray) -> dict[str, np.ndarray]:
+        """Components as scalars and 3x3 arrays by name."""
+        constant = CF(tuple(float(c) for c in components))
+        tensors = tensors_of(self.material, constant, self.dim)
+        return {name: np.array(t(self.points[:1])).reshape(t.dims or ()) for name, t in tensors.items()}
+
+    def _evaluate(self, f: CoefficientFunction) -> np.ndarray:
+        return np.array(f(self.points)).reshape(self.mesh.ne, -1)
+
+
+@cache
+def _squares() -> tuple[Any, Any]:
+    mesh = MakeStructured2DMesh(quads=True, nx=_CELLS, ny=_CELLS)
+    return mesh, mesh.MapToAllElements({ET.QUAD: IntegrationRule([(0.5, 0.5)], [1.0])}, VOL)
+
+
+def _set(gf: GridFunction, values: np.ndarray) -> None:
+    """Cellwise constants: component i of cell j is values[j, i]."""
+    for i, component in enumerate(gf.components):
+        component.vec.FV().NumPy()[:] = values[:, i]
+
+
+def _text(value: np.ndarray) -> str:
+    return np.array2string(np.asarray(value), precision=3, suppress_small=True).replace("\n", "")

@@ -1,0 +1,172 @@
+"""All materials of the package against the paper: one example of each form, and the table of them.
+
+The README's table is ``table()``; a test runs every example.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ngsolve import Trace
+
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials.barotropic import BarotropicFluid
+from ngvisco.physics.materials.custom import CustomMaterial
+from ngvisco.physics.materials.linearised import HardeningElastic, IsotropicStrainEnergy, LinearElastic
+from ngvisco.physics.materials.mooney_rivlin import MooneyRivlin, ReferentialMooneyRivlin
+from ngvisco.physics.materials.neo_hookean import NeoHookean
+from ngvisco.physics.materials.referential import (
+    IsochoricNeoHookean,
+    LogarithmicNeoHookean,
+    ReferentialNeoHookean,
+)
+from ngvisco.physics.tensors import dev, square
+from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, Variable
+
+
+@dataclass(frozen=True)
+class Example:
+    """A row of the table: a material with sample parameters, its energy in words, and where it stands."""
+
+    material: Material
+    constructor: str
+    energy: str
+    convexity: str
+    paper: str
+
+
+def examples() -> tuple[Example, ...]:
+    """One example of every form of every material, in the paper's order; moduli are of order 1 to 10 Pa."""
+    return (
+        Example(
+            LinearElastic(K_e=10.0, G_e=5.0),
+            "LinearElastic",
+            "3/2 K_e |sph E|² + G_e |dev E|²",
+            "strong",
+            "St.Venenat-Kirchhoff-linear",
+        ),
+        Example(
+            HardeningElastic(K_e=10.0, G_e=5.0, K_h=20.0, G_h=10.0, s=3.5),
+            "HardeningElastic",
+            "3/2 K_e |sph E|² + G_e |dev E|² + K_h/s |tr E|^s + 2G_h/s |dev E|^s",
+            "strong",
+            "rem-general-phi",
+        ),
+        Example(
+            IsotropicStrainEnergy(
+                strain_energy=lambda E: 5 * Trace(E) * Trace(E) + 5 * square(dev(E)) * (1 + square(dev(E)))
+            ),
+            "IsotropicStrainEnergy",
+            "the user's φ(E), isotropic",
+            "the user's, sampled",
+            "Euler-small-ass-phi",
+        ),
+        Example(
+            NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+            "NeoHookean",
+            "K_e/2 (J − 1 + ε/K_e)² + G_e J^(−2/3) |F|² − ε ln J",
+            "joint",
+            "neo-Hookean-potential-actual",
+        ),
+        Example(
+            NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2),
+            "NeoHookean(kappa=ϰ)",
+            "K_e/2 (J − 1 + ϰε/K_e)² + G_e J^(−2/3) |F|² + ε/J^ϰ",
+            "joint",
+            "exa-polyconvex-general",
+        ),
+        Example(
+            MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1),
+            "MooneyRivlin",
+            "K_e/2 (J − 1 + ε/K_e)² + G_e J^(−2/3) |F|² + 2/(3√3) G_mr J^(−2) |Cof F|³ − ε ln J",
+            "joint",
+            "rem-polyconvex-general",
+        ),
+        Example(
+            ReferentialNeoHookean(K_e=10.0, G_e=5.0),
+            "ReferentialNeoHookean",
+            "K_e/2 (J − 2 + 1/J) + G_e |H|²",
+            "joint, strong in H",
+            "exa-neo-Hookean-ref",
+        ),
+        Example(
+            ReferentialNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2),
+            "ReferentialNeoHookean(epsilon=ε, kappa=ϰ)",
+            "K_e/2 (J − 1 + ϰε/K_e)²/J + G_e |H|² + ε/J^(ϰ+1)",
+            "joint, strong in H",
+            "exa-neo-Hookean-ref",
+        ),
+        Example(
+            IsochoricNeoHookean(K_e=10.0, G_e=5.0),
+            "IsochoricNeoHookean",
+            "K_e/2 (J − 2 + 1/J) + G_e |H|²/J",
+            "joint",
+            "exa-neo-Hookean-ref",
+        ),
+        Example(
+            LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+            "LogarithmicNeoHookean",
+            "K_e/2 (1/A − 2 + 2ε/K_e + (1 − ε/K_e)² A) + G_e |H|² − ε K",
+            "joint, strong in H",
+            "exa-neo-Hookean-ref, DT-det-inverse",
+        ),
+        Example(
+            ReferentialMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0),
+            "ReferentialMooneyRivlin",
+            "K_e/2 (J − 2 + 1/J) + G_e |H|² + G_mr |N|²",
+            "joint, strong in (H, N)",
+            "exa-Mooney–Rivlin-ref",
+        ),
+        Example(
+            BarotropicFluid(B=10.0, gamma=1.4),
+            "BarotropicFluid",
+            "B J^(−γ); p = a ρ^γ, a = (γ − 1) B/ρ_R^γ",
+            "strict",
+            "rem-barotropic-fluids",
+        ),
+        Example(
+            BarotropicFluid(B=10.0, gamma=1.4, form="A"),
+            'BarotropicFluid(form="A")',
+            "B A^γ, A = 1/J = ρ/ρ_R",
+            "strict",
+            "rem-barotropic-fluids, DT-det-inverse",
+        ),
+        Example(
+            CustomMaterial(
+                transported=(Distortion(), Cofactor("C"), Jacobian()),
+                stored_energy=lambda F, C, J: 3 * square(F) + 2 * square(C) + 14 / J + 10 * (J - 1) * (J - 1),
+            ),
+            "CustomMaterial",
+            "the user's φ of any variables",
+            "the user's, sampled",
+            "rem-behind-polyconvexity",
+        ),
+    )
+
+
+def table() -> str:
+    """A Markdown table of all materials: variables, energy per actual volume, convexity, paper's label."""
+    head = ("material", "variables", "φ(z), Pa", "convexity", "paper")
+    rows = [head, *(("---",) * len(head),)]
+    for example in examples():
+        names = ", ".join(_describe(v) for v in example.material.variables)
+        # a bar would end the cell
+        energy = example.energy.replace("|", "\\|")
+        rows.append((f"`{example.constructor}`", names, energy, example.convexity, f"`{example.paper}`"))
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows) + "\n"
+
+
+def _describe(variable: Variable) -> str:
+    if isinstance(variable, Distortion) and variable.exponent:
+        return f"{variable.name} = J^({_fraction(variable.exponent)}) F"
+    if isinstance(variable, Cofactor):
+        factor = f"J^({_fraction(variable.exponent)}) " if variable.exponent else ""
+        return f"{variable.name} = {factor}Cof F"
+    meaning = {"J": "det F", "A": "1/J", "K": "ln J / J"}.get(variable.name)
+    return f"{variable.name} = {meaning}" if meaning else variable.name
+
+
+def _fraction(exponent: float) -> str:
+    numerator = round(6 * exponent)
+    divisor = 2 if numerator % 2 == 0 else 1
+    return f"{'−' if numerator < 0 else ''}{abs(numerator) // divisor}/{6 // divisor}"

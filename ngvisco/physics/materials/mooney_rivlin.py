@@ -1,0 +1,106 @@
+"""Mooney-Rivlin materials, which feel the cofactor of F too (paper: rem-polyconvex-general and the
+Mooney-Rivlin example after it)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import require_nonnegative, require_positive
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials.neo_hookean import NeoHookean, volumetric
+from ngvisco.physics.materials.referential import referential_volume
+from ngvisco.physics.materials.singular import check_continuation
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, Values, Variable
+
+
+@dataclass(frozen=True, kw_only=True)
+class MooneyRivlin(NeoHookean):
+    """The actual polyconvex Mooney-Rivlin energy in (F, Cof F, J) (paper: rem-polyconvex-general).
+
+        phi = K_e/2 (J - 1 + epsilon/K_e)^2 - epsilon ln J + G_e J^{-2/3} |F|^2
+              + 2/(3 sqrt 3) G_mr J^{-2} |H|^3
+
+    The second invariant of F_iso is |H|^2 J^{-4/3}, which is not convex (the paper's remark in the
+    Mooney-Rivlin example: the exponent must be <= 1).  Its power 3/2, |H|^3/J^2, is: the perspective of the
+    cube (Hartmann and Neff 2003, which the paper cites).  Its factor makes the two agree to second order at
+    rest.  Jointly convex in (F, H, J); minimum on SO(3); blows up as J -> 0+.  Stress at rest is
+    hydrostatic, T = phi(rest) I with phi(rest) = 3 G_e + 2 G_mr + epsilon^2/(2 K_e).  G_e + G_mr is half
+    the usual shear modulus.
+
+    Parameters
+    ----------
+    K_e, G_e, epsilon, kappa, J_min
+        As for ``NeoHookean``.
+    G_mr : float
+        Weight of the cofactor's part, Pa, >= 0.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
+    """
+
+    G_mr: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_nonnegative(self, G_mr=self.G_mr)
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (Distortion(), Cofactor(), Jacobian())
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        J = z["J"]
+        first = self.G_e * J ** (-2 / 3) * square(z["F"])
+        second = 2 / (3 * math.sqrt(3)) * self.G_mr * square(z["H"]) ** 1.5 / (J * J)
+        return volumetric(self, J) + first + second
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferentialMooneyRivlin(Material):
+    """phi(H, N, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2 + G_mr |N|^2 (paper: exa-Mooney–Rivlin-ref),
+
+    H = J^{-5/6} F and N = J^{-7/6} Cof F: the compressible Mooney-Rivlin material with the invariants of
+    F_iso, per referential volume.  N's rate is not the paper's printed one, see ``variables``.  Jointly
+    convex, strongly in (H, N); blows up as J -> 0+.  T(I) = 0.  K_e is the usual bulk modulus, G_e + G_mr
+    half the usual shear modulus (so G_e and G_mr are the usual C_10 and C_01).
+
+    Parameters
+    ----------
+    K_e, G_e : float
+        Pa, > 0.
+    G_mr : float
+        Pa, >= 0.
+    epsilon, kappa, J_min
+        As for ``ReferentialNeoHookean``.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
+    """
+
+    K_e: float
+    G_e: float
+    G_mr: float
+    epsilon: float = 0.0
+    kappa: float = 1.0
+    J_min: float | None = None
+
+    def __post_init__(self) -> None:
+        require_positive(self, K_e=self.K_e, G_e=self.G_e)
+        require_nonnegative(self, G_mr=self.G_mr, epsilon=self.epsilon, kappa=self.kappa)
+        check_continuation(self, self.J_min)
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (Distortion("H", exponent=-5 / 6), Cofactor("N", exponent=-7 / 6), Jacobian())
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)
+        return volume + self.G_e * square(z["H"]) + self.G_mr * square(z["N"])

@@ -1,0 +1,168 @@
+"""Referential neo-Hookean materials: three convex forms of one family (paper: exa-neo-Hookean-ref).
+
+The energy per *referential* volume is K_e/2 (J - 1 + c)^2 + G_e |F_iso|^2 + s(J), F_iso = J^{-1/3} F,
+and phi is that divided by J.  With s = 0, c = 0 this is K_e/2 (J - 2 + 1/J) + G_e J^{-5/3} |F|^2, which is
+convex neither in F nor in (F, J) but in each of the pairs of variables below.
+
+A body at rest is free of stress, T(I) = 0, because the referential energy is stationary there.  K_e is the
+usual bulk modulus at J = 1 (up to c and s); G_e is half the usual shear modulus: T_12 = 2 G_e gamma in
+simple shear.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import require_nonnegative, require_positive
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials.singular import check_continuation, inverse_power
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import (
+    Distortion,
+    Jacobian,
+    LogJacobian,
+    ReciprocalJacobian,
+    Values,
+    Variable,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferentialNeoHookean(Material):
+    """phi(H, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2, H = J^{-5/6} F (paper: exa-neo-Hookean-ref).
+
+    With epsilon > 0 the referential term epsilon/J^kappa is added, i.e. epsilon/J^{kappa + 1} to phi, and
+    J - 2 + 1/J becomes (J - 1 + c)^2/J with c = kappa epsilon/K_e, so that T(I) stays 0.
+
+    Jointly convex in (H, J), strongly in H (the paper's rem-neo-Hookean-ref), and it blows up as J -> 0+.
+    T(I) = 0; K_e is the usual bulk modulus (K_e + kappa (kappa + 1) epsilon with the added term), G_e half
+    the usual shear modulus.
+
+    Parameters
+    ----------
+    K_e, G_e : float
+        Bulk modulus and half the shear modulus, Pa, > 0.
+    epsilon : float
+        Weight of the singular term, Pa, >= 0; default 0.
+    kappa : float
+        Its exponent, >= 0; default 1.
+    J_min : float, optional
+        Where given, all terms singular in J are continued linearly below it (paper: rem-neo-Hookean-ref).
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
+    """
+
+    K_e: float
+    G_e: float
+    epsilon: float = 0.0
+    kappa: float = 1.0
+    J_min: float | None = None
+
+    def __post_init__(self) -> None:
+        require_positive(self, K_e=self.K_e, G_e=self.G_e)
+        require_nonnegative(self, epsilon=self.epsilon, kappa=self.kappa)
+        check_continuation(self, self.J_min)
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (Distortion("H", exponent=-5 / 6), Jacobian())
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)
+        return volume + self.G_e * square(z["H"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class IsochoricNeoHookean(Material):
+    """phi(H, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2/J, H = J^{-1/3} F (paper: exa-neo-Hookean-ref).
+
+    The same material as ``ReferentialNeoHookean`` by the isochoric part of F.  Jointly convex in (H, J),
+    though not strongly (|H|^2/J is the perspective of a square).  Stress at rest, moduli, and ``epsilon``
+    and ``kappa`` as there.
+
+    Parameters
+    ----------
+    K_e, G_e : float
+        Bulk modulus and half the shear modulus, Pa, > 0.
+    epsilon, kappa : float
+        Weight (Pa) and exponent of the singular term, >= 0; default none.
+    J_min : float, optional
+        Where given, the terms singular in J alone are continued linearly below it.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
+    """
+
+    K_e: float
+    G_e: float
+    epsilon: float = 0.0
+    kappa: float = 1.0
+    J_min: float | None = None
+
+    def __post_init__(self) -> None:
+        require_positive(self, K_e=self.K_e, G_e=self.G_e)
+        require_nonnegative(self, epsilon=self.epsilon, kappa=self.kappa)
+        check_continuation(self, self.J_min)
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (Distortion("H", exponent=-1 / 3), Jacobian())
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)
+        return volume + self.G_e * square(z["H"]) / z["J"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogarithmicNeoHookean(Material):
+    """neo-Hookean-potential-actual per referential volume, with -epsilon ln J (paper: exa-neo-Hookean-ref).
+
+        phi(H, A, K) = K_e/2 (1/A - 2(1 - c) + (1 - c)^2 A) + G_e |H|^2 - epsilon K,   c = epsilon/K_e,
+
+    with H = J^{-5/6} F, A = 1/J and K = ln J/J.  -(ln J)/J is not convex in J, but linear in K, whose rate
+    (tr L)(A - K) closes with that of A.  Jointly convex in (H, A, K), strongly in H, strictly in A, and it
+    blows up as A -> 0+.  T(I) = 0; the bulk modulus at rest is K_e + epsilon, G_e is half the usual shear
+    modulus.
+
+    Parameters
+    ----------
+    K_e, G_e, epsilon : float
+        Bulk modulus, half the shear modulus, weight of the singular term, all Pa, > 0.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is not a finite positive number.
+    """
+
+    K_e: float
+    G_e: float
+    epsilon: float
+
+    def __post_init__(self) -> None:
+        require_positive(self, K_e=self.K_e, G_e=self.G_e, epsilon=self.epsilon)
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (Distortion("H", exponent=-5 / 6), ReciprocalJacobian(), LogJacobian())
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        A, rest = z["A"], 1 - self.epsilon / self.K_e
+        volume = 0.5 * self.K_e * (1 / A - 2 * rest + rest * rest * A)
+        return volume + self.G_e * square(z["H"]) - self.epsilon * z["K"]
+
+
+def referential_volume(
+    K_e: float, epsilon: float, kappa: float, J: CoefficientFunction, J_min: float | None
+) -> CoefficientFunction:
+    """[K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e."""
+    rest = 1 - kappa * epsilon / K_e
+    volume = 0.5 * K_e * (J - 2 * rest) + inverse_power(0.5 * K_e * rest * rest, 1.0, J, J_min)
+    return volume + inverse_power(epsilon, kappa + 1, J, J_min) if epsilon else volume

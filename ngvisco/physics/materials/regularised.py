@@ -1,0 +1,62 @@
+"""Materials whose energy is another one's, regularised as in the paper's discrete scheme."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ngsolve import CF, CoefficientFunction
+
+from ngvisco.errors import ParameterError, UnknownNameError, require_positive
+from ngvisco.physics.material import Material
+from ngvisco.physics.tensors import inner
+from ngvisco.physics.variables import Values, Variable
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithQuadratic(Material):
+    """phi + sqrt(delta)/2 sum_i |z_i|^2 (paper: varphi-regularized).
+
+    Makes a convex energy strongly convex.  At rest it adds a stress of the order of sqrt(delta).  The
+    ledger has the added energy within ``stored``, and alone as ``stored_quadratic``.
+
+    Parameters
+    ----------
+    material : Material
+    delta : float
+        The paper's delta, Pa^2, > 0.
+    only : tuple of str, optional
+        Names of the variables it is added for; default all (paper: rem-neo-Hookean-ref omits those in
+        which phi is strongly convex already).
+
+    Raises
+    ------
+    ParameterError, UnknownNameError
+        For a delta that is not positive, or a name that the material does not have.
+    """
+
+    material: Material
+    delta: float
+    only: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.material, Material):
+            raise ParameterError("WithQuadratic.material", self.material, "a Material")
+        require_positive(self, delta=self.delta)
+        names = [v.name for v in self.material.variables]
+        for name in self.only or ():
+            if name not in names:
+                raise UnknownNameError("material variable", name, names)
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return self.material.variables
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        return self.material.energy(z) + self.added_energy(z)
+
+    def added_energy(self, z: Values) -> CoefficientFunction:
+        """sqrt(delta)/2 sum_i |z_i|^2, Pa."""
+        total = CF(0.0)
+        for name in self.only or [v.name for v in self.variables]:
+            total = total + 0.5 * self.delta**0.5 * inner(z[name], z[name])
+        return total

@@ -1,0 +1,47 @@
+"""Convex functions s(J) that blow up as J -> 0+, and their linear continuation below J_min.
+
+The continuation is the paper's rem-neo-Hookean-ref: for energies f(F, H, J) + s(J) only the singular
+part is changed, s(J_min) + s'(J_min)(J - J_min) for J < J_min, which keeps it convex and C1 and is
+inactive as long as J >= J_min.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+from ngsolve import CoefficientFunction, IfPos, log
+
+from ngvisco.errors import require_positive
+
+Scalar: TypeAlias = CoefficientFunction
+
+
+def check_continuation(owner: object, J_min: float | None) -> None:
+    """Raise ParameterError unless ``J_min`` is None (no continuation) or a finite number > 0."""
+    if J_min is not None:
+        require_positive(owner, J_min=J_min)
+
+
+def continued(
+    s: Callable[[Scalar], Scalar], slope: Callable[[Scalar], Scalar], J: Scalar, J_min: float | None
+) -> Scalar:
+    """s(J), linear below ``J_min`` (None: nowhere); ``slope`` is s'.
+
+    With J_+ = max(J, J_min) this is s(J_+) + s'(J_+)(J - J_+): the singular function is never evaluated
+    below J_min, not even in the branch that is thrown away.
+    """
+    if J_min is None:
+        return s(J)
+    above = IfPos(J - J_min, J, J_min)
+    return s(above) + slope(above) * (J - above)
+
+
+def minus_log(epsilon: float, J: Scalar, J_min: float | None) -> Scalar:
+    """-epsilon ln J (paper: neo-Hookean-potential-actual)."""
+    return continued(lambda a: -epsilon * log(a), lambda a: -epsilon / a, J, J_min)
+
+
+def inverse_power(epsilon: float, kappa: float, J: Scalar, J_min: float | None) -> Scalar:
+    """epsilon / J^kappa, convex for kappa >= 0 (paper: exa-polyconvex-general)."""
+    return continued(lambda a: epsilon * a**-kappa, lambda a: -epsilon * kappa * a ** (-kappa - 1), J, J_min)

@@ -1,0 +1,397 @@
+"""Every material against closed forms: rates, stress at rest, moduli, state equation, convexity."""
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+from ngsolve import CF, Mesh, Parameter, unit_square
+from scipy.integrate import solve_ivp
+
+import ngvisco as nv
+from ngvisco.physics.material import cauchy_stress, conjugates, mandel_stress
+from ngvisco.physics.materials import examples, table
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import (
+    Cofactor,
+    Distortion,
+    Jacobian,
+    LogJacobian,
+    ReciprocalJacobian,
+)
+
+MESH = Mesh(unit_square.GenerateMesh(maxh=2))
+EXAMPLES = {example.constructor: example.material for example in examples()}
+FINITE = {
+    name: m
+    for name, m in EXAMPLES.items()
+    if not name.startswith(("LinearElastic", "HardeningElastic", "Isotropic"))
+}
+
+
+def at_point(f):
+    """A coefficient function without x in it, as an array."""
+    return np.array(f(MESH(0.3, 0.3))).reshape(f.dims or ())
+
+
+def tensor(array):
+    return CF(tuple(np.asarray(array, dtype=float).ravel()), dims=(3, 3))
+
+
+def values(material, F):
+    return {v.name: v.from_distortion(tensor(F)) for v in material.variables}
+
+
+def constants(material, F):
+    """The same as constants, so that conjugates do not differentiate through F.
+
+    Scalars are parameters: NGSolve simplifies a constant 0 away, and its derivative with it.
+    """
+    return {
+        name: tensor(at_point(z)) if z.dims else Parameter(float(at_point(z)))
+        for name, z in values(material, F).items()
+    }
+
+
+VARIABLES = [
+    Distortion(),
+    Distortion("H", exponent=-5 / 6),
+    Distortion("H", exponent=-1 / 3),
+    Distortion("H", exponent=0.7),
+    Cofactor(),
+    Cofactor("N", exponent=-7 / 6),
+    Cofactor("N", exponent=0.4),
+    Jacobian(),
+    ReciprocalJacobian(),
+    LogJacobian(),
+]
+
+
+@pytest.mark.parametrize(
+    "variable", VARIABLES, ids=lambda v: f"{type(v).__name__}{getattr(v, 'exponent', '')}"
+)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_rate_is_that_of_the_function_of_F(variable, seed):
+    """dz/dt = rate(z; L, Pi) along F' = L F - F Pi, constant L and trace-free Pi, integrated to 1e-11."""
+    rng = np.random.default_rng(seed)
+    L = rng.uniform(-1, 1, (3, 3))
+    Pi = rng.uniform(-1, 1, (3, 3))
+    Pi -= np.trace(Pi) / 3 * np.eye(3)
+    F_0 = np.eye(3) + 0.3 * rng.uniform(-1, 1, (3, 3))
+    variables = [variable]
+    if variable.requires:
+        variables.append(ReciprocalJacobian())
+
+    def start(F):
+        return [at_point(v.from_distortion(tensor(F))) for v in variables]
+
+    shapes = [s.shape for s in start(F_0)]
+    sizes = [max(1, int(np.prod(shape))) for shape in shapes]
+
+    def rhs(_, state):
+        F = state[:9].reshape(3, 3)
+        rates, offset, z = [L @ F - F @ Pi], 9, {}
+        for v, shape, size in zip(variables, shapes, sizes, strict=True):
+            part = state[offset : offset + size]
+            z[v.name] = tensor(part) if shape else CF(float(part[0]))
+            offset += size
+        rates += [at_point(v.rate(z, tensor(L), tensor(Pi))) for v in variables]
+        return np.concatenate([np.ravel(r) for r in rates])
+
+    begin = np.concatenate([F_0.ravel(), *(np.ravel(s) for s in start(F_0))])
+    end = solve_ivp(rhs, (0, 0.4), begin, rtol=1e-11, atol=1e-13, method="DOP853").y[:, -1]
+    expected = start(end[:9].reshape(3, 3))[0]
+    assert np.allclose(end[9 : 9 + sizes[0]], np.ravel(expected), rtol=1e-9, atol=1e-10)
+
+
+def test_printed_mooney_rivlin_rate_is_a_slip():
+    """The paper's (Cof' F)((grad v)H - H Pi) - 7/6 (div v)H is not the derivative of J^{-7/6} Cof F."""
+    rng = np.random.default_rng(3)
+    L, F = rng.uniform(-1, 1, (3, 3)), np.eye(3) + 0.3 * rng.uniform(-1, 1, (3, 3))
+
+    def cof(A):
+        return np.linalg.det(A) * np.linalg.inv(A).T
+
+    def H(A):
+        return np.linalg.det(A) ** (-7 / 6) * cof(A)
+
+    h = 1e-6
+    exact = (H(F + h * L @ F) - H(F - h * L @ F)) / (2 * h)
+    G = L @ H(F)
+    printed = (cof(F + h * G) - cof(F - h * G)) / (2 * h) - 7 / 6 * np.trace(L) * H(F)
+    variable = Cofactor("N", exponent=-7 / 6)
+    ours = at_point(variable.rate({"N": tensor(H(F))}, tensor(L), tensor(np.zeros((3, 3)))))
+    assert np.allclose(ours, exact, atol=1e-8)
+    assert np.abs(printed - exact).max() > 0.1
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_cauchy_stress_is_symmetric_and_the_derivative_of_energy(name):
+    """T : A = d/dh [phi(F_h) J_h/J] at h = 0, F_h = (I + h A) F, the power of a volume that moves with A."""
+    material = EXAMPLES[name]
+    if name not in FINITE:
+        E = np.array([[0.1, 0.05, 0], [0.05, -0.02, 0.03], [0, 0.03, 0.07]])
+        T = at_point(cauchy_stress(material, {"E": tensor(E)}))
+        assert np.allclose(T, T.T, atol=1e-12)
+        return
+    rng = np.random.default_rng(5)
+    F = np.eye(3) + 0.2 * rng.uniform(-1, 1, (3, 3))
+    A = rng.uniform(-1, 1, (3, 3))
+
+    def referential(G):
+        return float(at_point(material.energy(constants(material, G)))) * np.linalg.det(G)
+
+    h = 1e-5
+    power = (referential(F + h * A @ F) - referential(F - h * A @ F)) / (2 * h) / np.linalg.det(F)
+    T = at_point(cauchy_stress(material, constants(material, F)))
+    scale = np.abs(T).max()
+    if name != "CustomMaterial":  # isotropic functions of F
+        assert np.allclose(T, T.T, atol=1e-10 * scale)
+    assert abs(np.sum(T * A) - power) < 1e-7 * scale
+
+
+@pytest.mark.parametrize("name", FINITE)
+def test_mandel_stress_is_trace_free_and_the_power_of_creep(name):
+    """M : P = -d/dh phi(F - h F P) at h = 0, and J is untouched."""
+    material = FINITE[name]
+    rng = np.random.default_rng(6)
+    F = np.eye(3) + 0.2 * rng.uniform(-1, 1, (3, 3))
+    P = rng.uniform(-1, 1, (3, 3))
+    P = (P + P.T) / 2 - np.trace(P) / 3 * np.eye(3)
+    z = constants(material, F)
+    M = at_point(mandel_stress(material, z, conjugates(material, z), 3))
+
+    def energy(G):
+        return float(at_point(material.energy(constants(material, G))))
+
+    h = 1e-5
+    power = -(energy(F - h * F @ P) - energy(F + h * F @ P)) / (2 * h)
+    assert abs(np.trace(M)) < 1e-12
+    assert np.allclose(M, M.T, atol=1e-12)
+    assert abs(np.sum(M * P) - power) < 1e-7
+
+
+@pytest.mark.parametrize("name", FINITE)
+def test_frame_indifference(name):
+    """phi(Q F) = phi(F) and T(Q F) = Q T(F) Q^T for a rotation Q."""
+    material = FINITE[name]
+    F = np.eye(3) + 0.2 * np.random.default_rng(7).uniform(-1, 1, (3, 3))
+    Q = np.linalg.qr(np.random.default_rng(8).uniform(-1, 1, (3, 3)))[0]
+    Q *= np.sign(np.linalg.det(Q))
+    z, turned = constants(material, F), constants(material, Q @ F)
+    assert math.isclose(at_point(material.energy(z)), at_point(material.energy(turned)), rel_tol=1e-12)
+    T = at_point(cauchy_stress(material, z))
+    assert np.allclose(at_point(cauchy_stress(material, turned)), Q @ T @ Q.T, atol=1e-10)
+
+
+REST_PRESSURE = {
+    "NeoHookean": 3 * 5.0 + 0.1**2 / 20,
+    "NeoHookean(kappa=ϰ)": 3 * 5.0 + 0.1 + (2 * 0.1) ** 2 / 20,
+    "MooneyRivlin": 3 * 3.0 + 2 * 2.0 + 0.1**2 / 20,
+    "ReferentialNeoHookean": 0.0,
+    "ReferentialNeoHookean(epsilon=ε, kappa=ϰ)": 0.0,
+    "IsochoricNeoHookean": 0.0,
+    "LogarithmicNeoHookean": 0.0,
+    "ReferentialMooneyRivlin": 0.0,
+    "BarotropicFluid": -0.4 * 10,
+    'BarotropicFluid(form="A")': -0.4 * 10,
+}
+
+
+@pytest.mark.parametrize(("name", "stress"), REST_PRESSURE.items())
+def test_stress_at_rest_is_as_documented(name, stress):
+    material = EXAMPLES[name]
+    T = at_point(cauchy_stress(material, constants(material, np.eye(3))))
+    assert np.allclose(T, stress * np.eye(3), atol=1e-11)
+
+
+SHEAR = {name: 0.0 if name.startswith("Baro") else 2 * 5.0 for name in REST_PRESSURE}
+
+
+@pytest.mark.parametrize(("name", "modulus"), SHEAR.items())
+def test_shear_modulus_at_rest_is_twice_G_e(name, modulus):
+    """G_e (+ G_mr) is half the usual shear modulus."""
+    material, h = EXAMPLES[name], 1e-4
+    F = np.eye(3)
+    F[0, 1] = h
+    T = at_point(cauchy_stress(material, constants(material, F)))
+    assert math.isclose(T[0, 1] / h, modulus, rel_tol=1e-6, abs_tol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "bulk"),
+    [
+        ("ReferentialNeoHookean", 10.0),
+        ("ReferentialNeoHookean(epsilon=ε, kappa=ϰ)", 10.0 + 2 * 3 * 0.1),
+        ("IsochoricNeoHookean", 10.0),
+        ("LogarithmicNeoHookean", 10.0 + 0.1),
+        ("ReferentialMooneyRivlin", 10.0),
+        ("BarotropicFluid", 1.4 * 0.4 * 10),
+    ],
+)
+def test_bulk_modulus_at_rest_is_as_documented(name, bulk):
+    """dT/d ln J of a pure dilation."""
+    material, h = EXAMPLES[name], 1e-4
+
+    def stress(J):
+        return at_point(cauchy_stress(material, constants(material, J ** (1 / 3) * np.eye(3))))[0, 0]
+
+    assert math.isclose((stress(1 + h) - stress(1 - h)) / (2 * h), bulk, rel_tol=1e-6)
+
+
+@pytest.mark.parametrize("gamma", [0.31, 1.0, 4.7])
+def test_neo_hookean_simple_shear_has_the_closed_form(gamma):
+    """T_12 = 2 G_e gamma at any shear (shared reference; Cauchy-stress-polyconvex)."""
+    F = np.eye(3)
+    F[0, 1] = gamma
+    for name in ("NeoHookean", "ReferentialNeoHookean", "IsochoricNeoHookean", "LogarithmicNeoHookean"):
+        T = at_point(cauchy_stress(EXAMPLES[name], constants(EXAMPLES[name], F)))
+        assert math.isclose(T[0, 1], 10 * gamma, rel_tol=1e-12)
+
+
+def test_three_referential_forms_are_one_material():
+    """Equal energies and stresses at random F; the logarithmic one with its epsilon in the reference."""
+    F = np.eye(3) + 0.3 * np.random.default_rng(9).uniform(-1, 1, (3, 3))
+    J = np.linalg.det(F)
+    energy = 5 * (J - 2 + 1 / J) + 5 * J ** (-5 / 3) * np.sum(F * F)
+    stresses = []
+    for name in ("ReferentialNeoHookean", "IsochoricNeoHookean"):
+        z = constants(EXAMPLES[name], F)
+        assert math.isclose(at_point(EXAMPLES[name].energy(z)), energy, rel_tol=1e-13)
+        stresses.append(at_point(cauchy_stress(EXAMPLES[name], z)))
+    assert np.allclose(*stresses, atol=1e-12)
+    with_log = (5 * (J - 1 + 0.01) ** 2 + 5 * J ** (-2 / 3) * np.sum(F * F) - 0.1 * np.log(J)) / J
+    material = EXAMPLES["LogarithmicNeoHookean"]
+    assert math.isclose(at_point(material.energy(constants(material, F))), with_log, rel_tol=1e-13)
+
+
+def test_mooney_rivlin_has_the_isochoric_invariants():
+    F = np.eye(3) + 0.3 * np.random.default_rng(10).uniform(-1, 1, (3, 3))
+    J = np.linalg.det(F)
+    iso = F / J ** (1 / 3)
+    I_1, I_2 = np.sum(iso * iso), np.sum(np.linalg.inv(iso) ** 2)
+    volume = 5 * (J - 1 + 0.01) ** 2 - 0.1 * np.log(J)
+    actual, referential = EXAMPLES["MooneyRivlin"], EXAMPLES["ReferentialMooneyRivlin"]
+    expected = volume + 3 * I_1 + 2 * 2 / (3 * np.sqrt(3)) * I_2**1.5
+    assert math.isclose(at_point(actual.energy(constants(actual, F))), expected, rel_tol=1e-13)
+    expected = (5 * (J - 1) ** 2 + 3 * I_1 + 2 * I_2) / J
+    assert math.isclose(at_point(referential.energy(constants(referential, F))), expected, rel_tol=1e-13)
+
+
+@pytest.mark.parametrize("form", ["J", "A"])
+def test_barotropic_state_equation(form):
+    """p = a rho^gamma with a = (gamma - 1) B/rho_R^gamma, from the Cauchy stress -p I."""
+    a, gamma, rho_R = 3.0, 1.7, 2.5
+    fluid = nv.BarotropicFluid.from_state_equation(a, gamma, rho_R, form)
+    for rho in (0.4, 2.5, 6.0):
+        start = {name: CF(float(at_point(value))) for name, value in fluid.start(rho, rho_R).items()}
+        T = at_point(cauchy_stress(fluid, start))
+        assert np.allclose(T, -a * rho**gamma * np.eye(3), rtol=1e-12)
+        assert math.isclose(fluid.pressure(rho, rho_R), a * rho**gamma, rel_tol=1e-13)
+        assert math.isclose(fluid.sound_speed(rho, rho_R) ** 2, a * gamma * rho ** (gamma - 1), rel_tol=1e-13)
+
+
+@pytest.mark.parametrize("s", [3.0, 3.5, 4.0, 6.0])
+def test_hardening_grows_like_its_exponent(s):
+    material = nv.HardeningElastic(K_e=1.0, G_e=1.0, K_h=1.0, G_h=1.0, s=s)
+    E = np.array([[1.0, 0.5, 0], [0.5, -2.0, 0], [0, 0, 0.3]])
+    big = [at_point(material.energy({"E": tensor(t * E)})) for t in (1e4, 2e4)]
+    assert math.isclose(big[1] / big[0], 2**s, rel_tol=1e-3)
+
+
+def test_singular_part_is_linear_below_J_min_and_unchanged_above():
+    plain = nv.ReferentialNeoHookean(K_e=10, G_e=5)
+    material = nv.ReferentialNeoHookean(K_e=10, G_e=5, J_min=0.5)
+    H = tensor(np.eye(3))
+
+    def energy(m, J):
+        return at_point(m.energy({"H": H, "J": Parameter(J)}))
+
+    def slope(m, J):
+        return at_point(conjugates(m, {"H": H, "J": Parameter(J)})["J"])
+
+    for J in (0.5, 0.6, 2.0):
+        assert math.isclose(energy(material, J), energy(plain, J), rel_tol=1e-14)
+        assert math.isclose(slope(material, J), slope(plain, J), rel_tol=1e-14, abs_tol=1e-14)
+    for J in (0.3, 0.0, -1.0):
+        assert math.isclose(slope(material, J), slope(plain, 0.5), rel_tol=1e-14)
+        expected = energy(plain, 0.5) + slope(plain, 0.5) * (J - 0.5)
+        assert math.isclose(energy(material, J), expected, rel_tol=1e-13)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_energy_is_jointly_convex(name, dim):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        report = nv.check_convexity(EXAMPLES[name], dim=dim)
+    assert report.passed
+    assert report.samples > 1000
+
+
+def test_non_convex_energy_warns_with_the_point():
+    """J^{-5/3} |F|^2 is not convex in (F, J) (paper: convexity-neo-Hookean with p = 5/3)."""
+    material = nv.CustomMaterial(
+        transported=(Distortion(), Jacobian()),
+        stored_energy=lambda F, J: 5 * (J - 2 + 1 / J) + 5 * J ** (-5 / 3) * square(F),
+    )
+    with pytest.warns(nv.ConvexityWarning, match="not convex at F = "):
+        report = nv.check_convexity(material)
+    assert not report.passed
+    # the violation is real: phi(b) < phi(a) + phi'(a):(b - a), evaluated without the sampler
+    F, J = report.point["F"], float(report.point["J"])
+    dF, dJ = report.direction["F"], float(report.direction["J"])
+
+    def phi(F, J):
+        return 5 * (J - 2 + 1 / J) + 5 * J ** (-5 / 3) * np.sum(F * F)
+
+    slope = 10 * J ** (-5 / 3) * np.sum(F * dF) + dJ * (5 - 5 / J**2 - 25 / 3 * J ** (-8 / 3) * np.sum(F * F))
+    assert phi(F + dF, J + dJ) - phi(F, J) - slope < -1e-9
+
+
+def test_simulation_warns_of_a_users_energy_that_is_not_convex():
+    material = nv.CustomMaterial(
+        transported=(Jacobian(),), stored_energy=lambda J: 1 / J - 3 * (J - 1) * (J - 1)
+    )
+    with pytest.warns(nv.ConvexityWarning):
+        nv.Simulation(MESH, nv.Model(material=material), dt=0.1)
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: nv.NeoHookean(K_e=-1, G_e=1, epsilon=1), "NeoHookean.K_e"),
+        (lambda: nv.MooneyRivlin(K_e=1, G_e=1, epsilon=1, G_mr=-1), "MooneyRivlin.G_mr"),
+        (lambda: nv.ReferentialNeoHookean(K_e=1, G_e=math.nan), "ReferentialNeoHookean.G_e"),
+        (lambda: nv.IsochoricNeoHookean(K_e=1, G_e=1, J_min=0), "IsochoricNeoHookean.J_min"),
+        (lambda: nv.LogarithmicNeoHookean(K_e=1, G_e=1, epsilon=0), "LogarithmicNeoHookean.epsilon"),
+        (lambda: nv.ReferentialMooneyRivlin(K_e=1, G_e=1, G_mr=1, kappa=-1), "ReferentialMooneyRivlin.kappa"),
+        (lambda: nv.BarotropicFluid(B=1, gamma=1), "BarotropicFluid.gamma"),
+        (lambda: nv.BarotropicFluid(B=1, gamma=2, form="rho"), "BarotropicFluid.form"),
+        (lambda: nv.HardeningElastic(K_e=1, G_e=1, K_h=1, G_h=1, s=2), "HardeningElastic.s"),
+        (lambda: nv.Creep(G_m=1, nu=-1), "Creep.nu"),
+        (lambda: nv.Creep(G_m=1, q=1), "Creep.q"),
+        (lambda: nv.Regularisation(delta_density=-1), "Regularisation.delta_density"),
+        (lambda: nv.Regularisation(rho_max=0), "Regularisation.rho_max"),
+        (lambda: nv.WithQuadratic(material=nv.BarotropicFluid(B=1, gamma=2), delta=0), "WithQuadratic.delta"),
+    ],
+)
+def test_parameter_out_of_range_raises(make, field):
+    with pytest.raises(nv.ParameterError) as error:
+        make()
+    assert error.value.field == field
+
+
+def test_table_lists_every_material_with_a_label_of_the_paper():
+    lines = table().splitlines()
+    assert len(lines) == 2 + len(examples())
+    for example, line in zip(examples(), lines[2:], strict=True):
+        assert line.startswith(f"| `{example.constructor}` |")
+        assert f"`{example.paper}`" in line
+    classes = {type(example.material).__name__ for example in examples()}
+    exported = {
+        name
+        for name in nv.__all__
+        if isinstance(getattr(nv, name), type) and issubclass(getattr(nv, name), nv.Material)
+    }
+    assert classes == exported - {"Material", "WithQuadratic"}
