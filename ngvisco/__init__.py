@@ -31,8 +31,9 @@ from ngvisco.physics.materials import (
     LinearElastic,
     NeoHookean,
 )
-from ngvisco.physics.model import BodyForce, Gravity, Model
+from ngvisco.physics.model import BodyForce, CentralGravity, Gravity, Model
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields
@@ -65,6 +66,7 @@ _find_geometries()
 
 __all__ = [
     "BodyForce",
+    "CentralGravity",
     "CheckpointError",
     "Checkpoints",
     "Creep",
@@ -80,15 +82,20 @@ __all__ = [
     "Material",
     "MeshError",
     "Model",
+    "NavierFriction",
     "NeoHookean",
     "NewtonOptions",
     "NgviscoError",
+    "NoSlip",
     "Observer",
     "ParameterError",
+    "PrescribedTangential",
     "Progress",
     "Simulation",
+    "Slip",
     "StepError",
     "StokesViscosity",
+    "Traction",
     "UnknownNameError",
     "VTKSeries",
     "plot_energies",

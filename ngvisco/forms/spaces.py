@@ -7,6 +7,7 @@
 | hess, hyperstress| P_{k-2}, symmetric in the last two indices        | local          |
 | rho, rho_hat     | discontinuous P_m, its trace on facets            | local, global  |
 | z, z_hat, zeta   | all transported components, trace, conjugates     | local, global  |
+| wall_stress      | P_{k-1} (2D), P_{k-2} (3D) on oblique, curved walls | global       |
 
 The local unknowns are condensed out cell by cell.
 """
@@ -28,6 +29,7 @@ from ngsolve import (
     Grad,
     Mesh,
     NormalFacetFESpace,
+    Periodic,
     VectorH1,
     VectorValued,
     specialcf,
@@ -72,13 +74,21 @@ class Layout:
         model: Model,
         discretisation: Discretisation,
         dirichlet: Sequence[str],
+        *,
+        periodic: bool = False,
+        multiplier: FESpace | None = None,
     ) -> None:
-        """``dirichlet[i]`` is the boundary pattern on which v_i = 0."""
+        """``dirichlet[i]`` is the boundary pattern on which v_i is prescribed.
+
+        ``periodic`` identifies the unknowns on identified boundaries; ``multiplier`` is the space of
+        the wall stress that holds v.n = 0 on oblique and curved walls.
+        """
         self.mesh, self.model, self.discretisation = mesh, model, discretisation
+        self.periodic = periodic
         dim, k, m = mesh.dim, discretisation.k, discretisation.m
         components = component_count(model.material, dim)
         blocks: dict[str, FESpace] = {
-            "v": VectorH1(mesh, order=k, **dict(zip(_DIRICHLET[:dim], dirichlet, strict=True))),
+            "v": self.velocity_space(dirichlet),
             "rho": L2(mesh, order=m),
             "rho_hat": FacetFESpace(mesh, order=m),
             "z": VectorValued(L2(mesh, order=m), components),
@@ -94,6 +104,12 @@ class Layout:
                 blocks["hyper_coefficient"] = L2(mesh, order=2 * k - 4)
             for i in range(dim):
                 blocks[f"a_{i + 1}"] = NormalFacetFESpace(mesh, order=k - 1)
+        if periodic:  # v is so already
+            for name in blocks:
+                if name.startswith("a_") or name.endswith("_hat"):
+                    blocks[name] = Periodic(blocks[name])
+        if multiplier is not None:
+            blocks["wall_stress"] = multiplier
         self.blocks = blocks
         self.names = tuple(blocks)
         self.space = FESpace(list(blocks.values()))
@@ -101,6 +117,12 @@ class Layout:
             name: slice(r.start, r.stop)
             for name, r in ((name, self.space.Range(i)) for i, name in enumerate(self.names))
         }
+
+    def velocity_space(self, dirichlet: Sequence[str]) -> FESpace:
+        """Continuous P_k with v_i prescribed on the boundary pattern ``dirichlet[i]``."""
+        patterns = dict(zip(_DIRICHLET[: self.mesh.dim], dirichlet, strict=True))
+        space = VectorH1(self.mesh, order=self.discretisation.k, **patterns)
+        return Periodic(space) if self.periodic else space
 
     def fields(self, parts: Sequence[Any]) -> Fields:
         """Fields of trial or test proxies, or of a grid function's components."""
@@ -171,6 +193,11 @@ class Fields:
     @property
     def z_hat(self) -> CoefficientFunction:
         return self.parts["z_hat"]
+
+    @property
+    def wall_stress(self) -> CoefficientFunction:
+        """Multiplier of v.n = 0 on oblique and curved walls, Pa; on cell boundaries only."""
+        return self.parts["wall_stress"]
 
     @property
     def zeta(self) -> CoefficientFunction:
