@@ -122,7 +122,12 @@ class Layout:
         """Continuous P_k with v_i prescribed on the boundary pattern ``dirichlet[i]``."""
         patterns = dict(zip(_DIRICHLET[: self.mesh.dim], dirichlet, strict=True))
         space = VectorH1(self.mesh, order=self.discretisation.k, **patterns)
-        return Periodic(space) if self.periodic else space
+        if not self.periodic:
+            return space
+        identified = Periodic(space)
+        free = identified.FreeDofs()  # Periodic forgets the constraints of components
+        free &= space.FreeDofs()
+        return identified
 
     def fields(self, parts: Sequence[Any]) -> Fields:
         """Fields of trial or test proxies, or of a grid function's components."""

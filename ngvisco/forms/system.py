@@ -17,6 +17,8 @@ no solver and no time loop.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from ngsolve import BilinearForm, GridFunction, Mesh
 
 from ngvisco.forms import walls
@@ -121,12 +123,15 @@ class Step:
     def _reactions(self) -> list[Entry]:
         """Power of the reactions of moving walls: the residual's rows there, tested by v."""
 
-        def power(name: str) -> float:
-            residual = self.state.vec.CreateVector()
-            self.residual.Apply(self.state.vec, residual)
-            return self.moving_walls.reaction_power(residual, name)
+        def power(name: str) -> Callable[[], float]:
+            def evaluate() -> float:
+                residual = self.state.vec.CreateVector()
+                self.residual.Apply(self.state.vec, residual)
+                return self.moving_walls.reaction_power(residual, name)
+
+            return evaluate
 
         return [
-            Entry(f"power_wall_{name}", "power", Integrand(), lambda name=name: power(name))
+            Entry(f"power_wall_{name}", "power", Integrand(), power(name))
             for name in self.moving_walls.moving
         ]
