@@ -1,5 +1,20 @@
 """Domains with named walls, meshed by Netgen; sizes in the user's length unit."""
 
-from ngvisco.geometries.boxes import box
+from ngvisco.geometries.boxes import bar, block_with_hole, box, channel
+from ngvisco.geometries.files import load
+from ngvisco.geometries.meshing import refine_walls
+from ngvisco.geometries.round import annulus, cylinder, disc, sphere, spherical_shell
 
-__all__ = ["box"]
+__all__ = [
+    "annulus",
+    "bar",
+    "block_with_hole",
+    "box",
+    "channel",
+    "cylinder",
+    "disc",
+    "load",
+    "refine_walls",
+    "sphere",
+    "spherical_shell",
+]

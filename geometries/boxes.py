@@ -1,16 +1,29 @@
-"""Boxes with axis-parallel walls."""
+"""Boxes, channels, bars and a block with a hole."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from netgen.occ import Box, OCCGeometry, Pnt, Rectangle, X, Y, Z
+from netgen.occ import Box, Circle, Cylinder, IdentificationType, Pnt, Rectangle, X, Y, Z, gp_Trsf, gp_Vec
 from ngsolve import Mesh
 
 from ngvisco.errors import ParameterError
+from ngvisco.geometries.meshing import CURVE_ORDER, check_lengths, mesh_of
+
+_WALLS = {
+    2: (("left", -X), ("right", X), ("bottom", -Y), ("top", Y)),
+    3: (("left", -X), ("right", X), ("front", -Y), ("back", Y), ("bottom", -Z), ("top", Z)),
+}
 
 
-def box(size: Sequence[float], maxh: float) -> Mesh:
+def box(
+    size: Sequence[float],
+    maxh: float,
+    *,
+    periodic: str | Sequence[str] = (),
+    refine: Mapping[str, float] | None = None,
+) -> Mesh:
     """A box [0, size_1] x [0, size_2] (x [0, size_3]).
 
     Walls: ``left``/``right`` (x), ``bottom``/``top`` (y in 2D, z in 3D), ``front``/``back`` (y in 3D).
@@ -21,30 +34,126 @@ def box(size: Sequence[float], maxh: float) -> Mesh:
         Edge lengths, m.
     maxh : float
         Largest cell size, m, > 0.
+    periodic : some of "x", "y", "z", e.g. "x" or "xy"
+        Directions in which the two walls are identified.
+    refine : mapping of walls to cell sizes, optional
+        Smaller cell sizes on walls, m.
 
     Raises
     ------
     ParameterError
         If a length is not a finite positive number, or their number is not 2 or 3.
     """
+    shape, dim, _ = _block("box", size)
+    _identify(shape, dim, [float(s) for s in size], periodic)
+    return mesh_of("box", shape, dim, maxh, 1, refine)
+
+
+def channel(
+    length: float,
+    height: float,
+    maxh: float,
+    *,
+    width: float | None = None,
+    refine: Mapping[str, float] | None = None,
+) -> Mesh:
+    """A channel along x between the walls ``bottom`` and ``top``, periodic in x (and in y in 3D).
+
+    Parameters
+    ----------
+    length, height : float
+        m; the height is that of y in 2D and of z in 3D.
+    maxh : float
+        Largest cell size, m.
+    width : float, optional
+        Makes it three-dimensional, m.
+    refine : mapping of walls to cell sizes, optional
+    """
+    if width is None:
+        return box((length, height), maxh, periodic="x", refine=refine)
+    return box((length, width, height), maxh, periodic="xy", refine=refine)
+
+
+def bar(
+    length: float,
+    thickness: float,
+    maxh: float,
+    *,
+    dim: int = 2,
+    refine: Mapping[str, float] | None = None,
+) -> Mesh:
+    """A bar along x of square cross-section, with the walls of a box.
+
+    Parameters
+    ----------
+    length, thickness, maxh : float
+        m.
+    dim : 2 or 3
+    """
+    if dim not in (2, 3):
+        raise ParameterError("bar.dim", dim, "2 or 3")
+    return box((length, *(thickness,) * (dim - 1)), maxh, refine=refine)
+
+
+def block_with_hole(
+    size: Sequence[float],
+    radius: float,
+    maxh: float,
+    *,
+    order: int = CURVE_ORDER,
+    refine: Mapping[str, float] | None = None,
+) -> Mesh:
+    """A box with a circular hole in its middle, in 3D along y; walls of the box, and ``hole``.
+
+    Parameters
+    ----------
+    size : two or three positive numbers
+        Edge lengths, m.
+    radius : float
+        Less than half of the edges that it is between, m.
+    maxh : float
+        m.
+    order : int
+        Of the curved cells.
+    refine : mapping of walls to cell sizes, optional
+    """
+    check_lengths("block_with_hole", radius=radius)
+    shape, dim, lengths = _block("block_with_hole", size)
+    across = (lengths[0], lengths[-1])
+    if 2 * radius >= min(across):
+        raise ParameterError("block_with_hole.radius", radius, f"a number < {min(across) / 2:g}")
+    if dim == 2:
+        hole = Circle((lengths[0] / 2, lengths[1] / 2), radius).Face()
+        hole.edges.name = "hole"
+    else:
+        hole = Cylinder(Pnt(lengths[0] / 2, 0, lengths[2] / 2), Y, r=radius, h=lengths[1])
+        hole.faces.name = "hole"
+    return mesh_of("block_with_hole", shape - hole, dim, maxh, order, refine)
+
+
+def _block(owner: str, size: Sequence[float]) -> tuple[Any, int, tuple[float, ...]]:
     lengths = tuple(float(s) for s in size)
     if len(lengths) not in (2, 3) or not all(0 < s < float("inf") for s in lengths):
-        raise ParameterError("box.size", size, "two or three finite numbers > 0")
-    if not 0 < maxh < float("inf"):
-        raise ParameterError("box.maxh", maxh, "a finite number > 0")
-    if len(lengths) == 2:
-        face = Rectangle(*lengths).Face()
-        for name, direction in (("left", -X), ("right", X), ("bottom", -Y), ("top", Y)):
-            face.edges.Max(direction).name = name
-        return Mesh(OCCGeometry(face, dim=2).GenerateMesh(maxh=maxh))
-    solid = Box(Pnt(0, 0, 0), Pnt(*lengths))
-    for name, direction in (
-        ("left", -X),
-        ("right", X),
-        ("front", -Y),
-        ("back", Y),
-        ("bottom", -Z),
-        ("top", Z),
-    ):
-        solid.faces.Max(direction).name = name
-    return Mesh(OCCGeometry(solid).GenerateMesh(maxh=maxh))
+        raise ParameterError(f"{owner}.size", size, "two or three finite numbers > 0")
+    dim = len(lengths)
+    shape = Rectangle(*lengths).Face() if dim == 2 else Box(Pnt(0, 0, 0), Pnt(*lengths))
+    walls = shape.edges if dim == 2 else shape.faces
+    for name, direction in _WALLS[dim]:
+        walls.Max(direction).name = name
+    return shape, dim, lengths
+
+
+def _identify(shape: Any, dim: int, lengths: Sequence[float], periodic: str | Sequence[str]) -> None:
+    walls = shape.edges if dim == 2 else shape.faces
+    axes = dict(zip("xyz", (X, Y, Z)[:dim], strict=False))
+    for name in periodic:
+        if name not in axes:
+            raise ParameterError("box.periodic", periodic, f"some of {', '.join(axes)}")
+        shift = [0.0, 0.0, 0.0]
+        shift["xyz".index(name)] = lengths["xyz".index(name)]
+        walls.Min(axes[name]).Identify(
+            walls.Max(axes[name]),
+            f"periodic_{name}",
+            IdentificationType.PERIODIC,
+            gp_Trsf.Translation(gp_Vec(*shift)),
+        )

@@ -40,9 +40,10 @@ from ngvisco.physics.materials import (
     ReferentialNeoHookean,
     WithQuadratic,
 )
-from ngvisco.physics.model import BodyForce, Gravity, Model
+from ngvisco.physics.model import BodyForce, CentralGravity, Gravity, Model
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields
@@ -76,6 +77,7 @@ _find_geometries()
 __all__ = [
     "BarotropicFluid",
     "BodyForce",
+    "CentralGravity",
     "CheckpointError",
     "Checkpoints",
     "ConvexityReport",
@@ -97,18 +99,23 @@ __all__ = [
     "MeshError",
     "Model",
     "MooneyRivlin",
+    "NavierFriction",
     "NeoHookean",
     "NewtonOptions",
     "NgviscoError",
+    "NoSlip",
     "Observer",
     "ParameterError",
+    "PrescribedTangential",
     "Progress",
     "ReferentialMooneyRivlin",
     "ReferentialNeoHookean",
     "Regularisation",
     "Simulation",
+    "Slip",
     "StepError",
     "StokesViscosity",
+    "Traction",
     "UnknownNameError",
     "VTKSeries",
     "WithQuadratic",

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from ngsolve import (
+    EDGE,
+    FACE,
     L2,
     CoefficientFunction,
     FacetFESpace,
@@ -57,6 +59,8 @@ class Entry:
     name: str
     kind: Kind
     integrand: Integrand
+    evaluate: Callable[[], float] | None = None
+    """Gives the value where it is no integral: the reaction of a wall."""
 
 
 class Term(Protocol):
@@ -88,6 +92,12 @@ class Context:
         self.inner = inner_facets(mesh)
         self.h = cell_size(mesh)
 
+    def average(self, value: CoefficientFunction) -> CoefficientFunction:
+        """1/tau int over the step by two Gauss points in time (exact for cubic functions of time)."""
+        spread = 0.5 / 3**0.5
+        early, late = (value.Replace({time: self.t_old + s * self.tau}) for s in (0.5 - spread, 0.5 + spread))
+        return 0.5 * (early + late)
+
     def normal_velocity(self, v: CoefficientFunction) -> CoefficientFunction:
         """v . n on inner facets and exactly 0 on walls."""
         return self.inner * (v * self.normal)
@@ -102,14 +112,21 @@ class Context:
         return 0.5 * (self.inner - a / self.modulus(a))
 
 
+def periodic_facets(mesh: Mesh) -> set[int]:
+    """Numbers of the boundary facets that the mesh identifies with another one."""
+    kind = EDGE if mesh.dim == 2 else FACE
+    return {nr for pair, _ in mesh.GetPeriodicNodePairs(kind) for nr in pair}
+
+
 def inner_facets(mesh: Mesh) -> GridFunction:
-    """1 on facets between two cells, 0 on walls, so that nothing is carried through a wall."""
+    """1 on facets between two cells, also identified ones, 0 on walls: nothing is carried through a wall."""
     space = FacetFESpace(mesh, order=0)
     indicator = GridFunction(space)
     indicator.vec[:] = 1.0
     wall_dofs = space.GetDofs(mesh.Boundaries(".*"))
+    periodic = periodic_facets(mesh)
     for i, on_wall in enumerate(wall_dofs):
-        if on_wall:
+        if on_wall and i not in periodic:
             indicator.vec[i] = 0.0
     return indicator
 

@@ -10,7 +10,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from ngsolve import CoefficientFunction, FESpace, GridFunction, LinearForm
+from ngsolve import (
+    ET,
+    VOL,
+    BaseMatrix,
+    BilinearForm,
+    CoefficientFunction,
+    FESpace,
+    GridFunction,
+    LinearForm,
+    Mesh,
+)
 
 from ngvisco.forms.context import Integrand
 from ngvisco.forms.hyperviscosity import Hyperviscosity
@@ -33,11 +43,25 @@ class LocalProjection:
             self.load += parts.cells.Compile() * quadrature.cells
         if parts.facets is not None:
             self.load += parts.facets.Compile() * quadrature.facets
-        self.inverse_mass = space.Mass(1).Inverse()
+        self.inverse_mass = _inverse_mass(space, quadrature)
 
     def __call__(self) -> None:
         self.load.Assemble()
         self.target.vec.data = self.inverse_mass * self.load.vec
+
+
+def _inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:
+    """The inverse mass matrix by the rule of the forms, which ``Mass`` has on straight simplices only."""
+    if quadrature.mesh.GetCurveOrder() <= 1 and _is_simplicial(quadrature.mesh):
+        return space.Mass(1).Inverse()
+    trial, test = space.TnT()
+    mass = BilinearForm(space, symmetric=True)
+    mass += inner(trial, test) * quadrature.cells
+    return mass.Assemble().mat.Inverse(inverse="sparsecholesky")
+
+
+def _is_simplicial(mesh: Mesh) -> bool:
+    return all(element.type in (ET.TRIG, ET.TET) for element in mesh.Elements(VOL))
 
 
 class Elimination:

@@ -17,12 +17,14 @@ from ngsolve import (
     Id,
     LinearForm,
     TaskManager,
+    specialcf,
 )
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.forms.walls import Impenetrability
 from ngvisco.physics.material import components_of, conjugates
 from ngvisco.physics.model import VectorLike, as_vector
 from ngvisco.physics.tensors import inner, square, tensor_space
@@ -39,7 +41,8 @@ class Initial:
     density : number or coefficient function
         rho_0 > 0, kg/m^3.
     velocity : vector of the mesh's dimension, optional
-        v_0, m/s; default zero.  Its normal component on walls is removed.
+        v_0, m/s; default zero.  It is projected so that v.n = 0 holds on walls,
+        and vanishes on walls without slip; on moving walls it keeps its tangential part.
     F : 3x3 coefficient function, optional
         Initial elastic distortion, det F_0 > 0, default I; every variable's start value is derived
         from it (J_0 = det F_0, E_0 = sym F_0 - I, ...).  In 2D its 13, 23, 31, 32 entries must be 0.
@@ -83,7 +86,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
             v_0 = as_vector(initial.velocity, dim, "Initial.velocity")
             sampler.require(inner(v_0, v_0), "|v_0|^2")
             parts["v"].Set(v_0)
-            remove_constrained(step)
+            _impose_walls(step, v_0)
         sampler.require(inner(step.now.z, step.now.z), "material variables")
         sampler.require(step.now.rho, "projected density rho_0", minimum=0.0)
         for variable in step.model.material.variables:
@@ -140,6 +143,33 @@ def remove_constrained(step: Step) -> None:
     """Zero the constrained coefficients: ``Set`` leaves a small v.n, which the ledger would show."""
     free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
     step.state.vec.FV().NumPy()[~free] = 0.0
+
+
+def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
+    """Make v.n = 0 hold in the walls' discrete sense: v = 0 where there is no slip, the given tangential
+    part where a wall moves, and on oblique or curved walls the L2 projection with their multiplier."""
+    remove_constrained(step)
+    where = step.layout.ranges["v"]
+    v = step.state.vec.FV().NumPy()[where]
+    for name, (_, mask) in step.moving_walls.moving.items():
+        n = specialcf.normal(step.mesh.dim)
+        v[mask] = step.moving_walls.interpolate(name, v_0 - (v_0 * n) * n)[mask]
+    for term in step.terms:
+        if isinstance(term, Impenetrability):
+            _project_velocity(step, v_0, term)
+
+
+def _project_velocity(step: Step, v_0: CoefficientFunction, term: Impenetrability) -> None:
+    trial, test = step.layout.space.TnT()
+    u, w = step.layout.fields(trial), step.layout.fields(test)
+    mass = BilinearForm(step.layout.space, check_unused=False)
+    load = LinearForm(step.layout.space)
+    mass += inner(u.v, w.v) * step.quadrature.cells
+    load += inner(v_0, w.v) * step.quadrature.cells
+    for part in term.form(u, w):
+        mass += part.facets * step.quadrature.facets
+    _solve_blocks(step, mass, load, ["v", "wall_stress"])
+    step.state.vec[step.layout.ranges["wall_stress"]] = 0.0
 
 
 def complete(step: Step) -> None:
@@ -210,10 +240,17 @@ def _solve_blocks(step: Step, mass: BilinearForm, load: LinearForm, names: list[
     free.Clear()
     for name in names:
         free[step.layout.ranges[name]] = True
-    # a refined mesh keeps the coarse facets, whose coefficients belong to no cell
+    # neither facets of coarser meshes, nor identified copies, nor prescribed coefficients
     free &= step.layout.space.FreeDofs()
     solution = GridFunction(step.layout.space)
-    solution.vec.data = mass.mat.Inverse(free, inverse="umfpack") * load.vec
+    if "v" in names:
+        where = step.layout.ranges["v"]
+        solution.vec[where] = step.state.vec[where]
+        for i in range(where.start, where.stop):
+            if free[i]:
+                solution.vec[i] = 0.0
+        load.vec.data -= mass.mat * solution.vec
+    solution.vec.data += mass.mat.Inverse(free, inverse="umfpack") * load.vec
     for name in names:
         where = step.layout.ranges[name]
         step.state.vec[where] = solution.vec[where]

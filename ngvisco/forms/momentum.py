@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.forms.context import Context, Entry, Integrand, time
+from ngvisco.forms.context import Context, Entry, Integrand
 from ngvisco.forms.spaces import Fields
-from ngvisco.physics.model import Gravity, Load, as_vector
+from ngvisco.physics.model import CentralGravity, Gravity, Load, as_vector
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import StokesViscosity
 from ngvisco.physics.tensors import inner, square, sym
@@ -130,16 +130,9 @@ class Loading:
 
     def force(self, u: Fields) -> CoefficientFunction:
         dim = self.context.mesh.dim
-        if isinstance(self.load, Gravity):
-            return u.rho * self._average(as_vector(self.load.g, dim, "Gravity.g"))
-        return self._average(as_vector(self.load.force, dim, "BodyForce.force"))
-
-    def _average(self, value: CoefficientFunction) -> CoefficientFunction:
-        """1/tau int over the step by two Gauss points in time (exact for cubic ones)."""
-        spread = 0.5 / 3**0.5
-        c = self.context
-        early, late = (value.Replace({time: c.t_old + s * c.tau}) for s in (0.5 - spread, 0.5 + spread))
-        return 0.5 * (early + late)
+        if isinstance(self.load, (Gravity, CentralGravity)):
+            return u.rho * self.context.average(as_vector(self.load.g, dim, "Gravity.g"))
+        return self.context.average(as_vector(self.load.force, dim, "BodyForce.force"))
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
         return [Integrand(-inner(self.force(u), w.v))]

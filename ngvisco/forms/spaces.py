@@ -9,6 +9,7 @@
 | z, z_hat, zeta   | all transported components, trace, conjugates     | local, global  |
 | Pi               | creep rate where nu > 0, continuous P_max(1, m)   | global         |
 | rho_delta_hat, z_delta_hat | traces of the delta-regularisation      | global         |
+| wall_stress      | P_{k-1} (2D), P_{k-2} (3D) on oblique, curved walls | global       |
 
 The local unknowns are condensed out cell by cell.
 """
@@ -31,6 +32,7 @@ from ngsolve import (
     Grad,
     Mesh,
     NormalFacetFESpace,
+    Periodic,
     VectorH1,
     VectorValued,
     specialcf,
@@ -75,13 +77,21 @@ class Layout:
         model: Model,
         discretisation: Discretisation,
         dirichlet: Sequence[str],
+        *,
+        periodic: bool = False,
+        multiplier: FESpace | None = None,
     ) -> None:
-        """``dirichlet[i]`` is the boundary pattern on which v_i = 0."""
+        """``dirichlet[i]`` is the boundary pattern on which v_i is prescribed.
+
+        ``periodic`` identifies the unknowns on identified boundaries; ``multiplier`` is the space of
+        the wall stress that holds v.n = 0 on oblique and curved walls.
+        """
         self.mesh, self.model, self.discretisation = mesh, model, discretisation
+        self.periodic = periodic
         dim, k, m = mesh.dim, discretisation.k, discretisation.m
         components = component_count(model.material, dim)
         blocks: dict[str, FESpace] = {
-            "v": VectorH1(mesh, order=k, **dict(zip(_DIRICHLET[:dim], dirichlet, strict=True))),
+            "v": self.velocity_space(dirichlet),
             "rho": L2(mesh, order=m),
             "rho_hat": FacetFESpace(mesh, order=m),
             "z": VectorValued(L2(mesh, order=m), components),
@@ -111,6 +121,12 @@ class Layout:
                 blocks["rho_delta_hat"] = FacetFESpace(mesh, order=m)
             if model.regularisation.delta_fields > 0:
                 blocks["z_delta_hat"] = VectorValued(FacetFESpace(mesh, order=m), components)
+        if periodic:  # v is so already
+            for name in blocks:
+                if name.startswith("a_") or name.endswith("_hat") or name == "Pi":
+                    blocks[name] = Periodic(blocks[name])
+        if multiplier is not None:
+            blocks["wall_stress"] = multiplier
         self.blocks = blocks
         self.names = tuple(blocks)
         self.space = FESpace(list(blocks.values()))
@@ -118,6 +134,17 @@ class Layout:
             name: slice(r.start, r.stop)
             for name, r in ((name, self.space.Range(i)) for i, name in enumerate(self.names))
         }
+
+    def velocity_space(self, dirichlet: Sequence[str]) -> FESpace:
+        """Continuous P_k with v_i prescribed on the boundary pattern ``dirichlet[i]``."""
+        patterns = dict(zip(_DIRICHLET[: self.mesh.dim], dirichlet, strict=True))
+        space = VectorH1(self.mesh, order=self.discretisation.k, **patterns)
+        if not self.periodic:
+            return space
+        identified = Periodic(space)
+        free = identified.FreeDofs()  # Periodic forgets the constraints of components
+        free &= space.FreeDofs()
+        return identified
 
     def fields(self, parts: Sequence[Any]) -> Fields:
         """Fields of trial or test proxies, or of a grid function's components."""
@@ -188,6 +215,11 @@ class Fields:
     @property
     def z_hat(self) -> CoefficientFunction:
         return self.parts["z_hat"]
+
+    @property
+    def wall_stress(self) -> CoefficientFunction:
+        """Multiplier of v.n = 0 on oblique and curved walls, Pa; on cell boundaries only."""
+        return self.parts["wall_stress"]
 
     @property
     def zeta(self) -> CoefficientFunction:

@@ -17,10 +17,12 @@ with Pi = R M the creep rate, or its own equation where nu > 0, and the regulari
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from ngsolve import BilinearForm, GridFunction, Mesh
 
 from ngvisco.forms import walls
-from ngvisco.forms.context import Context, Entry, Term
+from ngvisco.forms.context import Context, Entry, Integrand, Term
 from ngvisco.forms.creep import CreepRate
 from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.hyperviscosity import Hyperviscosity
@@ -42,6 +44,8 @@ class Step:
     discretisation : Discretisation
     sources : Term, optional
         A further term, for manufactured solutions.
+    conditions : mapping of boundary names to Wall objects, optional
+        What holds on walls; slip where nothing is said.
     """
 
     def __init__(
@@ -50,15 +54,25 @@ class Step:
         model: Model,
         discretisation: Discretisation | None = None,
         sources: Term | None = None,
+        conditions: walls.Conditions | None = None,
     ) -> None:
         walls.check_mesh(mesh)
         self.mesh, self.model = mesh, model
         self.discretisation = discretisation or Discretisation()
-        self.layout = Layout(mesh, model, self.discretisation, walls.slip_constraints(mesh))
+        self.walls = walls.Walls(mesh, conditions)
+        self.layout = Layout(
+            mesh,
+            model,
+            self.discretisation,
+            self.walls.dirichlet,
+            periodic=bool(self.walls.periodic),
+            multiplier=self.walls.multiplier_space(self.discretisation.k),
+        )
         self.state = GridFunction(self.layout.space, name="state")
         self.state_old = GridFunction(self.layout.space, name="state_old")
         self.now = self.layout.fields(self.state.components)
         self.old = self.layout.fields(self.state_old.components)
+        self.moving_walls = walls.MovingWalls(self.walls, self.layout, self.state)
         self.context = Context(mesh, self.old)
         self.quadrature = Quadrature.for_orders(
             mesh, self.discretisation.k, self.discretisation.m, self.discretisation.quadrature_bonus
@@ -88,7 +102,7 @@ class Step:
         if model.creep is not None and not model.creep.is_local:
             terms.append(CreepRate(model, context))
         terms += regularising_terms(model.regularisation, context)
-        terms += walls.wall_terms(self.mesh, context)
+        terms += walls.wall_terms(self.walls, context)
         if sources is not None:
             terms.append(sources)
         return tuple(terms)
@@ -109,4 +123,20 @@ class Step:
     def entries(self, fields: Fields | None = None) -> list[Entry]:
         """All entries of the energy ledger at ``fields`` (default: the present state)."""
         u = self.now if fields is None else fields
-        return [entry for term in self.terms for entry in term.entries(u)]
+        return [entry for term in self.terms for entry in term.entries(u)] + self._reactions()
+
+    def _reactions(self) -> list[Entry]:
+        """Power of the reactions of moving walls: the residual's rows there, tested by v."""
+
+        def power(name: str) -> Callable[[], float]:
+            def evaluate() -> float:
+                residual = self.state.vec.CreateVector()
+                self.residual.Apply(self.state.vec, residual)
+                return self.moving_walls.reaction_power(residual, name)
+
+            return evaluate
+
+        return [
+            Entry(f"power_wall_{name}", "power", Integrand(), power(name))
+            for name in self.moving_walls.moving
+        ]

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from ngsolve import CF, CoefficientFunction
+from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 
-from ngvisco.errors import ParameterError, _is_number
+from ngvisco.errors import ParameterError, _is_number, require_positive
 from ngvisco.physics.material import Material, check_material
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
@@ -44,7 +44,49 @@ class BodyForce:
     name: str = "body_force"
 
 
-Load = Gravity | BodyForce
+@dataclass(frozen=True, kw_only=True)
+class CentralGravity:
+    """Gravity towards a centre, g = -strength (r/radius)^exponent e_r, for discs, shells and spheres.
+
+    Parameters
+    ----------
+    strength : float
+        |g| at r = radius, m/s^2; negative is outward.
+    centre : sequence of two or three numbers
+        m.
+    radius : float
+        Reference radius, m, > 0.
+    exponent : float
+        0 is constant (a mantle), 1 is that inside a homogeneous ball, -2 that outside (-1 in 2D).  Below
+        1 the centre itself must not be in the domain.
+    name : str
+        As for ``Gravity``.
+    """
+
+    strength: float
+    centre: tuple[float, ...] = (0.0, 0.0)
+    radius: float = 1.0
+    exponent: float = 0.0
+    name: str = "gravity"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", tuple(self.centre))
+        if len(self.centre) not in (2, 3) or not all(_is_number(c) for c in self.centre):
+            raise ParameterError("CentralGravity.centre", self.centre, "two or three finite numbers")
+        for field_name, value in (("strength", self.strength), ("exponent", self.exponent)):
+            if not _is_number(value):
+                raise ParameterError(f"CentralGravity.{field_name}", value, "a finite number")
+        require_positive(self, radius=self.radius)
+
+    @property
+    def g(self) -> CoefficientFunction:
+        """The acceleration, a vector of the centre's length."""
+        offset = CF(tuple(X - c for X, c in zip((x, y, z), self.centre, strict=False)))
+        r = sqrt(offset * offset)
+        return -self.strength / self.radius**self.exponent * r ** (self.exponent - 1) * offset
+
+
+Load = Gravity | CentralGravity | BodyForce
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +100,7 @@ class Model:
     hyperviscosity : HyperViscosity, optional
     creep : Creep, optional
         None (default) is the Kelvin-Voigt rheology, otherwise Jeffreys in the deviatoric part.
-    loads : sequence of Gravity or BodyForce
+    loads : sequence of Gravity, CentralGravity or BodyForce
     regularisation : Regularisation, optional
         None (default) is none of the paper's regularising terms.
 
@@ -91,8 +133,8 @@ class Model:
             raise ParameterError("Model.loads", self.loads, "a sequence of Gravity or BodyForce objects")
         object.__setattr__(self, "loads", tuple(self.loads))
         for load in self.loads:
-            if not isinstance(load, (Gravity, BodyForce)):
-                raise ParameterError("Model.loads", load, "Gravity or BodyForce objects")
+            if not isinstance(load, (Gravity, CentralGravity, BodyForce)):
+                raise ParameterError("Model.loads", load, "Gravity, CentralGravity or BodyForce objects")
         names = [load.name for load in self.loads]
         if len(set(names)) < len(names):
             raise ParameterError("Model.loads", names, "distinct names")

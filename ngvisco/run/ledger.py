@@ -155,6 +155,9 @@ class Ledger:
         for entry in self._facets:
             share = quadrature.integrate_facets(entry.integrand.facets)
             values[entry.name] = values.get(entry.name, 0.0) + share
+        for entry in self.entries:
+            if entry.evaluate is not None:
+                values[entry.name] = entry.evaluate()
         return values
 
     def _monitor_functions(self) -> CoefficientFunction:

@@ -21,6 +21,7 @@ from ngvisco.forms.momentum import Loading
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
+from ngvisco.forms.walls import Conditions
 from ngvisco.physics.convexity import check_convexity
 from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy
 from ngvisco.physics.model import Model
@@ -53,9 +54,11 @@ class Simulation:
     Parameters
     ----------
     mesh : ngsolve.Mesh
-        2D (plane strain) or 3D; every boundary is an impenetrable wall with a free tangential part.
+        2D (plane strain) or 3D; every boundary that is not periodic is an impenetrable wall.
     model : Model
     initial : Initial, optional
+    walls : mapping of boundary names (or tuples of them) to Wall objects, optional
+        Slip (v.n = 0 with a free tangential part) where nothing is said.
     dt : float
         Length tau of the Rothe steps, s, > 0.
     discretisation : Discretisation, optional
@@ -82,6 +85,7 @@ class Simulation:
         *,
         dt: float,
         initial: Initial | None = None,
+        walls: Conditions | None = None,
         discretisation: Discretisation | None = None,
         newton: NewtonOptions | None = None,
         observers: Sequence[Observer] = (),
@@ -104,7 +108,7 @@ class Simulation:
         if isinstance(model.material, (CustomMaterial, IsotropicStrainEnergy)):
             check_convexity(model.material, dim=mesh.dim)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
-        self.rothe_step = Step(mesh, model, discretisation, sources)
+        self.rothe_step = Step(mesh, model, discretisation, sources, walls)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.observers = list(observers)
         self.t, self.number = 0.0, 0

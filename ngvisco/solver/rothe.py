@@ -122,6 +122,7 @@ class RotheSolver:
         context.t_old.Set(t_old)
         context.tau.Set(tau)
         time.Set(t_old + tau)
+        self.step.moving_walls.set_values()
         self.norm.units["v"] = self.h_min / tau
         history = self.newton.solve()
         reason = self._defect()

@@ -1,0 +1,90 @@
+"""Meshes and geometries from files: Netgen's .vol, STEP and BREP, gmsh's .msh."""
+
+from __future__ import annotations
+
+import warnings
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from netgen.meshing import Mesh as NetgenMesh
+from netgen.occ import OCCGeometry
+from netgen.read_gmsh import ReadGmsh
+from ngsolve import Mesh
+
+from ngvisco.errors import MeshError, ParameterError
+from ngvisco.geometries.meshing import CURVE_ORDER, check_lengths
+
+_ENDS = {
+    ".vol": "endmesh",
+    ".step": "END-ISO-10303-21;",
+    ".stp": "END-ISO-10303-21;",
+    ".brep": "TShapes",
+    ".msh": "$EndElements",
+}
+
+
+def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = CURVE_ORDER) -> Mesh:
+    """A mesh from a file.
+
+    Parameters
+    ----------
+    path : path
+        ``.vol`` or ``.msh`` (format 2) holds a mesh; ``.step``, ``.stp`` or ``.brep`` a geometry, which is
+        meshed.  Walls have the names of the file's boundaries, faces or physical groups.
+    maxh : float
+        Largest cell size, in the file's unit; for geometries only, and needed there.
+    order : int
+        Of the curved cells, where the geometry is known.
+
+    Raises
+    ------
+    MeshError
+        If the file is missing, cut short, unreadable or holds no volume cells.
+    ParameterError
+        If its name has another ending, or maxh is missing.
+    """
+    path = Path(path)
+    kind = path.suffix.lower()
+    if kind not in _ENDS:
+        raise ParameterError("load.path", str(path), f"a name that ends in {', '.join(_ENDS)}")
+    if not path.is_file():
+        raise MeshError(f"{path}: no such file")
+    text = path.read_text(errors="replace")
+    if _ENDS[kind] not in text or (kind == ".brep" and not _is_whole_brep(text)):
+        raise MeshError(f"{path}: the file is cut short (no end of {_ENDS[kind]!r} in it)")
+    try:
+        mesh = _read(path, kind, maxh)
+    except (MeshError, ParameterError):
+        raise
+    except Exception as error:  # netgen raises its own and the standard library's alike
+        raise MeshError(f"{path}: not readable: {error}") from error
+    if mesh.dim not in (2, 3) or mesh.ne == 0:
+        raise MeshError(f"{path}: the mesh has no volume elements")
+    return mesh.Curve(order) if order > 1 and kind not in (".vol", ".msh") else mesh
+
+
+def _is_whole_brep(text: str) -> bool:
+    """Whether all shapes that the file announces are there; netgen crashes on a file cut short."""
+    shapes = text[text.index("TShapes") :].split("*")
+    announced = shapes[0].split()[1:2]
+    root = shapes[-1].split()
+    return announced == [str(len(shapes) - 1)] and len(root) >= 2
+
+
+def _read(path: Path, kind: str, maxh: float | None) -> Any:
+    if kind == ".vol":
+        netgen_mesh = NetgenMesh()
+        netgen_mesh.Load(str(path))
+        return Mesh(netgen_mesh)
+    if kind == ".msh":
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ResourceWarning)  # ReadGmsh leaves its file open
+            return Mesh(ReadGmsh(str(path)))
+    if maxh is None:
+        raise ParameterError("load.maxh", maxh, "a cell size, since the file holds a geometry")
+    check_lengths("load", maxh=maxh)
+    geometry = OCCGeometry(str(path))
+    if len(geometry.shape.solids) == 0:
+        raise MeshError(f"{path}: the geometry has no solid, so that its mesh has no volume elements")
+    return Mesh(geometry.GenerateMesh(maxh=maxh))

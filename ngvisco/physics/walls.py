@@ -1,0 +1,82 @@
+"""What holds on a wall.  Every wall is impenetrable, v.n = 0; these say what its tangential part does.
+
+The tangential part of a vector is a_t = a - (a.n) n.  Names of walls are the mesh's boundary names.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import ParameterError, _is_number, require_nonnegative
+from ngvisco.physics.model import VectorLike
+
+
+class Wall:
+    """Base of all wall conditions."""
+
+
+@dataclass(frozen=True)
+class Slip(Wall):
+    """v.n = 0 and no tangential stress (paper: Euler-small-BC-hyper); the default everywhere."""
+
+
+@dataclass(frozen=True)
+class NoSlip(Wall):
+    """v = 0."""
+
+
+@dataclass(frozen=True)
+class PrescribedTangential(Wall):
+    """v = V on the wall, V tangential: a sliding lid, a rotating cylinder.
+
+    Parameters
+    ----------
+    velocity : vector of the mesh's dimension
+        V, m/s, a function of x and of the run's time ``ngvisco.time``, taken at the end of each step.
+        V.n must vanish up to the geometry's approximation: walls are not open.
+    """
+
+    velocity: VectorLike
+
+
+@dataclass(frozen=True, kw_only=True)
+class Traction(Wall):
+    """Tangential traction f_t - friction v_t (paper: rem-f-ne-0, with its eps for ``friction``).
+
+    Parameters
+    ----------
+    f : vector of the mesh's dimension
+        Traction, Pa, a function of x and ``ngvisco.time``, averaged over the step; its normal part has
+        no power and is dropped.
+    friction : float
+        eps >= 0, Pa s/m.
+    """
+
+    f: VectorLike
+    friction: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_nonnegative(self, friction=self.friction)
+
+
+@dataclass(frozen=True)
+class NavierFriction(Wall):
+    """Tangential stress -coefficient v_t.
+
+    Parameters
+    ----------
+    coefficient : number or coefficient function
+        Pa s/m, >= 0, may depend on x.
+    """
+
+    coefficient: float | CoefficientFunction
+
+    def __post_init__(self) -> None:
+        if isinstance(self.coefficient, CoefficientFunction):
+            return
+        if not (_is_number(self.coefficient) and self.coefficient >= 0):
+            raise ParameterError(
+                "NavierFriction.coefficient", self.coefficient, "a number >= 0 or a function"
+            )

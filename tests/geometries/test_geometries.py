@@ -1,0 +1,170 @@
+"""Geometries: their measure, their walls, their cells, and files that are not what they should be."""
+
+import math
+
+import pytest
+from netgen.occ import Box, Pnt, Rectangle
+from ngsolve import BND, CF, Integrate
+
+from ngvisco import MeshError, ParameterError, UnknownNameError
+from ngvisco import geometries as g
+
+CASES = {
+    "box": (lambda: g.box((1, 2), 0.5), 2.0, {"left", "right", "bottom", "top"}),
+    "channel": (lambda: g.channel(2, 1, 0.5), 2.0, {"left", "right", "bottom", "top"}),
+    "bar3d": (
+        lambda: g.bar(2, 0.5, 0.5, dim=3),
+        0.5,
+        {"left", "right", "front", "back", "bottom", "top"},
+    ),
+    "hole": (
+        lambda: g.block_with_hole((2, 1), 0.25, 0.3),
+        2 - math.pi / 16,
+        {"left", "right", "bottom", "top", "hole"},
+    ),
+    "hole3d": (
+        lambda: g.block_with_hole((2, 0.5, 1), 0.25, 0.5),
+        1 - math.pi / 32,
+        {"left", "right", "front", "back", "bottom", "top", "hole"},
+    ),
+    "disc": (lambda: g.disc(2, 0.8), 4 * math.pi, {"wall"}),
+    "annulus": (lambda: g.annulus(1, 2, 0.5), 3 * math.pi, {"inner", "outer"}),
+    "cylinder": (lambda: g.cylinder(1, 2, 0.8), 2 * math.pi, {"side", "bottom", "top"}),
+    "sphere": (lambda: g.sphere(1, 0.6), 4 / 3 * math.pi, {"wall"}),
+    "shell": (lambda: g.spherical_shell(0.5, 1, 0.5), 7 / 6 * math.pi, {"inner", "outer"}),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_measure_and_walls_are_those_of_the_domain(name):
+    """Polygons and polyhedra miss the measure of the round ones by per cents: they must be curved."""
+    make, measure, walls = CASES[name]
+    mesh = make()
+    assert Integrate(CF(1.0), mesh) == pytest.approx(measure, rel=2e-3)
+    assert set(mesh.GetBoundaries()) == walls
+    for wall in walls:
+        assert Integrate(CF(1.0), mesh, BND, definedon=mesh.Boundaries(wall)) > 0
+
+
+@pytest.mark.parametrize("periodic", ["x", "y", "xy", "xyz"])
+def test_identified_walls_have_pairs(periodic):
+    from ngvisco.forms.walls import periodic_boundaries
+
+    mesh = g.box((1, 1, 1) if "z" in periodic else (1, 1), 0.6, periodic=periodic)
+    planes = {"x": {"left", "right"}, "y": {"bottom", "top"}}
+    if mesh.dim == 3:
+        planes |= {"y": {"front", "back"}, "z": {"bottom", "top"}}
+    assert periodic_boundaries(mesh) == set().union(*(planes[axis] for axis in periodic))
+
+
+def test_refinement_is_local():
+    coarse, fine = g.annulus(1, 2, 0.5), g.annulus(1, 2, 0.5, refine={"inner": 0.1})
+    edges = [
+        sum(e.mat == name for e in m.Elements(BND)) for m in (coarse, fine) for name in ("inner", "outer")
+    ]
+    assert edges[2] > 2.5 * edges[0] and edges[3] < 1.5 * edges[1]
+
+
+def test_boundary_layer_is_bisected_and_stays_round():
+    mesh = g.disc(1, 0.5)
+    before = mesh.ne
+    assert g.refine_walls(mesh, "wall", times=2).ne > 3 * before
+    assert Integrate(CF(1.0), mesh) == pytest.approx(math.pi, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("call", "field"),
+    [
+        (lambda: g.box((1, 0), 0.5), "box.size"),
+        (lambda: g.box((1, 1), 0.5, periodic="z"), "box.periodic"),
+        (lambda: g.box((1, 1), -0.5), "box.maxh"),
+        (lambda: g.disc(-1, 0.5), "disc.radius"),
+        (lambda: g.annulus(2, 1, 0.5), "annulus.inner"),
+        (lambda: g.block_with_hole((1, 1), 0.5, 0.5), "block_with_hole.radius"),
+        (lambda: g.sphere(1, 0.5, order=0), "sphere.order"),
+        (lambda: g.bar(1, 1, 0.5, dim=1), "bar.dim"),
+        (lambda: g.load("part.stl"), "load.path"),
+    ],
+)
+def test_sizes_out_of_range_raise(call, field):
+    with pytest.raises(ParameterError) as error:
+        call()
+    assert error.value.field == field
+
+
+def test_unknown_walls_raise():
+    with pytest.raises(UnknownNameError, match="inner"):
+        g.annulus(1, 2, 0.5, refine={"iner": 0.1})
+    with pytest.raises(UnknownNameError, match="wall"):
+        g.refine_walls(g.disc(1, 0.5), ["rim"])
+
+
+MSH = """$MeshFormat
+2.2 0 8
+$EndMeshFormat
+$PhysicalNames
+2
+1 1 "wall"
+2 2 "body"
+$EndPhysicalNames
+$Nodes
+4
+1 0 0 0
+2 1 0 0
+3 1 1 0
+4 0 1 0
+$EndNodes
+$Elements
+6
+1 1 2 1 1 1 2
+2 1 2 1 1 2 3
+3 1 2 1 1 3 4
+4 1 2 1 1 4 1
+5 2 2 2 1 1 2 3
+6 2 2 2 1 1 3 4
+$EndElements
+"""
+
+
+def test_files_give_the_mesh_back(tmp_path):
+    mesh = g.box((1, 2), 0.5)
+    mesh.ngmesh.Save(str(tmp_path / "box.vol"))
+    loaded = g.load(tmp_path / "box.vol")
+    assert loaded.ne == mesh.ne and set(loaded.GetBoundaries()) == set(mesh.GetBoundaries())
+    (tmp_path / "square.msh").write_text(MSH)
+    assert Integrate(CF(1.0), g.load(tmp_path / "square.msh")) == pytest.approx(1.0)
+    solid = Box(Pnt(0, 0, 0), Pnt(1, 1, 2))
+    solid.WriteStep(str(tmp_path / "part.step"))
+    solid.WriteBrep(str(tmp_path / "part.brep"))
+    for name in ("part.step", "part.brep"):
+        assert Integrate(CF(1.0), g.load(tmp_path / name, maxh=1.0)) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("name", ["box.vol", "square.msh", "part.step", "part.brep"])
+def test_files_missing_or_cut_short_raise(name, tmp_path):
+    path = tmp_path / name
+    with pytest.raises(MeshError, match="no such file"):
+        g.load(path, maxh=1.0)
+    path.write_text("")
+    with pytest.raises(MeshError, match="cut short"):
+        g.load(path, maxh=1.0)
+    whole = tmp_path / ("whole" + path.suffix)
+    if name == "box.vol":
+        g.box((1, 2), 0.5).ngmesh.Save(str(whole))
+    elif name == "square.msh":
+        whole.write_text(MSH)
+    else:
+        solid = Box(Pnt(0, 0, 0), Pnt(1, 1, 2))
+        (solid.WriteStep if name.endswith("step") else solid.WriteBrep)(str(whole))
+    text = whole.read_text()
+    path.write_text(text[: len(text) // 2])
+    with pytest.raises(MeshError):
+        g.load(path, maxh=1.0)
+
+
+def test_a_surface_has_no_volume_elements(tmp_path):
+    Rectangle(1, 1).Face().WriteStep(str(tmp_path / "sheet.step"))
+    with pytest.raises(MeshError, match="no volume elements"):
+        g.load(tmp_path / "sheet.step", maxh=0.5)
+    with pytest.raises(ParameterError, match="maxh"):
+        g.load(tmp_path / "sheet.step")
