@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import KINDS, coefficients, model
-from manufactured import Coefficients, FiniteDifferences, Sources, at_points
+from manufactured import Coefficients, FiniteDifferences, Sources, at_points, difference
 from ngsolve import Mesh
 
 from ngvisco import time
@@ -85,7 +85,7 @@ def test_exact_fields_meet_the_natural_conditions_of_the_walls(kind: str, dim: i
         X[:, axis] = np.arange(8) % 2
         traction = (fields.stress(X) + fields.viscous_stress(X))[..., :dim, axis]
         S = fields.hyperstress(X)
-        div_S = sum(difference_of(fields, k)(X)[..., k] for k in range(dim))[..., axis]
+        div_S = sum(difference(fields.hyperstress, k)(X)[..., k] for k in range(dim))[..., axis]
         for i in range(dim):
             if i != axis:
                 assert abs(traction[:, i]).max() <= 1e-8
@@ -93,10 +93,3 @@ def test_exact_fields_meet_the_natural_conditions_of_the_walls(kind: str, dim: i
                 assert abs(S[:, i, :, axis]).max() <= 1e-6
         assert abs(fields.vector(T)(X)[:, axis]).max() <= 1e-14
         assert abs(S[:, :, axis, axis]).max() <= 1e-6
-
-
-def difference_of(fields: FiniteDifferences, k: int):
-    """d_k of the hyperstress."""
-    from manufactured import difference
-
-    return difference(fields.hyperstress, k)

@@ -1,7 +1,7 @@
 """Density and E / F / J alone, with the exact velocity given: L2 rate m + 1.
 
-The paper's equations leave m + 1/2 for upwind transport on unstructured meshes; on these meshes m + 1 is
-what is measured (finest pair in 2D: 0.9-1.0, 1.9-2.0, 2.9 for m = 0, 1, 2).
+Theory has m + 1/2 for upwind transport on general unstructured meshes; on the unstructured meshes here
+m + 1 is what is measured (finest pair in 2D: 0.9-1.0, 1.9-2.0, 2.9 for m = 0, 1, 2).
 """
 
 from __future__ import annotations
