@@ -28,11 +28,12 @@ def amplitudes(mu: float, steps: int) -> tuple[nv.Simulation, np.ndarray]:
     viscosity = nv.StokesViscosity(K_v=0.0, G_v=G_V)
     material = nv.LinearElastic(K_e=2.0, G_e=G_E)
     model = nv.Model(material=material, viscosity=viscosity, hyperviscosity=hyper)
-    start, mesh = nv.Initial(velocity=CF((0, A * cos(K * x)))), box((pi, 0.6), 0.35, periodic="xy")
-    run, values = nv.Simulation(mesh, model, dt=DT, initial=start), [A]
+    start, mesh = nv.Initial(velocity=CF((0, A * cos(K * x)))), box((pi, 0.8), 0.4, periodic="xy")
+    orders = nv.Discretisation(k=3, m=2)
+    run, values = nv.Simulation(mesh, model, dt=DT, initial=start, discretisation=orders), [A]
     for _ in range(steps):
         run.advance()
-        values.append(Integrate(run.fields["velocity"][1] * cos(K * x), mesh) / (0.3 * pi))
+        values.append(Integrate(run.fields["velocity"][1] * cos(K * x), mesh) / (0.4 * pi))
     return run, np.array(values)
 
 
