@@ -1,5 +1,4 @@
 """A Maxwell fluid between two cylinders, the outer one rotating: shear stress against the closed form.
-
 Run with ``python demos/couette/couette.py [output directory]``; needs the extra ``plots``.
 """
 
@@ -51,7 +50,7 @@ def main(directory: str = "results/couette", until: float = 2.0) -> tuple[nv.Sim
     print(f"largest error of the shear stress {error:.1e}")
     fig, ((axis,),) = figure(1, 1, (7, 4))
     axis.plot(r, shear_stress(r), "k-", r, profile(run, r), "o")
-    axis.set(xlabel="r, m", ylabel="shear stress, Pa", title="closed form (line) and ngvisco (dots)")
+    axis.set(xlabel="r, m", ylabel="stress, Pa", title="τ_rθ: closed form (line) and ngvisco (dots)")
     fig.savefig(Path(directory) / "stress.png", dpi=110)
     nv.plot_fields(run.mesh, [("v₂, m/s", run.fields["velocity"][1])], Path(directory) / "fields.png")
     return run, error
