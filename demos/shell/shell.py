@@ -1,0 +1,53 @@
+"""A heavy body sinks in a creeping shell under central gravity (plane strain: an annulus).
+
+Run with ``python demos/shell/shell.py [output directory]``; needs the extra ``plots``.
+"""
+
+import sys
+from pathlib import Path
+
+from ngsolve import Integrate, exp, sqrt, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import annulus
+
+
+def simulation(maxh: float = 0.45, dt: float = 0.1, **options) -> nv.Simulation:
+    """1 m < r < 2 m, both walls slip; density 1 + 0.5 exp(-|x - (0, 1.6)|^2/0.25^2) kg/m^3."""
+    model = nv.Model(
+        material=nv.LinearElastic(K_e=50.0, G_e=20.0),
+        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.01),
+        hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
+        creep=nv.Creep(G_m=0.2),
+        loads=[nv.CentralGravity(strength=2.0)],
+    )
+    initial = nv.Initial(density=1 + 0.5 * exp(-(x * x + (y - 1.6) * (y - 1.6)) / 0.25**2))
+    return nv.Simulation(annulus(1, 2, maxh), model, dt=dt, initial=initial, **options)
+
+
+def depth(run: nv.Simulation) -> float:
+    """Mean radius of what is denser than the mean by 10 % and more, m."""
+    rho = run.fields["density"]
+    mean = Integrate(rho, run.mesh) / Integrate(1, run.mesh)
+    r = sqrt(x * x + y * y)
+    heavy = 0.5 * (1 + (rho - 1.1 * mean) / sqrt((rho - 1.1 * mean) ** 2 + 1e-6))
+    return Integrate(r * heavy, run.mesh) / Integrate(heavy, run.mesh)
+
+
+def main(directory: str = "results/shell", until: float = 2.0, **options) -> tuple:
+    out = Path(directory)
+    observers = [nv.Progress(until), nv.LedgerCSV(out / "ledger.csv"), nv.VTKSeries(out / "vtk", every=5)]
+    run = simulation(observers=observers, **options)
+    before = depth(run)
+    ledger = run.run(until)
+    after = depth(run)
+    print(f"mean radius of the heavy part {before:.3f} m -> {after:.3f} m")
+    nv.plot_energies(ledger, out / "energies.png")
+    speed = sqrt(run.fields["velocity"] * run.fields["velocity"])
+    shown = [("density, kg/m³", run.fields["density"]), ("speed, m/s", speed)]
+    nv.plot_fields(run.mesh, shown, out / "fields.png")
+    return run, before, after
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2])

@@ -1,0 +1,269 @@
+"""Walls: each condition's linearisation, power and ledger, and the conditions that are refused."""
+
+import numpy as np
+import pytest
+from ngsolve import BND, CF, BilinearForm, Integrate, cos, exp, pi, sin, specialcf, x, y
+
+import ngvisco as nv
+from ngvisco.forms.system import Step
+from ngvisco.geometries import (
+    annulus,
+    block_with_hole,
+    box,
+    channel,
+    disc,
+    refine_walls,
+    sphere,
+    spherical_shell,
+)
+
+ROTATION = (-y, x)
+
+
+def model(loads=()):
+    return nv.Model(
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
+        hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
+        creep=nv.Creep(G_m=5.0),
+        loads=loads,
+    )
+
+
+CASES = {
+    "slip, disc": (lambda: disc(1, 0.7), {}, nv.Initial(velocity=ROTATION), ()),
+    "slip, hole": (
+        lambda: block_with_hole((1, 1), 0.25, 0.5),
+        {},
+        nv.Initial(velocity=(sin(pi * x), 0.3)),
+        (),
+    ),
+    "no slip and slip, annulus": (
+        lambda: annulus(1, 2, 1),
+        {"inner": nv.NoSlip()},
+        nv.Initial(density=1 + 0.1 * x, velocity=ROTATION),
+        (nv.CentralGravity(strength=1.0),),
+    ),
+    "rotating wall": (
+        lambda: disc(1, 0.7),
+        {"wall": nv.PrescribedTangential((-y * (1 + nv.time), x * (1 + nv.time)))},
+        nv.Initial(),
+        (),
+    ),
+    "lid of a cavity": (
+        lambda: box((1, 1), 0.5),
+        {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right"): nv.NoSlip()},
+        nv.Initial(),
+        (nv.Gravity((0.0, -1.0 - nv.time)),),
+    ),
+    "two lids, periodic": (
+        lambda: channel(1, 1, 0.5),
+        {"top": nv.PrescribedTangential((1, 0)), "bottom": nv.PrescribedTangential((-1, 0))},
+        nv.Initial(),
+        (nv.BodyForce((sin(2 * pi * x), 0)),),
+    ),
+    "periodic twice": (
+        lambda: box((1, 1), 0.5, periodic="xy"),
+        {},
+        nv.Initial(velocity=(sin(2 * pi * y), cos(2 * pi * x))),
+        (nv.Gravity((1.0, 0.5)),),
+    ),
+    "traction": (
+        lambda: disc(1, 0.7),
+        {"wall": nv.Traction(f=(-y * cos(nv.time), x), friction=0.1)},
+        nv.Initial(),
+        (),
+    ),
+    "friction": (
+        lambda: box((1, 1), 0.5),
+        {"bottom": nv.NavierFriction(2.0), "top": nv.Traction(f=(1.0, 5.0))},
+        nv.Initial(velocity=(sin(pi * x), 0)),
+        (),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_ledger_closes_and_mass_stays_with_every_wall(name):
+    mesh, walls, initial, loads = CASES[name]
+    run = nv.Simulation(mesh(), model(loads), dt=0.02, initial=initial, walls=walls)
+    ledger = run.run(0.06)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+    assert np.abs(ledger.column("mass_drift")).max() <= 1e-13
+    assert ledger.column("v_max")[-1] > 1e-3
+    if "slip, " in name and "disc" in name:  # no spurious resistance: what is lost is in the volume
+        assert ledger.column("kinetic")[-1] > 0.99 * ledger.column("kinetic")[0]
+    for entry in ledger.entries:
+        if entry.name.startswith(("power_wall", "power_traction", "dissipation_friction")):
+            assert ledger.column(entry.name)[-1] > 1e-6
+
+
+@pytest.mark.parametrize("name", ["slip, hole", "traction", "friction", "two lids, periodic"])
+def test_linearisation_agrees_with_differences(name):
+    mesh, walls, _, loads = CASES[name]
+    step = Step(mesh(), model(loads), conditions=walls)
+    step.context.tau.Set(0.1)
+    rng = np.random.default_rng(1)
+    state, direction = step.state.vec, step.state.vec.CreateVector()
+    free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
+    parts = dict(zip(step.layout.names, step.state.components, strict=True))
+    parts["rho"].Set(1.0)
+    parts["z"].Set(CF((1, 0, 0, 1, 1, 1)))
+    for vector, size in ((state, 0.02), (direction, 1.0)):
+        old = vector.FV().NumPy().copy() if vector is state else 0.0
+        vector.FV().NumPy()[:] = old + size * free * rng.standard_normal(len(free))
+    form = step.residual
+    results = []
+    for sign in (1, -1):
+        shifted, value = state.CreateVector(), state.CreateVector()
+        shifted.data = state + sign * 1e-6 * direction
+        form.Apply(shifted, value)
+        results.append(value.FV().NumPy().copy())
+    difference = (results[0] - results[1]) / 2e-6
+    # the condensed form keeps the Schur complement: compare through the uncondensed one
+    trial, test = step.layout.space.TnT()
+    u, w = step.layout.fields(trial), step.layout.fields(test)
+    full = BilinearForm(step.layout.space)
+    for one in step.terms:
+        for part in one.form(u, w):
+            if part.cells is not None:
+                full += part.cells * step.quadrature.cells
+            if part.facets is not None:
+                full += part.facets * step.quadrature.facets
+    full.AssembleLinearization(state)
+    product = state.CreateVector()
+    product.data = full.mat * direction
+    defect = np.abs(product.FV().NumPy() - difference)[free].max()
+    assert defect <= 1e-6 * np.abs(difference[free]).max()
+
+
+def test_curved_wall_is_impenetrable_in_the_mean_of_every_edge():
+    """The initial velocity is projected: (v.n, mu) = 0 to rounding, and pointwise like h^2."""
+    residues = []
+    for maxh in (0.5, 0.25):
+        mesh = disc(1, maxh)
+        run = nv.Simulation(mesh, model(), dt=0.1, initial=nv.Initial(velocity=(-y * (1 + x), x * (1 + x))))
+        v, n = run.fields["velocity"], specialcf.normal(2)
+        edges = np.array(Integrate(v * n, mesh, BND, element_wise=True))
+        assert np.abs(edges).max() < 1e-14
+        residues.append(Integrate((v * n) ** 2, mesh, BND) ** 0.5)
+    assert np.log2(residues[0] / residues[1]) > 1.7
+
+
+def projection_error(mesh, order, velocity):
+    """L2 error of an initial velocity that is tangential on the wall."""
+    discretisation = nv.Discretisation(k=order)
+    plain = nv.Model(material=nv.LinearElastic(K_e=2.0, G_e=1.0))
+    initial = nv.Initial(velocity=velocity)
+    run = nv.Simulation(mesh, plain, dt=0.1, initial=initial, discretisation=discretisation)
+    defect = run.fields["velocity"] - CF(velocity)
+    return Integrate(defect * defect, mesh) ** 0.5
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_velocity_rate_on_a_disc_is_k_plus_a_half(order):
+    """The L2 projection controls no trace, so that the multiplier takes half an order of k + 1."""
+    velocity = (-y * exp(x), x * exp(x))
+    errors = [projection_error(disc(1, maxh), order, velocity) for maxh in (0.5, 0.25, 0.125)]
+    assert np.log2(errors[1] / errors[2]) > order + 0.4
+
+
+def test_velocity_is_wrong_on_polygons():
+    """The negative control: on a polygon that approaches the disc there is no rate (Babuska)."""
+    velocity = (-y * exp(x), x * exp(x))
+    errors = [projection_error(disc(1, maxh, order=1), 2, velocity) for maxh in (0.5, 0.25, 0.125)]
+    assert np.log2(errors[1] / errors[2]) < 1.7
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("order", [2, 3])
+def test_velocity_rate_on_a_sphere(order):
+    """The multiplier in P_{k-2} costs at most half an order."""
+    velocity = (-y * exp(x), x * exp(x), 0 * x)
+    meshes = [sphere(1, maxh) for maxh in (0.8, 0.4)]
+    errors = [projection_error(mesh, order, velocity) for mesh in meshes]
+    h = [(4 / mesh.ne) ** (1 / 3) for mesh in meshes]
+    assert np.log(errors[0] / errors[1]) / np.log(h[0] / h[1]) > order + 0.3
+
+
+@pytest.mark.long
+def test_ledger_closes_on_a_sphere_and_a_shell():
+    for mesh, loads in (
+        (sphere(1, 1.2, order=2), ()),
+        (spherical_shell(0.5, 1, 1, order=2), (nv.CentralGravity(strength=1.0, centre=(0, 0, 0)),)),
+    ):
+        initial = nv.Initial(density=1 + 0.1 * x, velocity=(-y, x, 0 * x))
+        ledger = nv.Simulation(mesh, model(loads), dt=0.02, initial=initial).run(0.04)
+        assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+        assert np.abs(ledger.column("mass_drift")).max() <= 1e-13
+
+
+def test_slip_at_a_wall_keeps_a_rigid_rotation():
+    """A disc in rigid rotation keeps its energy: the share lost in a step falls like h^3 or faster."""
+    run = nv.Simulation(disc(1, 0.35), model(), dt=0.02, initial=nv.Initial(velocity=ROTATION))
+    ledger = run.run(0.04)
+    loss = sum(ledger.column(f"dissipation_{name}")[1:].sum() for name in ("stokes_shear", "hyper"))
+    assert loss * 0.02 < 3e-5 * ledger.column("kinetic")[0]
+
+
+def test_lid_power_is_the_work_done():
+    """Energy and dissipation grow by what the wall does: no other power is there."""
+    run = nv.Simulation(channel(1, 1, 0.5), model(), dt=0.01, walls={"top": nv.PrescribedTangential((1, 0))})
+    row = run.run(0.01).rows[-1]
+    gained = row["kinetic"] + row["stored"] - run.ledger.rows[0]["stored"]
+    assert 0.01 * row["power_wall_top"] > gained > 0
+
+
+def test_normal_part_of_a_traction_is_powerless():
+    walls = {"top": nv.Traction(f=(0.0, 7.0))}
+    run = nv.Simulation(box((1, 1), 0.5), model(), dt=0.01, walls=walls)
+    assert run.run(0.01).column("v_max")[-1] < 1e-12
+
+
+def test_bisected_boundary_layer_runs():
+    mesh = refine_walls(disc(1, 0.8), "wall")
+    run = nv.Simulation(mesh, model(), dt=0.02, initial=nv.Initial(velocity=ROTATION))
+    assert np.abs(run.run(0.02).column("closure_relative")).max() <= 1e-12
+
+
+@pytest.mark.parametrize(
+    ("mesh", "walls", "error", "text"),
+    [
+        (lambda: box((1, 1), 1), {"topp": nv.NoSlip()}, nv.UnknownNameError, "did you mean 'top'"),
+        (lambda: box((1, 1), 1), [("top", nv.NoSlip()), ("top", nv.Slip())], nv.ParameterError, "not two"),
+        (
+            lambda: box((1, 1), 1),
+            {"top": nv.NoSlip(), ("top", "left"): nv.Slip()},
+            nv.ParameterError,
+            "not two",
+        ),
+        (lambda: box((1, 1), 1), {"top": (nv.NoSlip(), nv.Slip())}, nv.ParameterError, "one Wall"),
+        (lambda: channel(1, 1, 0.5), {"left": nv.NoSlip()}, nv.ParameterError, "periodic"),
+        (lambda: box((1, 1), 1), {"top": nv.PrescribedTangential((1, 0, 0))}, nv.ParameterError, "length 2"),
+    ],
+)
+def test_conditions_that_make_no_sense_are_refused(mesh, walls, error, text):
+    with pytest.raises(error, match=text):
+        nv.Simulation(mesh(), model(), dt=0.1, walls=walls)
+
+
+@pytest.mark.parametrize("velocity", [(1.0, 0.1), (0.0, y), (x, y)])
+def test_an_open_wall_is_refused(velocity):
+    with pytest.raises(nv.ParameterError, match="inflow and outflow are not modelled"):
+        nv.Simulation(box((1, 1), 1), model(), dt=0.1, walls={"top": nv.PrescribedTangential(velocity)}).run(
+            0.1
+        )
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: nv.NavierFriction(-1.0),
+        lambda: nv.Traction(f=(1, 0), friction=-1.0),
+        lambda: nv.CentralGravity(strength=1.0, radius=0.0),
+        lambda: nv.CentralGravity(strength=1.0, centre=(0.0,)),
+    ],
+)
+def test_parameters_out_of_range_raise(make):
+    with pytest.raises(nv.ParameterError):
+        make()
