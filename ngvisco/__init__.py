@@ -48,6 +48,7 @@ from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields
 from ngvisco.run.simulation import Observer, Simulation
+from ngvisco.run.stepping import AdaptiveSteps, Rejection
 from ngvisco.solver.newton import NewtonOptions
 
 try:
@@ -75,6 +76,7 @@ def _find_geometries() -> None:
 _find_geometries()
 
 __all__ = [
+    "AdaptiveSteps",
     "BarotropicFluid",
     "BodyForce",
     "CentralGravity",
@@ -111,6 +113,7 @@ __all__ = [
     "ReferentialMooneyRivlin",
     "ReferentialNeoHookean",
     "Regularisation",
+    "Rejection",
     "Simulation",
     "Slip",
     "StepError",
