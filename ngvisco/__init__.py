@@ -75,10 +75,15 @@ def _find_geometries() -> None:
 
 _find_geometries()
 
+# after the geometries, which the case files' catalogue lists
+from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
+
 __all__ = [
     "AdaptiveSteps",
     "BarotropicFluid",
     "BodyForce",
+    "Case",
+    "CaseError",
     "CentralGravity",
     "CheckpointError",
     "Checkpoints",
@@ -114,6 +119,7 @@ __all__ = [
     "ReferentialNeoHookean",
     "Regularisation",
     "Rejection",
+    "RunDirectoryError",
     "Simulation",
     "Slip",
     "StepError",
@@ -123,6 +129,8 @@ __all__ = [
     "VTKSeries",
     "WithQuadratic",
     "check_convexity",
+    "load",
+    "load_case",
     "plot_energies",
     "plot_fields",
     "read_ledger",

@@ -116,7 +116,7 @@ class VTKSeries:
     directory : path
         Made if missing.
     every : int
-        Write every so many steps, besides the first and the last state.
+        Write every so many steps, besides the first and the last state; None: only at ``times``.
     fields : sequence of str, optional
         Names out of ``simulation.fields``; default all.
     subdivision : int
@@ -130,12 +130,13 @@ class VTKSeries:
     def __init__(
         self,
         directory: str | os.PathLike[str],
-        every: int = 1,
+        every: int | None = 1,
         fields: Sequence[str] | None = None,
         subdivision: int = 0,
         times: Sequence[float] = (),
     ) -> None:
-        _require_count("VTKSeries.every", every)
+        if every is not None:
+            _require_count("VTKSeries.every", every)
         self.directory, self.every, self.times = Path(directory), every, tuple(times)
         self.names, self.subdivision = fields, subdivision
         self.written: list[tuple[float, str]] = []
@@ -159,7 +160,7 @@ class VTKSeries:
 
     def _is_due(self, simulation: Simulation) -> bool:
         on_time = any(abs(simulation.t - time) <= 1e-9 * time for time in self.times)
-        return on_time or simulation.number % self.every == 0
+        return on_time or (self.every is not None and simulation.number % self.every == 0)
 
     def finish(self, simulation: Simulation) -> None:
         if not self.written or self.written[-1][0] != simulation.t:
