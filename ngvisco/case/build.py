@@ -177,10 +177,11 @@ class Case:
         with self._located("time"):
             stepping = None if adaptive is None else catalogue.SECTIONS["adaptive"](**parameters(adaptive))
         time.Set(0.0)
+        model = self.model(mesh.dim)
         with self._located("initial"):
             run = Simulation(
                 mesh,
-                self.model(mesh.dim),
+                model,
                 dt=sections.time.dt,
                 stepping=stepping,
                 initial=made["initial"],
@@ -239,6 +240,7 @@ class Case:
         for name, value in values.items():
             if name in fields:
                 self._check_names(value, (*path, name), dim)
+                self._check_length(value, (*path, name), dim)
                 if isinstance(value, dict):
                     values[name] = {key: _as_function(field) for key, field in value.items()}
                 else:
@@ -251,6 +253,11 @@ class Case:
                 self._check_names(part, path, dim)
         elif isinstance(value, str) and dim == 2 and "z" in parse(value).names:
             raise self._error(path, f"{value!r}: there is no z in a mesh of two dimensions")
+
+    def _check_length(self, value: Any, path: tuple[str, ...], dim: int) -> None:
+        is_vector = isinstance(value, list) and not any(isinstance(part, list) for part in value)
+        if is_vector and len(value) != dim:
+            raise self._error(path, f"{value!r:.60}: expected an array of {dim} components, not {len(value)}")
 
     def _error(self, path: tuple[str, ...], message: str) -> CaseError:
         return CaseError(self.source, [self.locator.fault(path, message)])
@@ -272,7 +279,8 @@ class Case:
             where = ("initial", "values") if error.kind == "material variable" else path
             raise self._error((*where, error.name), str(error)) from error
         except InitialDataError as error:
-            raise self._error(("initial",), str(error)) from error
+            keys = [key for word, key in _INITIAL_KEYS.items() if word in error.field]
+            raise self._error(("initial", *keys[:1]), str(error)) from error
         except MeshError as error:
             raise self._error(("domain",), str(error)) from error
         except NgviscoError as error:
@@ -281,6 +289,7 @@ class Case:
             raise self._error(path, f"{type(error).__name__}: {error}") from error
 
 
+_INITIAL_KEYS = {"rho_0": "density", "F_0": "F", "v_0": "velocity", "material variables": "values"}
 _SECTION_OF = {"Simulation": ("time",), "Initial": ("initial",), "Discretisation": ("discretisation",)}
 
 
