@@ -37,7 +37,8 @@ from ngsolve import CoefficientFunction, Mesh
 from ngvisco.case.build import Case, load_case
 from ngvisco.case.meshfile import require_whole
 from ngvisco.errors import CheckpointError, MeshError, NgviscoError
-from ngvisco.run.checkpoint import read_ledger, write_atomically
+from ngvisco.run.checkpoint import read_ledger
+from ngvisco.run.files import append, write_atomically
 from ngvisco.run.observers import Progress
 from ngvisco.run.simulation import Observer, Simulation
 
@@ -137,8 +138,7 @@ class Log(Progress):
     def write(self, line: str) -> None:
         """Append a line."""
         stamp = clock.strftime("%Y-%m-%d %H:%M:%S")
-        with self.path.open("a") as file:
-            file.write(f"{stamp}  {line}\n")
+        append(self.path, f"{stamp}  {line}\n")
 
     def _print(self, line: str) -> None:
         self.write(line)

@@ -33,12 +33,15 @@ import numpy as np
 from ngsolve import VOL, Mesh
 
 from ngvisco.errors import CheckpointError, ParameterError
+from ngvisco.run.files import write_atomically
 from ngvisco.run.ledger import Balance, unit
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
 FORMAT = 2
+UNITS = "time, tau, dt, t_old: s; energy: J; mass: kg; velocity_scale: m/s (per metre in plane strain)"
+"""Of the checkpoints' attributes, as the file says itself; those of the ledger stand at its columns."""
 _WHOLE = ("step", "newton_iterations", "rejections")
 """Ledger columns of whole numbers."""
 
@@ -100,7 +103,7 @@ class Checkpoints:
         kept = {number: kept[number] for number in sorted(kept)[-self.keep :]}
         image = io.BytesIO()
         with h5py.File(image, "w") as file:
-            file.attrs.update(identity(simulation) | self.attributes)
+            file.attrs.update(identity(simulation) | self.attributes | {"units": UNITS})
             group = file.create_group("ledger")
             for column in simulation.ledger.columns:
                 data = group.create_dataset(column, data=simulation.ledger.column(column))
@@ -109,21 +112,6 @@ class Checkpoints:
                 _store(file.create_group(f"checkpoints/{number:08d}"), one)
         write_atomically(self.path, image.getvalue())
         self._kept = kept
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write beside and rename; on an error the old file is as it was and nothing lies beside it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(path.name + ".part")
-    try:
-        with draft.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(path)
-    except BaseException:
-        draft.unlink(missing_ok=True)
-        raise
 
 
 def _store(group: h5py.Group, one: Snapshot) -> None:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, TextIO
 from ngsolve import CF, CoefficientFunction, VTKOutput
 
 from ngvisco.errors import ParameterError, UnknownNameError
-from ngvisco.run.checkpoint import write_atomically
+from ngvisco.run.files import append, write_atomically
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -98,8 +98,9 @@ class LedgerCSV:
         write_atomically(self.path, text.getvalue().encode())
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        with self.path.open("a", newline="") as file:
-            csv.writer(file).writerow([row[name] for name in simulation.ledger.columns])
+        text = io.StringIO(newline="")
+        csv.writer(text).writerow([row[name] for name in simulation.ledger.columns])
+        append(self.path, text.getvalue())
 
     def finish(self, simulation: Simulation) -> None:
         """Nothing is left to write."""

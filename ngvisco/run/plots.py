@@ -12,7 +12,7 @@ import numpy as np
 from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y
 
 from ngvisco.errors import NgviscoError, ParameterError
-from ngvisco.run.checkpoint import write_atomically
+from ngvisco.run.files import write_atomically
 
 if TYPE_CHECKING:
     from ngvisco.run.ledger import Ledger

@@ -31,8 +31,8 @@ from ngsolve import (
 )
 
 from ngvisco.errors import ParameterError
-from ngvisco.run.checkpoint import write_atomically
 from ngvisco.run.fields import field_unit
+from ngvisco.run.files import write_atomically
 
 _VIEWER = Path(__file__).with_name("viewer.html")
 
