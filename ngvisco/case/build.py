@@ -29,6 +29,7 @@ from ngvisco.errors import (
 from ngvisco.forms.context import time
 from ngvisco.forms.walls import check_boundary_names
 from ngvisco.physics.model import Model
+from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.observers import LedgerCSV, VTKSeries
 from ngvisco.run.simulation import Observer, Simulation
@@ -173,6 +174,9 @@ class Case:
             with self._located(name):
                 values = self._values(getattr(sections, name), (name,), mesh.dim)
                 made[name] = catalogue.SECTIONS[name](**values)
+        walls: dict[str | tuple[str, ...], Wall] = {}
+        for wall, condition in sections.walls.items():
+            walls[wall] = self._made(condition, catalogue.WALLS, ("walls", wall), mesh.dim)
         adaptive = sections.time.adaptive
         with self._located("time"):
             stepping = None if adaptive is None else catalogue.SECTIONS["adaptive"](**parameters(adaptive))
@@ -185,6 +189,8 @@ class Case:
                 dt=sections.time.dt,
                 stepping=stepping,
                 initial=made["initial"],
+                walls=walls,
+                passive=sections.output.passive,
                 discretisation=made["discretisation"],
                 newton=made["solver"],
                 velocity_scale=sections.time.velocity_scale,
@@ -276,7 +282,7 @@ class Case:
             key = (*where, name) if owner or name in known else where
             raise self._error(key, f"{error.value!r:.60}: expected {error.expected}") from error
         except UnknownNameError as error:
-            where = ("initial", "values") if error.kind == "material variable" else path
+            where = _SECTION_OF_NAME.get(error.kind, path)
             raise self._error((*where, error.name), str(error)) from error
         except InitialDataError as error:
             keys = [key for word, key in _INITIAL_KEYS.items() if word in error.field]
@@ -289,6 +295,11 @@ class Case:
             raise self._error(path, f"{type(error).__name__}: {error}") from error
 
 
+_SECTION_OF_NAME = {
+    "material variable": ("initial", "values"),
+    "passive field": ("output", "passive"),
+    "boundary": ("walls",),
+}
 _INITIAL_KEYS = {"rho_0": "density", "F_0": "F", "v_0": "velocity", "material variables": "values"}
 _SECTION_OF = {"Simulation": ("time",), "Initial": ("initial",), "Discretisation": ("discretisation",)}
 

@@ -1,12 +1,13 @@
-"""Reading a Netgen mesh file without trusting it.
+"""Reading a mesh or geometry file without trusting it.
 
-Netgen ends the whole process on a file that is cut short; so a file is first looked at, then read by
-a process of its own, and only then by this one.
+Netgen ends the whole process on some files that are cut short; so a file is read by a process of its own
+first, and only then by this one.
 """
 
 from __future__ import annotations
 
 import gzip
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -15,23 +16,34 @@ from ngsolve import Mesh
 
 from ngvisco.errors import MeshError
 
-_PROBE = "import sys; from ngsolve import Mesh; m = Mesh(sys.argv[1]); list(m.vertices); list(m.Elements())"
+_PROBE = """
+import sys
+from ngvisco.errors import NgviscoError
+from ngvisco.geometries import load
+path, maxh, order = sys.argv[1:]
+try:
+    load(path, maxh=float(maxh) if maxh else None, order=int(order))
+except NgviscoError:
+    pass  # is raised again, and explained, where it is known which key is at fault
+"""
 
 
-def read_mesh(path: str) -> Mesh:
-    """A mesh from a Netgen file (.vol or .vol.gz), with its curvature and boundary names.
+def read_mesh(path: str, maxh: float | None = None, order: int = 3) -> Mesh:
+    """``ngvisco.geometries.load`` for a file that may end Netgen's process.
 
     Raises
     ------
-    MeshError
-        If the file is missing, is no such file, is cut short or cannot be read.
+    MeshError, ParameterError
+        As ``load``; MeshError too if Netgen crashes on the file.
     """
-    require_whole(Path(path))
-    probe = subprocess.run([sys.executable, "-c", _PROBE, path], capture_output=True, text=True)
+    arguments = [path, "" if maxh is None else repr(maxh), str(order)]
+    # the child finds what this process has found, also in a clone that is not installed
+    code = f"import sys; sys.path[:] = {sys.path!r}\n{_PROBE}"
+    probe = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
     if probe.returncode != 0:
         said = probe.stderr.strip().splitlines()
         raise MeshError(f"{path}: Netgen cannot read it ({said[-1] if said else 'it crashes'})")
-    return Mesh(path)
+    return importlib.import_module("ngvisco.geometries").load(path, maxh=maxh, order=order)
 
 
 def require_whole(path: Path) -> None:

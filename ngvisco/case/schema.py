@@ -72,6 +72,8 @@ def _annotation(hint: Any) -> Any:
         return FieldValue
     if origin is collections.abc.Mapping and arguments[0] is str and _mentions_function(arguments[1]):
         return dict[str, FieldValue]
+    if origin is collections.abc.Mapping and arguments == (str, float):
+        return dict[str, float]
     if origin in (collections.abc.Sequence, list, tuple) and not _mentions_function(hint):
         inner_hint = _annotation(arguments[0])
         return None if inner_hint is None else list[inner_hint]  # type: ignore[valid-type]
@@ -154,14 +156,10 @@ def parameters(part: Section) -> dict[str, Any]:
 
 
 def _tagged(key: str, table: dict[str, Any]) -> Any:
-    models = tuple(section(target or _nothing, (key, name)) for name, target in table.items())
+    models = tuple(section(target, (key, name)) for name, target in table.items())
     if len(models) == 1:
         return models[0]
     return Annotated[Union[models], Field(discriminator=key)]  # noqa: UP007 (made at run time)
-
-
-def _nothing() -> None:
-    """A section without parameters."""
 
 
 Domain = _tagged("geometry", catalogue.GEOMETRIES)
@@ -224,6 +222,7 @@ class Output(Section):
     vtk: VTK = VTK()
     checkpoint: Checkpoint = Checkpoint()
     log_every: int = Field(default=1, ge=1)
+    passive: list[str] = []
 
 
 class CaseSections(Section):

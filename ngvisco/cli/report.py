@@ -7,7 +7,7 @@ import sys
 import time as clock
 
 import numpy as np
-from ngsolve import SetNumThreads, TaskManager
+from ngsolve import SetNumThreads
 
 from ngvisco import case as cases
 from ngvisco.case import catalogue
@@ -15,7 +15,9 @@ from ngvisco.case.directory import RunDirectory
 from ngvisco.case.schema import CaseSections, section
 from ngvisco.errors import CheckpointError
 from ngvisco.run.checkpoint import read_ledger
+from ngvisco.run.passive import NAMES as PASSIVE
 from ngvisco.run.simulation import Simulation
+from ngvisco.run.threads import computing
 
 _ITERATIONS, _FACTORISATIONS = 6, 1.5
 """Newton iterations and factorisations of a typical step, for the estimate of time."""
@@ -52,7 +54,7 @@ def _measure(run: Simulation) -> tuple[float, float]:
     step, newton = run.rothe_step, run.solver.newton
     step.context.tau.Set(run.dt)
     residual = step.state.vec.CreateVector()
-    with TaskManager():
+    with computing():
         began = clock.perf_counter()
         step.residual.Apply(step.state.vec, residual)
         applied = clock.perf_counter()
@@ -121,17 +123,16 @@ def listing(options: argparse.Namespace) -> int:
     for title, tag, table in groups:
         print(title)
         for name, target in table.items():
-            if target is None:
-                print(f"  {name}")
-                continue
             keys = section(target, (tag, name) if tag else None).model_fields
             shown = [key if f.is_required() else f"[{key}]" for key, f in keys.items() if key != tag]
-            print(f"  {name}: {', '.join(shown)}")
+            print(f"  {name}: {', '.join(shown)}" if shown else f"  {name}")
     print("outputs: [output.vtk] fields =")
     print(
         "  velocity, density, cauchy_stress, pressure, von_mises, and the material's variables (F, J, E, ...)"
     )
     print("  also ledger.csv, run.h5, log.txt; ngvisco plot and ngvisco scene make PNG and HTML of them")
+    print("passive: [output] passive =")
+    print(f"  {', '.join(PASSIVE)}")
     others = ", ".join(
         name for name in CaseSections.model_fields if name not in ("domain", "material", "loads")
     )

@@ -40,7 +40,7 @@ density = "1 + 0.1*x"
 velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
 
 [walls.left]
-kind = "slip"
+kind = "Slip"
 
 [time]
 dt = 0.02
@@ -104,7 +104,7 @@ def simulation(text):
         ),
         ('title = "a case"', "title = 3", "case.toml:1: title: 3: expected a text in quotes"),
         ("[domain]", "[domain", "not TOML"),
-        ('kind = "slip"', 'kind = "stick"', "walls.left"),
+        ('kind = "Slip"', 'kind = "stick"', "walls.left"),
     ],
 )
 def test_fault_is_named_with_line_key_value_and_remedy(old, new, message):
@@ -178,6 +178,28 @@ def test_a_case_gives_the_run_of_the_same_script():
         assert a.column(name) == pytest.approx(b.column(name), rel=1e-11, abs=1e-13)
 
 
+def test_walls_geometries_and_fields_of_a_case_reach_the_run():
+    """A ring turned by its outer wall, under central gravity, with a passive field."""
+    text = CASE.replace('"box"\nsize = [1, 1]\nmaxh = 0.5', '"annulus"\ninner = 0.5\nouter = 1\nmaxh = 0.6')
+    text = text.replace('velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]', "")
+    text = text.replace("[walls.left]", "[walls.inner]")
+    loaded = case(
+        text,
+        'walls.outer={kind="PrescribedTangential", velocity=["-y*t", "x*t"]}',
+        'loads=[{kind="CentralGravity", strength=1}]',
+        'output.passive=["creep_strain"]',
+        "rheology.regularisation.epsilon=0.01",
+    )
+    run = loaded.simulation(loaded.mesh())
+    ledger = run.run(0.04)
+    assert ledger.column("v_max")[-1] == pytest.approx(0.04, rel=0.05)
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert {"dissipation_creep", "power_gravity"} <= set(ledger.columns) and "creep_strain" in run.fields
+    with pytest.raises(CaseError, match=r"walls\.outer\.coefficient .*-1.*expected a number >= 0"):
+        wrong = case(text, 'walls.outer={kind="NavierFriction", coefficient=-1}')
+        wrong.simulation(wrong.mesh())
+
+
 def test_resolved_case_is_complete_and_resolves_to_itself():
     loaded = case(CASE)
     again = case(loaded.resolved)
@@ -221,8 +243,7 @@ def test_every_dataclass_of_the_catalogue_makes_a_section():
 
     for table in (GEOMETRIES, MATERIALS, MECHANISMS, LOADS, WALLS, SECTIONS):
         for name, target in table.items():
-            if target is not None:
-                assert section(target, ("kind", name)).model_fields["kind"].is_required()
+            assert section(target, ("kind", name)).model_fields["kind"].is_required()
 
 
 def test_missing_unreadable_and_huge_files_are_refused(tmp_path):
