@@ -48,6 +48,7 @@ from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields
 from ngvisco.run.simulation import Observer, Simulation
+from ngvisco.run.stepping import AdaptiveSteps, Rejection
 from ngvisco.solver.newton import NewtonOptions
 
 try:
@@ -74,9 +75,15 @@ def _find_geometries() -> None:
 
 _find_geometries()
 
+# after the geometries, which the case files' catalogue lists
+from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
+
 __all__ = [
+    "AdaptiveSteps",
     "BarotropicFluid",
     "BodyForce",
+    "Case",
+    "CaseError",
     "CentralGravity",
     "CheckpointError",
     "Checkpoints",
@@ -111,6 +118,8 @@ __all__ = [
     "ReferentialMooneyRivlin",
     "ReferentialNeoHookean",
     "Regularisation",
+    "Rejection",
+    "RunDirectoryError",
     "Simulation",
     "Slip",
     "StepError",
@@ -120,6 +129,8 @@ __all__ = [
     "VTKSeries",
     "WithQuadratic",
     "check_convexity",
+    "load",
+    "load_case",
     "plot_energies",
     "plot_fields",
     "read_ledger",

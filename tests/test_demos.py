@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ngvisco as nv
+
 DEMOS = Path(__file__).resolve().parents[1] / "demos"
 
 
@@ -50,6 +52,22 @@ def test_energy_never_rises_without_load_for_any_step(name, factor):
     energy = ledger.column("kinetic") + ledger.column("stored")
     assert np.diff(energy).max() <= 1e-13 * energy[0]
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+
+
+@pytest.mark.parametrize(("name", "maxh"), [("swirl", 0.35), ("swirl3d", 0.9), ("creep", 0.4)])
+def test_case_file_gives_the_numbers_of_its_script(name, maxh):
+    case = nv.load_case(DEMOS / name / f"{name}.toml", [f"domain.maxh={maxh}"])
+    script = load(name).simulation(maxh=maxh, **({"gravity": 0.0} if name == "creep" else {}))
+    run = case.simulation(case.mesh())
+    assert run.dt == script.dt and case.until in load(name).main.__defaults__
+    until = 3 * run.dt
+    ours, theirs = run.run(until), script.run(until)
+    assert ours.columns == theirs.columns
+    for column in ours.columns:
+        if not column.startswith(("closure", "mass_drift", "newton")):  # rounding itself
+            assert ours.column(column) == pytest.approx(
+                theirs.column(column), rel=1e-9, abs=1e-12, nan_ok=True
+            )
 
 
 @pytest.mark.parametrize("demo", sorted(p.name for p in DEMOS.iterdir() if p.is_dir()))

@@ -29,7 +29,7 @@ from ngvisco.physics.material import components_of, conjugates
 from ngvisco.physics.model import VectorLike, as_vector
 from ngvisco.physics.tensors import inner, square, tensor_space
 
-ScalarLike: TypeAlias = "float | CoefficientFunction"
+ScalarLike: TypeAlias = float | CoefficientFunction
 
 
 @dataclass(frozen=True, kw_only=True)

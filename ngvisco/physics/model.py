@@ -13,7 +13,7 @@ from ngvisco.physics.material import Material, check_material
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 
-VectorLike: TypeAlias = "CoefficientFunction | Sequence[float | CoefficientFunction]"
+VectorLike: TypeAlias = CoefficientFunction | Sequence[float | CoefficientFunction]
 
 
 @dataclass(frozen=True)

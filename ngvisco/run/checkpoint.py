@@ -2,15 +2,19 @@
 
 Layout::
 
-    /                        attributes: format, ngvisco, mesh, spaces, material
-    /ledger/<column>         one value a step, attribute ``unit``
-    /checkpoints/<step>/state   all coefficients of the step's space; attributes time, step,
-                                energy, mass, initial_mass, velocity_scale
-    /checkpoints/<step>/passive/<field>   coefficients of the run's passive fields, if any
+    /                               attributes: format, ngvisco, mesh, spaces, material and any that the
+                                    caller adds (``case``, the hash of a case file's physics)
+    /ledger/<column>                one value a step, attribute ``unit``
+    /checkpoints/<step>/state       all coefficients of the step's space; attributes time (s), step,
+                                    energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s)
+    /checkpoints/<step>/solver      where the Jacobian was factorised (attributes t_old, tau, last_tau;
+                                    data sets state, state_old), empty if there is none
+    /checkpoints/<step>/stepping    what the choice of the next step depends on, empty for fixed steps
+    /checkpoints/<step>/passive     coefficients of the run's passive fields, if any
 
-The file is written beside and renamed, so that a kill at any moment leaves the last one readable.
-A run forgets its factorised Jacobian where it writes a checkpoint, because a resumed run has none: so
-the two agree bit for bit (in serial, on one machine).
+The file is made in memory, written beside and renamed, so that a kill or a full disk at any moment
+leaves the last one readable.  A restart factorises the Jacobian where the run had done so, and goes
+on bit for bit as that run (in serial, on one machine), at whatever step it was interrupted.
 """
 
 from __future__ import annotations
@@ -18,7 +22,9 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib.metadata
+import io
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,12 +33,25 @@ import numpy as np
 from ngsolve import VOL, Mesh
 
 from ngvisco.errors import CheckpointError, ParameterError
+from ngvisco.run.files import write_atomically
 from ngvisco.run.ledger import Balance, unit
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
-FORMAT = 1
+FORMAT = 2
+UNITS = "time, tau, dt, t_old: s; energy: J; mass: kg; velocity_scale: m/s (per metre in plane strain)"
+"""Of the checkpoints' attributes, as the file says itself; those of the ledger stand at its columns."""
+_WHOLE = ("step", "newton_iterations", "rejections")
+"""Ledger columns of whole numbers."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Snapshot:
+    """One checkpoint: numbers and arrays by group, the group of the state being ``""``."""
+
+    numbers: dict[str, dict[str, float]]
+    arrays: dict[str, dict[str, np.ndarray]]
 
 
 class Checkpoints:
@@ -46,20 +65,29 @@ class Checkpoints:
         Steps between checkpoints.
     keep : int
         How many checkpoints the file holds, the latest ones.
+    attributes : mapping, optional
+        Further attributes of the file, e.g. the hash of a case.
     """
 
-    def __init__(self, path: str | os.PathLike[str], every: int = 10, keep: int = 2) -> None:
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        every: int = 10,
+        keep: int = 2,
+        attributes: Mapping[str, str] | None = None,
+    ) -> None:
         for name, value in (("every", every), ("keep", keep)):
             if not (isinstance(value, int) and value >= 1):
                 raise ParameterError(f"Checkpoints.{name}", value, "an integer >= 1")
         self.path, self.every, self.keep = Path(path), every, keep
-        self._kept: dict[int, tuple[dict[str, float], dict[str, np.ndarray]]] = {}
-        self._earlier: list[dict[str, float]] = []
+        self.attributes = dict(attributes or {})
+        self._kept: dict[int, Snapshot] = {}
 
     def start(self, simulation: Simulation) -> None:
-        self._kept, self._earlier = {}, []
+        self._kept = {}
         if simulation.number > 0 and self.path.exists():
-            self._earlier = [row for row in read_ledger_rows(self.path) if row["step"] <= simulation.number]
+            earlier = _read_snapshots(self.path)
+            self._kept = {n: kept for n, kept in earlier.items() if n < simulation.number}
         self._write(simulation)
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
@@ -71,71 +99,108 @@ class Checkpoints:
             self._write(simulation)
 
     def _write(self, simulation: Simulation) -> None:
-        simulation.solver.forget()
-        self._kept[simulation.number] = snapshot(simulation)
-        for number in sorted(self._kept)[: -self.keep]:
-            del self._kept[number]
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        draft = self.path.with_name(self.path.name + ".part")
-        with h5py.File(draft, "w") as file:
-            file.attrs.update(identity(simulation))
+        kept = {**self._kept, simulation.number: snapshot(simulation)}
+        kept = {number: kept[number] for number in sorted(kept)[-self.keep :]}
+        image = io.BytesIO()
+        with h5py.File(image, "w") as file:
+            file.attrs.update(identity(simulation) | self.attributes | {"units": UNITS})
             group = file.create_group("ledger")
-            seen = {row["step"] for row in simulation.ledger.rows}
-            rows = [row for row in self._earlier if row["step"] not in seen] + simulation.ledger.rows
             for column in simulation.ledger.columns:
-                data = group.create_dataset(column, data=[row[column] for row in rows])
+                data = group.create_dataset(column, data=simulation.ledger.column(column))
                 data.attrs["unit"] = unit(column)
-            for number, (attributes, arrays) in self._kept.items():
-                checkpoint = file.create_group(f"checkpoints/{number:08d}")
-                checkpoint.attrs.update(attributes)
-                for name, array in arrays.items():
-                    checkpoint.create_dataset(name, data=array)
-        draft.replace(self.path)
+            for number, one in kept.items():
+                _store(file.create_group(f"checkpoints/{number:08d}"), one)
+        write_atomically(self.path, image.getvalue())
+        self._kept = kept
 
 
-def snapshot(simulation: Simulation) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-    """What a restart needs: attributes and copies of all coefficients, by data set."""
+def _store(group: h5py.Group, one: Snapshot) -> None:
+    for name, numbers in one.numbers.items():
+        part = group.require_group(name) if name else group
+        part.attrs.update(numbers)
+        for key, array in one.arrays[name].items():
+            part.create_dataset(key, data=array)
+
+
+def _load(group: h5py.Group) -> Snapshot:
+    parts = {"": group} | {name: group[name] for name in ("solver", "stepping", "passive")}
+    numbers = {name: {k: float(v) for k, v in part.attrs.items()} for name, part in parts.items()}
+    arrays = {
+        name: {key: np.array(data) for key, data in part.items() if isinstance(data, h5py.Dataset)}
+        for name, part in parts.items()
+    }
+    return Snapshot(numbers, arrays)
+
+
+def _read_snapshots(path: Path) -> dict[int, Snapshot]:
+    try:
+        with h5py.File(path, "r") as file:
+            return {int(name): _load(group) for name, group in file["checkpoints"].items()}
+    except _UNREADABLE as error:
+        raise CheckpointError(f"{path}: not a readable run file ({error})") from error
+
+
+def snapshot(simulation: Simulation) -> Snapshot:
+    """What a restart needs, copied."""
     balance = simulation.ledger.balance
     assert balance is not None
-    attributes = {
+    numbers = {
         "time": simulation.t,
         "step": simulation.number,
         "velocity_scale": simulation.velocity_scale,
         **dataclasses.asdict(balance),
     }
-    arrays = {"state": simulation.rothe_step.state.vec.FV().NumPy().copy()}
-    arrays |= {f"passive/{name}": array for name, array in simulation.passive.arrays().items()}
-    return attributes, arrays
+    solver, stepping = simulation.solver.memory(), simulation.stepper.memory()
+    state = simulation.rothe_step.state.vec.FV().NumPy().copy()
+    return Snapshot(
+        {"": numbers, "solver": solver[0], "stepping": stepping[0], "passive": {}},
+        {
+            "": {"state": state},
+            "solver": solver[1],
+            "stepping": stepping[1],
+            "passive": simulation.passive.arrays(),
+        },
+    )
 
 
-def restore(simulation: Simulation, path: str | os.PathLike[str], step: int | None = None) -> None:
+def restore(
+    simulation: Simulation,
+    path: str | os.PathLike[str],
+    step: int | None = None,
+    attributes: Mapping[str, str] | None = None,
+) -> None:
     """Put a simulation into the state of a checkpoint, by default the last one of the file.
 
     Raises
     ------
     CheckpointError
         If the file is missing or damaged, has no such checkpoint, or belongs to another mesh,
-        discretisation or material; the message says which.
+        discretisation or material, or other ``attributes``; the message says which.
     """
-    attributes, arrays = _read_checkpoint(Path(path), identity(simulation), step)
-    state = arrays["state"]
-    vector = simulation.rothe_step.state.vec
+    expected = identity(simulation) | dict(attributes or {})
+    one = _read_checkpoint(Path(path), expected, step)
+    vector, state = simulation.rothe_step.state.vec, one.arrays[""]["state"]
     if state.shape != (len(vector),):
         raise CheckpointError(f"{path}: the state has {state.size} coefficients, not {len(vector)}")
-    passive = {name.removeprefix("passive/"): array for name, array in arrays.items() if name != "state"}
-    simulation.passive.load(passive)
+    numbers = one.numbers[""]
+    number = int(numbers["step"])
+    rows = [row for row in read_ledger_rows(Path(path)) if row["step"] <= number]
+    simulation.passive.load(one.arrays["passive"])
     vector.FV().NumPy()[:] = state
     simulation.rothe_step.state_old.vec.data = vector
-    simulation.set_time(attributes["time"], int(attributes["step"]))
-    simulation.set_velocity_scale(attributes["velocity_scale"])
-    simulation.solver.forget()
-    balance = {f.name: attributes[f.name] for f in dataclasses.fields(Balance)}
-    simulation.ledger.resume(Balance(**balance))
+    simulation.set_time(numbers["time"], number)
+    simulation.set_velocity_scale(numbers["velocity_scale"])
+    simulation.solver.recall(one.numbers["solver"], one.arrays["solver"])
+    simulation.stepper.recall(one.numbers["stepping"], one.arrays["stepping"])
+    balance = {f.name: numbers[f.name] for f in dataclasses.fields(Balance)}
+    simulation.ledger.resume(Balance(**balance), rows)
 
 
-def _read_checkpoint(
-    path: Path, expected: dict[str, Any], step: int | None
-) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+_UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError)
+"""What h5py raises for a damaged file, depending on where it is damaged."""
+
+
+def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> Snapshot:
     if not path.exists():
         raise CheckpointError(f"{path}: no such file")
     try:
@@ -143,18 +208,17 @@ def _read_checkpoint(
             for name, value in expected.items():
                 found = file.attrs.get(name)
                 if name != "ngvisco" and found != value:
+                    found = found.item() if isinstance(found, np.generic) else found
                     raise CheckpointError(f"{path}: its {name} is {found!r}, this run's is {value!r}")
             names = sorted(file["checkpoints"])
             name = names[-1] if step is None else f"{step:08d}"
             if name not in names:
                 steps = ", ".join(str(int(n)) for n in names)
                 raise CheckpointError(f"{path}: no checkpoint of step {step} (there are {steps})")
-            group = file["checkpoints"][name]
-            arrays = {"state": np.array(group["state"])}
-            for name, data in group.get("passive", {}).items():
-                arrays[f"passive/{name}"] = np.array(data)
-            return {k: float(v) for k, v in group.attrs.items()}, arrays
-    except (OSError, KeyError) as error:
+            return _load(file["checkpoints"][name])
+    except CheckpointError:
+        raise
+    except _UNREADABLE as error:
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
 
 
@@ -163,7 +227,7 @@ def read_ledger(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     try:
         with h5py.File(path, "r") as file:
             return {name: np.array(data) for name, data in file["ledger"].items()}
-    except (OSError, KeyError) as error:
+    except _UNREADABLE as error:
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
 
 
@@ -171,7 +235,8 @@ def read_ledger_rows(path: Path) -> list[dict[str, float]]:
     """The same as rows."""
     columns = read_ledger(path)
     count = len(next(iter(columns.values()), ()))
-    return [{name: float(data[i]) for name, data in columns.items()} for i in range(count)]
+    kinds = {name: int if name in _WHOLE else float for name in columns}
+    return [{name: kinds[name](data[i]) for name, data in columns.items()} for i in range(count)]
 
 
 def identity(simulation: Simulation) -> dict[str, Any]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from ngsolve import CoefficientFunction, sqrt
 
+from ngvisco.errors import UnknownNameError
 from ngvisco.forms.system import Step
 from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import dev, square, tr
@@ -21,3 +24,38 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
         "pressure": (-1 / 3) * tr(T),
         "von_mises": sqrt(1.5 * square(dev(T))),
     }
+
+
+def scalar_fields(
+    fields: Mapping[str, CoefficientFunction], names: Sequence[str] | None = None
+) -> dict[str, CoefficientFunction]:
+    """Scalars to be drawn: of a vector its modulus, of a tensor the component ``NAME_ij``.
+
+    Parameters
+    ----------
+    fields : mapping
+        As ``simulation.fields``.
+    names : sequence of str, optional
+        Default: density, J, modulus of the velocity, pressure and von Mises stress, where there are such.
+    """
+    known = {}
+    for name, value in fields.items():
+        if value.dim == 1:
+            known[name] = value
+        elif value.dim <= 3:
+            known[name] = sqrt(square(value))
+        else:
+            known |= {f"{name}_{i + 1}{j + 1}": value[i, j] for i in range(3) for j in range(3)}
+    if names is None:
+        usual = ("density", "J", "velocity", "pressure", "von_mises")
+        return {name: known[name] for name in usual if name in known}
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("field", name, known)
+    return {name: known[name] for name in names}
+
+
+def field_unit(name: str) -> str:
+    """The SI unit of a field that is drawn, empty for a pure number."""
+    units = {"velocity": "m/s", "density": "kg/m³", "pressure": "Pa", "von_mises": "Pa"}
+    return "Pa" if name.startswith("cauchy_stress") else units.get(name, "")

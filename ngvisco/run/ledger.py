@@ -36,6 +36,7 @@ UNITS = {
     "J_defect": "m^(d/2)",
     "v_max": "m/s",
     "newton_iterations": "1",
+    "rejections": "1",
     "cfl": "1",
     "density_diffusion": "kg^2/m^3/s",
     "cutoff_volume": "m^3",
@@ -86,7 +87,8 @@ class Ledger:
             *("step", "time", "dt", "kinetic", "stored"),
             *(entry.name for entry in self.entries),
             *("closure", "closure_relative", "mass", "mass_drift"),
-            *("rho_min", "rho_max", "J_min", "J_defect", "v_max", "newton_iterations", "cfl"),
+            *("rho_min", "rho_max", "J_min", "J_defect", "v_max", "newton_iterations", "rejections"),
+            "cfl",
         ]
 
     def column(self, name: str) -> np.ndarray:
@@ -102,13 +104,15 @@ class Ledger:
         self.balance = Balance(energy, values["mass"], values["mass"])
         idle = dict.fromkeys((entry.name for entry in self.entries), 0.0)
         row = {"step": 0, "time": time, "dt": 0.0, **values, **idle, "closure": 0.0}
-        return self._append(row | {"closure_relative": 0.0, "mass_drift": 0.0}, 0, 0.0)
+        return self._append(row | {"closure_relative": 0.0, "mass_drift": 0.0}, 0, 0, 0.0)
 
-    def resume(self, balance: Balance) -> None:
-        """Go on from a checkpoint's balance; earlier rows are those of the first run's file."""
-        self.balance = balance
+    def resume(self, balance: Balance, rows: list[dict[str, float]]) -> None:
+        """Go on from a checkpoint's balance and the rows up to its step."""
+        self.balance, self.rows = balance, rows
 
-    def record(self, number: int, time: float, tau: float, iterations: int) -> dict[str, float]:
+    def record(
+        self, number: int, time: float, tau: float, iterations: int, rejections: int = 0
+    ) -> dict[str, float]:
         """The row of the step that has just been solved, from ``time - tau`` to ``time``."""
         assert self.balance is not None
         values = self._integrals()
@@ -126,13 +130,15 @@ class Ledger:
             **{"closure": closure, "closure_relative": closure / scale if scale else closure},
             "mass_drift": drift,
         }
-        return self._append(row, iterations, tau)
+        return self._append(row, iterations, rejections, tau)
 
     def _sum(self, values: dict[str, float], kind: str) -> float:
         return sum(values[entry.name] for entry in self.entries if entry.kind == kind)
 
-    def _append(self, row: dict[str, float], iterations: int, tau: float) -> dict[str, float]:
-        row = row | self._extrema(tau) | {"newton_iterations": iterations}
+    def _append(
+        self, row: dict[str, float], iterations: int, rejections: int, tau: float
+    ) -> dict[str, float]:
+        row = row | self._extrema(tau) | {"newton_iterations": iterations, "rejections": rejections}
         self.rows.append({name: row[name] for name in self.columns})
         return self.rows[-1]
 

@@ -7,6 +7,8 @@ names only when they are complete (written beside and renamed).
 from __future__ import annotations
 
 import csv
+import errno
+import io
 import os
 import re
 import sys
@@ -18,9 +20,11 @@ from typing import TYPE_CHECKING, TextIO
 from ngsolve import CF, CoefficientFunction, VTKOutput
 
 from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.run.files import append, write_atomically
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
+    from ngvisco.run.stepping import Rejection
 
 
 class Progress:
@@ -41,21 +45,32 @@ class Progress:
         self.until, self.every, self.stream = until, every, stream
 
     def start(self, simulation: Simulation) -> None:
-        self._began, self._first = clock.perf_counter(), simulation.number
-        self._total = round(self.until / simulation.dt)
+        self._began, self._from = clock.perf_counter(), simulation.t
+        self._total = "" if simulation.is_adaptive else f"/{round(self.until / simulation.dt)}"
         cells, unknowns = simulation.mesh.ne, simulation.rothe_step.layout.space.ndof
-        self._print(f"{cells} cells, {unknowns} unknowns, {self._total} steps of {simulation.dt:g} s")
+        steps = (
+            "adaptive steps" if simulation.is_adaptive else f"{self._total[1:]} steps of {simulation.dt:g} s"
+        )
+        self._print(f"{cells} cells, {unknowns} unknowns, {steps}")
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
         number = simulation.number
-        if number % self.every and number != self._total:
+        at_end = simulation.t >= self.until * (1 - 1e-9)
+        if number % self.every and not at_end:
             return
         spent = clock.perf_counter() - self._began
-        left = spent / (number - self._first) * (self._total - number)
+        left = 0.0 if at_end else spent * (self.until - simulation.t) / (simulation.t - self._from)
         self._print(
-            f"step {number:5d}/{self._total}  t {row['time']:.4g} s  kinetic {row['kinetic']:.4e}  "
+            f"step {number:5d}{self._total}  t {row['time']:.4g} s  kinetic {row['kinetic']:.4e}  "
             f"stored {row['stored']:.6e} J  closure {row['closure_relative']:+.0e}  "
             f"Newton {row['newton_iterations']:2.0f}  left {left:.0f} s"
+        )
+
+    def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
+        """A line for each rejected step."""
+        self._print(
+            f"step {simulation.number + 1:5d}{self._total}  t {rejection.time:.4g} s  rejected "
+            f"dt {rejection.tau:.4g} s: {rejection.reason}"
         )
 
     def finish(self, simulation: Simulation) -> None:
@@ -68,7 +83,7 @@ class Progress:
 class LedgerCSV:
     """The ledger as CSV: a header, then a row a step, flushed at every step.
 
-    A resumed run continues the file after the row of the checkpoint; later rows are dropped.
+    A resumed run writes the rows up to the checkpoint's and goes on from there; later ones are dropped.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -76,33 +91,19 @@ class LedgerCSV:
 
     def start(self, simulation: Simulation) -> None:
         columns = simulation.ledger.columns
-        rows = simulation.ledger.rows
-        kept = [] if rows and rows[0]["step"] == 0 else self._rows_until(simulation.number, columns)
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        draft = self.path.with_name(self.path.name + ".part")
-        with draft.open("w", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(columns)
-            writer.writerows(kept)
-            writer.writerows([row[name] for name in columns] for row in rows)
-        draft.replace(self.path)
+        text = io.StringIO(newline="")
+        writer = csv.writer(text)
+        writer.writerow(columns)
+        writer.writerows([row[name] for name in columns] for row in simulation.ledger.rows)
+        write_atomically(self.path, text.getvalue().encode())
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        with self.path.open("a", newline="") as file:
-            csv.writer(file).writerow([row[name] for name in simulation.ledger.columns])
+        text = io.StringIO(newline="")
+        csv.writer(text).writerow([row[name] for name in simulation.ledger.columns])
+        append(self.path, text.getvalue())
 
     def finish(self, simulation: Simulation) -> None:
         """Nothing is left to write."""
-
-    def _rows_until(self, number: int, columns: list[str]) -> list[list[str]]:
-        """Rows of an earlier part of the run, up to and including step ``number``."""
-        if not self.path.exists():
-            return []
-        with self.path.open(newline="") as file:
-            lines = list(csv.reader(file))
-        if not lines or lines[0] != columns:
-            return []
-        return [line for line in lines[1:] if len(line) == len(columns) and float(line[0]) <= number]
 
 
 class VTKSeries:
@@ -116,22 +117,28 @@ class VTKSeries:
     directory : path
         Made if missing.
     every : int
-        Write every so many steps, besides the first and the last state.
+        Write every so many steps, besides the first and the last state; None: only at ``times``.
     fields : sequence of str, optional
         Names out of ``simulation.fields``; default all.
     subdivision : int
         Bisections of every cell for output (fields are linear in the pieces), >= 0.
+    times : sequence of float
+        Further times at which to write, s; pass them as ``stops`` to ``Simulation.run`` too.
+
+    A resumed run drops what the interrupted one wrote out of turn when it stopped.
     """
 
     def __init__(
         self,
         directory: str | os.PathLike[str],
-        every: int = 1,
+        every: int | None = 1,
         fields: Sequence[str] | None = None,
         subdivision: int = 0,
+        times: Sequence[float] = (),
     ) -> None:
-        _require_count("VTKSeries.every", every)
-        self.directory, self.every = Path(directory), every
+        if every is not None:
+            _require_count("VTKSeries.every", every)
+        self.directory, self.every, self.times = Path(directory), every, tuple(times)
         self.names, self.subdivision = fields, subdivision
         self.written: list[tuple[float, str]] = []
 
@@ -145,11 +152,16 @@ class VTKSeries:
         self.written = [
             (time, name) for time, name in read_pvd(self._pvd) if time < simulation.t * (1 - 1e-12)
         ]
-        self._write(simulation)
+        if simulation.number == 0 or self._is_due(simulation):
+            self._write(simulation)
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        if simulation.number % self.every == 0:
+        if self._is_due(simulation):
             self._write(simulation)
+
+    def _is_due(self, simulation: Simulation) -> bool:
+        on_time = any(abs(simulation.t - time) <= 1e-9 * time for time in self.times)
+        return on_time or (self.every is not None and simulation.number % self.every == 0)
 
     def finish(self, simulation: Simulation) -> None:
         if not self.written or self.written[-1][0] != simulation.t:
@@ -171,6 +183,7 @@ class VTKSeries:
             floatsize="double",
         )
         output.Do(time=simulation.t)
+        _require_complete(Path(f"{draft}.vtu"))
         _label_components(Path(f"{draft}.vtu"), self._fields)
         Path(f"{draft}.vtu").replace(self.directory / f"{stem}.vtu")
         Path(f"{draft}.pvd").unlink(missing_ok=True)
@@ -181,12 +194,21 @@ class VTKSeries:
         sets = "\n".join(
             f'<DataSet timestep="{time!r}" group="" part="0" file="{name}"/>' for time, name in self.written
         )
-        draft = self._pvd.with_suffix(".part")
-        draft.write_text(
+        text = (
             '<?xml version="1.0"?>\n<VTKFile type="Collection" version="1.0" '
             f'byte_order="LittleEndian">\n<Collection>\n{sets}\n</Collection>\n</VTKFile>\n'
         )
-        draft.replace(self._pvd)
+        write_atomically(self._pvd, text.encode())
+
+
+def _require_complete(path: Path) -> None:
+    """Raise OSError unless the file ends as it should: VTKOutput is silent about a full disk."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - 40))
+        if b"</VTKFile>" in file.read():
+            return
+    path.unlink()
+    raise OSError(errno.ENOSPC, "the VTK file could not be written completely", str(path))
 
 
 def read_pvd(path: Path) -> list[tuple[float, str]]:

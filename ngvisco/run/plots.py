@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y
 
 from ngvisco.errors import NgviscoError, ParameterError
+from ngvisco.run.files import write_atomically
 
 if TYPE_CHECKING:
     from ngvisco.run.ledger import Ledger
@@ -55,6 +57,33 @@ def plot_energies(ledger: Ledger, path: str | os.PathLike[str]) -> None:
     drift = np.maximum(np.abs(ledger.column("mass_drift"))[1:], 1e-18)
     below.semilogy(t[1:], drift, "r+", label="|mass drift|")
     below.legend(fontsize="small")
+    _save(fig, path)
+
+
+def plot_history(ledger: Ledger, path: str | os.PathLike[str]) -> None:
+    """Dissipations and powers, extrema, iterations and step lengths over time, as PNG."""
+    fig, axes = figure(2, 2, (12, 8))
+    (rates, extrema), (effort, steps) = axes
+    t = ledger.column("time")
+    for entry in ledger.entries:
+        if entry.kind != "numerical":
+            style = "--" if entry.kind == "power" else "-"
+            rates.plot(t, ledger.column(entry.name), style, label=entry.name.replace("_", " "))
+    rates.set(title="dissipations and powers", ylabel="W")
+    for name, label in (("rho_min", "min ρ, kg/m³"), ("rho_max", "max ρ, kg/m³"), ("J_min", "min J")):
+        if not np.isnan(ledger.column(name)).all():
+            extrema.plot(t, ledger.column(name), label=label)
+    extrema.plot(t, ledger.column("v_max"), ":", label="max |v|, m/s")
+    extrema.set(title="extrema")
+    effort.plot(t[1:], ledger.column("newton_iterations")[1:], ".-", label="Newton iterations")
+    effort.plot(t[1:], ledger.column("rejections")[1:], ".", label="rejected attempts")
+    effort.set(title="effort of each step", xlabel="time, s")
+    steps.semilogy(t[1:], ledger.column("dt")[1:], label="step length, s")
+    steps.semilogy(t[1:], np.maximum(ledger.column("cfl")[1:], 1e-16), label="CFL number")
+    steps.set(title="steps", xlabel="time, s")
+    for axis in axes.ravel():
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(fontsize="small")
     _save(fig, path)
 
 
@@ -128,8 +157,6 @@ def _draw_plane(axis: Any, mesh: Mesh, value: CoefficientFunction, fraction: flo
 
 
 def _save(fig: Any, path: str | os.PathLike[str]) -> None:
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    draft = target.with_name(target.name + ".part")
-    fig.savefig(draft, dpi=110, format="png")
-    draft.replace(target)
+    image = io.BytesIO()
+    fig.savefig(image, dpi=110, format="png")
+    write_atomically(Path(path), image.getvalue())

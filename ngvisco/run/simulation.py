@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Protocol
 
@@ -30,6 +30,7 @@ from ngvisco.run import checkpoint
 from ngvisco.run.fields import output_fields
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.passive import PassiveFields
+from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, RejectionObserver, make_stepper
 from ngvisco.run.threads import computing
 from ngvisco.solver.newton import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
@@ -60,7 +61,9 @@ class Simulation:
     walls : mapping of boundary names (or tuples of them) to Wall objects, optional
         Slip (v.n = 0 with a free tangential part) where nothing is said.
     dt : float
-        Length tau of the Rothe steps, s, > 0.
+        Length tau of the Rothe steps, s, > 0; with ``stepping`` that of the first one.
+    stepping : AdaptiveSteps, optional
+        Chooses the steps' lengths; default None is steps of the one length ``dt``.
     discretisation : Discretisation, optional
     newton : NewtonOptions, optional
     observers : sequence of Observer
@@ -84,6 +87,7 @@ class Simulation:
         model: Model,
         *,
         dt: float,
+        stepping: AdaptiveSteps | None = None,
         initial: Initial | None = None,
         walls: Conditions | None = None,
         discretisation: Discretisation | None = None,
@@ -108,6 +112,7 @@ class Simulation:
         if isinstance(model.material, (CustomMaterial, IsotropicStrainEnergy)):
             check_convexity(model.material, dim=mesh.dim)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
+        self.stepper = make_stepper(self.dt, stepping)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.observers = list(observers)
@@ -122,6 +127,7 @@ class Simulation:
         self._positive_values = CF((u.rho, *positive.values()))
         self.passive = PassiveFields(self.rothe_step, passive)
         self.wall_time = 0.0
+        self.stop_requested = False
 
     def set_velocity_scale(self, scale: float) -> None:
         """Set the widths of the smoothed upwinding and of the penalty's weight, from m/s."""
@@ -134,15 +140,27 @@ class Simulation:
         self.t, self.number = t, number
         time.Set(t)
 
-    def restore(self, path: str | PathLike[str], step: int | None = None) -> None:
+    @property
+    def is_adaptive(self) -> bool:
+        """Whether step lengths are chosen by the run."""
+        return isinstance(self.stepper, AdaptiveStepper)
+
+    def restore(
+        self,
+        path: str | PathLike[str],
+        step: int | None = None,
+        attributes: Mapping[str, str] | None = None,
+    ) -> None:
         """Go on from a checkpoint in a run's HDF5 file, by default its last one.
+
+        The file's ``attributes`` must have the given values (see ``Checkpoints``).
 
         Raises
         ------
         CheckpointError
             If the file does not fit this mesh, discretisation and material, or cannot be read.
         """
-        checkpoint.restore(self, path, step)
+        checkpoint.restore(self, path, step, attributes)
 
     @property
     def fields(self) -> dict[str, CoefficientFunction]:
@@ -154,30 +172,40 @@ class Simulation:
         """
         return {**output_fields(self.rothe_step), **self.passive.fields}
 
-    def advance(self) -> dict[str, float]:
-        """One Rothe step of length dt; returns its ledger row.
+    def advance(self, stop: float = math.inf) -> dict[str, float]:
+        """One accepted Rothe step, which with adaptive lengths ends at ``stop`` (s) at the latest.
+
+        Returns
+        -------
+        dict
+            Its ledger row.
 
         Raises
         ------
         StepError
-            When the step cannot be solved, or rho or J is not positive everywhere it is evaluated.
-            The state is then that before the step.
+            When the step cannot be solved, or rho or J is not positive everywhere it is evaluated; with
+            adaptive lengths, when that is so at the smallest length.  The state is then that before
+            the step.
         """
         with computing():
-            if not self.ledger.rows and self.ledger.balance is None:
-                self.ledger.start(self.t)
+            self._start_ledger()
             began = clock.perf_counter()
-            history = self.solver.advance(self.t, self.dt)
-            # (n + 1) dt, not a running sum: times are the same in a restarted run
-            new_time = (self.number + 1) * self.dt
-            row = self.ledger.record(self.number + 1, new_time, self.dt, len(history))
-            self.passive.advance(self.dt)
-            self.t, self.number = new_time, self.number + 1
+            step = self.stepper.advance(self, stop)
+            row = self.ledger.record(self.number + 1, step.time, step.tau, step.iterations, step.rejections)
+            self.passive.advance(step.tau)
+            self.set_time(step.time, self.number + 1)
             self.wall_time += clock.perf_counter() - began
             return row
 
-    def run(self, until: float) -> Ledger:
-        """Step until ``until`` (s, a multiple of dt up to rounding); returns the ledger.
+    def run(self, until: float, stops: Sequence[float] = ()) -> Ledger:
+        """Step until ``until`` (s) or until ``request_stop`` is called; returns the ledger.
+
+        Parameters
+        ----------
+        until : float
+            With steps of one length a multiple of dt, up to rounding.
+        stops : sequence of float
+            Further times that the steps meet exactly, s; with steps of one length multiples of dt.
 
         Raises
         ------
@@ -186,23 +214,49 @@ class Simulation:
         """
         if not (_is_number(until) and until >= self.t):
             raise ParameterError("until", until, f"a finite number >= {self.t:g}")
-        last = round(until / self.dt)
-        if not math.isclose(last * self.dt, until, rel_tol=1e-9, abs_tol=1e-12 * self.dt):
-            raise ParameterError("until", until, f"a multiple of dt = {self.dt:g}")
+        for name, value in [("until", until), *(("stops", stop) for stop in stops)]:
+            self.stepper.check(name, value)
+        targets = sorted({*(stop for stop in stops if self.t < stop < until), until})
+        self.stop_requested = False
         with computing():
-            if not self.ledger.rows and self.ledger.balance is None:
-                self.ledger.start(self.t)
+            self._start_ledger()
+            failure = self._observed(targets)
+            for observer in self.observers:
+                try:
+                    observer.finish(self)
+                except Exception as error:  # the other observers' files must be finished all the same
+                    failure = failure or error
+        if failure is not None:
+            raise failure
+        return self.ledger
+
+    def request_stop(self) -> None:
+        """Let ``run`` end after the present step, with its observers finished."""
+        self.stop_requested = True
+
+    def notify_rejection(self, rejection: Rejection) -> None:
+        """Tell the observers that ask for it that a step was rejected."""
+        for observer in self.observers:
+            if isinstance(observer, RejectionObserver):
+                observer.rejected(self, rejection)
+
+    def _observed(self, targets: Sequence[float]) -> BaseException | None:
+        """Start the observers and step through the targets; what ended it early, if anything did."""
+        try:
             for observer in self.observers:
                 observer.start(self)
-            try:
-                while self.number < last:
-                    row = self.advance()
+            for target in targets:
+                while not self.stepper.reached(self, target) and not self.stop_requested:
+                    row = self.advance(target)
                     for observer in self.observers:
                         observer.step(self, row)
-            finally:
-                for observer in self.observers:
-                    observer.finish(self)
-        return self.ledger
+        except BaseException as error:
+            return error
+        return None
+
+    def _start_ledger(self) -> None:
+        if not self.ledger.rows and self.ledger.balance is None:
+            self.ledger.start(self.t)
 
     def _defect(self) -> str | None:
         """The first of rho, J (A) that is not positive at a sampling point, in words."""

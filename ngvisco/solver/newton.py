@@ -158,10 +158,14 @@ class Newton:
         norm: BlockNorm,
         eliminate: Callable[[], None],
         options: NewtonOptions,
+        on_factorise: Callable[[], None] = lambda: None,
     ) -> None:
-        """``eliminate`` recomputes the local unknowns of ``state`` from the others."""
+        """``eliminate`` recomputes the local unknowns of ``state`` from the others.
+
+        ``on_factorise`` is called with the state at which the Jacobian has just been factorised.
+        """
         self.form, self.state, self.norm, self.options = form, state, norm, options
-        self.eliminate = eliminate
+        self.eliminate, self.on_factorise = eliminate, on_factorise
         self.jacobian = CondensedJacobian(form, options.inverse)
         self._residual = state.CreateVector()
         self._trial_residual = state.CreateVector()
@@ -243,5 +247,6 @@ class Newton:
             self.jacobian.factorise(self.state)
         except StepError as error:
             raise StepError(str(error), history) from error
+        self.on_factorise()
         self.jacobian.solve(self._residual, self._increment)
         return True

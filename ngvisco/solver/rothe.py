@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
 from ngsolve import BaseVector
 
 from ngvisco.errors import StepError
@@ -37,11 +38,18 @@ class RotheSolver:
         self._defect = defect or (lambda: None)
         self.h_min = min(step.context.h.vec)
         self.norm = BlockNorm(step.layout.ranges, {"v": 0.0, "rho": 0.0, "z": 1.0})
-        self.newton = Newton(step.residual, step.state.vec, self.norm, step.eliminate, options)
+        self.newton = Newton(
+            step.residual, step.state.vec, self.norm, step.eliminate, options, self._remember
+        )
         self._last_tau: float | None = None
+        self._factorised = {name: step.state.vec.CreateVector() for name in ("state", "state_old")}
+        self._factorised_at = {"t_old": 0.0, "tau": 0.0}
 
-    def advance(self, t_old: float, tau: float) -> list[NewtonIteration]:
+    def advance(self, t_old: float, tau: float, with_continuation: bool = True) -> list[NewtonIteration]:
         """Solve the step; ``step.state`` becomes the new state, ``step.state_old`` the old one.
+
+        ``with_continuation`` False gives up where Newton fails from the old state, as is cheaper for
+        a caller that tries a shorter step.
 
         Raises
         ------
@@ -61,12 +69,13 @@ class RotheSolver:
                     solve(t_old, tau, history)
                     return history
                 except StepError:
+                    if not with_continuation:
+                        raise
                     self._restore(step.state_old.vec)
             self._continue(t_old, tau, history)
             return history
         except BaseException as error:  # also an interrupt: never leave an iterate behind
-            self._restore(step.state_old.vec)
-            time.Set(t_old)
+            self.undo(t_old)
             if isinstance(error, StepError):
                 raise StepError(f"step of length {tau:g} s from t = {t_old:g} s: {error}", history) from error
             raise
@@ -113,16 +122,57 @@ class RotheSolver:
         assert failure is not None
         raise failure
 
+    def undo(self, t_old: float) -> None:
+        """Put both grid functions into the state before the last ``advance``, at ``t_old``."""
+        self._restore(self.step.state_old.vec)
+        time.Set(t_old)
+
     def forget(self) -> None:
-        """Drop the factorisation; a run that does so at checkpoints is reproduced by its restart."""
+        """Drop the factorisation, so that the next solve makes a new one."""
         self.newton.jacobian.forget()
 
-    def _solve(self, t_old: float, tau: float) -> list[NewtonIteration]:
+    def memory(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+        """What makes the next step depend on earlier ones: where the Jacobian at hand was factorised.
+
+        A restart factorises there again, so that it goes on bit for bit as the run that wrote it.
+        """
+        if not self.newton.jacobian.exists or self._last_tau is None:
+            return {}, {}
+        numbers = {**self._factorised_at, "last_tau": self._last_tau}
+        return numbers, {name: vec.FV().NumPy().copy() for name, vec in self._factorised.items()}
+
+    def recall(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
+        """Take up what ``memory`` gave; state, old state and time are left as they are."""
+        self.forget()
+        if not numbers:
+            return
+        step, now = self.step, time.Get()
+        kept = {name: getattr(step, name).vec.FV().NumPy().copy() for name in self._factorised}
+        for name, values in arrays.items():
+            getattr(step, name).vec.FV().NumPy()[:] = values
+        self._set_context(numbers["t_old"], numbers["tau"])
+        self.newton.jacobian.factorise(step.state.vec)
+        self._remember()
+        self._last_tau = numbers["last_tau"]
+        for name, values in kept.items():
+            getattr(step, name).vec.FV().NumPy()[:] = values
+        time.Set(now)
+
+    def _remember(self) -> None:
+        context = self.step.context
+        self._factorised_at = {"t_old": context.t_old.Get(), "tau": context.tau.Get()}
+        for name, vector in self._factorised.items():
+            vector.data = getattr(self.step, name).vec
+
+    def _set_context(self, t_old: float, tau: float) -> None:
         context = self.step.context
         context.t_old.Set(t_old)
         context.tau.Set(tau)
         time.Set(t_old + tau)
         self.step.moving_walls.set_values()
+
+    def _solve(self, t_old: float, tau: float) -> list[NewtonIteration]:
+        self._set_context(t_old, tau)
         self.norm.units["v"] = self.h_min / tau
         history = self.newton.solve()
         reason = self._defect()

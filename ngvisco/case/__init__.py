@@ -1,0 +1,22 @@
+"""Case files: a run described in TOML, validated completely before anything is computed."""
+
+from ngvisco.case.build import Case, load_case
+from ngvisco.case.directory import Results, RunDirectory, RunDirectoryError, load, resume, run
+from ngvisco.case.errors import CaseError, Fault
+from ngvisco.case.expressions import Expression, ExpressionError, parse
+
+__all__ = [
+    "Case",
+    "CaseError",
+    "Expression",
+    "ExpressionError",
+    "Fault",
+    "Results",
+    "RunDirectory",
+    "RunDirectoryError",
+    "load",
+    "load_case",
+    "parse",
+    "resume",
+    "run",
+]

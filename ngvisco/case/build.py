@@ -1,0 +1,323 @@
+"""From a case file to a simulation."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tomllib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ngsolve import CF, CoefficientFunction, Mesh
+from pydantic import ValidationError
+
+from ngvisco.case import catalogue, toml
+from ngvisco.case.errors import CaseError, Fault
+from ngvisco.case.expressions import parse
+from ngvisco.case.faults import Locator, faults_of
+from ngvisco.case.schema import CaseSections, Section, field_names, parameters
+from ngvisco.errors import (
+    InitialDataError,
+    MeshError,
+    NgviscoError,
+    ParameterError,
+    UnknownNameError,
+)
+from ngvisco.forms.context import time
+from ngvisco.forms.walls import check_boundary_names
+from ngvisco.physics.model import Model
+from ngvisco.physics.walls import Wall
+from ngvisco.run.checkpoint import Checkpoints
+from ngvisco.run.observers import LedgerCSV, VTKSeries
+from ngvisco.run.simulation import Observer, Simulation
+
+MAX_FILE_SIZE = 1_000_000
+
+
+def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Case:
+    """Read and validate a case file.
+
+    Parameters
+    ----------
+    path : path of a TOML file
+    settings : sequence of str
+        Overrides ``key.path=value``, as of the command line's ``--set``.
+
+    Raises
+    ------
+    CaseError
+        With every fault found: its line, key path, value, what is allowed and the nearest match.
+    """
+    source = Path(path)
+    try:
+        raw = source.read_bytes()
+    except OSError as error:
+        raise CaseError(str(source), [Fault("", f"cannot be read: {error.strerror}")]) from error
+    if len(raw) > MAX_FILE_SIZE:
+        raise CaseError(str(source), [Fault("", f"longer than {MAX_FILE_SIZE} bytes")])
+    try:
+        text = raw.decode()
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        raise CaseError(str(source), [Fault("", "not a text in UTF-8", line)]) from error
+    return parse_case(text, str(source), source.parent, settings)
+
+
+def parse_case(text: str, source: str, directory: Path, settings: Sequence[str] = ()) -> Case:
+    """As ``load_case``, of a text; relative paths in it are those from ``directory``."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise CaseError(source, [Fault("", f"not TOML: {error}")]) from error
+    except RecursionError as error:
+        raise CaseError(source, [Fault("", "not TOML: too deeply nested")]) from error
+    overridden = []
+    for setting in settings:
+        try:
+            path, value = toml.parse_override(setting)
+            toml.override(data, path, value)
+        except ValueError as error:
+            raise CaseError(source, [Fault("--set", str(error))]) from error
+        overridden.append(path)
+    locator = Locator(toml.key_lines(text), overridden)
+    try:
+        sections = CaseSections.model_validate(data)
+    except ValidationError as error:
+        raise CaseError(source, faults_of(error, CaseSections, locator)) from error
+    except RecursionError as error:
+        raise CaseError(source, [Fault("", "too deeply nested")]) from error
+    return Case(sections, source, directory, locator)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A validated case; makes the mesh, the simulation and the observers that it describes."""
+
+    sections: CaseSections
+    source: str
+    directory: Path
+    locator: Locator
+
+    @property
+    def until(self) -> float:
+        """End time, s."""
+        return self.sections.time.until
+
+    @property
+    def stops(self) -> tuple[float, ...]:
+        """Output times that steps meet exactly, s."""
+        return self.output_times(self.until)
+
+    def output_times(self, until: float) -> tuple[float, ...]:
+        """Multiples of ``output.vtk.interval`` up to ``until``; none without one."""
+        interval = self.sections.output.vtk.interval
+        if interval is None or not self.sections.output.vtk.enabled:
+            return ()
+        return tuple(i * interval for i in range(1, int(until / interval * (1 + 1e-12)) + 1))
+
+    @property
+    def resolved(self) -> str:
+        """The case as TOML with every default written out and paths made absolute."""
+        data = self.sections.model_dump(exclude_none=True)
+        if data["domain"]["geometry"] == "file":
+            data["domain"]["path"] = str(self._mesh_path)
+        return toml.write(data)
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of all that the solution depends on: not of title, end time and output."""
+        data = self.sections.model_dump()
+        for name in ("title", "output", "domain"):  # the mesh has a hash of its own
+            del data[name]
+        del data["time"]["until"]
+        return hashlib.sha256(toml.write(data).encode()).hexdigest()
+
+    @property
+    def _mesh_path(self) -> Path:
+        return (self.directory / self.sections.domain.path).resolve()  # type: ignore[attr-defined]
+
+    def mesh(self) -> Mesh:
+        """The mesh of the domain; raises CaseError."""
+        domain = self.sections.domain
+        name = domain.geometry  # type: ignore[attr-defined]
+        values = parameters(domain)
+        if name == "file":
+            values["path"] = str(self._mesh_path)
+        with self._located("domain"):
+            return catalogue.GEOMETRIES[name](**values)
+
+    def model(self, dim: int) -> Model:
+        """Material, mechanisms and loads in ``dim`` dimensions; raises CaseError."""
+        material = self._made(self.sections.material, catalogue.MATERIALS, ("material",), dim)
+        mechanisms = {}
+        for name, kind in catalogue.MECHANISMS.items():
+            part = getattr(self.sections.rheology, name)
+            if part is not None:
+                with self._located("rheology", name):
+                    mechanisms[name] = kind(**self._values(part, ("rheology", name), dim))
+        loads = [
+            self._made(load, catalogue.LOADS, ("loads", str(i)), dim)
+            for i, load in enumerate(self.sections.loads)
+        ]
+        with self._located("loads"):
+            return Model(material=material, loads=tuple(loads), **mechanisms)
+
+    def simulation(self, mesh: Mesh, observers: Sequence[Observer] = ()) -> Simulation:
+        """The simulation at its initial state; raises CaseError for data that the model refuses."""
+        sections, made = self.sections, {}
+        with self._located("walls"):
+            check_boundary_names(mesh, sections.walls)
+        for name in ("initial", "discretisation", "solver"):
+            with self._located(name):
+                values = self._values(getattr(sections, name), (name,), mesh.dim)
+                made[name] = catalogue.SECTIONS[name](**values)
+        walls: dict[str | tuple[str, ...], Wall] = {}
+        for wall, condition in sections.walls.items():
+            walls[wall] = self._made(condition, catalogue.WALLS, ("walls", wall), mesh.dim)
+        adaptive = sections.time.adaptive
+        with self._located("time"):
+            stepping = None if adaptive is None else catalogue.SECTIONS["adaptive"](**parameters(adaptive))
+        time.Set(0.0)
+        model = self.model(mesh.dim)
+        with self._located("initial"):
+            run = Simulation(
+                mesh,
+                model,
+                dt=sections.time.dt,
+                stepping=stepping,
+                initial=made["initial"],
+                walls=walls,
+                passive=sections.output.passive,
+                discretisation=made["discretisation"],
+                newton=made["solver"],
+                velocity_scale=sections.time.velocity_scale,
+                observers=observers,
+            )
+        self._check_output(run)
+        self._check_loads(run)
+        return run
+
+    def observers(self, directory: str | os.PathLike[str], until: float | None = None) -> list[Observer]:
+        """Ledger, VTK series and checkpoints in a run directory."""
+        out, vtk, checkpoint = Path(directory), self.sections.output.vtk, self.sections.output.checkpoint
+        chosen: list[Observer] = [LedgerCSV(out / "ledger.csv")]
+        if vtk.enabled:
+            times = self.output_times(self.until if until is None else until)
+            every = None if vtk.interval else vtk.every
+            chosen.append(VTKSeries(out / "vtk", every, vtk.fields, vtk.subdivision, times))
+        attributes = {"case": self.hash}
+        chosen.append(Checkpoints(out / "run.h5", checkpoint.every, checkpoint.keep, attributes))
+        return chosen
+
+    def _check_output(self, run: Simulation) -> None:
+        for name in self.sections.output.vtk.fields or ():
+            if name not in run.fields:
+                error = UnknownNameError("field", name, run.fields)
+                raise self._error(("output", "vtk", "fields"), str(error))
+
+    def _check_loads(self, run: Simulation) -> None:
+        """Loads must be finite at the start, half way and at the end."""
+        for i, load in enumerate(self.sections.loads):
+            for name, value in parameters(load).items():
+                if not isinstance(value, list):
+                    continue
+                for t in (0.0, 0.5 * self.until, self.until):
+                    time.Set(t)
+                    try:
+                        run.sampler.require(_as_function(value), f"at t = {t:g} s")
+                    except InitialDataError as error:
+                        path = ("loads", str(i), name)
+                        raise self._error(
+                            path, f"{value!r}: {str(error).removeprefix('initial ')}"
+                        ) from error
+                    finally:
+                        time.Set(0.0)
+
+    def _made(self, part: Any, table: dict[str, type], path: tuple[str, ...], dim: int) -> Any:
+        with self._located(*path):
+            return table[part.kind](**self._values(part, path, dim))
+
+    def _values(self, part: Section, path: tuple[str, ...], dim: int) -> dict[str, Any]:
+        """A section's parameters with its expressions as coefficient functions."""
+        values, fields = parameters(part), field_names(part)
+        for name, value in values.items():
+            if name in fields:
+                self._check_names(value, (*path, name), dim)
+                self._check_length(value, (*path, name), dim)
+                if isinstance(value, dict):
+                    values[name] = {key: _as_function(field) for key, field in value.items()}
+                else:
+                    values[name] = value if isinstance(value, (int, float)) else _as_function(value)
+        return values
+
+    def _check_names(self, value: Any, path: tuple[str, ...], dim: int) -> None:
+        if isinstance(value, (list, dict)):
+            for part in value.values() if isinstance(value, dict) else value:
+                self._check_names(part, path, dim)
+        elif isinstance(value, str) and dim == 2 and "z" in parse(value).names:
+            raise self._error(path, f"{value!r}: there is no z in a mesh of two dimensions")
+
+    def _check_length(self, value: Any, path: tuple[str, ...], dim: int) -> None:
+        is_vector = isinstance(value, list) and not any(isinstance(part, list) for part in value)
+        if is_vector and len(value) != dim:
+            raise self._error(path, f"{value!r:.60}: expected an array of {dim} components, not {len(value)}")
+
+    def _error(self, path: tuple[str, ...], message: str) -> CaseError:
+        return CaseError(self.source, [self.locator.fault(path, message)])
+
+    @contextmanager
+    def _located(self, *path: str) -> Iterator[None]:
+        """Turn ngvisco's errors into faults of a section (or of the one that the error names)."""
+        try:
+            yield
+        except CaseError:
+            raise
+        except ParameterError as error:
+            owner, _, name = error.field.rpartition(".")
+            where = _SECTION_OF.get(owner, path)
+            known = {line[-1] for line in self.locator.lines}
+            key = (*where, name) if owner or name in known else where
+            raise self._error(key, f"{error.value!r:.60}: expected {error.expected}") from error
+        except UnknownNameError as error:
+            where = _SECTION_OF_NAME.get(error.kind, path)
+            raise self._error((*where, error.name), str(error)) from error
+        except InitialDataError as error:
+            keys = [key for word, key in _INITIAL_KEYS.items() if word in error.field]
+            raise self._error(("initial", *keys[:1]), str(error)) from error
+        except MeshError as error:
+            raise self._error(("domain",), str(error)) from error
+        except NgviscoError as error:
+            raise self._error(path, str(error)) from error
+        except Exception as error:  # NGSolve and Netgen raise bare exceptions for what they refuse
+            raise self._error(path, f"{type(error).__name__}: {error}") from error
+
+
+_SECTION_OF_NAME = {
+    "material variable": ("initial", "values"),
+    "passive field": ("output", "passive"),
+    "boundary": ("walls",),
+}
+_INITIAL_KEYS = {"rho_0": "density", "F_0": "F", "v_0": "velocity", "material variables": "values"}
+_SECTION_OF = {"Simulation": ("time",), "Initial": ("initial",), "Discretisation": ("discretisation",)}
+
+
+def _as_function(value: Any) -> Any:
+    """A number, text or array as a coefficient function; arrays of arrays are matrices."""
+    if not isinstance(value, list):
+        return _scalar(value)
+    if not all(isinstance(row, list) for row in value):
+        if any(isinstance(row, list) for row in value):
+            raise ParameterError("array", value, "a vector, or a matrix of equally long rows")
+        return CF(tuple(_scalar(part) for part in value))
+    widths = {len(row) for row in value}
+    if len(widths) != 1 or any(isinstance(part, list) for row in value for part in row):
+        raise ParameterError("array", value, "a matrix of equally long rows")
+    flat = tuple(_scalar(part) for row in value for part in row)
+    return CF(flat, dims=(len(value), widths.pop()))
+
+
+def _scalar(value: Any) -> CoefficientFunction:
+    return parse(value).coefficient() if isinstance(value, str) else CF(float(value))

@@ -1,0 +1,92 @@
+"""What a case file can name.  A new material, mechanism, load, wall or geometry is one line here.
+
+Keys of a section are the parameters of the dataclass or function, read from its annotations.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Any
+
+from ngvisco.case.meshfile import read_mesh
+from ngvisco.forms.initial import Initial
+from ngvisco.forms.spaces import Discretisation
+from ngvisco.physics.materials import (
+    BarotropicFluid,
+    HardeningElastic,
+    IsochoricNeoHookean,
+    LinearElastic,
+    LogarithmicNeoHookean,
+    MooneyRivlin,
+    NeoHookean,
+    ReferentialMooneyRivlin,
+    ReferentialNeoHookean,
+)
+from ngvisco.physics.model import BodyForce, CentralGravity, Gravity
+from ngvisco.physics.regularisation import Regularisation
+from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
+from ngvisco.run.stepping import AdaptiveSteps
+from ngvisco.solver.newton import NewtonOptions
+
+
+def _geometries() -> dict[str, Callable[..., Any]]:
+    # importable only after ngvisco itself has found them beside it
+    geometries = importlib.import_module("ngvisco.geometries")
+    return {
+        "annulus": geometries.annulus,
+        "bar": geometries.bar,
+        "block_with_hole": geometries.block_with_hole,
+        "box": geometries.box,
+        "channel": geometries.channel,
+        "cylinder": geometries.cylinder,
+        "disc": geometries.disc,
+        "file": read_mesh,
+        "sphere": geometries.sphere,
+        "spherical_shell": geometries.spherical_shell,
+    }
+
+
+GEOMETRIES = _geometries()
+
+MATERIALS: dict[str, type] = {
+    "BarotropicFluid": BarotropicFluid,
+    "HardeningElastic": HardeningElastic,
+    "IsochoricNeoHookean": IsochoricNeoHookean,
+    "LinearElastic": LinearElastic,
+    "LogarithmicNeoHookean": LogarithmicNeoHookean,
+    "MooneyRivlin": MooneyRivlin,
+    "NeoHookean": NeoHookean,
+    "ReferentialMooneyRivlin": ReferentialMooneyRivlin,
+    "ReferentialNeoHookean": ReferentialNeoHookean,
+}
+
+MECHANISMS: dict[str, type] = {
+    "viscosity": StokesViscosity,
+    "hyperviscosity": HyperViscosity,
+    "creep": Creep,
+    "regularisation": Regularisation,
+}
+
+LOADS: dict[str, type] = {
+    "BodyForce": BodyForce,
+    "CentralGravity": CentralGravity,
+    "Gravity": Gravity,
+}
+
+WALLS: dict[str, type] = {
+    "NavierFriction": NavierFriction,
+    "NoSlip": NoSlip,
+    "PrescribedTangential": PrescribedTangential,
+    "Slip": Slip,
+    "Traction": Traction,
+}
+"""Walls that a case does not name are Slip."""
+
+SECTIONS: dict[str, type] = {
+    "adaptive": AdaptiveSteps,
+    "discretisation": Discretisation,
+    "initial": Initial,
+    "solver": NewtonOptions,
+}

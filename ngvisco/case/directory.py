@@ -1,0 +1,330 @@
+"""A run directory: everything that a run needs to be understood, resumed and read.
+
+| file          | holds                                                                     |
+|---------------|---------------------------------------------------------------------------|
+| case.toml     | the case as resolved: every default written out                           |
+| versions.json | versions, commit, machine, the mesh file's hash                           |
+| mesh.vol      | the mesh; every run uses the one read back from this file                 |
+| ledger.csv    | the energy ledger, a row a step                                           |
+| run.h5        | ledger and checkpoints (ngvisco.run.checkpoint)                           |
+| vtk/          | the VTK series                                                            |
+| log.txt       | what was done when                                                        |
+| lock          | held by the running process; released by the system even when it is killed |
+
+The first three are complete before the first step.  A resumed run reads them, never the user's case.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time as clock
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from ngsolve import CoefficientFunction, Mesh
+
+from ngvisco.case.build import Case, load_case
+from ngvisco.case.meshfile import require_whole
+from ngvisco.errors import CheckpointError, MeshError, NgviscoError
+from ngvisco.run.checkpoint import read_ledger
+from ngvisco.run.files import append, write_atomically
+from ngvisco.run.observers import Progress
+from ngvisco.run.simulation import Observer, Simulation
+
+
+class RunDirectoryError(NgviscoError, RuntimeError):
+    """A run directory that cannot be used: results in it, in use, or not one at all."""
+
+
+class RunDirectory:
+    """Names and files of a run directory."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.case_file = self.path / "case.toml"
+        self.versions_file = self.path / "versions.json"
+        self.mesh_file = self.path / "mesh.vol"
+        self.ledger_file = self.path / "ledger.csv"
+        self.run_file = self.path / "run.h5"
+        self.log_file = self.path / "log.txt"
+        self.vtk = self.path / "vtk"
+        self.lock_file = self.path / "lock"
+
+    @property
+    def results(self) -> list[Path]:
+        """Files of an earlier run."""
+        own = [self.case_file, self.versions_file, self.mesh_file, self.ledger_file, self.run_file]
+        pictures = [self.path / name for name in ("energies.png", "history.png", "fields.png", "scene.html")]
+        series = [*self.vtk.glob("fields*.vtu"), *self.vtk.glob("fields*.pvd")]
+        return [path for path in [*own, self.log_file, *pictures, *series] if path.exists()]
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """Hold the directory, made if missing; raises RunDirectoryError when another process does."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        with self.lock_file.open("a+") as file:
+            if not _try_lock(file):
+                file.seek(0)
+                holder = file.read().strip() or "another process"
+                raise RunDirectoryError(f"{self.path}: in use by {holder}; wait for it or stop it")
+            file.truncate(0)
+            file.write(f"process {os.getpid()} on {platform.node()}\n")
+            file.flush()
+            yield
+            file.truncate(0)
+
+    def clear(self) -> None:
+        """Remove the results of an earlier run, and nothing else."""
+        for path in self.results:
+            path.unlink()
+
+    def prepare(self, case: Case) -> None:
+        """Write case, mesh and versions of a new run."""
+        mesh = case.mesh()
+        write_atomically(self.case_file, case.resolved.encode())
+        image = _mesh_image(mesh)
+        write_atomically(self.mesh_file, image)
+        record = versions() | {"mesh_sha256": hashlib.sha256(image).hexdigest()}
+        write_atomically(self.versions_file, (json.dumps(record, indent=2) + "\n").encode())
+
+    def read_versions(self) -> dict[str, Any]:
+        """The record of versions; raises RunDirectoryError."""
+        try:
+            record = json.loads(self.versions_file.read_text())
+        except (OSError, ValueError) as error:
+            raise RunDirectoryError(f"{self.versions_file}: cannot be read ({error})") from error
+        if not isinstance(record, dict):
+            raise RunDirectoryError(f"{self.versions_file}: expected a JSON object")
+        return record
+
+    @property
+    def is_prepared(self) -> bool:
+        """Whether case, mesh and versions are complete (versions are written last)."""
+        return all(path.exists() for path in (self.case_file, self.mesh_file, self.versions_file))
+
+    def case(self) -> Case:
+        """The resolved case; raises RunDirectoryError or CaseError."""
+        if not self.case_file.exists():
+            raise RunDirectoryError(f"{self.path}: not a run directory (no case.toml)")
+        return load_case(self.case_file)
+
+    def mesh(self) -> Mesh:
+        """The mesh of the run; raises MeshError if the file is not the one that was written."""
+        require_whole(self.mesh_file)
+        found = hashlib.sha256(self.mesh_file.read_bytes()).hexdigest()
+        if found != self.read_versions().get("mesh_sha256"):
+            raise MeshError(f"{self.mesh_file}: not the mesh of this run (its hash differs)")
+        return Mesh(str(self.mesh_file))
+
+
+class Log(Progress):
+    """Progress lines with the date, appended to a run's log file."""
+
+    def __init__(self, path: Path, until: float, every: int = 1) -> None:
+        super().__init__(until, every)
+        self.path = path
+
+    def write(self, line: str) -> None:
+        """Append a line."""
+        stamp = clock.strftime("%Y-%m-%d %H:%M:%S")
+        append(self.path, f"{stamp}  {line}\n")
+
+    def _print(self, line: str) -> None:
+        self.write(line)
+
+
+def run(
+    case: Case,
+    directory: str | os.PathLike[str],
+    *,
+    force: bool = False,
+    observers: Sequence[Observer] = (),
+) -> Simulation:
+    """Run a case into a new run directory.
+
+    Parameters
+    ----------
+    case : Case
+    directory : path
+    force : bool
+        Remove the results of an earlier run first, rather than refuse.
+    observers : sequence of Observer
+        Besides those that write the directory.
+
+    Raises
+    ------
+    RunDirectoryError, CaseError, StepError, OSError
+    """
+    place = RunDirectory(directory)
+    with place.locked():
+        if place.results and not force:
+            found = ", ".join(sorted(path.name for path in place.results)[:3])
+            raise RunDirectoryError(
+                f"{place.path}: holds results of an earlier run ({found}, ...); resume it, choose another "
+                "directory, or replace it with --force"
+            )
+        place.clear()
+        place.prepare(case)
+        return _go(place, case.until, observers, "run")
+
+
+def resume(
+    directory: str | os.PathLike[str],
+    until: float | None = None,
+    *,
+    observers: Sequence[Observer] = (),
+) -> Simulation:
+    """Go on with the run in a directory, from its last checkpoint (or its start, if it has none).
+
+    ``until`` (s) replaces the case's end time.
+    """
+    place = RunDirectory(directory)
+    if not place.case_file.exists():
+        raise RunDirectoryError(f"{place.path}: not a run directory (no case.toml)")
+    with place.locked():
+        if not place.is_prepared:
+            place.prepare(place.case())
+        return _go(place, until, observers, "resume")
+
+
+def _go(place: RunDirectory, until: float | None, observers: Sequence[Observer], what: str) -> Simulation:
+    case = place.case()
+    end = case.until if until is None else until
+    log = Log(place.log_file, end, case.sections.output.log_every)
+    log.write(f"{what}: {case.sections.title or case.source}")
+    try:
+        simulation = case.simulation(place.mesh())
+        if place.run_file.exists():
+            simulation.restore(place.run_file, attributes={"case": case.hash})
+            log.write(f"from the checkpoint of step {simulation.number}, t = {simulation.t:g} s")
+        if simulation.t > end * (1 + 1e-12):
+            message = f"the run has already reached t = {simulation.t:g} s: expected an end time above that"
+            raise RunDirectoryError(f"{place.path}: {message}")
+        # an end time given to resume is an output time of its own
+        simulation.observers += [*case.observers(place.path, end), log, *observers]
+        simulation.run(max(end, simulation.t), case.output_times(end))
+    except BaseException as error:
+        with contextlib.suppress(OSError):  # a full disk is what may have ended the run
+            log.write(f"ended by {type(error).__name__}: {error}")
+        raise
+    if simulation.stop_requested:
+        log.write(f"stopped on request at step {simulation.number}, t = {simulation.t:g} s")
+    return simulation
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a run directory holds.
+
+    Attributes
+    ----------
+    case : Case
+    ledger : dict of arrays, by column
+    simulation : Simulation
+        At the checkpoint's state.
+    """
+
+    case: Case
+    ledger: dict[str, np.ndarray]
+    simulation: Simulation
+
+    @property
+    def mesh(self) -> Mesh:
+        return self.simulation.mesh
+
+    @property
+    def time(self) -> float:
+        """Time of the state, s."""
+        return self.simulation.t
+
+    @property
+    def fields(self) -> dict[str, CoefficientFunction]:
+        """``simulation.fields``: velocity and density as grid functions, what is derived from them."""
+        return self.simulation.fields
+
+
+def load(directory: str | os.PathLike[str], step: int | None = None) -> Results:
+    """The ledger and the state of the last (or a given) checkpoint of a run directory.
+
+    Raises
+    ------
+    RunDirectoryError, CaseError, CheckpointError, MeshError
+    """
+    place = RunDirectory(directory)
+    case = place.case()
+    if not place.run_file.exists():
+        raise CheckpointError(f"{place.path}: no run.h5: the run ended before its first state was written")
+    simulation = case.simulation(place.mesh())
+    simulation.restore(place.run_file, step, attributes={"case": case.hash})
+    return Results(case, read_ledger(place.run_file), simulation)
+
+
+def versions() -> dict[str, Any]:
+    """Versions, commit and machine, for the record."""
+    packages = ("ngvisco", "ngsolve", "netgen-mesher", "numpy", "scipy", "h5py", "pydantic")
+    return {
+        **{name: _version(name) for name in packages},
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "commit": commit(),
+        "command": sys.argv,
+        "started": clock.strftime("%Y-%m-%dT%H:%M:%S%z"),
+    }
+
+
+def commit() -> str | None:
+    """The commit of a clone (``-dirty`` with changes), None for an installed package."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        result = subprocess.run(command, capture_output=True, text=True, timeout=20)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return result.stdout.strip() or None
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _mesh_image(mesh: Mesh) -> bytes:
+    """The mesh as a .vol file's content; Netgen itself would be silent about a full disk."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "mesh.vol"
+        mesh.ngmesh.Save(str(path))
+        require_whole(path)
+        return path.read_bytes()
+
+
+def _try_lock(file: TextIO) -> bool:
+    """An advisory lock that dies with the process; False if another process holds it."""
+    lock: Callable[..., Any]
+    if sys.platform == "win32":
+        import msvcrt
+
+        lock, arguments = msvcrt.locking, (msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        lock, arguments = fcntl.flock, (fcntl.LOCK_EX | fcntl.LOCK_NB,)
+    try:
+        lock(file.fileno(), *arguments)
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,310 @@
+"""Expressions of x, y, z and t in case files, as NGSolve coefficient functions.
+
+A text is parsed to Python's syntax tree and only the nodes listed here are evaluated, by this module
+and never by Python: a case file cannot execute code.  Written are
+
+* numbers, ``x y z`` (m), ``t`` (s, the run's time ``ngvisco.time``), ``pi``;
+* ``+ - * / **``, parentheses, unary ``+ -``;
+* ``sin cos tan asin acos atan exp log sqrt abs sinh cosh tanh min max atan2``;
+* ``a if condition else b`` (or ``where(condition, a, b)``), conditions being comparisons
+  ``< <= > >=`` (also chained) joined by ``and``, ``or``, ``not``.
+
+Constant parts are computed at once, so that ``1/0`` or ``log(-1)`` is an error with its position.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import ngsolve
+from ngsolve import CF, CoefficientFunction, IfPos
+
+from ngvisco.errors import NgviscoError
+from ngvisco.forms.context import time
+
+Value: TypeAlias = float | CoefficientFunction
+
+MAX_LENGTH = 2000
+MAX_DEPTH = 80
+MAX_NODES = 1000
+_LARGEST_WHOLE_POWER = 16
+
+COORDINATES = ("x", "y", "z")
+CONSTANTS = {"pi": math.pi}
+NAMES = (*COORDINATES, "t", *CONSTANTS)
+
+
+class ExpressionError(NgviscoError, ValueError):
+    """A text that is no expression; ``position`` is the index of the offending character."""
+
+    def __init__(self, text: str, position: int, reason: str) -> None:
+        self.text, self.position, self.reason = text, position, reason
+        shown = text if len(text) <= 80 else text[:77] + "..."
+        super().__init__(f"{reason}, at character {position + 1} of {shown!r}")
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A checked expression: its text and the names that it reads."""
+
+    text: str
+    names: frozenset[str]
+    _tree: ast.expr
+
+    def coefficient(self) -> CoefficientFunction:
+        """The expression as a coefficient function; ``t`` is ``ngvisco.time``."""
+        symbols: dict[str, Value] = {"x": ngsolve.x, "y": ngsolve.y, "z": ngsolve.z, "t": time, **CONSTANTS}
+        return CF(_Evaluator(self.text, symbols).value(self._tree))
+
+
+def parse(text: str) -> Expression:
+    """Check a text completely.
+
+    Raises
+    ------
+    ExpressionError
+        With the position: syntax, unknown name or function, a constant part that is no finite number,
+        or one of the limits on length and depth.
+    """
+    if len(text) > MAX_LENGTH:
+        raise ExpressionError(text, MAX_LENGTH, f"longer than {MAX_LENGTH} characters")
+    if not text.isascii() or "\0" in text:
+        where = next(i for i, c in enumerate(text) if not c.isascii() or c == "\0")
+        raise ExpressionError(text, where, f"unexpected character {text[where]!r}")
+    # leading blanks would be an indentation; line breaks may stand in a TOML string
+    source = "".join(" " if c in "\t\r\n\f\v" else c for c in text)
+    lead = len(source) - len(source.lstrip())
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of doubtful literals, which the evaluator judges itself
+            tree = ast.parse(source.lstrip(), mode="eval").body
+    except SyntaxError as error:
+        position = lead + max(0, (error.offset or 1) - 1)
+        raise ExpressionError(text, min(position, len(text)), "not an expression") from None
+    except (ValueError, MemoryError, RecursionError):  # absurd nesting or number
+        raise ExpressionError(text, 0, "too deeply nested") from None
+    _check_size(text, tree, lead)
+    # constant parts are evaluated with no coordinate known: this finds every other fault
+    evaluator = _Evaluator(text, dict(CONSTANTS), lead)
+    evaluator.value(tree)
+    return Expression(text, frozenset(evaluator.seen), _shifted(tree, lead))
+
+
+def _shifted(tree: ast.expr, lead: int) -> ast.expr:
+    for node in ast.walk(tree):
+        if hasattr(node, "col_offset"):
+            node.col_offset += lead
+    return tree
+
+
+def _check_size(text: str, tree: ast.expr, lead: int) -> None:
+    count, layer, depth = 0, [tree], 0
+    while layer:
+        count, depth = count + len(layer), depth + 1
+        if count > MAX_NODES or depth > MAX_DEPTH:
+            position = lead + getattr(layer[0], "col_offset", 0)
+            raise ExpressionError(text, position, "too long or too deeply nested")
+        layer = [child for node in layer for child in ast.iter_child_nodes(node)]  # type: ignore[misc]
+
+
+class _Unknown:
+    """Stands for a value that depends on x, y, z or t while a text is checked."""
+
+
+_UNKNOWN: Any = _Unknown()
+
+
+class _Evaluator:
+    """Evaluates a tree with floats where it is constant, and coefficient functions elsewhere."""
+
+    def __init__(self, text: str, symbols: dict[str, Value], lead: int = 0) -> None:
+        self.text, self.symbols, self.lead = text, symbols, lead
+        self.seen: set[str] = set()
+
+    def value(self, node: ast.expr) -> Any:
+        if isinstance(node, ast.Constant):
+            return self._number(node)
+        if isinstance(node, ast.Name):
+            return self._name(node)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.UAdd, ast.USub)):
+            operand = self.value(node.operand)
+            if operand is _UNKNOWN or isinstance(node.op, ast.UAdd):
+                return operand
+            return -operand
+        if isinstance(node, ast.BinOp):
+            return self._binary(node)
+        if isinstance(node, ast.Call):
+            return self._call(node)
+        if isinstance(node, ast.IfExp):
+            return self._choice(node, node.test, node.body, node.orelse)
+        if isinstance(node, (ast.Compare, ast.BoolOp)) or (
+            isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
+        ):
+            raise self._error(node, "a condition may only stand in 'a if condition else b'")
+        raise self._error(node, "only numbers, names, + - * / ** and the listed functions are allowed")
+
+    def _error(self, node: ast.AST, reason: str) -> ExpressionError:
+        return ExpressionError(self.text, self.lead + getattr(node, "col_offset", 0), reason)
+
+    def _number(self, node: ast.Constant) -> float:
+        value = node.value
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self._error(node, f"{value!r:.40} is not a number")
+        return self._finite(node, lambda: float(value))
+
+    def _finite(self, node: ast.AST, compute: Callable[[], float]) -> float:
+        try:
+            result = compute()
+        except (ValueError, ArithmeticError) as error:
+            raise self._error(node, f"no finite number ({error})") from None
+        if isinstance(result, complex) or not math.isfinite(result):
+            raise self._error(node, "no finite number")
+        return result
+
+    def _name(self, node: ast.Name) -> Any:
+        name = node.id
+        if name not in NAMES:
+            allowed = ", ".join(NAMES)
+            if name in FUNCTIONS:
+                raise self._error(node, f"function {name!r} needs its arguments in parentheses")
+            raise self._error(node, f"unknown name {name!r}{_hint(name, NAMES)} (known: {allowed})")
+        self.seen.add(name)
+        return self.symbols.get(name, _UNKNOWN)
+
+    def _binary(self, node: ast.BinOp) -> Any:
+        operation = _BINARY.get(type(node.op))
+        if operation is None:
+            raise self._error(node, "the operators are + - * / **")
+        a, b = self.value(node.left), self.value(node.right)
+        if isinstance(a, float) and isinstance(b, float):
+            return self._finite(node, lambda: operation(a, b))
+        if isinstance(node.op, ast.Div) and b == 0.0 and isinstance(b, float):
+            raise self._error(node, "division by zero")
+        if a is _UNKNOWN or b is _UNKNOWN:
+            return _UNKNOWN
+        return operation(a, b)
+
+    def _call(self, node: ast.Call) -> Any:
+        if not isinstance(node.func, ast.Name):
+            raise self._error(node, "only the listed functions can be called")
+        name = node.func.id
+        if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
+            raise self._error(node, f"{name} takes plain arguments only")
+        if name == "where":
+            if len(node.args) != 3:
+                raise self._error(node, f"where takes 3 arguments, not {len(node.args)}")
+            return self._choice(node, *node.args)
+        if name not in FUNCTIONS:
+            known = ", ".join([*FUNCTIONS, "where"])
+            hint = _hint(name, [*FUNCTIONS, "where"])
+            raise self._error(node, f"unknown function {name!r}{hint} (known: {known})")
+        count, exact, general = FUNCTIONS[name]
+        if len(node.args) != count:
+            plural = "" if count == 1 else "s"
+            raise self._error(node, f"{name} takes {count} argument{plural}, not {len(node.args)}")
+        arguments = [self.value(argument) for argument in node.args]
+        if all(isinstance(argument, float) for argument in arguments):
+            return self._finite(node, lambda: exact(*arguments))
+        if any(argument is _UNKNOWN for argument in arguments):
+            return _UNKNOWN
+        return general(*(CF(argument) for argument in arguments))
+
+    def _choice(self, node: ast.AST, test: ast.expr, yes: ast.expr, no: ast.expr) -> Any:
+        condition, a, b = self._condition(test), self.value(yes), self.value(no)
+        if any(part is _UNKNOWN for part in (condition, a, b)):
+            return _UNKNOWN
+        if isinstance(condition, float):
+            return a if condition > 0 else b
+        return IfPos(condition, CF(a), CF(b))
+
+    def _condition(self, node: ast.expr) -> Any:
+        """A number or function that is 1 where the condition holds and 0 elsewhere."""
+        if isinstance(node, ast.BoolOp):
+            parts = [self._condition(value) for value in node.values]
+            if any(part is _UNKNOWN for part in parts):
+                return _UNKNOWN
+            if isinstance(node.op, ast.And):
+                return math.prod(parts[1:], start=parts[0])
+            return 1.0 - math.prod((1.0 - part for part in parts[1:]), start=1.0 - parts[0])
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            inner = self._condition(node.operand)
+            return inner if inner is _UNKNOWN else 1.0 - inner
+        if not isinstance(node, ast.Compare):
+            raise self._error(node, "expected a condition such as x < 0.5")
+        values = [self.value(part) for part in (node.left, *node.comparators)]
+        for operator in node.ops:
+            if type(operator) not in _COMPARE:
+                raise self._error(node, "the comparisons are < <= > >=")
+        if any(value is _UNKNOWN for value in values):
+            return _UNKNOWN
+        pairs = zip(node.ops, values, values[1:], strict=False)
+        parts = [_COMPARE[type(operator)](a, b) for operator, a, b in pairs]
+        return math.prod(parts[1:], start=parts[0])
+
+
+def _power(a: Value, b: Value) -> Value:
+    if isinstance(a, float) and isinstance(b, float):
+        return a**b
+    if isinstance(b, float) and b.is_integer() and abs(b) <= _LARGEST_WHOLE_POWER:
+        # repeated multiplication: exact signs for negative bases, which exp(b log a) has not
+        product = math.prod([a] * int(abs(b)), start=CF(1.0))
+        return product if b >= 0 else 1 / product
+    return CF(a) ** CF(b)
+
+
+def _less(a: Value, b: Value) -> Value:
+    """1 where a < b, 0 elsewhere."""
+    if isinstance(a, float) and isinstance(b, float):
+        return 1.0 if a < b else 0.0
+    return IfPos(CF(b) - CF(a), CF(1.0), CF(0.0))
+
+
+_COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Lt: _less,
+    ast.Gt: lambda a, b: _less(b, a),
+    ast.LtE: lambda a, b: 1.0 - _less(b, a),
+    ast.GtE: lambda a, b: 1.0 - _less(a, b),
+}
+
+_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: lambda a, b: a + b,
+    ast.Sub: lambda a, b: a - b,
+    ast.Mult: lambda a, b: a * b,
+    ast.Div: lambda a, b: a / b,
+    ast.Pow: _power,
+}
+
+FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., CoefficientFunction]]] = {
+    "sin": (1, math.sin, ngsolve.sin),
+    "cos": (1, math.cos, ngsolve.cos),
+    "tan": (1, math.tan, ngsolve.tan),
+    "asin": (1, math.asin, ngsolve.asin),
+    "acos": (1, math.acos, ngsolve.acos),
+    "atan": (1, math.atan, ngsolve.atan),
+    "atan2": (2, math.atan2, ngsolve.atan2),
+    "exp": (1, math.exp, ngsolve.exp),
+    "log": (1, math.log, ngsolve.log),
+    "sqrt": (1, math.sqrt, ngsolve.sqrt),
+    "abs": (1, abs, lambda a: IfPos(a, a, -a)),
+    "sinh": (1, math.sinh, ngsolve.sinh),
+    "cosh": (1, math.cosh, ngsolve.cosh),
+    "tanh": (
+        1,
+        math.tanh,
+        lambda a: IfPos(a, 1 - 2 / (ngsolve.exp(2 * a) + 1), 2 / (ngsolve.exp(-2 * a) + 1) - 1),
+    ),
+    "min": (2, min, lambda a, b: IfPos(a - b, b, a)),
+    "max": (2, max, lambda a, b: IfPos(a - b, a, b)),
+}
+"""Name -> number of arguments, the function of numbers, that of coefficient functions."""
+
+
+def _hint(name: str, known: Any) -> str:
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return f"; did you mean {close[0]!r}?" if close else ""

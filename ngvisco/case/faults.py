@@ -1,0 +1,118 @@
+"""What pydantic and ngvisco found wrong, in the words of a case file's user."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from ngvisco.case.errors import Fault
+from ngvisco.case.toml import line_of
+from ngvisco.errors import ParameterError
+
+_SHOWN = 60
+_TYPES = {
+    "float_type": "expected a number",
+    "int_type": "expected a whole number",
+    "int_from_float": "expected a whole number",
+    "bool_type": "expected true or false",
+    "string_type": "expected a text in quotes",
+    "list_type": "expected an array, as in [1, 1]",
+    "dict_type": "expected a table",
+    "model_type": "expected a table",
+    "model_attributes_type": "expected a table",
+    "missing": "is missing",
+}
+
+
+class Locator:
+    """Lines of keys: of the file, or of the command line where a key was set there."""
+
+    def __init__(self, lines: dict[tuple[str, ...], int], overridden: Iterable[tuple[str, ...]] = ()) -> None:
+        self.lines, self.overridden = lines, list(overridden)
+
+    def fault(self, path: tuple[str, ...], message: str) -> Fault:
+        """A fault at a key path."""
+        key = ".".join(path)
+        if any(path[: len(o)] == o for o in self.overridden):
+            return Fault(f"{key} (set on the command line)", message)
+        return Fault(key, message, line_of(self.lines, path))
+
+
+def faults_of(error: ValidationError, model: type[BaseModel], locator: Locator) -> list[Fault]:
+    """One fault for each of pydantic's errors, in the order of the file."""
+    found = []
+    for one in error.errors():
+        path, here, known = _resolve(model, one["loc"])
+        raised = (one.get("ctx") or {}).get("error")
+        if isinstance(raised, ParameterError):
+            path = (*path, *_parameter_path(raised.field, path))
+        found.append(locator.fault(path, _message(one, raised, path, here, known)))
+    return sorted(found, key=lambda fault: (fault.line is None, fault.line or 0))
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """``; did you mean 'x'?`` or nothing."""
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def _parameter_path(field: str, path: tuple[str, ...]) -> tuple[str, ...]:
+    """The key of a dataclass's parameter: NeoHookean.G_e in [material] is G_e there."""
+    parts = tuple(field.split("."))
+    return parts[1:] if path else parts
+
+
+def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: list[str]) -> str:
+    kind, value, context = one["type"], one["input"], one.get("ctx") or {}
+    if isinstance(raised, ParameterError):
+        return f"{_shown(raised.value)}: expected {raised.expected}"
+    if raised is not None:
+        return f"{_shown(value)}: {raised}"
+    if kind == "extra_forbidden":
+        return f"unknown key{nearest(path[-1], known)} (known in {here}: {', '.join(known)})"
+    if kind == "missing":
+        return f"is missing (keys of {here}: {', '.join(known)})"
+    if kind == "union_tag_invalid":
+        tag, tags = str(context["tag"]), [t.strip("'") for t in context["expected_tags"].split(", ")]
+        return f"{tag!r}: expected one of {', '.join(tags)}{nearest(tag, tags)}"
+    if kind == "union_tag_not_found":
+        return f"the key {context['discriminator']} is missing"
+    if kind == "literal_error":
+        return f"{_shown(value)}: expected {context['expected']}"
+    return f"{_shown(value)}: {_TYPES.get(kind, one['msg'].lower())}"
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
+
+
+def _resolve(model: type[BaseModel], location: tuple[Any, ...]) -> tuple[tuple[str, ...], str, list[str]]:
+    """Key path without the unions' tags, the table that holds the key, and that table's keys."""
+    path: list[str] = []
+    candidates: list[type[BaseModel]] = [model]
+    here, known = "the case", list(model.model_fields)
+    for part in location:
+        fields = {name: field for c in candidates for name, field in c.model_fields.items()}
+        chosen = [c for c in candidates if c.__name__ == part]
+        if part in fields:
+            here, known = (".".join(path) or "the case"), list(fields)
+            candidates = _models_in(fields[part].annotation) or candidates[:0]
+            path.append(str(part))
+        elif chosen and len(path) > 0:
+            candidates = chosen
+            here, known = ".".join(path), list(chosen[0].model_fields)
+        else:
+            here = ".".join(path) or "the case"
+            known = list(fields)
+            path.append(str(part))
+    return tuple(path), here, known
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [found for part in get_args(annotation) for found in _models_in(part)]

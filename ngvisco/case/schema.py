@@ -1,0 +1,253 @@
+"""The schema of a case file, made from the dataclasses and functions of the catalogue.
+
+Each section is a strict pydantic model whose fields are the parameters of a dataclass or function;
+parameters that are functions of space and time are numbers, expressions or arrays of them.  What a
+dataclass refuses is a fault of its section, with the parameter's name.
+"""
+
+from __future__ import annotations
+
+import collections.abc
+import dataclasses
+import functools
+import inspect
+import math
+import operator
+import types
+from collections.abc import Callable
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from ngsolve import CoefficientFunction
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
+
+from ngvisco.case import catalogue
+from ngvisco.case.expressions import parse
+from ngvisco.errors import ParameterError
+
+_MAX_OUTPUT_TIMES = 100_000
+
+
+class Section(BaseModel):
+    """A table of a case file: unknown keys and wrong types are refused."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+def _check_field(value: Any) -> Any:
+    """A number, an expression, or an array (of arrays) of them; raises ValueError."""
+    if isinstance(value, list):
+        if not value:
+            raise ValueError("expected a number, an expression or an array of them, not an empty array")
+        for part in value:
+            _check_field(part)
+    elif isinstance(value, str):
+        parse(value)
+    elif isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError("expected a number, an expression in quotes, or an array of them")
+    elif not math.isfinite(value):
+        raise ValueError("expected a finite number")
+    return value
+
+
+FieldValue = Annotated[Any, AfterValidator(_check_field)]
+"""A scalar, vector or tensor field as it stands in a case file."""
+
+
+def _annotation(hint: Any) -> Any:
+    """The schema's type for a parameter's type hint; None if a case file cannot give it."""
+    if hint in (float, int, bool, str):
+        return hint
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        if _mentions_function(hint):
+            return FieldValue | None if type(None) in arguments else FieldValue
+        parts = [part for part in arguments if part is not type(None)]
+        inner = [_annotation(part) for part in parts]
+        if None in inner:
+            return None
+        return functools.reduce(operator.or_, [*inner, None] if len(parts) < len(arguments) else inner)
+    if origin is Literal:
+        return hint
+    if hint is CoefficientFunction:
+        return FieldValue
+    if origin is collections.abc.Mapping and arguments[0] is str and _mentions_function(arguments[1]):
+        return dict[str, FieldValue]
+    if origin is collections.abc.Mapping and arguments == (str, float):
+        return dict[str, float]
+    if origin in (collections.abc.Sequence, list, tuple) and not _mentions_function(hint):
+        inner_hint = _annotation(arguments[0])
+        return None if inner_hint is None else list[inner_hint]  # type: ignore[valid-type]
+    if _mentions_function(hint) and origin is not collections.abc.Callable:
+        return FieldValue
+    return None
+
+
+def _mentions_function(hint: Any) -> bool:
+    if hint is CoefficientFunction:
+        return True
+    return any(_mentions_function(part) for part in get_args(hint) if not isinstance(part, list))
+
+
+def section(target: Callable[..., Any], tag: tuple[str, str] | None = None) -> type[Section]:
+    """The section that holds a dataclass's (or function's) parameters.
+
+    Parameters
+    ----------
+    target : class or function
+    tag : (key, name), optional
+        A key whose value chooses this section, e.g. ``("kind", "NeoHookean")``.
+    """
+    hints = get_type_hints(target.__init__ if inspect.isclass(target) else target)
+    if inspect.isclass(target):
+        hints |= get_type_hints(target)
+    fields: dict[str, Any] = {}
+    if tag is not None:
+        fields[tag[0]] = (Literal[tag[1]], ...)
+    for name, parameter in inspect.signature(target).parameters.items():
+        annotation = _annotation(hints.get(name))
+        required = parameter.default is inspect.Parameter.empty
+        if annotation is None:
+            if required:
+                raise TypeError(f"{target.__qualname__}.{name}: a case file cannot give a {hints.get(name)}")
+            continue
+        default = {} if annotation == dict[str, FieldValue] else parameter.default
+        fields[name] = (annotation, ... if required else default)
+    base = _checked_section(target) if _is_plain(target, fields) else Section
+    model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
+    _FIELDS[model] = frozenset(
+        name for name, (annotation, _) in fields.items() if _has_field_value(annotation)
+    )
+    return model
+
+
+_FIELDS: dict[type[Section], frozenset[str]] = {}
+
+
+def field_names(part: Section) -> frozenset[str]:
+    """The parameters of a section that are functions of space and time."""
+    return _FIELDS[type(part)]
+
+
+def _is_plain(target: Callable[..., Any], fields: dict[str, Any]) -> bool:
+    """Whether the object can be made, and so checked, from the file's values alone."""
+    has_fields = any(_has_field_value(annotation) for annotation, _ in fields.values())
+    return dataclasses.is_dataclass(target) and not has_fields
+
+
+def _has_field_value(annotation: Any) -> bool:
+    return annotation == FieldValue or any(_has_field_value(part) for part in get_args(annotation))
+
+
+def _checked_section(target: Callable[..., Any]) -> type[Section]:
+    class Checked(Section):
+        @model_validator(mode="after")
+        def _admitted(self) -> Any:
+            target(**parameters(self))
+            return self
+
+    return Checked
+
+
+def parameters(part: Section) -> dict[str, Any]:
+    """The parameters that a section holds, by name, without its tag; None is left to the default."""
+    tags = {"kind", "geometry"} & set(type(part).model_fields)
+    values = {name: getattr(part, name) for name in type(part).model_fields if name not in tags}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _tagged(key: str, table: dict[str, Any]) -> Any:
+    models = tuple(section(target, (key, name)) for name, target in table.items())
+    if len(models) == 1:
+        return models[0]
+    return Annotated[Union[models], Field(discriminator=key)]  # noqa: UP007 (made at run time)
+
+
+Domain = _tagged("geometry", catalogue.GEOMETRIES)
+Material = _tagged("kind", catalogue.MATERIALS)
+Load = _tagged("kind", catalogue.LOADS)
+Wall = _tagged("kind", catalogue.WALLS)
+Rheology: Any = create_model(
+    "Rheology",
+    __base__=Section,
+    **{name: (section(target) | None, None) for name, target in catalogue.MECHANISMS.items()},  # type: ignore
+)
+Adaptive, Discretisation, Initial, Solver = (
+    section(catalogue.SECTIONS[name]) for name in ("adaptive", "discretisation", "initial", "solver")
+)
+
+
+class Time(Section):
+    """Step length, end, and what belongs to them."""
+
+    dt: float
+    until: float
+    velocity_scale: float | None = None
+    adaptive: Adaptive | None = None  # type: ignore[valid-type]
+
+    @model_validator(mode="after")
+    def _positive(self) -> Time:
+        for name in ("dt", "until", "velocity_scale"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
+                raise ParameterError(f"Time.{name}", value, "a finite number > 0")
+        if self.adaptive is None:
+            number = round(self.until / self.dt)
+            if not math.isclose(number * self.dt, self.until, rel_tol=1e-9):
+                raise ParameterError("Time.until", self.until, f"a multiple of dt = {self.dt:g}")
+        elif not self.adaptive.dt_min <= self.dt <= self.adaptive.dt_max:
+            raise ParameterError("Time.dt", self.dt, "between adaptive.dt_min and adaptive.dt_max")
+        return self
+
+
+class VTK(Section):
+    """The VTK series: every so many steps, or at multiples of ``interval`` (s)."""
+
+    enabled: bool = True
+    every: int = Field(default=10, ge=1)
+    interval: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    fields: list[str] | None = None
+    subdivision: int = Field(default=0, ge=0, le=4)
+
+
+class Checkpoint(Section):
+    """Checkpoints in run.h5: every so many steps, the last ``keep`` of them."""
+
+    every: int = Field(default=10, ge=1)
+    keep: int = Field(default=2, ge=1)
+
+
+class Output(Section):
+    """What is written into the run directory."""
+
+    vtk: VTK = VTK()
+    checkpoint: Checkpoint = Checkpoint()
+    log_every: int = Field(default=1, ge=1)
+    passive: list[str] = []
+
+
+class CaseSections(Section):
+    """A whole case file."""
+
+    title: str = ""
+    domain: Domain  # type: ignore[valid-type]
+    material: Material  # type: ignore[valid-type]
+    time: Time
+    walls: dict[str, Wall] = {}  # type: ignore[valid-type]
+    rheology: Rheology = Rheology()
+    loads: list[Load] = []  # type: ignore[valid-type]
+    initial: Initial = Initial()  # type: ignore[valid-type]
+    discretisation: Discretisation = Discretisation()  # type: ignore[valid-type]
+    solver: Solver = Solver()  # type: ignore[valid-type]
+    output: Output = Output()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> CaseSections:
+        interval = self.output.vtk.interval
+        if interval is not None and self.time.until / interval > _MAX_OUTPUT_TIMES:
+            raise ParameterError("output.vtk.interval", interval, f"at most {_MAX_OUTPUT_TIMES} output times")
+        if interval is not None and self.time.adaptive is None:
+            number = round(interval / self.time.dt)
+            if number < 1 or not math.isclose(number * self.time.dt, interval, rel_tol=1e-9):
+                expected = f"a multiple of time.dt = {self.time.dt:g}"
+                raise ParameterError("output.vtk.interval", interval, expected)
+        return self

@@ -1,0 +1,152 @@
+"""TOML in and out: lines of keys, overrides by key path, and a writer for resolved cases."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from typing import Any
+
+_KEY = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
+_PATH = rf"{_KEY}(?:\s*\.\s*{_KEY})*"
+_HEADER = re.compile(rf"^\s*\[(\[)?\s*({_PATH})\s*\]")
+_ASSIGNMENT = re.compile(rf"^\s*({_PATH})\s*=")
+_INLINE = re.compile(rf"[{{,]\s*({_KEY})\s*=")
+
+
+def key_lines(text: str) -> dict[tuple[str, ...], int]:
+    """The line of each table and key; members of arrays of tables have their index in the path."""
+    lines: dict[tuple[str, ...], int] = {}
+    counts: dict[tuple[str, ...], int] = {}
+    table: tuple[str, ...] = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        header, assignment = _HEADER.match(line), _ASSIGNMENT.match(line)
+        if header:
+            table = _split(header[2])
+            if header[1]:
+                counts[table] = counts.get(table, -1) + 1
+                lines.setdefault(table, number)
+                table = (*table, str(counts[table]))
+            else:
+                table = _indexed(table, counts)
+            lines.setdefault(table, number)
+        elif assignment:
+            path = (*table, *_split(assignment[1]))
+            lines.setdefault(path, number)
+            for inline in _INLINE.finditer(line):
+                lines.setdefault((*path, *_split(inline[1])), number)
+    return lines
+
+
+def _indexed(table: tuple[str, ...], counts: dict[tuple[str, ...], int]) -> tuple[str, ...]:
+    """[loads.x] after [[loads]] belongs to the last of the loads."""
+    for length in range(len(table), 0, -1):
+        if table[:length] in counts:
+            return (*table[:length], str(counts[table[:length]]), *table[length:])
+    return table
+
+
+def _split(path: str) -> tuple[str, ...]:
+    return tuple(part.strip("\"'") for part in re.findall(_KEY, path))
+
+
+def line_of(lines: dict[tuple[str, ...], int], path: tuple[str, ...]) -> int | None:
+    """The line of a key, or of the nearest table that holds it."""
+    for length in range(len(path), 0, -1):
+        if path[:length] in lines:
+            return lines[path[:length]]
+    return None
+
+
+def parse_override(setting: str) -> tuple[tuple[str, ...], Any]:
+    """``key.path=value`` with a TOML value; anything else is taken as a text.
+
+    Raises
+    ------
+    ValueError
+        If there is no ``=`` or no key.
+    """
+    name, equals, value = setting.partition("=")
+    path = tuple(part.strip() for part in name.split("."))
+    if not equals or not all(path):
+        raise ValueError(f"{setting!r}: expected key.path=value")
+    try:
+        return path, tomllib.loads(f"value = {value.strip()}")["value"]
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return path, value.strip()
+
+
+def override(data: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
+    """Set a value in nested tables, making tables that are missing; arrays take an index.
+
+    Raises
+    ------
+    ValueError
+        If the path leads through something that is no table, or to an index that does not exist.
+    """
+    node: Any = data
+    for depth, part in enumerate(path):
+        last = depth == len(path) - 1
+        where = ".".join(path[: depth + 1])
+        if isinstance(node, list):
+            if not (part.isascii() and part.isdigit() and int(part) < len(node)):
+                raise ValueError(f"{where}: expected an index below {len(node)}")
+            if last:
+                node[int(part)] = value
+            else:
+                node = node[int(part)]
+        elif isinstance(node, dict):
+            if last:
+                node[part] = value
+            else:
+                node = node.setdefault(part, {})
+        else:
+            raise ValueError(f"{where}: {'.'.join(path[:depth])} is no table")
+
+
+def write(data: dict[str, Any]) -> str:
+    """TOML of nested tables of numbers, texts, booleans and arrays; None is left out."""
+    lines: list[str] = []
+    _write_table(data, (), lines)
+    return "\n".join(lines).lstrip("\n") + "\n"
+
+
+def _write_table(table: dict[str, Any], path: tuple[str, ...], lines: list[str]) -> None:
+    inner = {k: v for k, v in table.items() if isinstance(v, dict)}
+    arrays = {k: v for k, v in table.items() if _is_table_array(v)}
+    for key, value in table.items():
+        if value is not None and key not in inner and key not in arrays:
+            lines.append(f"{_key(key)} = {_value(value)}")
+    for key, value in inner.items():
+        lines += ["", f"[{_header(path, key)}]"]
+        _write_table(value, (*path, key), lines)
+    for key, members in arrays.items():
+        for member in members:
+            lines += ["", f"[[{_header(path, key)}]]"]
+            _write_table(member, (*path, key), lines)
+
+
+def _is_table_array(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(v, dict) for v in value)
+
+
+def _header(path: tuple[str, ...], key: str) -> str:
+    return ".".join(_key(part) for part in (*path, key))
+
+
+def _key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _text(key)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value)
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(_value(v) for v in value)}]"
+    return _text(str(value))
+
+
+def _text(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

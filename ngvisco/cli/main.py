@@ -1,0 +1,169 @@
+"""Arguments, exit codes and messages of the command ``ngvisco``.
+
+Exit codes: 0 done; 1 the run failed (a step could not be solved); 2 the input is at fault (case, option,
+existing or foreign results); 3 a file could not be read or written; 128 + n stopped by signal n, with
+a checkpoint.  What a user can cause never shows a traceback.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Sequence
+
+DONE, FAILED, BAD_INPUT, BAD_FILE, INTERRUPTED = 0, 1, 2, 3, 130
+
+_EPILOG = """exit codes: 0 done; 1 a step could not be solved; 2 wrong input; 3 a file could not be read
+or written; 130 or 143 stopped by a signal (a checkpoint was written: resume).
+
+examples:
+  ngvisco check demos/swirl/swirl.toml
+  ngvisco run demos/swirl/swirl.toml -o results/swirl --set time.until=0.5 --set domain.maxh=0.2
+  ngvisco resume results/swirl --until 1.0
+  ngvisco plot results/swirl && ngvisco scene results/swirl"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line's grammar."""
+    from ngvisco import __version__
+
+    top = argparse.ArgumentParser(
+        prog="ngvisco",
+        description="Compressible viscoelastic bodies at large strains: runs described by case files.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    top.add_argument("--version", action="version", version=f"ngvisco {__version__}")
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="run a case into a new directory")
+    run.add_argument("case", metavar="CASE", help="case file, TOML")
+    run.add_argument(
+        "-o", "--output", metavar="DIR", help="run directory (default results/<name of the case>)"
+    )
+    _add_set(run)
+    run.add_argument("--force", action="store_true", help="replace the results of an earlier run in DIR")
+    _add_run_options(run)
+
+    resume = commands.add_parser("resume", help="go on from a directory's last checkpoint")
+    resume.add_argument("directory", metavar="DIR", help="run directory")
+    resume.add_argument("--until", metavar="T", type=float, help="end time in s (default: the case's)")
+    _add_run_options(resume)
+
+    check = commands.add_parser(
+        "check", help="validate and mesh a case; report sizes, memory and time, without running"
+    )
+    check.add_argument("case", metavar="CASE", help="case file, TOML")
+    _add_set(check)
+
+    for name, text in (
+        ("info", "what a run directory holds, and how far the run got"),
+        ("plot", "energies, dissipations, closure, extrema, iterations and fields as PNG"),
+        ("scene", "the last state as one HTML file that opens offline"),
+    ):
+        command = commands.add_parser(name, help=text, description=text)
+        command.add_argument("directory", metavar="DIR", help="run directory")
+        if name != "info":
+            command.add_argument("--fields", metavar="NAMES", help="fields to draw, separated by commas")
+            command.add_argument(
+                "--step", type=int, metavar="N", help="checkpoint's step (default: the last)"
+            )
+    commands.add_parser(
+        "list", help="materials, mechanisms, loads, walls, geometries and outputs of case files"
+    )
+    return top
+
+
+def _add_set(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--set",
+        dest="settings",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="override a key of the case, e.g. --set material.G_e=8 (repeatable)",
+    )
+
+
+def _add_run_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--threads",
+        type=_count,
+        default=1,
+        metavar="N",
+        help="threads of assembly; with 1 (default) a resumed run is the uninterrupted one bit for bit",
+    )
+    command.add_argument("--quiet", action="store_true", help="no progress on the terminal (log.txt has it)")
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text}: expected a whole number >= 1")
+    return value
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    # BLAS threads of an oversubscribed machine slow the sparse solver down, and change its sums
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    options = parser().parse_args(arguments)
+    try:
+        return _command(options.command)(options)
+    except KeyboardInterrupt:
+        return _say("interrupted before a step was finished; what was written is kept", INTERRUPTED)
+    except BrokenPipeError:  # the reader of our output is gone
+        with contextlib.suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BAD_FILE
+    except MemoryError:
+        return _say("not enough memory: take a coarser mesh (see ngvisco check)", FAILED)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _say(f"{where}{error.strerror or error}", BAD_FILE)
+    except Exception as error:
+        return _say(_described(error), _code(error))
+
+
+def _described(error: Exception) -> str:
+    from ngvisco.errors import NgviscoError
+
+    if isinstance(error, NgviscoError):
+        return str(error)
+    raise error  # a fault of ours: its traceback is what a report needs
+
+
+def _code(error: Exception) -> int:
+    from ngvisco.errors import CheckpointError, MeshError, StepError
+
+    if isinstance(error, StepError):
+        return FAILED
+    return BAD_FILE if isinstance(error, (CheckpointError, MeshError)) else BAD_INPUT
+
+
+def _command(name: str) -> Callable[[argparse.Namespace], int]:
+    # imported late: NGSolve takes a second, and --help needs none of it
+    from ngvisco.cli import pictures, report, run
+
+    table: dict[str, Callable[[argparse.Namespace], int]] = {
+        "run": run.run,
+        "resume": run.resume,
+        "check": report.check,
+        "info": report.info,
+        "list": report.listing,
+        "plot": pictures.plot,
+        "scene": pictures.scene,
+    }
+    return table[name]
+
+
+def _say(message: str, code: int) -> int:
+    with contextlib.suppress(OSError):
+        print("\n".join(f"ngvisco: {line}" for line in message.splitlines()), file=sys.stderr, flush=True)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,140 @@
+"""``ngvisco check``, ``info`` and ``list``: what a case would need, what a run has, what there is."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time as clock
+
+import numpy as np
+from ngsolve import SetNumThreads
+
+from ngvisco import case as cases
+from ngvisco.case import catalogue
+from ngvisco.case.directory import RunDirectory
+from ngvisco.case.schema import CaseSections, section
+from ngvisco.errors import CheckpointError
+from ngvisco.run.checkpoint import read_ledger
+from ngvisco.run.passive import NAMES as PASSIVE
+from ngvisco.run.simulation import Simulation
+from ngvisco.run.threads import computing
+
+_ITERATIONS, _FACTORISATIONS = 6, 1.5
+"""Newton iterations and factorisations of a typical step, for the estimate of time."""
+
+
+def check(options: argparse.Namespace) -> int:
+    """Validate a case, mesh it and say what it needs."""
+    SetNumThreads(1)
+    case = cases.load_case(options.case, options.settings)
+    mesh = case.mesh()
+    run = case.simulation(mesh)
+    layout = run.rothe_step.layout
+    condensed = sum(layout.space.FreeDofs(True))
+    steps = round(case.until / run.dt)
+    kind = "plane strain" if mesh.dim == 2 else "three dimensions"
+    print(f"{options.case}: valid")
+    walls = ", ".join(sorted(set(mesh.GetBoundaries())))
+    print(f"mesh       {mesh.ne} cells, {mesh.nv} vertices, {kind}, walls {walls}")
+    print(f"unknowns   {layout.space.ndof}, of which {condensed} are solved for after condensation")
+    print(
+        f"time       {steps} steps of {run.dt:g} s to t = {case.until:g} s"
+        + (" at first" if run.is_adaptive else "")
+    )
+    apply, factorise = _measure(run)
+    step = _ITERATIONS * apply + _FACTORISATIONS * factorise
+    print(f"memory     {_peak():.0f} MB, measured with one factorised Jacobian")
+    total = _duration(step * steps)
+    print(f"estimate   {step:.2g} s a step, {total} in all (from one residual and one Jacobian)")
+    return 0
+
+
+def _measure(run: Simulation) -> tuple[float, float]:
+    """Seconds of a residual and of a factorised Jacobian, at the initial state."""
+    step, newton = run.rothe_step, run.solver.newton
+    step.context.tau.Set(run.dt)
+    residual = step.state.vec.CreateVector()
+    with computing():
+        began = clock.perf_counter()
+        step.residual.Apply(step.state.vec, residual)
+        applied = clock.perf_counter()
+        newton.jacobian.factorise(step.state.vec)
+        return applied - began, clock.perf_counter() - applied
+
+
+def _peak() -> float:
+    """Largest memory of this process so far, MB."""
+    if sys.platform == "win32":
+        return float("nan")
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def _duration(seconds: float) -> str:
+    for size, unit in ((86400, "days"), (3600, "h"), (60, "min")):
+        if seconds >= size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.0f} s"
+
+
+def info(options: argparse.Namespace) -> int:
+    """Say what a run directory holds."""
+    place = RunDirectory(options.directory)
+    case = place.case()
+    print(f"{place.path}: {case.sections.title or 'a run'}")
+    record = place.read_versions() if place.versions_file.exists() else {}
+    versions = ", ".join(
+        f"{name} {record[name]}" for name in ("ngvisco", "ngsolve", "commit") if record.get(name)
+    )
+    print(f"versions   {versions or 'none recorded'}; started {record.get('started', 'never')}")
+    if not place.run_file.exists():
+        print(f"state      nothing computed; start with: ngvisco resume {place.path}")
+        return 0
+    ledger = read_ledger(place.run_file)
+    if not len(ledger.get("time", ())):
+        raise CheckpointError(f"{place.run_file}: its ledger is empty")
+    end, step = ledger["time"][-1], int(ledger["step"][-1])
+    finished = end >= case.until * (1 - 1e-9)
+    state = "finished" if finished else f"resumable: ngvisco resume {place.path}"
+    print(f"state      t = {end:g} of {case.until:g} s, step {step}; {state}")
+    print(f"energy     kinetic {ledger['kinetic'][-1]:.6e} J, stored {ledger['stored'][-1]:.6e} J")
+    print(
+        f"ledger     largest |closure| {np.abs(ledger['closure_relative']).max():.1e}, "
+        f"largest |mass drift| {np.abs(ledger['mass_drift']).max():.1e}, "
+        f"rejected steps {int(ledger['rejections'].sum())}"
+    )
+    for path in place.results:
+        print(f"  {path.stat().st_size:12d} bytes  {path.relative_to(place.path)}")
+    return 0
+
+
+def listing(options: argparse.Namespace) -> int:
+    """Say what a case file can name."""
+    del options
+    groups = (
+        ("geometries: [domain] geometry =", "geometry", catalogue.GEOMETRIES),
+        ("materials: [material] kind =", "kind", catalogue.MATERIALS),
+        ("mechanisms: [rheology.NAME]", None, catalogue.MECHANISMS),
+        ("loads: [[loads]] kind =", "kind", catalogue.LOADS),
+        ("walls: [walls.NAME] kind =", "kind", catalogue.WALLS),
+    )
+    for title, tag, table in groups:
+        print(title)
+        for name, target in table.items():
+            keys = section(target, (tag, name) if tag else None).model_fields
+            shown = [key if f.is_required() else f"[{key}]" for key, f in keys.items() if key != tag]
+            print(f"  {name}: {', '.join(shown)}" if shown else f"  {name}")
+    print("outputs: [output.vtk] fields =")
+    print(
+        "  velocity, density, cauchy_stress, pressure, von_mises, and the material's variables (F, J, E, ...)"
+    )
+    print("  also ledger.csv, run.h5, log.txt; ngvisco plot and ngvisco scene make PNG and HTML of them")
+    print("passive: [output] passive =")
+    print(f"  {', '.join(PASSIVE)}")
+    others = ", ".join(
+        name for name in CaseSections.model_fields if name not in ("domain", "material", "loads")
+    )
+    print(f"other sections: {others}")
+    return 0

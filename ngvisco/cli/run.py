@@ -1,0 +1,130 @@
+"""``ngvisco run`` and ``ngvisco resume``: progress on the terminal, signals."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import signal
+import sys
+import time as clock
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from ngsolve import SetNumThreads
+
+from ngvisco import case as cases
+from ngvisco.case.directory import RunDirectory
+from ngvisco.errors import ParameterError
+from ngvisco.run.observers import Progress
+from ngvisco.run.simulation import Observer, Simulation
+from ngvisco.run.stepping import Rejection
+
+
+class StopOnSignal:
+    """SIGINT and SIGTERM let the step end; a second one ends the process as usual."""
+
+    SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+    def __init__(self) -> None:
+        self.received: int | None = None
+        self._before: dict[int, Any] = {}
+        self._simulation: Simulation | None = None
+
+    def start(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        for number in self.SIGNALS:
+            self._before.setdefault(number, signal.signal(number, self._handle))
+
+    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
+        """Nothing: the time loop looks at the request itself."""
+
+    def finish(self, simulation: Simulation) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self.received = number
+        assert self._simulation is not None
+        self._simulation.request_stop()
+        signal.signal(number, self._before[number])
+
+
+class ProgressBar:
+    """One line that is redrawn: time, step, energy, closure, remaining time."""
+
+    def __init__(self, until: float) -> None:
+        self.until = until
+
+    def start(self, simulation: Simulation) -> None:
+        self._began, self._from = clock.perf_counter(), simulation.t
+        self._draw(simulation, simulation.ledger.rows[-1])
+
+    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
+        self._draw(simulation, row)
+
+    def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
+        """A line of its own, above the bar."""
+        sys.stdout.write(f"\r\x1b[Krejected dt {rejection.tau:.4g} s at t {rejection.time:.4g} s\n")
+
+    def finish(self, simulation: Simulation) -> None:
+        sys.stdout.write("\n")
+        sys.stdout.flush()
+
+    def _draw(self, simulation: Simulation, row: dict[str, float]) -> None:
+        done = simulation.t / self.until
+        spent = clock.perf_counter() - self._began
+        covered = simulation.t - self._from
+        left = f"{spent * (self.until - simulation.t) / covered:.0f} s left" if covered > 0 else "starting"
+        energy = row["kinetic"] + row["stored"]
+        text = (
+            f" t {simulation.t:.4g}/{self.until:.4g} s  step {simulation.number}  energy {energy:.6e} J  "
+            f"closure {row['closure_relative']:+.0e}  {left}"
+        )
+        width = max(4, shutil.get_terminal_size().columns - len(text) - 3)
+        filled = min(width, round(width * done))
+        bar = f"[{'#' * filled}{'.' * (width - filled)}]"
+        sys.stdout.write(f"\r\x1b[K{bar}{text}")
+        sys.stdout.flush()
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run a case."""
+    SetNumThreads(options.threads)
+    case = cases.load_case(options.case, options.settings)
+    directory = Path(options.output or Path("results") / Path(options.case).stem)
+    stop = StopOnSignal()
+    observers = [*_terminal(options, case.until), stop]
+    result = cases.run(case, directory, force=options.force, observers=observers)
+    return _close(directory, result, stop)
+
+
+def resume(options: argparse.Namespace) -> int:
+    """Go on with a run."""
+    SetNumThreads(options.threads)
+    directory = Path(options.directory)
+    if options.until is not None and not 0 < options.until < float("inf"):
+        raise ParameterError("--until", options.until, "a finite number of seconds > 0")
+    until = RunDirectory(directory).case().until if options.until is None else options.until
+    stop = StopOnSignal()
+    observers = [*_terminal(options, until), stop]
+    result = cases.resume(directory, options.until, observers=observers)
+    return _close(directory, result, stop)
+
+
+def _terminal(options: argparse.Namespace, until: float) -> list[Observer]:
+    if options.quiet:
+        return []
+    return [ProgressBar(until) if sys.stdout.isatty() else Progress(until)]
+
+
+def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
+    if stop.received is not None:
+        name = signal.Signals(stop.received).name
+        print(f"{name}: stopped after step {result.number}, t = {result.t:g} s; a checkpoint is written")
+        print(f"go on with: ngvisco resume {directory}", flush=True)
+        return 128 + stop.received
+    closure = abs(result.ledger.column("closure_relative")).max()
+    print(f"t = {result.t:g} s after {result.number} steps; largest |closure| {closure:.1e}")
+    print(f"results in {directory}", flush=True)
+    return 0

@@ -1,0 +1,341 @@
+"""Case files: every fault is named with its place, value and remedy; what is valid runs."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ngvisco as nv
+from ngvisco.case import CaseError
+from ngvisco.case.build import parse_case
+from ngvisco.case.catalogue import GEOMETRIES, LOADS, MATERIALS, MECHANISMS, SECTIONS, WALLS
+from ngvisco.case.toml import key_lines, override, parse_override, write
+
+DEMOS = Path(__file__).resolve().parents[2] / "demos"
+
+CASE = """\
+title = "a case"
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 0.5
+
+[material]
+kind = "NeoHookean"
+K_e = 10
+G_e = 5
+epsilon = 0.1
+
+[rheology.creep]
+G_m = 5
+
+[[loads]]
+kind = "Gravity"
+g = [0, "-1 + 0.1*t"]
+
+[initial]
+density = "1 + 0.1*x"
+velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
+
+[walls.left]
+kind = "Slip"
+
+[time]
+dt = 0.02
+until = 0.1
+"""
+
+
+def case(text, *overrides):
+    return parse_case(text, "case.toml", Path("."), overrides)
+
+
+def simulation(text):
+    loaded = case(text)
+    return loaded.simulation(loaded.mesh())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("G_e = 5", "Ge = 5", "case.toml:10: material.Ge: unknown key; did you mean 'G_e'?"),
+        ("G_e = 5\n", "", "case.toml:7: material.G_e: is missing"),
+        ("K_e = 10", "K_e = -10", "case.toml:9: material.K_e: -10.0: expected a finite number > 0"),
+        ("K_e = 10", 'K_e = "10"', "case.toml:9: material.K_e: '10': expected a number"),
+        ("K_e = 10", "K_e = nan", "case.toml:9: material.K_e: nan: expected a finite number > 0"),
+        ('"NeoHookean"', '"NeoHokean"', "material: 'NeoHokean': expected one of"),
+        ('"NeoHookean"', '"NeoHokean"', "did you mean 'NeoHookean'?"),
+        ('kind = "NeoHookean"', "", "case.toml:7: material: the key 'kind' is missing"),
+        ('"box"', '"bx"', "domain: 'bx': expected one of"),
+        ("size = [1, 1]", "size = 1", "case.toml:4: domain.size: 1: expected an array"),
+        ("size = [1, 1]", 'size = [1, "a"]', "case.toml:4: domain.size.1: 'a': expected a number"),
+        ("[rheology.creep]", "[rheology.crep]", "rheology.crep: unknown key; did you mean 'creep'?"),
+        ("G_m = 5", "G_m = 0", "case.toml:14: rheology.creep.G_m: 0.0: expected a finite number > 0"),
+        ('"Gravity"', '"gravity"', "case.toml:16: loads.0: 'gravity'"),
+        ("g = [0,", "h = [0,", "case.toml:18: loads.0.h: unknown key"),
+        ("0.1*t", "0.1*q", "case.toml:18: loads.0.g: [0, '-1 + 0.1*q']: unknown name 'q'"),
+        ("0.1*t", "0.1/0", "no finite number (float division by zero), at character 6 of '-1 + 0.1/0'"),
+        ("g = [0,", "g = [nan,", "loads.0.g: [nan, '-1 + 0.1*t']: expected a finite number"),
+        ("g = [0,", "g = [true,", "expected a number, an expression in quotes"),
+        ('"1 + 0.1*x"', '"os.system(1)"', "case.toml:21: initial.density: 'os.system(1)': only the listed"),
+        ("[initial]", "[intial]", "case.toml:20: intial: unknown key; did you mean 'initial'?"),
+        ("dt = 0.02", "dt = 0", "case.toml:28: time.dt: 0.0: expected a finite number > 0"),
+        ("dt = 0.02", "dt = true", "case.toml:28: time.dt: True: expected a number"),
+        ("until = 0.1", "until = 0.11", "time.until: 0.11: expected a multiple of dt = 0.02"),
+        ("until = 0.1", "until = 0.1\n[solver]\nmax_iterations = 2.5", "expected a whole number"),
+        (
+            "until = 0.1",
+            'until = 0.1\n[solver]\ninverse = "lu"',
+            "solver.inverse: 'lu': expected one of umfpack",
+        ),
+        ("until = 0.1", "until = 0.1\n[discretisation]\nk = 9", "discretisation.k: 9: expected one of 2, 3"),
+        (
+            "until = 0.1",
+            "until = 0.1\n[output.vtk]\ninterval = 0.03",
+            "output.vtk.interval: 0.03: expected a mult",
+        ),
+        ("until = 0.1", "until = 0.1\n[output.vtk]\nevery = 0", "output.vtk.every: 0"),
+        (
+            "until = 0.1",
+            "until = 0.1\n[time.adaptive]\ndt_min = 1\ndt_max = 0.1",
+            "time.adaptive.dt_max: 0.1",
+        ),
+        ('title = "a case"', "title = 3", "case.toml:1: title: 3: expected a text in quotes"),
+        ("[domain]", "[domain", "not TOML"),
+        ('kind = "Slip"', 'kind = "stick"', "walls.left"),
+    ],
+)
+def test_fault_is_named_with_line_key_value_and_remedy(old, new, message):
+    assert old in CASE
+    with pytest.raises(CaseError) as caught:
+        case(CASE.replace(old, new, 1))
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("walls.left", "walls.lef", "case.toml:24: walls.lef: unknown boundary 'lef'; did you mean 'left'?"),
+        ("maxh = 0.5", "maxh = -1", "case.toml:5: domain.maxh: -1.0: expected a finite number > 0"),
+        ("size = [1, 1]", "size = [1]", "case.toml:4: domain.size: [1.0]: expected two or three"),
+        ("1 + 0.1*x", "x - 1", "case.toml:21: initial.density: initial density rho_0: minimum -1"),
+        ("1 + 0.1*x", "sqrt(x - 5)", "initial.density: initial density rho_0: not finite somewhere"),
+        ("sin(pi*x)*cos", "log(x - 2)*cos", "case.toml:22: initial.velocity"),
+        ("1 + 0.1*x", "z + 1", "initial.density: 'z + 1': there is no z in a mesh of two dimensions"),
+        ("-1 + 0.1*t", "log(x - 2)", "case.toml:18: loads.0.g: [0, 'log(x - 2)']: at t = 0 s: not finite"),
+        ("-1 + 0.1*t", "sqrt(0.05 - t)", "at t = 0.1 s: not finite"),
+        ("g = [0,", "g = [0, 0,", "case.toml:18: loads.0.g: [0, 0, '-1 + 0.1*t']: expected an array of 2"),
+        ("[walls", "[initial.values]\nQ = 1\n[walls", "unknown material variable 'Q'"),
+        ("[walls", "[initial.values]\nF = [[1, 0], [0]]\n[walls", "a matrix of equally long rows"),
+        (
+            "velocity =",
+            "F = [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]\nvelocity =",
+            "initial.F: initial det F_0: minimum -1",
+        ),
+        ("until = 0.1", 'until = 0.1\n[output.vtk]\nfields = ["desity"]', "did you mean 'density'?"),
+    ],
+)
+def test_fault_found_with_the_mesh_is_named_likewise(old, new, message):
+    assert old in CASE
+    with pytest.raises(CaseError) as caught:
+        simulation(CASE.replace(old, new, 1))
+    assert message in str(caught.value)
+
+
+def test_all_faults_are_reported_at_once():
+    broken = (
+        CASE.replace("G_e = 5", "Ge = 5").replace("dt = 0.02", "dt = -1").replace("[initial]", "[intial]")
+    )
+    with pytest.raises(CaseError) as caught:
+        case(broken)
+    assert {fault.key for fault in caught.value.faults} >= {
+        "material.Ge",
+        "material.G_e",
+        "time.dt",
+        "intial",
+    }
+
+
+def test_a_case_gives_the_run_of_the_same_script():
+    from ngsolve import cos, pi, sin, x, y
+
+    from ngvisco.geometries import box
+
+    run = simulation(CASE)
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        creep=nv.Creep(G_m=5.0),
+        loads=[nv.Gravity((0.0, -1 + 0.1 * nv.time))],
+    )
+    initial = nv.Initial(
+        density=1 + 0.1 * x, velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+    )
+    script = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=initial)
+    a, b = run.run(0.1), script.run(0.1)
+    for name in ("kinetic", "stored", "power_gravity", "rho_max", "J_min"):
+        assert a.column(name) == pytest.approx(b.column(name), rel=1e-11, abs=1e-13)
+
+
+def test_walls_geometries_and_fields_of_a_case_reach_the_run():
+    """A ring turned by its outer wall, under central gravity, with a passive field."""
+    text = CASE.replace('"box"\nsize = [1, 1]\nmaxh = 0.5', '"annulus"\ninner = 0.5\nouter = 1\nmaxh = 0.6')
+    text = text.replace('velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]', "")
+    text = text.replace("[walls.left]", "[walls.inner]")
+    loaded = case(
+        text,
+        'walls.outer={kind="PrescribedTangential", velocity=["-y*t", "x*t"]}',
+        'loads=[{kind="CentralGravity", strength=1}]',
+        'output.passive=["creep_strain"]',
+        "rheology.regularisation.epsilon=0.01",
+    )
+    run = loaded.simulation(loaded.mesh())
+    ledger = run.run(0.04)
+    assert ledger.column("v_max")[-1] == pytest.approx(0.04, rel=0.05)
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert {"dissipation_creep", "power_gravity"} <= set(ledger.columns) and "creep_strain" in run.fields
+    with pytest.raises(CaseError, match=r"walls\.outer\.coefficient .*-1.*expected a number >= 0"):
+        wrong = case(text, 'walls.outer={kind="NavierFriction", coefficient=-1}')
+        wrong.simulation(wrong.mesh())
+
+
+def test_resolved_case_is_complete_and_resolves_to_itself():
+    loaded = case(CASE)
+    again = case(loaded.resolved)
+    assert again.resolved == loaded.resolved and again.hash == loaded.hash
+    data = tomllib.loads(loaded.resolved)
+    assert data["discretisation"] == {"k": 2, "m": 1, "quadrature_bonus": 0}
+    assert data["solver"]["tolerance"] == nv.NewtonOptions().tolerance
+
+
+def test_hash_sees_what_changes_the_solution_and_nothing_else():
+    same = case(CASE, "time.until=0.2", "title=b", "output.vtk.every=3")
+    assert same.hash == case(CASE).hash
+    for setting in ("material.G_e=6", "time.dt=0.01", "solver.tolerance=1e-9", "initial.density=1"):
+        assert case(CASE, setting).hash != case(CASE).hash
+
+
+def test_settings_override_keys_and_are_named_in_faults():
+    changed = case(CASE, "material.G_e=6", "loads.0.g=[1, 0]", "initial.density=2 + x", "title=new")
+    assert changed.sections.material.G_e == 6 and changed.sections.loads[0].g == [1, 0]
+    assert changed.sections.initial.density == "2 + x" and changed.sections.title == "new"
+    with pytest.raises(CaseError, match=r"material\.G_e \(set on the command line\): -6.0: expected"):
+        case(CASE, "material.G_e=-6")
+    for setting, message in (
+        ("G_e", "expected key.path=value"),
+        ("=3", "expected key.path=value"),
+        ("loads.7.g=1", "expected an index below 1"),
+        ("title.x=1", "is no table"),
+    ):
+        with pytest.raises(CaseError, match=message):
+            case(CASE, setting)
+
+
+@pytest.mark.parametrize("name", [d.name for d in sorted(DEMOS.iterdir()) if d.is_dir()])
+def test_every_demo_has_a_valid_case_file(name):
+    loaded = nv.load_case(DEMOS / name / f"{name}.toml")
+    assert loaded.sections.title
+
+
+def test_every_dataclass_of_the_catalogue_makes_a_section():
+    from ngvisco.case.schema import section
+
+    for table in (GEOMETRIES, MATERIALS, MECHANISMS, LOADS, WALLS, SECTIONS):
+        for name, target in table.items():
+            assert section(target, ("kind", name)).model_fields["kind"].is_required()
+
+
+def test_missing_unreadable_and_huge_files_are_refused(tmp_path):
+    with pytest.raises(CaseError, match="cannot be read: No such file"):
+        nv.load_case(tmp_path / "a.toml")
+    with pytest.raises(CaseError, match="cannot be read: Is a directory"):
+        nv.load_case(tmp_path)
+    (tmp_path / "b.toml").write_bytes(b"title = '\xff'")
+    with pytest.raises(CaseError, match=r"b.toml:1: not a text in UTF-8"):
+        nv.load_case(tmp_path / "b.toml")
+    (tmp_path / "c.toml").write_bytes(b"#" * 2_000_000)
+    with pytest.raises(CaseError, match="longer than"):
+        nv.load_case(tmp_path / "c.toml")
+
+
+def outcome(text):
+    try:
+        return case(text)
+    except CaseError as error:
+        assert str(error)
+        return None
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.text(max_size=200))
+def test_any_text_is_a_case_or_a_case_error(text):
+    outcome(text)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.integers(0, len(CASE)),
+    st.integers(0, 12),
+    st.text(max_size=8) | st.text(alphabet='[]{}"=.,0123456789eE-+\nnaif', max_size=12),
+)
+def test_a_damaged_case_is_a_case_or_a_case_error(start, length, insertion):
+    outcome(CASE[:start] + insertion + CASE[start + length :])
+
+
+VALUES = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**20), 10**20)
+    | st.floats()
+    | st.text(alphabet=st.characters(codec="utf-8", exclude_characters="\r"), max_size=10),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text("abg_", min_size=1), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+PATHS = sorted(".".join(path) for path in key_lines(CASE))
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(PATHS), VALUES)
+def test_any_value_of_any_key_is_a_case_or_a_case_error(path, value):
+    data = tomllib.loads(CASE)
+    override(data, tuple(path.split(".")), value)
+    from pydantic import ValidationError
+
+    from ngvisco.case.faults import Locator, faults_of
+    from ngvisco.case.schema import CaseSections
+
+    try:
+        CaseSections.model_validate(data)
+    except ValidationError as error:
+        assert faults_of(error, CaseSections, Locator(key_lines(CASE)))
+
+
+TABLES = st.dictionaries(
+    st.text(alphabet=st.characters(codec="utf-8"), max_size=6),
+    st.booleans()
+    | st.integers(-(2**63), 2**63 - 1)
+    | st.floats(allow_nan=False)
+    | st.text(alphabet=st.characters(codec="utf-8"), max_size=12)
+    | st.lists(st.integers(0, 9), max_size=3)
+    | st.dictionaries(st.text("ab", min_size=1, max_size=2), st.integers(0, 9), max_size=2),
+    max_size=4,
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(TABLES)
+def test_written_toml_reads_back(data):
+    assert tomllib.loads(write(data)) == data
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(max_size=30))
+def test_any_setting_is_understood_or_refused(text):
+    try:
+        path, _ = parse_override(text)
+    except ValueError:
+        return
+    assert path and all(path)

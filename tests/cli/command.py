@@ -1,0 +1,74 @@
+"""The command as a user runs it, in a process of its own."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+COMMAND = [sys.executable, "-m", "ngvisco.cli.main"]
+
+CASE = """\
+title = "a small swirl"
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 0.6
+[material]
+kind = "NeoHookean"
+K_e = 10
+G_e = 5
+epsilon = 0.1
+[rheology.viscosity]
+K_v = 0.01
+G_v = 0.01
+[[loads]]
+kind = "Gravity"
+g = [0, "-1 - sin(t)"]
+[initial]
+velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
+[time]
+dt = 0.02
+until = 0.08
+[output.checkpoint]
+every = 1
+"""
+
+
+def environment():
+    return os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+
+
+def start(*arguments, **options):
+    return subprocess.Popen(
+        [*COMMAND, *map(str, arguments)],
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+def command(*arguments, **options):
+    """Run to the end; nothing that a user does may show a traceback."""
+    process = start(*arguments, **options)
+    out, err = process.communicate(timeout=200)
+    assert "Traceback" not in out + err, err
+    return process.returncode, out, err
+
+
+def wait_for(condition, process, seconds=60):
+    """Until ``condition()`` holds; fails when the process ends before."""
+    for _ in range(seconds * 50):
+        if condition():
+            return
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
+    raise AssertionError("waited in vain")
+
+
+def rows(directory):
+    path = directory / "ledger.csv"
+    return len(path.read_text().splitlines()) - 1 if path.exists() else 0

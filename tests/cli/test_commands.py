@@ -1,0 +1,151 @@
+"""The commands, called in this process: what they print, write and refuse."""
+
+import json
+import re
+import tomllib
+
+import h5py
+import numpy as np
+import pytest
+from command import CASE
+from ngsolve import GridFunction
+
+import ngvisco as nv
+from ngvisco.cli.main import main, parser
+
+
+def ended(*words):
+    """The exit code, also of argparse's own exits."""
+    try:
+        return main([str(word) for word in words])
+    except SystemExit as end:
+        return end.code
+
+
+def test_run_directory_explains_itself(finished):
+    names = {path.name for path in finished.iterdir()}
+    assert {"case.toml", "versions.json", "mesh.vol", "ledger.csv", "run.h5", "vtk", "log.txt"} <= names
+    resolved = tomllib.loads((finished / "case.toml").read_text())
+    assert resolved["discretisation"]["k"] == 2 and resolved["material"]["G_e"] == 5
+    versions = json.loads((finished / "versions.json").read_text())
+    assert versions["ngsolve"] and versions["numpy"] and len(versions["mesh_sha256"]) == 64
+    log = (finished / "log.txt").read_text()
+    assert re.search(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d  step +4/4 .*closure", log, re.M)
+
+
+def test_load_gives_the_ledger_and_the_state(finished):
+    results = nv.load(finished)
+    assert results.ledger["step"].tolist() == [0, 1, 2, 3, 4] and results.time == 0.08
+    assert isinstance(results.fields["velocity"], GridFunction)
+    speed = results.simulation.sampler.extrema(results.fields["density"])
+    assert speed[1] == results.ledger["rho_max"][-1]
+    earlier = nv.load(finished, step=3)
+    assert earlier.time == pytest.approx(0.06) and len(earlier.simulation.ledger.rows) == 4
+
+
+def test_the_file_has_units_and_attributes(finished):
+    with h5py.File(finished / "run.h5") as file:
+        assert {"format", "ngvisco", "mesh", "spaces", "material", "case", "units"} <= set(file.attrs)
+        assert file["ledger/kinetic"].attrs["unit"] == "J"
+        assert sorted(file["checkpoints"]) == ["00000003", "00000004"]  # the last two are kept
+        assert file["checkpoints/00000004"].attrs["time"] == 0.08
+
+
+def test_plot_and_info_and_list(finished, capsys):
+    assert ended("plot", finished, "--fields", "J,velocity,cauchy_stress_12") == 0
+    for name in ("energies.png", "history.png", "fields.png"):
+        assert (finished / name).read_bytes().startswith(b"\x89PNG")
+    assert ended("info", finished) == 0
+    printed = capsys.readouterr().out
+    assert "t = 0.08 of 0.08 s, step 4; finished" in printed and "largest |closure|" in printed
+    assert ended("list") == 0
+    printed = capsys.readouterr().out
+    for word in ("NeoHookean: K_e, G_e, epsilon", "box: size, maxh", "Slip", "Gravity: g, [name]", "density"):
+        assert word in printed
+
+
+def test_check_reports_without_running(case_file, capsys, monkeypatch):
+    monkeypatch.setattr(nv.Simulation, "advance", None)
+    assert ended("check", case_file) == 0
+    printed = capsys.readouterr().out
+    for pattern in (r"\d+ cells", r"unknowns +\d+", r"4 steps of 0.02 s", r"memory +\d+ MB", r"s a step"):
+        assert re.search(pattern, printed), pattern
+    assert not list(case_file.parent.glob("results*"))
+
+
+def test_version_and_help(capsys):
+    assert ended("--version") == 0
+    assert capsys.readouterr().out == f"ngvisco {nv.__version__}\n"
+    assert ended("--help") == 0
+    printed = capsys.readouterr().out
+    for word in ("run", "resume", "check", "info", "plot", "scene", "list", "exit codes"):
+        assert word in printed
+    for name in ("run", "resume", "check", "info", "plot", "scene", "list"):
+        assert ended(name, "--help") == 0
+    assert parser().prog == "ngvisco"
+
+
+def test_progress_bar_shows_time_energy_closure_and_what_is_left(capsys, case_file, tmp_path, monkeypatch):
+    import sys
+
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert ended("run", case_file, "-o", tmp_path / "out", "--set", "time.until=0.04") == 0
+    bars = capsys.readouterr().out.split("\r")
+    assert re.search(r"\[#+\.+\] t 0.02/0.04 s  step 1  energy \S+ J  closure \S+  \d+ s left", bars[-2])
+    assert re.search(r"\[#+\] t 0.04/0.04 s  step 2", bars[-1])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "required: COMMAND"),
+        (("frobnicate",), "invalid choice"),
+        (("run",), "required: CASE"),
+        (("run", "missing.toml"), "missing.toml: cannot be read"),
+        (("run", "CASE", "--set", "material.Ge=1"), "did you mean 'G_e'"),
+        (("run", "CASE", "--set", "nonsense"), "expected key.path=value"),
+        (("run", "CASE", "--set", "time.until=-1"), "time.until (set on the command line): -1.0"),
+        (("run", "CASE", "--threads", "0"), "expected a whole number >= 1"),
+        (("run", "CASE", "--threads", "many"), "invalid"),
+        (("run", "CASE", "--set", "walls.lef.kind=Slip"), "unknown boundary 'lef'"),
+        (("run", "CASE", "--set", "initial.density=log(x-2)"), "initial.density"),
+        (("check", "CASE", "--set", "domain.maxh=0"), "domain.maxh"),
+        (("check", "CASE", "--set", 'domain={geometry="file", path="a.vol"}'), "no such file"),
+        (
+            ("check", "CASE", "--set", 'domain={geometry="file", path="small.toml"}'),
+            "a name that ends in .vol",
+        ),
+        (("resume", "EMPTY"), "not a run directory"),
+        (("resume", "RUN", "--until", "soon"), "invalid float"),
+        (("resume", "RUN", "--until", "nan"), "--until = nan"),
+        (("resume", "RUN", "--until", "0.04"), "has already reached t = 0.08 s"),
+        (("resume", "RUN", "--until", "0.085"), "a multiple of dt"),
+        (("info", "EMPTY"), "not a run directory"),
+        (("plot", "EMPTY"), "not a run directory"),
+        (("scene", "RUN", "--fields", "Jj"), "unknown field 'Jj'; did you mean 'J'?"),
+    ],
+)
+def test_wrong_input_is_explained_with_exit_code_2(words, message, case_file, finished, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    known = {"CASE": case_file, "RUN": finished, "EMPTY": tmp_path / "empty"}
+    words = [known.get(word, word) for word in words]
+    if words[:1] == ["run"] and len(words) > 1:
+        words += ["-o", tmp_path / "out"]
+    assert ended(*words) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out" / "run.h5").exists()
+
+
+def test_a_missing_checkpoint_is_explained_with_exit_code_3(finished, capsys):
+    assert ended("plot", finished, "--step", 1) == 3
+    assert "no checkpoint of step 1 (there are 3, 4)" in capsys.readouterr().err
+
+
+def test_a_case_with_output_times_writes_them(tmp_path):
+    path = tmp_path / "timed.toml"
+    path.write_text(CASE + "[output.vtk]\ninterval = 0.03\n[time.adaptive]\ndt_min = 1e-4\ndt_max = 0.02\n")
+    assert ended("run", path, "-o", tmp_path / "out", "--quiet") == 0
+    from ngvisco.run.observers import read_pvd
+
+    assert [time for time, _ in read_pvd(tmp_path / "out/vtk/fields.pvd")] == [0.0, 0.03, 0.06, 0.08]
+    assert np.isin([0.03, 0.06, 0.08], nv.read_ledger(tmp_path / "out/run.h5")["time"]).all()

@@ -1,0 +1,238 @@
+"""Faults, for real and in processes: a clear message, the right exit code, nothing lost."""
+
+import os
+import random
+import resource
+import shutil
+import signal
+import time
+
+import h5py
+import numpy as np
+import pytest
+from command import CASE, command, rows, start, wait_for
+
+import ngvisco as nv
+
+DONE, FAILED, BAD_INPUT, BAD_FILE = 0, 1, 2, 3
+LONG = ("--set", "time.until=200")
+FILES = ("ledger.csv", "case.toml", "mesh.vol")
+
+
+@pytest.fixture(scope="session")
+def stopped(tmp_path_factory):
+    """A directory whose run stopped after 2 of the 4 steps; not to be changed."""
+    place = tmp_path_factory.mktemp("stopped")
+    (place / "case.toml").write_text(CASE)
+    words = ("--quiet", "--set", "time.until=0.04")
+    code, _, err = command("run", place / "case.toml", "-o", place / "half", *words)
+    assert code == DONE, err
+    return place / "half"
+
+
+@pytest.fixture
+def half(tmp_path, stopped):
+    """A copy of ``stopped``."""
+    return shutil.copytree(stopped, tmp_path / "half")
+
+
+def state(directory, step=None):
+    with h5py.File(directory / "run.h5") as file:
+        name = max(file["checkpoints"]) if step is None else f"{step:08d}"
+        return np.array(file["checkpoints"][name]["state"])
+
+
+def assert_same_run(a, b):
+    assert np.array_equal(state(a), state(b))
+    assert (a / "ledger.csv").read_bytes() == (b / "ledger.csv").read_bytes()
+    first, second = nv.read_ledger(a / "run.h5"), nv.read_ledger(b / "run.h5")
+    assert all(np.array_equal(first[name], second[name], equal_nan=True) for name in first)
+
+
+def test_a_disk_that_fills_up_loses_nothing(half, finished):
+    before = {name: (half / name).read_bytes() for name in ("run.h5", "case.toml", "mesh.vol")}
+    size = (half / "run.h5").stat().st_size
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size // 2, size // 2))
+
+    code, _, err = command("resume", half, "--until", 0.08, "--quiet", preexec_fn=limit)
+    assert code == BAD_FILE and "run.h5" in err and "too large" in err
+    assert {name: (half / name).read_bytes() for name in before} == before
+    assert not list(half.rglob("*.part*"))
+    assert command("resume", half, "--until", 0.08, "--quiet")[0] == DONE
+    assert_same_run(half, finished)
+
+
+def test_no_space_left_is_said(half):
+    (half / "log.txt").unlink()
+    (half / "log.txt").symlink_to("/dev/full")
+    code, _, err = command("resume", half, "--until", 0.08)
+    assert code == BAD_FILE and "No space left on device" in err
+
+
+@pytest.mark.parametrize("place", ["/proc/ngvisco-run", "/dev/null/run"])
+def test_an_unwritable_directory_is_said(place, case_file):
+    code, _, err = command("run", case_file, "-o", place)
+    assert code == BAD_FILE and place.split("/run")[0] in err
+
+
+def test_existing_results_are_refused_unless_forced(half, case_file):
+    before = {path: path.read_bytes() for path in half.rglob("*") if path.is_file() and path.name != "lock"}
+    (half / "mine.txt").write_text("keep")
+    code, _, err = command("run", case_file, "-o", half)
+    assert code == BAD_INPUT and "--force" in err
+    assert {path: path.read_bytes() for path in before} == before
+    code, _, _ = command("run", case_file, "-o", half, "--force", "--quiet", "--set", "time.until=0.02")
+    assert code == DONE and rows(half) == 2
+    assert (half / "mine.txt").read_text() == "keep"
+
+
+@pytest.mark.parametrize("cut", [0.2, 0.5, 0.9])
+def test_a_mesh_file_cut_short_is_refused(cut, half, case_file):
+    whole = (half / "mesh.vol").read_bytes()
+    broken = case_file.parent / "broken.vol"
+    broken.write_bytes(whole[: int(cut * len(whole))])
+    text = CASE.replace(
+        'geometry = "box"\nsize = [1, 1]\nmaxh = 0.6', 'geometry = "file"\npath = "broken.vol"'
+    )
+    case_file.write_text(text)
+    code, _, err = command("check", case_file)
+    # what follows the mesh proper is Netgen's copy of the geometry: without it the mesh may be whole
+    assert (code == DONE and cut > 0.5) or (code == BAD_INPUT and "broken.vol" in err and "domain" in err)
+
+
+def test_a_run_whose_mesh_was_cut_short_is_not_resumed(half):
+    whole = (half / "mesh.vol").read_bytes()
+    (half / "mesh.vol").write_bytes(whole[: int(0.9 * len(whole))])
+    code, _, err = command("resume", half, "--until", 0.08)
+    assert code == BAD_FILE and "mesh.vol" in err
+
+
+def test_a_mesh_file_of_ones_own_runs(half, case_file):
+    shutil.copy(half / "mesh.vol", case_file.parent / "own.vol")
+    text = CASE.replace('geometry = "box"\nsize = [1, 1]\nmaxh = 0.6', 'geometry = "file"\npath = "own.vol"')
+    case_file.write_text(text)
+    out = case_file.parent / "own"
+    assert command("run", case_file, "-o", out, "--quiet", "--set", "time.until=0.04")[0] == DONE
+    assert np.array_equal(state(out), state(half))
+
+
+@pytest.mark.parametrize("damage", ["truncated", "empty", "version", "case", "mesh"])
+def test_a_damaged_or_foreign_checkpoint_is_refused_with_the_reason(damage, half):
+    path = half / "run.h5"
+    if damage in ("truncated", "empty"):
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2 if damage == "truncated" else 0])
+        reason = "not a readable run file"
+    elif damage == "version":
+        with h5py.File(path, "a") as file:
+            file.attrs["format"] = 1
+        reason = "its format is 1, this run's is 2"
+    elif damage == "case":
+        text = (half / "case.toml").read_text()
+        (half / "case.toml").write_text(text.replace("G_v = 0.01", "G_v = 0.02"))
+        reason = "its case is"
+    else:
+        with h5py.File(path, "a") as file:
+            file.attrs["mesh"] = "another"
+        reason = "its mesh is 'another'"
+    before = path.read_bytes()
+    code, _, err = command("resume", half, "--until", 0.08)
+    assert code == BAD_FILE and reason in err
+    assert path.read_bytes() == before
+
+
+def test_two_runs_in_one_directory_do_not_meet(tmp_path, case_file):
+    first = start("run", case_file, "-o", tmp_path / "out", "--quiet", *LONG)
+    try:
+        wait_for(lambda: rows(tmp_path / "out") > 2, first)
+        for words in (("run", case_file, "-o", tmp_path / "out", "--force"), ("resume", tmp_path / "out")):
+            code, _, err = command(*words)
+            assert code == BAD_INPUT and f"in use by process {first.pid}" in err
+        reached = rows(tmp_path / "out")
+        wait_for(lambda: rows(tmp_path / "out") > reached, first)
+        first.send_signal(signal.SIGTERM)
+        out, err = first.communicate(timeout=60)
+    finally:
+        first.kill()
+    assert first.returncode == 128 + signal.SIGTERM and "Traceback" not in err
+    assert f"ngvisco resume {tmp_path / 'out'}" in out
+
+
+def test_a_signal_ends_the_step_and_says_how_to_resume(tmp_path, case_file):
+    """Checkpoints are rare here: the one that is resumed from was written for the signal."""
+    number = signal.SIGINT  # SIGTERM ends the first of the two runs above
+    place = tmp_path / "out"
+    process = start("run", case_file, "-o", place, *LONG, "--set", "output.checkpoint.every=1000")
+    try:
+        wait_for(lambda: rows(place) > 3, process)
+        process.send_signal(number)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 128 + number and "Traceback" not in err
+    assert f"{number.name}: stopped after step" in out and f"ngvisco resume {place}" in out
+    done = rows(place) - 1
+    assert done < 1000 and "stopped on request" in (place / "log.txt").read_text()
+    assert list(nv.read_ledger(place / "run.h5")["step"])[-1] == done
+    end = round((done + 2) * 0.02, 10)
+    assert command("resume", place, "--until", end, "--quiet")[0] == DONE
+    whole = tmp_path / "whole"
+    assert command("run", case_file, "-o", whole, "--quiet", "--set", f"time.until={end}")[0] == DONE
+    assert_same_run(place, whole)
+
+
+def killed_and_resumed(tmp_path, case_file, kills, seed):
+    place, chance = tmp_path / "killed", random.Random(seed)
+    last = -1
+    for _ in range(kills):
+        begun = (place / "case.toml").exists()
+        words = ("resume", place) if begun else ("run", case_file, "-o", place, *LONG)
+        process = start(*words, "--quiet")
+        # in the first moments of the process, or among its steps
+        if chance.random() < 0.4:
+            time.sleep(chance.uniform(0.0, 2.0))
+        else:
+            before = _touched(place)
+            wait_for(lambda before=before: _touched(place) != before, process)
+            time.sleep(chance.uniform(0.0, 0.5))
+        assert process.poll() is None, process.communicate()
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        if (place / "run.h5").exists():
+            ledger = nv.read_ledger(place / "run.h5")  # the last good one is always readable
+            assert ledger["step"][-1] >= last
+            last = int(ledger["step"][-1])
+            assert rows(place) >= last
+    assert last >= 0
+    end = round((last + 2) * 0.02, 10)
+    assert command("resume", place, "--until", end, "--quiet")[0] == DONE
+    whole = tmp_path / "whole"
+    assert command("run", case_file, "-o", whole, "--quiet", "--set", f"time.until={end}")[0] == DONE
+    assert_same_run(place, whole)
+
+
+def _touched(place):
+    path = place / "run.h5"
+    return path.stat().st_mtime_ns if path.exists() else None
+
+
+def test_killed_at_random_moments_the_run_is_resumed_bit_for_bit(tmp_path, case_file):
+    killed_and_resumed(tmp_path, case_file, kills=5, seed=2)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1200)
+def test_killed_fifty_times_the_run_is_resumed_bit_for_bit(tmp_path, case_file):
+    killed_and_resumed(tmp_path, case_file, kills=50, seed=int(os.environ.get("NGVISCO_SEED", "1")))
+
+
+def test_a_step_without_solution_ends_with_its_reason(case_file, tmp_path):
+    settings = ["time.adaptive.dt_min=0.02", "time.adaptive.dt_max=0.02", "time.adaptive.tolerance=1e-12"]
+    words = [word for setting in settings for word in ("--set", setting)]
+    code, _, err = command("run", case_file, "-o", tmp_path / "out", "--quiet", *words)
+    assert code == FAILED and "no step of at least dt_min = 0.02 s" in err and "estimated error" in err
+    assert rows(tmp_path / "out") == 2  # the first step has no estimate
+    log = (tmp_path / "out" / "log.txt").read_text()
+    assert "rejected dt 0.02 s" in log and "ended by StepError" in log
+    assert len(state(tmp_path / "out", step=1)) > 0
