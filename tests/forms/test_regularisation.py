@@ -1,0 +1,229 @@
+"""The scheme's regularisations: the ledger still closes, each has its sign, each does what it should."""
+
+import numpy as np
+import pytest
+from ngsolve import CF, BilinearForm, InnerProduct, Integrate, Parameter, cos, exp, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.physics.regularisation import Regularisation
+
+MATERIALS = {
+    "linear": nv.LinearElastic(K_e=10, G_e=5),
+    "finite": nv.ReferentialNeoHookean(K_e=10, G_e=5),
+}
+CASES = {
+    "delta_density r = 4": Regularisation(delta_density=0.05),
+    "delta_density r = 3.5": Regularisation(delta_density=0.05, r=3.5),
+    "delta_density r = 2": Regularisation(delta_density=0.05, r=2.0),
+    "delta_fields": Regularisation(delta_fields=0.01),
+    "epsilon p = 4": Regularisation(epsilon=0.1),
+    "epsilon p = 3.5": Regularisation(epsilon=0.1, p=3.5),
+    "cut-off": Regularisation(rho_max=1.1, width=0.3),
+    "all": Regularisation(delta_density=0.05, delta_fields=0.01, epsilon=0.1, rho_max=1.1, width=0.3),
+}
+
+POINTS = box((1, 1), maxh=1)
+
+
+def simulation(regularisation, material="finite", dim=2, maxh=0.5, dt=0.02, creep=None, m=1):
+    if isinstance(material, str):
+        material = MATERIALS[material]
+    model = nv.Model(
+        material=material,
+        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+        loads=[nv.Gravity((0.0,) * (dim - 1) + (-1.0,))],
+        creep=creep,
+        regularisation=regularisation,
+    )
+    swirl = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), CF(0))[:dim]
+    initial = nv.Initial(velocity=swirl, density=1 + 0.2 * cos(pi * x))
+    discretisation = nv.Discretisation(m=m)
+    mesh = box((1,) * dim, maxh=maxh)
+    return nv.Simulation(mesh, model, dt=dt, initial=initial, discretisation=discretisation)
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize("case", CASES)
+def test_ledger_closes_with_each_regularisation(case, material):
+    ledger = simulation(CASES[case], material).run(0.08)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert np.abs(ledger.column("mass_drift")).max() <= 1e-12
+    assert ledger.column("rho_min").min() > 0
+    law = CASES[case]
+    if law.delta_density:
+        assert ledger.column("density_diffusion")[1:].min() > 0
+    if law.delta_fields:  # both energies are quadratic in their tensors and convex in J
+        assert ledger.column("dissipation_delta_fields")[1:].min() > 0
+    if law.epsilon:
+        assert ledger.column("dissipation_epsilon")[1:].min() > 0
+    if law.rho_max:
+        assert 0 < ledger.column("cutoff_volume")[1:].min() < 1
+
+
+def test_ledger_closes_with_all_regularisations_in_3d():
+    material = nv.BarotropicFluid(B=10.0, gamma=1.4)  # few components: a full tensor takes minutes here
+    run = simulation(CASES["all"], material, dim=3, maxh=2, creep=nv.Creep(G_m=2.0, nu=0.01))
+    ledger = run.run(0.04)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert np.abs(ledger.column("mass_drift")).max() <= 1e-12
+
+
+@pytest.mark.parametrize("creep", [None, nv.Creep(G_m=2.0, nu=0.01), nv.Creep(G_m=2.0, nu=0.01, q=3.5)])
+@pytest.mark.parametrize("case", ["all", "delta_density r = 3.5", "epsilon p = 3.5"])
+def test_linearisation_agrees_with_central_differences(case, creep):
+    """To 1e-6 on a random state; the largest entries of the new terms are among the checked ones."""
+    step = simulation(CASES[case], creep=creep).rothe_step
+    step.context.tau.Set(0.02)
+    space = step.layout.space
+    trial, test = space.TnT()
+    u, w = step.layout.fields(trial), step.layout.fields(test)
+    form = BilinearForm(space)
+    for term in step.terms:
+        for part in term.form(u, w):
+            if part.cells is not None:
+                form += part.cells.Compile() * step.quadrature.cells
+            if part.facets is not None:
+                form += part.facets.Compile() * step.quadrature.facets
+    rng = np.random.default_rng(2)
+    at, d, ahead, behind, product, shifted = (step.state.vec.CreateVector() for _ in range(6))
+    at.FV().NumPy()[:] = step.state.vec.FV().NumPy() + 1e-2 * rng.uniform(-1, 1, len(at))
+    d.FV().NumPy()[:] = rng.uniform(-1, 1, len(at))
+    form.AssembleLinearization(at)
+    product.data = form.mat * d
+    h = 1e-5
+    shifted.data = at + h * d
+    form.Apply(shifted, ahead)
+    shifted.data = at - h * d
+    form.Apply(shifted, behind)
+    central = (ahead.FV().NumPy() - behind.FV().NumPy()) / (2 * h)
+    for where in step.layout.ranges.values():
+        error = np.linalg.norm(central[where] - product.FV().NumPy()[where])
+        assert error <= 1e-6 * max(np.linalg.norm(central[where]), 1e-3)
+
+
+def diffuse(quantity, maxh, dt, until, m=1):
+    """Pure diffusion of a density or of J in a heavy fluid at rest; its error against the exact solution."""
+    D = 0.05
+    law = Regularisation(**{f"delta_{quantity}": D}, r=2.0)
+    # no stress moves it: K_e is tiny against the viscosity
+    model = nv.Model(
+        material=nv.BarotropicFluid(B=1e-8, gamma=2.0),
+        viscosity=nv.StokesViscosity(K_v=1e4, G_v=1e4),
+        regularisation=law,
+    )
+    profile = cos(pi * x) * cos(pi * y)
+    initial = nv.Initial(
+        density=1 + 0.3 * profile if quantity == "density" else 1.0,
+        values={"J": 1 + 0.3 * profile if quantity == "fields" else CF(1.0)},
+    )
+    mesh = box((1, 1), maxh=maxh)
+    discretisation = nv.Discretisation(m=m)
+    run = nv.Simulation(
+        mesh, model, dt=dt, initial=initial, discretisation=discretisation, velocity_scale=1e-6
+    )
+    run.run(until)
+    steps = round(until / dt)
+    decay = (1 / (1 + 2 * pi**2 * D * dt)) ** steps  # implicit Euler's own decay of the mode
+    field = run.fields["density" if quantity == "density" else "J"]
+    return Integrate((field - 1 - 0.3 * decay * profile) ** 2, mesh, order=8) ** 0.5
+
+
+@pytest.mark.parametrize("quantity", ["density", "fields"])
+def test_diffusion_has_the_right_speed_and_order_m_plus_1(quantity):
+    """r = 2: the cosine mode decays by 1/(1 + 2 pi^2 delta tau) a step."""
+    coarse, fine = (diffuse(quantity, maxh, 0.1, 0.4) for maxh in (0.3, 0.15))
+    assert fine < 4e-3
+    assert np.log2(coarse / fine) > 1.7
+
+
+def test_r_laplacian_diffusivity_is_delta_times_gradient():
+    law = Regularisation(delta_density=0.3, r=4.0)
+    point = POINTS(0.2, 0.2)
+    assert law.diffusivity(CF(4.0))(point) == pytest.approx(0.3 * 4.0)
+
+
+def test_cut_off_is_c1_and_ends_where_it_should():
+    law = Regularisation(rho_max=2.0, width=0.5)
+    point = POINTS(0.2, 0.2)
+    rho = Parameter(0.0)
+    K, slope = law.cut_off(rho), law.cut_off(rho).Diff(rho)
+
+    def at(value):
+        rho.Set(value)
+        return K(point), slope(point)
+
+    assert at(-0.1)[0] == 0
+    assert at(0.5) == (1, 0)
+    assert at(2.25)[0] == pytest.approx(0.5)
+    assert at(2.6) == (0, 0)
+    for edge in (2.0, 2.5):
+        inside, outside = at(edge - 1e-7), at(edge + 1e-7)
+        assert inside == pytest.approx(outside, abs=1e-5)
+    h = 1e-6
+    assert at(2.2)[1] == pytest.approx((at(2.2 + h)[0] - at(2.2 - h)[0]) / (2 * h), rel=1e-6)
+
+
+def test_cut_off_stops_the_flow_of_dense_matter():
+    """A blob above rho_max + width does not move, while without the cut-off it does."""
+    blob = 1 + exp(-10 * ((x - 0.5) ** 2 + (y - 0.35) ** 2))
+    change = {}
+    for name, law in (("off", None), ("on", Regularisation(rho_max=1e-3, width=1e-3))):
+        model = nv.Model(
+            material=nv.LinearElastic(K_e=1e-3, G_e=1e-3),
+            viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+            regularisation=law,
+        )
+        v = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+        initial = nv.Initial(velocity=v, density=blob)
+        run = nv.Simulation(box((1, 1), maxh=0.3), model, dt=0.05, initial=initial)
+        before = run.sampler.values(run.fields["density"])
+        ledger = run.run(0.1)
+        assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+        change[name] = np.abs(run.sampler.values(run.fields["density"]) - before).max()
+        if name == "on":
+            assert ledger.column("cutoff_volume")[-1] == pytest.approx(1.0)
+    assert change["on"] < 1e-12
+    assert change["off"] > 0.05
+
+
+def test_epsilon_friction_takes_kinetic_energy():
+    """dissipation = epsilon int |v|^p, and the flow is slower for it."""
+    kinetic = []
+    for epsilon in (0.0, 5.0):
+        run = simulation(Regularisation(epsilon=epsilon, p=4.0) if epsilon else None)
+        kinetic.append(run.run(0.06).column("kinetic")[-1])
+        if epsilon:
+            v = run.fields["velocity"]
+            speed = v * v
+            expected = epsilon * Integrate(speed * speed, run.mesh, order=6)
+            assert run.ledger.column("dissipation_epsilon")[-1] == pytest.approx(expected, rel=1e-3)
+    assert kinetic[1] < 0.95 * kinetic[0]
+
+
+def test_quadratic_regularisation_is_in_the_stored_energy():
+    delta = 0.04
+    run = simulation(None, nv.WithQuadratic(material=MATERIALS["finite"], delta=delta))
+    ledger = run.run(0.04)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    z = run.fields
+    size = InnerProduct(z["H"], z["H"]) + z["J"] * z["J"]
+    added = 0.5 * delta**0.5 * Integrate(size, run.mesh, order=8)
+    assert ledger.column("stored_quadratic")[-1] == pytest.approx(added, rel=1e-12)
+    plain = Integrate(MATERIALS["finite"].energy({"H": z["H"], "J": z["J"]}), run.mesh, order=8)
+    assert ledger.column("stored")[-1] == pytest.approx(plain + added, rel=1e-6)
+
+
+def test_inactive_continuation_below_J_min_changes_nothing():
+    """J stays above J_min, so that the two runs are the same to rounding."""
+    ends = []
+    for J_min in (None, 0.3):
+        run = simulation(None, nv.ReferentialNeoHookean(K_e=10, G_e=5, J_min=J_min))
+        run.run(0.04)
+        ends.append(run.sampler.values(run.fields["H"]))
+    assert np.abs(ends[0] - ends[1]).max() < 1e-10
+
+
+def test_diffusion_of_cellwise_constants_is_refused():
+    with pytest.raises(nv.ParameterError, match="delta_density"):
+        simulation(CASES["delta_density r = 4"], m=0)

@@ -1,0 +1,163 @@
+"""Creep: relaxation against an ODE, limits, the gradient term, stiff steps."""
+
+import numpy as np
+import pytest
+from ngsolve import CF, Det, InnerProduct, Integrate, cos, pi, sin, x, y
+from scipy.integrate import solve_ivp
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.physics.tensors import dev, square, tr
+
+MATERIAL = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
+
+
+def tensor(array):
+    return CF(tuple(np.asarray(array, dtype=float).ravel()), dims=(3, 3))
+
+
+def relaxing(creep, dt, F_0, dim=2, **options):
+    """A homogeneous stretched box.  Its stress is uniform, so that nothing moves: the shape is fixed."""
+    model = nv.Model(material=MATERIAL, creep=creep, viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0))
+    mesh = box((1,) * dim, maxh=1.0 if dim == 2 else 2.0)
+    initial = nv.Initial(F=tensor(F_0))
+    return nv.Simulation(mesh, model, dt=dt, initial=initial, **options)
+
+
+def swirl(creep, dt=0.02, material=MATERIAL, dim=2, **options):
+    model = nv.Model(material=material, creep=creep, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1))
+    v = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), CF(0))[:dim]
+    mesh = box((1,) * dim, maxh=0.4 if dim == 2 else 2)
+    return nv.Simulation(mesh, model, dt=dt, initial=nv.Initial(velocity=v), **options)
+
+
+F_0 = np.diag([1.3, 0.9, 1.1])
+
+
+def exact_relaxation(t, G_m):
+    """H' = -H Pi, G_m Pi = dev(2 G_e H^T H) for diagonal H = J^{-5/6} F, to 1e-10."""
+    H_0 = np.diag(F_0) * np.linalg.det(F_0) ** (-5 / 6)
+
+    def rhs(_, H):
+        M = 2 * MATERIAL.G_e * H * H
+        return -H * (M - M.mean()) / G_m
+
+    return solve_ivp(rhs, (0, t), H_0, rtol=1e-12, atol=1e-13, method="DOP853").y[:, -1]
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.1])
+def test_relaxation_at_fixed_shape_follows_the_ode_at_first_order(nu):
+    """Errors against the ODE halve with tau; the gradient term does nothing to a homogeneous state."""
+    errors = []
+    for dt in (0.02, 0.01):
+        run = relaxing(nv.Creep(G_m=5.0, nu=nu), dt, F_0)
+        ledger = run.run(0.2)
+        assert ledger.column("v_max").max() < 1e-9
+        H = np.array(run.fields["H"](run.mesh(0.3, 0.4))).reshape(3, 3)
+        assert np.abs(H - np.diag(np.diag(H))).max() < 1e-12
+        errors.append(np.abs(np.diag(H) - exact_relaxation(0.2, 5.0)).max())
+        assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert 1.8 < errors[0] / errors[1] < 2.2
+    assert errors[1] < 5e-3
+
+
+@pytest.mark.parametrize("creep", [nv.Creep(G_m=2.0), nv.Creep(G_m=2.0, nu=0.01)], ids=["nu = 0", "nu > 0"])
+def test_J_is_untouched_by_creep(creep):
+    """At a fixed shape J stays to rounding, while the elastic strain goes."""
+    run = relaxing(creep, 0.1, F_0)
+    run.run(1.0)
+    J = run.sampler.values(run.fields["J"])
+    assert np.abs(J - np.linalg.det(F_0)).max() < 1e-11
+    assert run.ledger.column("stored")[-1] < run.ledger.column("stored")[0] - 0.1
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("q", [2.0, 3.5, 4.0])
+def test_gradient_creep_closes_and_is_trace_free(q, dim):
+    run = swirl(nv.Creep(G_m=2.0, nu=0.01, q=q), dim=dim)
+    ledger = run.run(0.06)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert ledger.column("dissipation_creep")[1:].min() > 0
+    assert ledger.column("dissipation_creep_gradient")[1:].min() > 0
+    Pi = run.rothe_step.now.Pi
+    assert run.sampler.extrema(square(Pi))[1] > 1e-4
+    assert max(map(abs, run.sampler.extrema(tr(Pi)))) < 1e-14
+    assert run.sampler.extrema(square(Pi - Pi.trans))[1] < 1e-28
+
+
+def test_gradient_creep_tends_to_the_local_one():
+    """|z_nu - z_0| falls with nu, to the difference of a continuous from a cellwise Pi."""
+    local = swirl(nv.Creep(G_m=2.0))
+    local.run(0.04)
+    reference = local.sampler.values(local.fields["H"])
+    errors = []
+    for nu in (1e-2, 1e-3, 1e-4):
+        run = swirl(nv.Creep(G_m=2.0, nu=nu, q=2.0))
+        run.run(0.04)
+        errors.append(np.sqrt(np.mean((run.sampler.values(run.fields["H"]) - reference) ** 2)))
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 0.5 * errors[0]
+
+
+def test_large_creep_modulus_is_kelvin_voigt():
+    """The difference from no creep falls like 1/G_m."""
+    solid = swirl(None)
+    solid.run(0.1)
+    reference = solid.sampler.values(solid.fields["H"])
+    errors = []
+    for G_m in (1e3, 1e4, 1e5):
+        run = swirl(nv.Creep(G_m=G_m))
+        run.run(0.1)
+        errors.append(np.abs(run.sampler.values(run.fields["H"]) - reference).max())
+    assert errors[0] / errors[1] == pytest.approx(10, rel=0.1)
+    assert errors[1] / errors[2] == pytest.approx(10, rel=0.1)
+
+
+def test_small_creep_modulus_is_a_fluid():
+    """The deviatoric elastic stress falls like G_m: what remains is a pressure."""
+    sizes = []
+    for G_m in (1e-2, 1e-3, 1e-4):
+        run = swirl(nv.Creep(G_m=G_m))
+        run.run(0.04)
+        T = dev(run.fields["cauchy_stress"])
+        sizes.append(Integrate(InnerProduct(T, T), run.mesh) ** 0.5)
+    assert sizes[0] / sizes[1] == pytest.approx(10, rel=0.2)
+    assert sizes[1] / sizes[2] == pytest.approx(10, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    "material", [MATERIAL, nv.LinearElastic(K_e=10, G_e=5), nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1)]
+)
+@pytest.mark.parametrize("nu", [0.0, 1e-3])
+def test_stiff_relaxation_converges(material, nu):
+    """tau = 2000 Maxwell times G_m/(2 G_e), in a swirl: Newton converges and the energy falls."""
+    ledger = swirl(nv.Creep(G_m=1e-4, nu=nu), material=material).run(0.04)
+    energy = ledger.column("kinetic") + ledger.column("stored")
+    assert np.diff(energy).max() < 0
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert ledger.column("newton_iterations").max() <= 60
+
+
+@pytest.mark.parametrize("G_m", [1.0, 1e-2, 1e-4])
+def test_stiff_relaxation_of_a_stretched_box_converges_in_one_step(G_m):
+    """tau = 1 s is up to 10^5 Maxwell times, from a stretch of 30 %."""
+    run = relaxing(nv.Creep(G_m=G_m), 1.0, F_0)
+    ledger = run.run(1.0)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    H = run.fields["H"]
+    M = dev(H.trans * H)
+    assert run.sampler.extrema(square(M))[1] < (0.1 * G_m) ** 2 + 1e-3 * G_m
+
+
+def test_total_strain_is_elastic_times_creep():
+    """Without creep F_tot stays near F; with creep the two part, and det F_tot stays near J."""
+    gaps = {}
+    for name, creep in (("none", None), ("creep", nv.Creep(G_m=1.0))):
+        run = swirl(creep, material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1), passive=("F_tot",))
+        run.run(0.1)
+        F, F_tot = run.fields["F"], run.fields["F_tot"]
+        gaps[name] = Integrate(square(F - F_tot), run.mesh) ** 0.5
+        volume = Integrate((Det(F_tot) - run.fields["J"]) ** 2, run.mesh) ** 0.5
+        assert volume < 0.02
+    assert gaps["none"] < 3e-3
+    assert gaps["creep"] > 0.05
