@@ -1,0 +1,92 @@
+"""Passive fields: they follow the flow, do not act on it, and survive a restart bit for bit."""
+
+import numpy as np
+import pytest
+from ngsolve import Grad, Id, InnerProduct, Integrate, cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+
+ALL = ("F_tot", "reference_map", "creep_strain")
+
+
+def simulation(passive=ALL, creep=2.0, dt=0.02, maxh=0.4, observers=()):
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+        creep=nv.Creep(G_m=creep) if creep else None,
+    )
+    swirl = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+    mesh = box((1, 1), maxh=maxh)
+    return nv.Simulation(
+        mesh, model, dt=dt, initial=nv.Initial(velocity=swirl), passive=passive, observers=observers
+    )
+
+
+def test_passive_fields_do_not_act_on_the_run():
+    with_them, without = simulation(), simulation(passive=())
+    rows = [run.run(0.06).rows[-1] for run in (with_them, without)]
+    for name, value in rows[1].items():
+        assert rows[0][name] == value or np.isnan(value)
+
+
+def test_start_is_identity_map_and_no_creep():
+    fields, mesh = (run := simulation()).fields, run.mesh
+    assert Integrate(InnerProduct(fields["F_tot"] - Id(3), fields["F_tot"] - Id(3)), mesh) < 1e-24
+    gap = [fields["reference_map"][i] - c for i, c in ((0, x), (1, y))]
+    assert Integrate(gap[0] * gap[0] + gap[1] * gap[1], mesh) < 1e-24
+    assert run.sampler.extrema(fields["creep_strain"]) == (0.0, 0.0)
+
+
+def test_F_tot_is_the_inverse_gradient_of_the_reference_map():
+    """Both are transported alone: F_tot grad xi = I up to the discretisation, better on a finer mesh."""
+    gaps = []
+    for maxh, dt in ((0.4, 0.02), (0.2, 0.01)):
+        run = simulation(maxh=maxh, dt=dt)
+        run.run(0.1)
+        F, parts = run.fields["F_tot"], run.passive._parts
+        columns = [Grad(parts[f"reference_map_{i + 1}"]) for i in range(2)]
+        total = 0.0
+        for i in range(2):
+            for j in range(2):
+                product = sum(columns[i][k] * F[k, j] for k in range(2)) - float(i == j)
+                total += Integrate(product * product, run.mesh)
+        gaps.append(total**0.5)
+    assert gaps[1] < 0.75 * gaps[0]
+    assert gaps[1] < 0.05
+
+
+def test_creep_strain_is_the_time_integral_of_the_rate():
+    """In a swirl that hardly moves matter, kappa at the end is the sum of sqrt(2/3)|Pi| tau, in the mean."""
+    run = simulation(dt=0.02)
+    total = 0.0
+    rate = run.passive._sources["creep_strain_1"]
+    for _ in range(4):
+        run.advance()
+        total += 0.02 * Integrate(rate, run.mesh, order=6)
+    assert Integrate(run.fields["creep_strain"], run.mesh) == pytest.approx(total, rel=0.02)
+    assert total > 0.01
+
+
+def test_restart_with_passive_fields_is_bitwise_identical(tmp_path):
+    path = tmp_path / "run.h5"
+    simulation(observers=[nv.Checkpoints(path, every=2)]).run(0.04)
+    resumed = simulation()
+    resumed.restore(path)
+    resumed.run(0.08)
+    whole = simulation(observers=[nv.Checkpoints(tmp_path / "other.h5", every=2)])
+    whole.run(0.08)
+    for name, array in whole.passive.arrays().items():
+        assert np.array_equal(array, resumed.passive.arrays()[name])
+
+
+def test_checkpoint_without_the_passive_fields_is_refused(tmp_path):
+    path = tmp_path / "run.h5"
+    simulation(passive=(), observers=[nv.Checkpoints(path, every=1)]).run(0.02)
+    with pytest.raises(nv.CheckpointError, match="passive field"):
+        simulation().restore(path)
+
+
+def test_unknown_passive_field_raises():
+    with pytest.raises(nv.UnknownNameError, match="F_tot"):
+        simulation(passive=("F_total",))
