@@ -7,7 +7,8 @@
 | creep_strain  | dt kappa + (v . grad) kappa = sqrt(2/3) |Pi|          | 0     |
 
 Each is a linear problem with the step's velocity: implicit Euler and upwinding on discontinuous
-P_max(1, m), as the scheme does for its own variables.  The columns of F_tot share one matrix, the
+P_k, k the velocity's order, as the scheme does for its own variables (with P_1 the gradient of xi in the
+cells is less than half of what it should be at h = 0.2).  The columns of F_tot share one matrix, the
 components of the others a second one; GMRES with cellwise blocks takes a few iterations.
 """
 
@@ -69,7 +70,7 @@ class PassiveFields:
         self.step, self.names = step, tuple(dict.fromkeys(names))
         self.tau = Parameter(1.0)
         self._v = step.now.v
-        dim, order = step.mesh.dim, max(1, step.discretisation.m)
+        dim, order = step.mesh.dim, step.discretisation.k
         scalar = L2(step.mesh, order=order, dgjumps=True)
         vector = VectorL2(step.mesh, order=order, dgjumps=True)
         self._parts: dict[str, GridFunction] = {}
