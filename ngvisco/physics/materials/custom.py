@@ -16,6 +16,24 @@ from ngvisco.physics.variables import Values, Variable
 class CustomMaterial(Material):
     """phi = stored_energy(**values) for any list of transported variables.
 
+    A run samples the energy and warns where it is not jointly convex, see ``check_convexity``.
+
+    Example::
+
+        import ngvisco as nv
+        from ngvisco.geometries import box
+        from ngvisco.physics.tensors import square
+        from ngvisco.physics.variables import Distortion, Jacobian
+
+        def energy(F, J):  # a foam that stiffens as it closes, Pa
+            return 4 * square(F) / J ** (2 / 3) + 6 * (J - 1) * (J - 1) + 0.2 / (J * J) + 0.4 * J
+
+        foam = nv.CustomMaterial(transported=(Distortion(), Jacobian()), stored_energy=energy)
+        viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.1)
+        model = nv.Model(material=foam, viscosity=viscosity, loads=[nv.Gravity((0.0, -1.0))])
+        ledger = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.05).run(0.2)
+        print(ledger.column("kinetic"), ledger.column("closure_relative"))
+
     Parameters
     ----------
     transported : sequence of Variable
