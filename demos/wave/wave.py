@@ -23,9 +23,9 @@ def dispersion(mu: float) -> complex:
 
 def amplitudes(mu: float, steps: int) -> tuple[nv.Simulation, np.ndarray]:
     """Amplitudes of v_2 in a strip of one wave length, periodic in x and y, at every step."""
-    material, viscosity = nv.LinearElastic(K_e=2.0, G_e=G_E), nv.StokesViscosity(K_v=0.0, G_v=G_V)
-    hyper = nv.HyperViscosity(mu=mu, p=2) if mu else None
-    model = nv.Model(material=material, viscosity=viscosity, hyperviscosity=hyper)
+    laws = {"hyperviscosity": nv.HyperViscosity(mu=mu, p=2)} if mu else {}
+    laws["viscosity"] = nv.StokesViscosity(K_v=0.0, G_v=G_V)
+    model = nv.Model(material=nv.LinearElastic(K_e=2.0, G_e=G_E), **laws)
     start, mesh = nv.Initial(velocity=CF((0, A * cos(K * x)))), box((pi, 0.8), 0.4, periodic="xy")
     orders = nv.Discretisation(k=3, m=2)
     run = nv.Simulation(mesh, model, dt=DT, initial=start, discretisation=orders)
