@@ -1,5 +1,4 @@
-"""Standing elastic shear wave, with and without hyperviscosity, against the dispersion relation
-rho s^2 + (G_v k^2 + mu k^4) s + G_e k^2 = 0 for v ~ exp(s t) cos(k x).
+"""Standing elastic wave, with and without hyperviscosity: rho s^2 + (G_v k^2 + mu k^4) s + G_e k^2 = 0.
 Run with ``python demos/wave/wave.py [output directory]``; needs the extra ``plots``.
 """
 
@@ -30,7 +29,7 @@ def amplitudes(mu: float, steps: int) -> tuple[nv.Simulation, np.ndarray]:
     orders = nv.Discretisation(k=3, m=2)
     run = nv.Simulation(mesh, model, dt=DT, initial=start, discretisation=orders)
     values = [A]
-    for _ in range(steps):
+    while run.number < steps:
         run.advance()
         values.append(Integrate(run.fields["velocity"][1] * cos(K * x), mesh) / (0.4 * pi))
     return run, np.array(values)
@@ -47,13 +46,13 @@ def main(directory: str = "results/wave", steps: int = 60) -> dict[float, tuple]
     for mu in (0.0, 0.02):
         run, a = amplitudes(mu, steps)
         s, exact = exponent(a), dispersion(mu)
-        results[mu] = (run, s, exact)
+        results[mu] = run, s, exact
         speeds, decays = [abs(q.imag) / K for q in (s, exact)], [-s.real, -exact.real]
         print(f"mu = {mu}: speed and exact speed {speeds} m/s, decays {decays} 1/s")
         axis.plot(DT * np.arange(steps + 1), a / A)
     axis.set(xlabel="time, s", ylabel="v₂, relative", title="mu = 0 (blue), 0.02 Pa s m² (orange)")
     Path(directory).mkdir(parents=True, exist_ok=True)
-    fig.savefig(Path(directory) / "wave.png", dpi=110)
+    fig.savefig(Path(directory) / "wave.png")
     return results
 
 
