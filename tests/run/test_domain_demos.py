@@ -60,7 +60,7 @@ def test_couette_stress_is_that_of_the_closed_form(tmp_path):
     run.run(1.5)
     r = np.linspace(1.1, 1.9, 5)
     assert np.abs(demo.profile(run, r) / demo.shear_stress(r) - 1).max() < 0.05
-    assert run.ledger.column("power_wall_outer").min() > 0
+    assert run.ledger.column("power_wall_outer")[1:].min() > 0
     assert_exact_balance(run)
 
 
