@@ -110,8 +110,7 @@ def section(target: Callable[..., Any], tag: tuple[str, str] | None = None) -> t
             if required:
                 raise TypeError(f"{target.__qualname__}.{name}: a case file cannot give a {hints.get(name)}")
             continue
-        default = {} if annotation == dict[str, FieldValue] else parameter.default
-        fields[name] = (annotation, ... if required else default)
+        fields[name] = (annotation, ... if required else _default(annotation, parameter.default))
     base = _checked_section(target) if _is_plain(target, fields) else Section
     model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
     _FIELDS[model] = frozenset(
@@ -126,6 +125,13 @@ _FIELDS: dict[type[Section], frozenset[str]] = {}
 def field_names(part: Section) -> frozenset[str]:
     """The parameters of a section that are functions of space and time."""
     return _FIELDS[type(part)]
+
+
+def _default(annotation: Any, default: Any) -> Any:
+    """A parameter's default as a case file would have it."""
+    if annotation == dict[str, FieldValue]:
+        return {}
+    return list(default) if isinstance(default, tuple) else default
 
 
 def _is_plain(target: Callable[..., Any], fields: dict[str, Any]) -> bool:

@@ -162,8 +162,9 @@ def test_a_rejected_step_leaves_no_trace(monkeypatch):
 
 def test_a_step_rejected_for_its_error_leaves_no_trace(monkeypatch):
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.04, patience=9, tolerance=1e-3)
-    run, short = simulation(stepping, dt=0.04), simulation(dt=0.02)
-    monkeypatch.setattr(run.stepper, "_estimate", lambda _, tau: 1.0 if tau > 0.03 else None)
+    run, short = simulation(stepping, dt=0.04), simulation(stepping, dt=0.02)
+    for one in (run, short):
+        monkeypatch.setattr(one.stepper, "_estimate", lambda _, tau: 1.0 if tau > 0.03 else None)
     run.run(0.08)
     short.run(0.08)
     assert list(run.ledger.column("rejections")) == [0, 1, 0, 0, 0]
