@@ -20,7 +20,8 @@ def test_program_runs(name, tmp_path, monkeypatch, capsys):
 
 def test_hdf5_is_read_as_printed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    run, reader = (block for block in re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)[:2])
+    blocks = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    run, reader = blocks[0], next(block for block in blocks if "coefficients =" in block)
     names = {}
     exec(run, names)
     exec(reader, names)
@@ -40,3 +41,9 @@ def test_every_ledger_column_is_explained():
 def test_commands_name_existing_files():
     for path in re.findall(r"\]\(([\w./]+\.(?:md|png))\)", README):
         assert (Path(__file__).resolve().parents[1] / path).is_file(), path
+
+
+def test_table_of_materials_is_the_generated_one():
+    from ngvisco.physics.materials.catalogue import table
+
+    assert table().strip() in README

@@ -16,11 +16,9 @@ MARKED = re.compile(r"<!-- session begins -->(.*?)<!-- session ends -->", re.S)
 
 def session():
     """The blocks of code, (language, text), between the README's markers."""
-    for source in (ROOT / "README.md", Path(__file__).with_name("session.md")):
-        found = MARKED.search(source.read_text())
-        if found:
-            return re.findall(r"```(sh|python)\n(.*?)```", found[1], re.S)
-    raise AssertionError("no session between markers")
+    found = MARKED.search((ROOT / "README.md").read_text())
+    assert found, "no session between markers"
+    return re.findall(r"```(sh|python)\n(.*?)```", found[1], re.S)
 
 
 @pytest.mark.timeout(400)
