@@ -4,7 +4,6 @@ Run with ``python demos/barotropic/barotropic.py [output directory]``; needs the
 """
 
 import sys
-from math import pi as PI
 from pathlib import Path
 
 import numpy as np
@@ -32,14 +31,14 @@ def simulation(maxh: float = 0.25, dt: float = 0.02, gravity: float = 0.0, **opt
 
 
 def sound_speed(ledger) -> float:
-    """From the time between the first two minima of the kinetic energy: half a period, pi/(k c)."""
+    """From the time between the first two minima of the kinetic energy: half a period, pi/(k c), k = pi/m."""
     t, kinetic = ledger.column("time"), ledger.column("kinetic")
     minima = []
     for i in range(1, len(t) - 1):
         if kinetic[i] < min(kinetic[i - 1], kinetic[i + 1]):
             a, b, _ = np.polyfit(t[i - 1 : i + 2] - t[i], kinetic[i - 1 : i + 2], 2)
             minima.append(t[i] - b / (2 * a))
-    return PI / (PI * (minima[1] - minima[0]))
+    return 1 / (minima[1] - minima[0])
 
 
 def main(directory: str = "results/barotropic", until: float = 2.0) -> nv.Simulation:
