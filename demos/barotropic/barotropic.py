@@ -4,7 +4,6 @@ Run with ``python demos/barotropic/barotropic.py [output directory]``; needs the
 """
 
 import sys
-from math import pi as PI
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +19,8 @@ RHO_R, GAMMA, A = 1.0, 1.4, 1 / 1.4
 def simulation(maxh: float = 0.25, dt: float = 0.02, gravity: float = 0.0, **options) -> nv.Simulation:
     """A tube of 1 m x 0.2 m; v_x = 0.001 sin(pi x) m/s at the start."""
     fluid = nv.BarotropicFluid.from_state_equation(A, GAMMA, RHO_R)
-    model = nv.Model(
-        material=fluid,
-        viscosity=nv.StokesViscosity(K_v=1e-4, G_v=1e-4),
-        loads=[nv.Gravity((-gravity, 0.0))] if gravity else [],
-    )
+    loads = [nv.Gravity((-gravity, 0.0))] if gravity else []
+    model = nv.Model(material=fluid, viscosity=nv.StokesViscosity(K_v=1e-4, G_v=1e-4), loads=loads)
     initial = nv.Initial(density=RHO_R, velocity=(1e-3 * sin(pi * x), 0.0), values=fluid.start(RHO_R, RHO_R))
     # upwinding is smoothed on the scale of the sound, not of the flow, which stops twice a period
     options = {"velocity_scale": 1.0, **options}
@@ -32,14 +28,14 @@ def simulation(maxh: float = 0.25, dt: float = 0.02, gravity: float = 0.0, **opt
 
 
 def sound_speed(ledger) -> float:
-    """From the time between the first two minima of the kinetic energy: half a period, pi/(k c)."""
+    """From the time between the first two minima of the kinetic energy: half a period, pi/(k c), k = pi/m."""
     t, kinetic = ledger.column("time"), ledger.column("kinetic")
     minima = []
     for i in range(1, len(t) - 1):
         if kinetic[i] < min(kinetic[i - 1], kinetic[i + 1]):
             a, b, _ = np.polyfit(t[i - 1 : i + 2] - t[i], kinetic[i - 1 : i + 2], 2)
             minima.append(t[i] - b / (2 * a))
-    return PI / (PI * (minima[1] - minima[0]))
+    return 1 / (minima[1] - minima[0])
 
 
 def main(directory: str = "results/barotropic", until: float = 2.0) -> nv.Simulation:
