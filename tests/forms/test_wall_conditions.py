@@ -226,7 +226,7 @@ def test_normal_part_of_a_traction_is_powerless():
 def test_identified_facets_carry_and_walls_do_not():
     mesh = channel(2, 1, 0.5)
     facets = dx(element_boundary=True)
-    closed = Integrate(1 * facets, mesh) - Integrate(inner_facets(mesh) * facets, mesh)
+    closed = Integrate(CF(1.0) * facets, mesh) - Integrate(inner_facets(mesh) * facets, mesh)
     assert closed == pytest.approx(4.0)  # bottom and top, 2 m each
 
 
