@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from ngsolve import BND, CF, BilinearForm, Integrate, cos, exp, pi, sin, specialcf, x, y
+from ngsolve import BND, CF, BilinearForm, Integrate, cos, dx, exp, pi, sin, specialcf, x, y
 
 import ngvisco as nv
+from ngvisco.forms.context import inner_facets
 from ngvisco.forms.system import Step
 from ngvisco.geometries import (
     annulus,
@@ -220,6 +221,13 @@ def test_normal_part_of_a_traction_is_powerless():
     walls = {"top": nv.Traction(f=(0.0, 7.0))}
     run = nv.Simulation(box((1, 1), 0.5), model(), dt=0.01, walls=walls)
     assert run.run(0.01).column("v_max")[-1] < 1e-12
+
+
+def test_identified_facets_carry_and_walls_do_not():
+    mesh = channel(2, 1, 0.5)
+    facets = dx(element_boundary=True)
+    closed = Integrate(CF(1.0) * facets, mesh) - Integrate(inner_facets(mesh) * facets, mesh)
+    assert closed == pytest.approx(4.0)  # bottom and top, 2 m each
 
 
 def test_bisected_boundary_layer_runs():
