@@ -90,9 +90,10 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
         sampler.require(inner(step.now.z, step.now.z), "material variables")
         sampler.require(step.now.rho, "projected density rho_0", minimum=0.0)
         for variable in step.model.material.variables:
-            if variable.is_positive:
-                value = step.now.z_tensors[variable.name]
-                sampler.require(value, f"projected {variable.name}_0", minimum=0.0)
+            value = variable.positive(step.now.z_tensors[variable.name])
+            if value is not None:
+                name = variable.name if variable.kind == "scalar" else f"det {variable.name}"
+                sampler.require(value, f"projected {name}_0", minimum=0.0)
         sampler.require(step.model.material.energy(step.now.z_tensors), "stored energy")
         complete(step)
     step.state_old.vec.data = step.state.vec

@@ -68,10 +68,13 @@ class Variable(ABC):
         """Names of other variables that the rate reads."""
         return ()
 
-    @property
-    def is_positive(self) -> bool:
-        """Whether the variable is a positive function of J, which a step must keep so."""
-        return False
+    def positive(self, value: CoefficientFunction) -> CoefficientFunction | None:
+        """The scalar of the variable's value that must stay > 0 (J, det F, ...), or None.
+
+        The implicit equations of a long step have solutions of the wrong sign too; a step that ends in
+        one is refused (paper: the local non-interpenetration of Euler-large-ass-phi).
+        """
+        return None
 
     @property
     def creeps(self) -> bool:
@@ -119,6 +122,9 @@ class Distortion(Variable):
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
         return Det(F) ** float(self.exponent) * F if self.exponent else F
 
+    def positive(self, value: CoefficientFunction) -> CoefficientFunction | None:
+        return Det(value)
+
 
 @dataclass(frozen=True)
 class Cofactor(Variable):
@@ -142,6 +148,9 @@ class Cofactor(Variable):
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
         return Det(F) ** float(self.exponent) * Cof(F) if self.exponent else Cof(F)
 
+    def positive(self, value: CoefficientFunction) -> CoefficientFunction | None:
+        return Det(value)
+
 
 @dataclass(frozen=True)
 class Jacobian(Variable):
@@ -156,9 +165,8 @@ class Jacobian(Variable):
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
         return Det(F)
 
-    @property
-    def is_positive(self) -> bool:
-        return True
+    def positive(self, value: CoefficientFunction) -> CoefficientFunction | None:
+        return value
 
 
 @dataclass(frozen=True)
@@ -174,9 +182,8 @@ class ReciprocalJacobian(Variable):
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
         return 1 / Det(F)
 
-    @property
-    def is_positive(self) -> bool:
-        return True
+    def positive(self, value: CoefficientFunction) -> CoefficientFunction | None:
+        return value
 
 
 @dataclass(frozen=True)
