@@ -56,6 +56,9 @@ def test_energy_never_rises_without_load_for_any_step(name, factor):
 
 
 SCRIPTS = {
+    "barotropic": lambda demo: demo.simulation(),
+    "creep_finite": lambda demo: demo.simulation(maxh=0.6),
+    "mooney_rivlin": lambda demo: demo.simulation(maxh=0.6),
     "couette": lambda demo: demo.simulation(maxh=0.7),
     "creep": lambda demo: demo.simulation(maxh=0.6),
     "shear": lambda demo: demo.stresses(0.125, 0.25)[0],
@@ -64,7 +67,17 @@ SCRIPTS = {
     "swirl3d": lambda demo: demo.simulation(maxh=0.9),
     "wave": lambda demo: demo.amplitudes(0.02, 2)[0],
 }
-MAXH = {"couette": 0.7, "creep": 0.6, "shell": 0.7, "swirl": 0.35, "swirl3d": 0.9, "wave": 0.4}
+MAXH = {
+    "barotropic": 0.25,
+    "couette": 0.7,
+    "creep": 0.6,
+    "creep_finite": 0.6,
+    "mooney_rivlin": 0.6,
+    "shell": 0.7,
+    "swirl": 0.35,
+    "swirl3d": 0.9,
+    "wave": 0.4,
+}
 """Of each demo's script the run that its case file describes, on a mesh that is soon computed."""
 
 

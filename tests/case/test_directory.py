@@ -1,0 +1,43 @@
+"""Run directories in one process: resumed on every kind of domain, read back, refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ngvisco as nv
+from ngvisco.case import resume, run
+
+DEMOS = Path(__file__).resolve().parents[2] / "demos"
+
+
+def values(simulation):
+    return simulation.rothe_step.state.vec.FV().NumPy().copy()
+
+
+@pytest.mark.parametrize("name", ["couette", "creep_finite", "shell", "wave"])
+def test_resumed_run_is_bitwise_identical_on_every_kind_of_domain(name, tmp_path):
+    """Curved cells, moving walls, creep with its own equation, passive fields, a periodic cell."""
+    settings = [f"domain.maxh={0.4 if name == 'wave' else 0.7}", "output.checkpoint.every=1000"]
+
+    def case(steps):
+        loaded = nv.load_case(DEMOS / name / f"{name}.toml", settings)
+        return nv.load_case(loaded.source, [*settings, f"time.until={steps * loaded.sections.time.dt!r}"])
+
+    whole = run(case(4), tmp_path / "whole")
+    run(case(2), tmp_path / "parts")
+    rest = resume(tmp_path / "parts", case(4).until)
+    assert np.array_equal(values(whole), values(rest))
+    for field, array in whole.passive.arrays().items():
+        assert np.array_equal(array, rest.passive.arrays()[field])
+    whole_ledger, rest_ledger = ((tmp_path / part / "ledger.csv").read_bytes() for part in ("whole", "parts"))
+    assert whole_ledger == rest_ledger
+    loaded = nv.load(tmp_path / "parts")
+    assert np.array_equal(values(loaded.simulation), values(rest)) and loaded.time == rest.t
+
+
+def test_what_is_no_run_directory_is_refused(tmp_path):
+    for act in (resume, nv.load):
+        with pytest.raises(nv.RunDirectoryError, match="not a run directory"):
+            act(tmp_path)
+    assert not list(tmp_path.iterdir())
