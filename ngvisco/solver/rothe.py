@@ -13,8 +13,8 @@ from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
 from ngvisco.solver.newton import BlockNorm, Newton, NewtonIteration, NewtonOptions
 
-SOFTENING = (100.0, 10.0, 1.0)
-"""Widths of the smoothed upwinding, in units of the scheme's, solved in turn for start values.
+WIDEST = 100.0
+"""Width of the smoothed upwinding, in units of the scheme's, from which it is narrowed for start values.
 
 Where v.n changes sign on a facet within the step, the elastic force jumps by [z]:[zeta] across that
 width: the sharp problem can have a fold between the old state and the solution, the soft one has none.
@@ -92,11 +92,30 @@ class RotheSolver:
         """Solve the step with wide upwinding and narrow it to the scheme's."""
         eta = self.step.context.eta
         width = eta.Get()
+        guess = self.step.state.vec.CreateVector()
+        guess.data = self.step.state.vec
+        solved, factor, ratio = math.inf, WIDEST, 10.0
+        failure: StepError | None = None
         try:
-            for factor in SOFTENING:
+            for _ in range(MAX_CONTINUATION):
+                self._restore(guess)
                 eta.Set(factor * width)
-                self.forget()
-                self._solve_directly(t_old, tau, history)
+                try:
+                    history += self._solve(t_old, tau)
+                except StepError as error:
+                    failure = error
+                    history += error.history
+                    if solved == math.inf:
+                        break
+                    ratio = math.sqrt(ratio)
+                else:
+                    if factor == 1.0:
+                        return
+                    guess.data = self.step.state.vec
+                    solved = factor
+                factor = max(1.0, solved / ratio)
+            assert failure is not None
+            raise StepError(str(failure))
         finally:
             eta.Set(width)
 

@@ -20,7 +20,7 @@ from ngvisco import (
     StokesViscosity,
     time,
 )
-from ngvisco.forms.context import Entry, Integrand
+from ngvisco.forms.context import Context, Entry, Integrand
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.initial import _recover_hessian
 from ngvisco.forms.momentum import Convection, Inertia, Loading, Stokes
@@ -286,10 +286,10 @@ def test_a_gravity_frozen_in_the_form_opens_the_ledger(monkeypatch: pytest.Monke
     plain = Loading.entries
 
     def at_the_end(self, u) -> list[Entry]:
-        average = Loading._average
-        monkeypatch.setattr(Loading, "_average", lambda self, value: value)
+        average = Context.average
+        monkeypatch.setattr(Context, "average", lambda self, value: value)
         entries = plain(self, u)
-        monkeypatch.setattr(Loading, "_average", average)
+        monkeypatch.setattr(Context, "average", average)
         return entries
 
     monkeypatch.setattr(Loading, "entries", at_the_end)
