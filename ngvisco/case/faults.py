@@ -79,7 +79,10 @@ def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: 
         tag, tags = str(context["tag"]), [t.strip("'") for t in context["expected_tags"].split(", ")]
         return f"{tag!r}: expected one of {', '.join(tags)}{nearest(tag, tags)}"
     if kind == "union_tag_not_found":
-        return f"the key {context['discriminator']} is missing"
+        wanted = context["discriminator"].strip("'")
+        written = difflib.get_close_matches(wanted, [str(key) for key in value], n=1, cutoff=0.5)
+        hint = f"; {written[0]!r} is unknown: did you mean {wanted!r}?" if written else ""
+        return f"the key {wanted!r} is missing{hint}"
     if kind == "literal_error":
         return f"{_shown(value)}: expected {context['expected']}"
     return f"{_shown(value)}: {_TYPES.get(kind, one['msg'].lower())}"

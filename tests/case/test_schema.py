@@ -68,6 +68,7 @@ def simulation(text):
         ('"NeoHookean"', '"NeoHokean"', "material: 'NeoHokean': expected one of"),
         ('"NeoHookean"', '"NeoHokean"', "did you mean 'NeoHookean'?"),
         ('kind = "NeoHookean"', "", "case.toml:7: material: the key 'kind' is missing"),
+        ("geometry =", "geomtry =", "'geometry' is missing; 'geomtry' is unknown: did you mean 'geometry'?"),
         ('"box"', '"bx"', "domain: 'bx': expected one of"),
         ("size = [1, 1]", "size = 1", "case.toml:4: domain.size: 1: expected an array"),
         ("size = [1, 1]", 'size = [1, "a"]', "case.toml:4: domain.size.1: 'a': expected a number"),
