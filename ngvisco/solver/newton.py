@@ -139,11 +139,12 @@ class BlockNorm:
         d = increment.FV().NumPy()
         floor = self.COARSE if coarse else self.FINE
         sizes = []
-        for name, size in self.units.items():
-            where = self.ranges[name]
-            largest = max(np.linalg.norm(u.FV().NumPy()[where]) for u in states)
-            scale = largest + floor * size * np.sqrt(where.stop - where.start)
-            sizes.append(np.linalg.norm(d[where]) / scale if scale > 0 else 0.0)
+        with np.errstate(over="ignore", invalid="ignore"):  # a diverging iterate is inf or NaN here
+            for name, size in self.units.items():
+                where = self.ranges[name]
+                largest = max(np.linalg.norm(u.FV().NumPy()[where]) for u in states)
+                scale = largest + floor * size * np.sqrt(where.stop - where.start)
+                sizes.append(np.linalg.norm(d[where]) / scale if scale > 0 else 0.0)
         # numpy's maximum passes NaN on, Python's may drop it
         return float(np.max(sizes))
 
