@@ -78,6 +78,7 @@ class Step:
             mesh, self.discretisation.k, self.discretisation.m, self.discretisation.quadrature_bonus
         )
         self.terms = self._terms(sources)
+        self.has_sources = sources is not None
         self.residual = self._residual()
         self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms)
 

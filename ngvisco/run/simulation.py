@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from typing import Protocol
 
@@ -66,6 +67,8 @@ class Simulation:
         Chooses the steps' lengths; default None is steps of the one length ``dt``.
     discretisation : Discretisation, optional
     newton : NewtonOptions, optional
+    solver : str, optional
+        ``"auto"``, ``"coupled"`` or ``"split"``: short for ``NewtonOptions(method=...)``.
     observers : sequence of Observer
     velocity_scale : float, optional
         A typical velocity, m/s; sets the width of the smoothed upwinding (1e-4 of it).  Default: the
@@ -92,6 +95,7 @@ class Simulation:
         walls: Conditions | None = None,
         discretisation: Discretisation | None = None,
         newton: NewtonOptions | None = None,
+        solver: str | None = None,
         observers: Sequence[Observer] = (),
         velocity_scale: float | None = None,
         sources: Term | None = None,
@@ -119,7 +123,10 @@ class Simulation:
         self.t, self.number = 0.0, 0
         set_initial(self.rothe_step, initial or Initial(), self.sampler)
         self.set_velocity_scale(velocity_scale or self._typical_velocity())
-        self.solver = RotheSolver(self.rothe_step, newton or NewtonOptions(), self._defect)
+        options = newton or NewtonOptions()
+        if solver is not None:
+            options = replace(options, method=solver)
+        self.solver = RotheSolver(self.rothe_step, options, self._defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         u, variables = self.rothe_step.now, model.material.variables
         scalars = {v: v.positive(u.z_tensors[v.name]) for v in variables}

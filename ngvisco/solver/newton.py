@@ -29,6 +29,9 @@ from ngsolve import BaseVector, BilinearForm, BitArray
 from ngvisco.errors import ParameterError, StepError, require_choice, require_positive
 
 
+METHODS = ("auto", "coupled", "split")
+
+
 @dataclass(frozen=True, kw_only=True)
 class NewtonOptions:
     """Tolerances of the iteration, in the norm of the module's docstring.
@@ -45,6 +48,10 @@ class NewtonOptions:
         Smallest step length tried.
     inverse : str
         NGSolve's name of a sparse direct solver for nonsymmetric matrices.
+    method : str
+        ``"coupled"``: all unknowns at once; ``"split"``: one problem for the velocity, with the fields as
+        functions of it, whose cost grows like the mesh; ``"auto"`` (default): the faster one for the
+        mesh's dimension and size.  Both solve the same equations.
     """
 
     tolerance: float = 1e-10
@@ -52,6 +59,7 @@ class NewtonOptions:
     refresh: float = 0.25
     min_damping: float = 1e-3
     inverse: str = "umfpack"
+    method: str = "auto"
 
     def __post_init__(self) -> None:
         require_positive(
@@ -67,6 +75,7 @@ class NewtonOptions:
                 raise ParameterError(f"NewtonOptions.{name}", value, "a number in (0, 1)")
         # sparsecholesky returns nonsense for nonsymmetric matrices, silently
         require_choice(self, ("umfpack", "pardiso", "mumps"), inverse=self.inverse)
+        require_choice(self, METHODS, method=self.method)
 
 
 @dataclass(frozen=True)
