@@ -38,14 +38,16 @@ class Quadrature:
     facet_degree: int
 
     @classmethod
-    def for_orders(cls, mesh: Mesh, k: int, m: int, bonus: int = 0) -> Quadrature:
+    def for_orders(cls, mesh: Mesh, k: int, m: int, bonus: int = 0, *, even: bool = False) -> Quadrature:
         """Degrees for velocity order k and field order m.
 
         The terms with the highest degree among the polynomial ones are m~ . (L^T w) and
         rate(grad w; z) : zeta, of degree m + 2k + (k - 1) and (k - 1) + 2m.  Energies are not
-        polynomial; 2k + m + 1 resolves them at least as well as the fields do.
+        polynomial; 2k + m + 1 resolves them at least as well as the fields do.  ``even`` rounds up, for
+        values that are kept at the points: NGSolve has spaces of these for even degrees only.
         """
         degree = max(2 * k + m + 1, 2 * m + k) + bonus
+        degree += degree % 2 if even else 0
         return cls(mesh, degree, degree)
 
     @cached_property

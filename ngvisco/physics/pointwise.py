@@ -75,7 +75,8 @@ class ExpressionResponse:
         parts = [self._batch(states[i : i + n]) for i in range(0, len(states), n)]
         if not parts:
             return Response(np.empty(0), np.empty((0, size)), np.empty((0, size, size)))
-        return Response(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+        energy, slope, hessian = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        return Response(energy, slope, hessian)
 
     def _batch(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         count = len(states)

@@ -175,6 +175,7 @@ class Simulation:
         T of the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all Pa.  The passive
         fields of the run follow under their names.
         """
+        self.rothe_step.eliminate.refresh()
         return {**output_fields(self.rothe_step), **self.passive.fields}
 
     def advance(self, stop: float = math.inf) -> dict[str, float]:
@@ -281,8 +282,9 @@ class Simulation:
             largest = math.sqrt(self.sampler.extrema(acceleration)[1])
             fall = max(fall, math.sqrt(largest * self._diameter()))
         rest = {v.name: v.from_distortion(Id(3)) for v in model.material.variables}
-        excess = model.material.energy(u.z_tensors) - model.material.energy(rest)
-        released = 2 * float(abs(self.sampler.values(excess)).max())
+        energy = self.rothe_step.energy
+        excess = energy.samples(u.z_tensors, self.sampler) - energy.samples(rest, self.sampler)
+        released = 2 * float(abs(excess).max())
         elastic = math.sqrt(released / self.sampler.extrema(u.rho)[0])
         # the smoothed upwinding spreads jumps at its width: by 1e-4 of the domain a step, at most
         return max(speed, min(max(fall, elastic), self._diameter() / self.dt)) or 1.0

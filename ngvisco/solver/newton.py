@@ -160,13 +160,15 @@ class Newton:
         eliminate: Callable[[], None],
         options: NewtonOptions,
         on_factorise: Callable[[], None] = lambda: None,
+        refresh: Callable[[], None] = lambda: None,
     ) -> None:
         """``eliminate`` recomputes the local unknowns of ``state`` from the others.
 
-        ``on_factorise`` is called with the state at which the Jacobian has just been factorised.
+        ``on_factorise`` is called with the state at which the Jacobian has just been factorised,
+        ``refresh`` before the form is used at a state that ``eliminate`` was not just called at.
         """
         self.form, self.state, self.norm, self.options = form, state, norm, options
-        self.eliminate, self.on_factorise = eliminate, on_factorise
+        self.eliminate, self.on_factorise, self.refresh = eliminate, on_factorise, refresh
         self.jacobian = CondensedJacobian(form, options.inverse)
         self._residual = state.CreateVector()
         self._trial_residual = state.CreateVector()
@@ -235,6 +237,7 @@ class Newton:
         return self.norm(self._next, self.state, coarse=True) <= self.options.tolerance
 
     def _start(self, history: list[NewtonIteration]) -> bool:
+        self.refresh()
         self.form.Apply(self.state, self._residual)
         if not np.isfinite(self._residual.Norm()):
             raise StepError("the residual at the start of the step is not finite", history)
@@ -244,6 +247,7 @@ class Newton:
         return False
 
     def _refresh(self, history: list[NewtonIteration]) -> bool:
+        self.refresh()
         try:
             self.jacobian.factorise(self.state)
         except StepError as error:

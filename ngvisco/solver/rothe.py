@@ -39,7 +39,13 @@ class RotheSolver:
         self.h_min = min(step.context.h.vec)
         self.norm = BlockNorm(step.layout.ranges, {"v": 0.0, "rho": 0.0, "z": 1.0})
         self.newton = Newton(
-            step.residual, step.state.vec, self.norm, step.eliminate, options, self._remember
+            step.residual,
+            step.state.vec,
+            self.norm,
+            step.eliminate,
+            options,
+            self._remember,
+            step.eliminate.refresh,
         )
         self._last_tau: float | None = None
         self._factorised = {name: step.state.vec.CreateVector() for name in ("state", "state_old")}
@@ -170,6 +176,7 @@ class RotheSolver:
         for name, values in arrays.items():
             getattr(step, name).vec.FV().NumPy()[:] = values
         self._set_context(numbers["t_old"], numbers["tau"])
+        step.eliminate.refresh()
         self.newton.jacobian.factorise(step.state.vec)
         self._remember()
         self._last_tau = numbers["last_tau"]
@@ -193,7 +200,12 @@ class RotheSolver:
     def _solve(self, t_old: float, tau: float) -> list[NewtonIteration]:
         self._set_context(t_old, tau)
         self.norm.units["v"] = self.h_min / tau
-        history = self.newton.solve()
+        try:
+            history = self.newton.solve()
+        except StepError as error:
+            if self.step.energy.failure is None:
+                raise
+            raise StepError(f"{error}; {self.step.energy.failure}", error.history) from error
         reason = self._defect()
         if reason is not None:
             raise StepError(f"{reason}: take a smaller step or a finer mesh", history)

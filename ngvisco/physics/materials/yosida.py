@@ -122,9 +122,9 @@ class _Approximation:
         if not solved.all():
             i = given[~solved][0]
             return (
-                f"{text}no minimiser found at {int((~solved).sum())} points, e.g. for the components "
-                f"{np.array2string(states[i], precision=4)}: the energy is not convex, or not singular where it "
-                "ends"
+                f"{text}no minimiser at {int((~solved).sum())} points, e.g. for the components "
+                f"{np.array2string(states[i], precision=4)}: the energy is not convex, or not "
+                "singular where it ends"
             )
         if not definite.all():
             i = given[solved][~definite][0]
