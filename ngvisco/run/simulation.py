@@ -23,7 +23,8 @@ from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
 from ngvisco.forms.walls import Conditions
 from ngvisco.physics.convexity import check_convexity
-from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, WithQuadratic, Yosida
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
@@ -109,7 +110,7 @@ class Simulation:
             raise ParameterError("Simulation.dt", dt, "a finite number > 0")
         if velocity_scale is not None and not (_is_number(velocity_scale) and velocity_scale > 0):
             raise ParameterError("Simulation.velocity_scale", velocity_scale, "a number > 0")
-        if isinstance(model.material, (CustomMaterial, IsotropicStrainEnergy)):
+        if isinstance(_innermost(model.material), (CustomMaterial, IsotropicStrainEnergy)):
             check_convexity(model.material, dim=mesh.dim)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping)
@@ -293,3 +294,10 @@ class Simulation:
         """Diagonal of the mesh's bounding box, m."""
         points = np.array([vertex.point for vertex in self.mesh.vertices])
         return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
+
+
+def _innermost(material: Material) -> Material:
+    """What the regularising wrappers hold in the end."""
+    while isinstance(material, (WithQuadratic, Yosida)):
+        material = material.material
+    return material

@@ -200,12 +200,15 @@ class RotheSolver:
     def _solve(self, t_old: float, tau: float) -> list[NewtonIteration]:
         self._set_context(t_old, tau)
         self.norm.units["v"] = self.h_min / tau
+        energy = self.step.energy
         try:
             history = self.newton.solve()
         except StepError as error:
-            if self.step.energy.failure is None:
+            if energy.failure is None:
                 raise
-            raise StepError(f"{error}; {self.step.energy.failure}", error.history) from error
+            raise StepError(f"{error}; {energy.failure}", error.history) from error
+        if energy.failure is not None:  # of the last increment, which is added without a test
+            raise StepError(energy.failure, history)
         reason = self._defect()
         if reason is not None:
             raise StepError(f"{reason}: take a smaller step or a finer mesh", history)
