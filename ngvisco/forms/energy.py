@@ -37,7 +37,9 @@ class StoredEnergy:
     """phi and phi' of a material that has an expression for phi."""
 
     failure: str | None = None
-    """Why the energy is not a number somewhere, as far as is known."""
+    """Why the energy is not a number somewhere at the state of the last ``refresh``."""
+    last_failure: str | None = None
+    """The same of any state since it was set to None."""
     projected: GridFunction | None = None
     """The cellwise projection of the energy, where it has no values but at the quadrature points."""
 
@@ -144,6 +146,7 @@ class PointwiseEnergy(StoredEnergy):
 
     def _store(self, response: Response) -> None:
         self.failure = response.failure
+        self.last_failure = response.failure or self.last_failure
         _array(self._energy)[0] = response.energy
         _array(self._slope)[:] = response.slope.T
         _array(self._hessian)[:] = response.hessian.reshape(len(response.energy), -1).T

@@ -201,7 +201,8 @@ class Newton:
                 # NaN where an increment is not finite, which passes no test below
                 contraction = self.norm(self._next, self._base, u) / size if size != 0 else 0.0
             history.append(NewtonIteration(size, contraction, damping, fresh))
-            stalled = fresh and contraction > options.refresh
+            # not where the residual is no number: the next increment is then an old one
+            stalled = fresh and options.refresh < contraction < np.inf
             if damping == 1.0 and (next_size <= options.tolerance or (stalled and self._is_rounding())):
                 if contraction < 1:
                     u.data -= self._next

@@ -201,12 +201,13 @@ class RotheSolver:
         self._set_context(t_old, tau)
         self.norm.units["v"] = self.h_min / tau
         energy = self.step.energy
+        energy.last_failure = None
         try:
             history = self.newton.solve()
         except StepError as error:
-            if energy.failure is None:
+            if energy.last_failure is None:
                 raise
-            raise StepError(f"{error}; {energy.failure}", error.history) from error
+            raise StepError(f"{error}; {energy.last_failure}", error.history) from error
         if energy.failure is not None:  # of the last increment, which is added without a test
             raise StepError(energy.failure, history)
         reason = self._defect()
