@@ -105,8 +105,7 @@ class _Approximation:
             where, z, S, H, system = (a[definite] for a in (where, z, S, H, system))
             H = np.linalg.solve(system, H)
             H = 0.5 * (H + H.transpose(0, 2, 1))
-            # phi'(y), corrected by one step for the rounding in y: neither loses digits as (z - y)/eps does
-            # for small eps, nor as phi'(y) does for large phi''
+            # phi'(y), which loses no digits for small eps as (z - y)/eps does, corrected for the rounding in y
             rest = z - y[solved][definite] - self.eps * S
             S = S + np.einsum("nij,nj->ni", H, rest)
             energy[where] = at_y.energy[solved][definite] + 0.5 * self.eps * np.einsum("ni,ni->n", S, S)
