@@ -105,7 +105,7 @@ class _Approximation:
             where, z, S, H, system = (a[definite] for a in (where, z, S, H, system))
             H = np.linalg.solve(system, H)
             H = 0.5 * (H + H.transpose(0, 2, 1))
-            # phi'(y), which loses no digits for small eps as (z - y)/eps does, corrected for the rounding in y
+            # phi'(y) loses no digits for small eps, as (z - y)/eps does; corrected for the rounding in y
             rest = z - y[solved][definite] - self.eps * S
             S = S + np.einsum("nij,nj->ni", H, rest)
             energy[where] = at_y.energy[solved][definite] + 0.5 * self.eps * np.einsum("ni,ni->n", S, S)
