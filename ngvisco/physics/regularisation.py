@@ -1,9 +1,9 @@
 """The regularisations of the paper's discrete scheme, each off by default.
 
 (paper: Euler-small-viscoelastodyn+disc, Euler-large-viscoelastodyn+disc.)  Those that change the stored
-energy are materials of their own: ``WithQuadratic`` wraps any material, and the linear
-continuation of a singular part is the parameter ``J_min`` of the materials that have one.  Gravity is
-averaged over the step in every run.
+energy are materials of their own: ``WithQuadratic`` and ``Yosida`` wrap any material, also one another, and
+the linear continuation of a singular part is the parameter ``J_min`` of the materials that have one.
+Gravity is averaged over the step in every run.
 """
 
 from __future__ import annotations

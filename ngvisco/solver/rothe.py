@@ -102,7 +102,15 @@ class RotheSolver:
 
     def _coupled(self, on_factorise: Callable[[], None]) -> Newton:
         step = self.step
-        return Newton(step.residual, step.state.vec, self.norm, step.eliminate, self.options, on_factorise)
+        return Newton(
+            step.residual,
+            step.state.vec,
+            self.norm,
+            step.eliminate,
+            self.options,
+            on_factorise,
+            step.eliminate.refresh,
+        )
 
     def _solve_directly(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
         """Solve the step from the present state, and record the iterations, also failed ones."""
@@ -194,6 +202,7 @@ class RotheSolver:
         for name, values in arrays.items():
             getattr(step, name).vec.FV().NumPy()[:] = values
         self._set_context(numbers["t_old"], numbers["tau"])
+        step.eliminate.refresh()
         self.newton.jacobian.factorise(step.state.vec)
         self._remember()
         self._last_tau = numbers["last_tau"]
@@ -217,7 +226,16 @@ class RotheSolver:
     def _solve(self, t_old: float, tau: float) -> list[NewtonIteration]:
         self._set_context(t_old, tau)
         self.norm.units["v"] = self.h_min / tau
-        history = self.newton.solve()
+        energy = self.step.energy
+        energy.last_failure = None
+        try:
+            history = self.newton.solve()
+        except StepError as error:
+            if energy.last_failure is None:
+                raise
+            raise StepError(f"{error}; {energy.last_failure}", error.history) from error
+        if energy.failure is not None:  # of the last increment, which is added without a test
+            raise StepError(energy.failure, history)
         reason = self._defect()
         if reason is not None:
             raise StepError(f"{reason}: take a smaller step or a finer mesh", history)
