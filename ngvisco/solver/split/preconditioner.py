@@ -62,10 +62,12 @@ class Preconditioner:
         self.plain, matrix = self.tangent.matrices()
         self.solver.factorise(matrix)
         self.sweep.update()
-        self.linearise()
+        if self.hyper is not None:
+            self.hyper.linearise()
 
     def linearise(self) -> None:
-        """Let the hyperviscosity's derivative follow the present state, at little cost."""
+        """Let what is strongly nonlinear follow the present state, at little cost."""
+        self.sweep.linearise()
         if self.hyper is not None:
             self.hyper.linearise()
 
