@@ -61,7 +61,7 @@ SCRIPTS = {
     "mooney_rivlin": lambda demo: demo.simulation(maxh=0.6),
     "couette": lambda demo: demo.simulation(maxh=0.7),
     "creep": lambda demo: demo.simulation(maxh=0.6),
-    "shear": lambda demo: demo.simulation(stepping=nv.AdaptiveSteps(dt_min=8.25e-7, dt_max=0.01, patience=400)),
+    "shear": lambda demo: demo.simulation(stepping=demo.GROWING),
     "shell": lambda demo: demo.simulation(maxh=0.7),
     "swirl": lambda demo: demo.simulation(maxh=0.35),
     "swirl3d": lambda demo: demo.simulation(maxh=0.9),

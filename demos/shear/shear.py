@@ -15,7 +15,8 @@ from ngvisco.run.plots import figure
 
 RATE, G, ETA = 0.3, 100.0, 100.0  # 1/s, Pa, Pa s
 TIMES = (0.01, 0.02, 0.1, 0.25, 0.5, 1.0, 2.0)  # s
-DT, PATIENCE = 1.65e-6, 400  # first step, s, and after how many it is doubled: dt is t/800 to t/400
+DT = 1.65e-6  # first step, s; doubled after every 400 steps, so that dt is t/800 to t/400
+GROWING = nv.AdaptiveSteps(dt_min=DT / 2, dt_max=0.01, patience=400)
 
 
 def exact(t: np.ndarray) -> np.ndarray:
@@ -43,7 +44,7 @@ def stress(run: nv.Simulation) -> tuple[float, float]:
 def main(directory: str = "results/shear") -> tuple[nv.Simulation, np.ndarray]:
     Path(directory).mkdir(parents=True, exist_ok=True)
     SetNumThreads(1)  # a second one only waits on four cells
-    run = simulation(stepping=nv.AdaptiveSteps(dt_min=DT / 2, dt_max=0.01, patience=PATIENCE))
+    run = simulation(stepping=GROWING)
     curve = []
     for t in TIMES:
         run.run(t)

@@ -24,7 +24,7 @@ from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
-from ngvisco.forms.walls import Impenetrability
+from ngvisco.forms.wall_terms import Impenetrability
 from ngvisco.physics.material import components_of, conjugates
 from ngvisco.physics.model import VectorLike, as_vector
 from ngvisco.physics.tensors import inner, square, tensor_space

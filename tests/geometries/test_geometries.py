@@ -48,7 +48,7 @@ def test_measure_and_walls_are_those_of_the_domain(name):
 
 @pytest.mark.parametrize("periodic", ["x", "y", "xy", "xyz"])
 def test_identified_walls_have_pairs(periodic):
-    from ngvisco.forms.walls import periodic_boundaries
+    from ngvisco.forms.boundaries import periodic_boundaries
 
     mesh = g.box((1, 1, 1) if "z" in periodic else (1, 1), 0.6, periodic=periodic)
     planes = {"x": {"left", "right"}, "y": {"bottom", "top"}}
