@@ -1,5 +1,4 @@
 """Simple shear of a Zaremba-Jaumann Maxwell fluid between sliding walls, against its exact solution.
-
 Run with ``python demos/shear/shear.py [output directory]``; needs the extra ``plots``.
 """
 

@@ -176,18 +176,18 @@ def test_velocity_is_wrong_on_polygons():
     assert np.log2(errors[1] / errors[2]) < 1.7
 
 
-@pytest.mark.long
-@pytest.mark.timeout(3600)  # 6,848 curved tetrahedra
+@pytest.mark.long  # 107, 856 and 6,848 curved tetrahedra; half a minute
 def test_velocity_rate_on_a_sphere_is_k_plus_a_half():
-    """Measured 2.58 between the first and the second refinement (P_{k-1} has rate 1.9 and locks)."""
+    """Measured 2.16 and 2.59 (P_{k-1} has rate 1.9 and locks)."""
     velocity, errors = (-y * exp(x), x * exp(x), 0 * x), []
-    for times in (1, 2):
+    for times in (0, 1, 2):
         mesh = sphere(1, 1.0)  # a new one: spaces on a mesh do not survive its refinement
         for _ in range(times):
             mesh.Refine()
         mesh.Curve(3)
         errors.append(projection_error(mesh, 2, velocity))
-    assert np.log2(errors[0] / errors[1]) > 2.4
+    assert np.log2(errors[0] / errors[1]) > 2.0
+    assert np.log2(errors[1] / errors[2]) > 2.4
 
 
 @pytest.mark.long
