@@ -22,6 +22,7 @@ from ngvisco.forms.boundaries import (
     pattern,
     periodic_boundaries,
 )
+from ngvisco.forms.kinks import require_curved_cells
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.walls import NoSlip, PrescribedTangential, Slip, Traction, Wall
 
@@ -43,6 +44,8 @@ class Walls:
         For a name that the mesh does not have.
     ParameterError
         If a boundary is given two conditions, is periodic, or the condition is no Wall.
+    MeshError
+        If a wall that has to be curved is not (``kinks``).
     """
 
     def __init__(self, mesh: Mesh, conditions: Conditions | None = None) -> None:
@@ -62,6 +65,7 @@ class Walls:
         fixed = self._having(NoSlip, PrescribedTangential)
         self.multiplied = [n for n in self.oblique if n in self.conditions and n not in fixed]
         """Oblique or curved walls, where v.n = 0 is held by a multiplier."""
+        require_curved_cells(mesh, [n for n in self.multiplied if not self.conditions[n].straight])
         for name, wall in self.conditions.items():
             if isinstance(wall, PrescribedTangential):
                 as_vector(wall.velocity, mesh.dim, f"walls[{name!r}].velocity")
