@@ -1,8 +1,10 @@
-"""Straight facets where a wall is curved: v.n = 0 on them has a wrong limit, with an error of order one.
+"""Straight facets where a wall is curved: v.n = 0 on them is a wrong condition.
 
-On a polygon that approaches a curved wall, a continuous velocity with v.n = 0 on every side vanishes at
-all corners, and in the limit on the whole wall (Babuska): slip turns into no slip, and no refinement helps.
-A polyhedron cannot be told from an approximation of a curved wall with certainty.  What is looked at is
+A continuous velocity with v.n = 0 on every side of a polygon vanishes at all corners, and in the limit on
+the whole wall that the polygon approaches (Babuska): slip turns into no slip, and refinement does not help.
+Measured on polygons in a disc: with k = 3 rates 1.3 of v and 0.6 of grad v; with k = 2, where only the mean
+of v.n vanishes on each side, 2.4 and 2, and the geometry's error is left.  A polyhedron cannot be told
+from an approximation of a curved wall with certainty.  What is looked at is
 the angle between the normals of neighbouring facets of one wall, where they meet: on curved cells it is
 far smaller than that between the straight facets of the same vertices, on straight ones the same.
 """
@@ -55,7 +57,7 @@ def require_curved_cells(mesh: Mesh, names: Iterable[str]) -> None:
             worst = max(angles)
             raise MeshError(
                 f"wall {name!r} is bent by {np.rad2deg(worst):.3g} degrees between straight facets, like a "
-                "polygon that stands for a curved wall: there v.n = 0 turns into no slip, however fine "
+                "polygon that stands for a curved wall: there v.n = 0 tends to no slip, however fine "
                 "the mesh; expected curved cells, mesh.Curve(order) on a mesh that knows its geometry (as "
                 "the functions of geometries do). If the wall really is a polyhedron, give its planes "
                 "names of their own, or say so by Slip(straight=True) for it"

@@ -123,13 +123,15 @@ def test_rates_on_a_disc_with_slip_are_k_plus_1_and_m_plus_1() -> None:
     decay_rates(2, meshes, ROOTS[2]).require(v=2.7, E=1.85)
 
 
-def test_rates_on_a_disc_with_traction() -> None:
-    decay_rates(2, (disc(1, maxh) for maxh in (0.6, 0.3, 0.15)), 2.0).require(v=2.6, E=1.8)
+def test_rates_on_a_disc_with_traction_are_k_plus_1_and_m_plus_1() -> None:
+    """Measured 2.95 and 2.02; a multiplier in P_{k-1} at the wall gives 2.54 and 1.55."""
+    decay_rates(2, (disc(1, maxh) for maxh in (0.5, 0.25, 0.125)), 2.0).require(v=2.8, E=1.9)
 
 
-@pytest.mark.long
+@pytest.mark.long  # two minutes
 def test_rates_on_a_sphere_with_traction() -> None:
-    decay_rates(3, (sphere(1, maxh) for maxh in (0.5, 0.35, 0.27)), 2.0).require(v=2.4, E=1.6)
+    """Measured 4.43 and 3.06 (v), 3.46 and 2.14 (E), on 107, 270 and 615 cells."""
+    decay_rates(3, (sphere(1, maxh) for maxh in (0.5, 0.35, 0.27)), 2.0).require(v=2.7, E=1.85)
 
 
 @pytest.mark.long  # two minutes; a wave and a half over the diameter, which 107 cells hardly hold
