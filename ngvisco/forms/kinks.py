@@ -11,7 +11,7 @@ far smaller than that between the straight facets of the same vertices, on strai
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from itertools import combinations
 from typing import Any
 
@@ -36,7 +36,7 @@ from ngvisco.errors import MeshError
 
 _FLAT = 1e-4  # rad: of facets in one plane, whose coordinates were rounded
 _CORNER = np.deg2rad(59.0)  # angles above are corners of the domain, not of its approximation
-_CURVED = 0.5  # share of the angle between chords that may be left where curved facets meet; or else 1
+_CURVED = 0.5  # share of the chords' angles that may be left; straight facets keep all
 
 _TRIANGLE = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]
 _CORNERS: dict[Any, list[Any]] = {
@@ -52,9 +52,9 @@ def require_curved_cells(mesh: Mesh, names: Iterable[str]) -> None:
     Facets of different names are not compared: planes with names of their own may meet at any angle.
     """
     for name in names:
-        angles = list(_kinks(mesh, name))
-        if angles:
-            worst = max(angles)
+        chords, left = _kinks(mesh, name)
+        if sum(left) > _CURVED * sum(chords):
+            worst = max(chords)
             raise MeshError(
                 f"wall {name!r} is bent by {np.rad2deg(worst):.3g} degrees between straight facets, like a "
                 "polygon that stands for a curved wall: there v.n = 0 tends to no slip, however fine "
@@ -64,8 +64,11 @@ def require_curved_cells(mesh: Mesh, names: Iterable[str]) -> None:
             )
 
 
-def _kinks(mesh: Mesh, name: str) -> Iterator[float]:
-    """Angles between neighbouring facets of a wall that are neither flat nor a corner nor smooth."""
+def _kinks(mesh: Mesh, name: str) -> tuple[list[float], list[float]]:
+    """Angles between neighbouring facets of a wall, of their chords and of the facets where they meet.
+
+    Facets in one plane and those that form a corner are left out.
+    """
     elements = [e for e in mesh.Elements(BND) if e.mat == name]
     facets = [(e.edges if mesh.dim == 2 else e.faces)[0].nr for e in elements]
     means = _mean_normals(mesh)[facets]
@@ -79,6 +82,7 @@ def _kinks(mesh: Mesh, name: str) -> Iterator[float]:
         return np.sign(n @ means[i]) * n
 
     near: dict[int, list[int]] = {}
+    result: tuple[list[float], list[float]] = ([], [])
     for i, e in enumerate(elements):
         for part in e.vertices if mesh.dim == 2 else e.edges:
             near.setdefault(part.nr, []).append(i)
@@ -88,9 +92,9 @@ def _kinks(mesh: Mesh, name: str) -> Iterator[float]:
             if not _FLAT < angle < _CORNER:
                 continue
             ends = {v.nr for v in elements[i].vertices} & {v.nr for v in elements[j].vertices}
-            local = [_angle(outward(i, end), outward(j, end)) for end in ends]
-            if np.mean(local) > _CURVED * angle:
-                yield angle
+            result[0].append(angle)
+            result[1].append(float(np.mean([_angle(outward(i, end), outward(j, end)) for end in ends])))
+    return result
 
 
 def _chord_normal(mesh: Mesh) -> Callable[[Any], np.ndarray]:
