@@ -57,26 +57,26 @@ def test_rounded_rectangle_with_a_hole(k):
 
 
 def part():
-    """A box of 1 x 0.8 x 1 with all edges rounded and a hole along y, by OCC."""
-    solid = occ.Box(occ.Pnt(0, 0, 0), occ.Pnt(1, 0.8, 1))
+    """A box of 1 x 0.3 x 1 with the edges along y rounded and a hole along y, by OCC."""
+    solid = occ.Box(occ.Pnt(0, 0, 0), occ.Pnt(1, 0.3, 1))
     for name, direction in (("left", -occ.X), ("right", occ.X), ("bottom", -occ.Z), ("top", occ.Z)):
         solid.faces.Max(direction).name = name
-    solid = solid.MakeFillet(solid.edges, 0.3)
+    solid = solid.MakeFillet([edge for edge in solid.edges if abs(edge.center.y - 0.15) < 1e-9], 0.3)
     for face in solid.faces:
-        if face.name is None:  # the fillets of the corners
-            face.name = "fillet"
-    hole = occ.Cylinder(occ.Pnt(0.5, 0, 0.5), occ.Y, r=0.15, h=1)
+        if face.name not in ("left", "right", "bottom", "top"):
+            face.name = "sides" if abs(abs(face.center.y - 0.15) - 0.15) < 1e-9 else "fillet"
+    hole = occ.Cylinder(occ.Pnt(0.5, 0, 0.5), occ.Y, r=0.2, h=1)
     hole.faces.name = "hole"
     return solid - hole
 
 
-@pytest.mark.long  # 460 cells
+@pytest.mark.long  # 85 cells
 @pytest.mark.ci
 def test_filleted_part_with_a_hole():
     shape = part()
-    options = {"curvaturesafety": 1.2, "grading": 0.5, "segmentsperedge": 0.5}  # coarser than by default
+    options = {"curvaturesafety": 1.2, "grading": 0.7, "segmentsperedge": 0.5}  # coarser than by default
     mesh = Mesh(occ.OCCGeometry(shape).GenerateMesh(maxh=1.0, **options)).Curve(3)
-    assert Integrate(CF(1.0), mesh) == pytest.approx(shape.mass, rel=1e-3)
+    assert Integrate(CF(1.0), mesh) == pytest.approx(shape.mass, rel=2e-3)
     initial = nv.Initial(density=1 + 0.2 * x, velocity=(z - 0.5, 0 * x, 0.5 - x))
     run = nv.Simulation(mesh, model(3), dt=0.02, initial=initial, discretisation=nv.Discretisation(m=0))
     run.run(0.04)
