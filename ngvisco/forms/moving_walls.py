@@ -5,13 +5,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from ngsolve import BND, BaseVector, CoefficientFunction, GridFunction, Integrate, specialcf
+from ngsolve import (
+    BND,
+    BaseMatrix,
+    BaseVector,
+    BilinearForm,
+    BitArray,
+    CoefficientFunction,
+    GridFunction,
+    Integrate,
+    LinearForm,
+    ds,
+    specialcf,
+)
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.boundaries import pattern
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.walls import Walls
 from ngvisco.physics.model import as_vector
+from ngvisco.physics.tensors import inner
 from ngvisco.physics.walls import PrescribedTangential
 
 _OPEN = 1e-3  # |V.n|^2/|V|^2 that the geometry's approximation may leave of a tangential velocity
@@ -28,6 +41,7 @@ class MovingWalls:
         self.walls, self.layout, self.state = walls, layout, state
         mesh = walls.mesh
         self._values = GridFunction(layout.blocks["v"])
+        self._inverses: dict[str, BaseMatrix] = {}
         self.fixed = self._constrained(layout, walls.dirichlet)
         self.zero = self._constrained(layout, walls.homogeneous)
         self.moving: dict[str, tuple[CoefficientFunction, np.ndarray]] = {}
@@ -74,8 +88,25 @@ class MovingWalls:
                 "a tangential velocity: every wall is impenetrable, inflow and outflow are not modelled",
             )
         self._values.vec[:] = 0.0
-        self._values.Set(velocity - normal * n, definedon=region)
+        if self.layout.periodic:
+            self._project(name, velocity - normal * n)
+        else:
+            self._values.Set(velocity - normal * n, definedon=region)
         return self._values.vec.FV().NumPy()
+
+    def _project(self, name: str, velocity: CoefficientFunction) -> None:
+        """The L2 projection on the wall: ``Set`` counts a vertex twice in a facet that meets its image."""
+        space, region = self._values.space, self.walls.mesh.Boundaries(pattern([name]))
+        trial, test = space.TnT()
+        if name not in self._inverses:
+            mass = BilinearForm(space, check_unused=False)
+            mass += inner(trial, test) * ds(definedon=region)
+            on_wall = self._constrained(self.layout, (pattern([name]),) * self.walls.mesh.dim)
+            active = BitArray(list(map(bool, on_wall)))
+            self._inverses[name] = mass.Assemble().mat.Inverse(active, inverse="umfpack")
+        load = LinearForm(space)
+        load += inner(velocity, test) * ds(definedon=region)
+        self._values.vec.data = self._inverses[name] * load.Assemble().vec
 
     def reaction_power(self, residual: BaseVector, name: str) -> float:
         """Power of the reaction on a moving wall, W, from the residual of the solved step."""

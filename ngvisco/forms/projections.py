@@ -87,21 +87,21 @@ def project_velocity(
     layout: Layout,
     state: GridFunction,
     v_0: CoefficientFunction,
-    term: Impenetrability,
+    term: Impenetrability | None,
     quadrature: Quadrature,
 ) -> None:
     """v as the L2 projection of v_0 on the velocities with (v.n, mu) = 0 for all multipliers mu.
 
-    Prescribed coefficients of v are kept as they are.
+    Prescribed coefficients of v are kept as they are; ``term`` is None where there are no multipliers.
     """
-    names = ("v", "wall_stress")
+    names = ("v",) if term is None else ("v", "wall_stress")
     space = FESpace([layout.blocks[name] for name in names])
     trial, test = space.TnT()
     u, w = (Fields(layout, dict(zip(names, parts, strict=True))) for parts in (trial, test))
     mass, load = BilinearForm(space), LinearForm(space)
     mass += inner(u.v, w.v) * quadrature.cells
     load += inner(CF(v_0), w.v) * quadrature.cells
-    for part in term.form(u, w):
+    for part in term.form(u, w) if term is not None else ():
         mass += part.facets * quadrature.facets
     mass.Assemble()
     load.Assemble()
