@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from netgen.occ import Box, Pnt, Rectangle
 from ngsolve import BND, CF, Integrate
@@ -65,7 +66,33 @@ def test_refinement_is_local():
     assert edges[2] > 2.5 * edges[0] and edges[3] < 1.5 * edges[1]
 
 
-def test_boundary_layer_is_bisected_and_stays_round():
+@pytest.mark.parametrize(
+    ("make", "wall"),
+    [(lambda: g.disc(1, 0.5), "wall"), (lambda: g.box((1, 1, 1), 1.0), "bottom")],
+    ids=["2D", "3D"],
+)
+def test_boundary_layer_is_bisected_towards_the_wall(make, wall):
+    """The height of the cells at the wall is halved each time, by fewer cells than halving all takes."""
+
+    def height(mesh):
+        """Mean height over the wall of the cells that have a facet on it."""
+        areas = np.array(Integrate(CF(1.0), mesh, BND, element_wise=True))
+        volumes = np.array(Integrate(CF(1.0), mesh, element_wise=True))
+        kind = (lambda e: e.edges) if mesh.dim == 2 else (lambda e: e.faces)
+        owner = {f.nr: e.nr for e in mesh.Elements() for f in kind(e)}
+        on_wall = [e for e in mesh.Elements(BND) if e.mat == wall]
+        return np.mean([mesh.dim * volumes[owner[kind(e)[0].nr]] / areas[e.nr] for e in on_wall])
+
+    meshes = [make() for _ in range(3)]
+    for times, mesh in enumerate(meshes[1:], start=1):
+        g.refine_walls(mesh, wall, times=times)
+    heights = [height(mesh) for mesh in meshes]
+    assert heights[1] == pytest.approx(heights[0] / 2, rel=0.1)
+    assert heights[2] == pytest.approx(heights[0] / 4, rel=0.15)
+    assert meshes[2].ne < 0.75 * meshes[0].ne * 4 ** meshes[0].dim
+
+
+def test_boundary_layer_stays_round():
     mesh = g.disc(1, 0.5)
     before = mesh.ne
     assert g.refine_walls(mesh, "wall", times=2).ne > 3 * before
