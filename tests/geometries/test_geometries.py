@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from netgen.occ import Box, Pnt, Rectangle
+from netgen.occ import Axis, Box, Circle, Pnt, Rectangle, X
 from ngsolve import BND, CF, Integrate
 
 from ngvisco import MeshError, ParameterError, UnknownNameError
@@ -189,9 +189,22 @@ def test_files_missing_or_cut_short_raise(name, tmp_path):
         g.load(path, maxh=1.0)
 
 
+@pytest.mark.parametrize("ending", ["step", "brep"])
+def test_a_sheet_in_the_plane_gives_a_curved_mesh_in_2d(ending, tmp_path):
+    sheet = Rectangle(2, 1).Face() - Circle((1, 0.5), 0.3).Face()
+    path = tmp_path / f"sheet.{ending}"
+    (sheet.WriteStep if ending == "step" else sheet.WriteBrep)(str(path))
+    mesh = g.load(path, maxh=0.3)
+    assert mesh.dim == 2
+    assert Integrate(CF(1.0), mesh) == pytest.approx(2 - 0.09 * math.pi, rel=5e-5)
+
+
 def test_a_surface_has_no_volume_elements(tmp_path):
+    tilted = Rectangle(1, 1).Face().Rotate(Axis(Pnt(0, 0, 0), X), 30)
+    for name, sheet in (("tilted", tilted), ("lifted", Rectangle(1, 1).Face().Move((0, 0, 0.5)))):
+        sheet.WriteStep(str(tmp_path / f"{name}.step"))
+        with pytest.raises(MeshError, match="faces in the plane z = 0"):
+            g.load(tmp_path / f"{name}.step", maxh=0.5)
     Rectangle(1, 1).Face().WriteStep(str(tmp_path / "sheet.step"))
-    with pytest.raises(MeshError, match="no volume elements"):
-        g.load(tmp_path / "sheet.step", maxh=0.5)
     with pytest.raises(ParameterError, match="maxh"):
         g.load(tmp_path / "sheet.step")
