@@ -13,15 +13,17 @@ from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
 from ngvisco.solver.newton import BlockNorm, Newton, NewtonIteration, NewtonOptions
 
-WIDEST = 100.0
-"""Width of the smoothed upwinding, in units of the scheme's, from which it is narrowed for start values.
+WIDE, WIDEST = 1e2, 1e4
+"""Widths of the smoothed upwinding, in units of the scheme's, from which it is narrowed for start values.
 
 Where v.n changes sign on a facet within the step, the elastic force jumps by [z]:[zeta] across that
 width: the sharp problem can have a fold between the old state and the solution, the soft one has none.
+The widest is about the run's velocity: the upwinding is then nearly central, and steps of growing
+length lead from the old state to tau also where creep is stiff and z jumps from cell to cell.
 """
 
 MAX_CONTINUATION = 20
-"""Shorter steps tried for start values, when tau itself does not converge from the old state."""
+"""Values of a parameter tried on the way to a start value."""
 
 
 class RotheSolver:
@@ -72,7 +74,7 @@ class RotheSolver:
                     if not with_continuation:
                         raise
                     self._restore(step.state_old.vec)
-            self._continue(t_old, tau, history)
+            self._lengthen(t_old, tau, history)
             return history
         except BaseException as error:  # also an interrupt: never leave an iterate behind
             self.undo(t_old)
@@ -92,54 +94,63 @@ class RotheSolver:
         """Solve the step with wide upwinding and narrow it to the scheme's."""
         eta = self.step.context.eta
         width = eta.Get()
-        guess = self.step.state.vec.CreateVector()
-        guess.data = self.step.state.vec
-        solved, factor, ratio = math.inf, WIDEST, 10.0
-        failure: StepError | None = None
+
+        def solve(factor: float) -> None:
+            eta.Set(factor * width)
+            try:
+                self._solve_directly(t_old, tau, history)
+            except StepError:
+                if factor < WIDEST:
+                    raise
+                self._restore(self.step.state_old.vec)
+                self._lengthen(t_old, tau, history)
+
         try:
-            for _ in range(MAX_CONTINUATION):
-                self._restore(guess)
-                eta.Set(factor * width)
-                try:
-                    history += self._solve(t_old, tau)
-                except StepError as error:
-                    failure = error
-                    history += error.history
-                    if solved == math.inf:
-                        break
-                    ratio = math.sqrt(ratio)
-                else:
-                    if factor == 1.0:
-                        return
-                    guess.data = self.step.state.vec
-                    solved = factor
-                factor = max(1.0, solved / ratio)
-            assert failure is not None
-            raise StepError(str(failure))
+            self._follow(solve, first=WIDE, retreat=WIDEST / WIDE, furthest=WIDEST, ratio=0.1)
         finally:
             eta.Set(width)
 
-    def _continue(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
+    def _lengthen(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
         """Solve steps of growing length from t_old, each the start value of the next, up to tau."""
-        guess = self.step.state_old.vec.CreateVector()
-        guess.data = self.step.state_old.vec
-        solved, fraction = 0.0, 0.25
+
+        def solve(fraction: float) -> None:
+            self._solve_directly(t_old, fraction * tau, history)
+
+        self._follow(solve, first=0.25, retreat=1 / 8, furthest=0.0, ratio=4.0)
+
+    def _follow(
+        self, solve: Callable[[float], None], first: float, retreat: float, furthest: float, ratio: float
+    ) -> None:
+        """Solve for a parameter that goes to 1 by factors of at most ``ratio``, each from the one before.
+
+        While nothing is solved, ``first`` is multiplied by ``retreat``, up to ``furthest``.
+        """
+        guess = self.step.state.vec.CreateVector()
+        guess.data = self.step.state.vec
+        value, solved, power = first, 0.0, 1.0
         failure: StepError | None = None
         for _ in range(MAX_CONTINUATION):
             self._restore(guess)
             try:
-                history += self._solve(t_old, fraction * tau)
+                solve(value)
             except StepError as error:
                 failure = error
-                history += error.history
-                fraction = math.sqrt(solved * fraction) if solved else fraction / 8
-                continue
-            if fraction == 1.0:
-                return
-            guess.data = self.step.state.vec
-            solved, fraction = fraction, min(1.0, 4 * fraction)
+                if not solved and value == furthest:
+                    break
+                if not solved:
+                    value *= retreat
+                    continue
+                power /= 2
+            else:
+                if value == 1.0:
+                    return
+                guess.data = self.step.state.vec
+                solved, power = value, min(1.0, 1.5 * power)
+            value = solved * ratio**power
+            if (value < 1.0) == (ratio < 1.0):  # at or beyond the end of the way
+                value = 1.0
         assert failure is not None
-        raise failure
+        raise StepError(str(failure))
 
     def undo(self, t_old: float) -> None:
         """Put both grid functions into the state before the last ``advance``, at ``t_old``."""
