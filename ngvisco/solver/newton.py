@@ -174,8 +174,14 @@ class Newton:
         self._next = state.CreateVector()
         self._base = state.CreateVector()
 
-    def solve(self) -> list[NewtonIteration]:
+    def solve(self, full_steps: int | None = None) -> list[NewtonIteration]:
         """Iterate from the present state to a solution; returns the history.
+
+        Parameters
+        ----------
+        full_steps : int, optional
+            Take at most so many full steps whatever the increments, as for a semismooth equation, in
+            place of damped ones: they may lead to a solution that no path of smaller increments joins.
 
         Raises
         ------
@@ -186,7 +192,7 @@ class Newton:
         options, u, jacobian = self.options, self.state, self.jacobian
         fresh = self._start(history)
         damping, reason = 1.0, "too many iterations"
-        while len(history) < options.max_iterations:
+        while len(history) < (full_steps or options.max_iterations):
             self._base.data = u
             u.data -= damping * self._increment
             self.eliminate()
@@ -205,7 +211,7 @@ class Newton:
                     u.data -= self._next
                     self.eliminate()
                 return history
-            if not contraction <= 1 - damping / 4:
+            if not contraction <= (np.finfo(float).max if full_steps else 1 - damping / 4):
                 u.data = self._base
                 if not fresh:
                     fresh = self._refresh(history)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -24,6 +23,13 @@ length lead from the old state to tau also where creep is stiff and z jumps from
 
 MAX_CONTINUATION = 20
 """Values of a parameter tried on the way to a start value."""
+
+FULL_STEPS = 12
+"""Undamped Newton steps tried from a soft solution to the sharp one, where the way between them folds.
+
+Across a fold the sign of v.n changes on a facet: the sharp equation is nearly piecewise smooth, and full
+steps change such signs as damped ones cannot.
+"""
 
 
 class RotheSolver:
@@ -82,10 +88,12 @@ class RotheSolver:
                 raise StepError(f"step of length {tau:g} s from t = {t_old:g} s: {error}", history) from error
             raise
 
-    def _solve_directly(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
+    def _solve_directly(
+        self, t_old: float, tau: float, history: list[NewtonIteration], full_steps: int | None = None
+    ) -> None:
         """Solve the step from the present state, and record the iterations, also failed ones."""
         try:
-            history += self._solve(t_old, tau)
+            history += self._solve(t_old, tau, full_steps)
         except StepError as error:
             history += error.history
             raise
@@ -105,8 +113,12 @@ class RotheSolver:
                 self._restore(self.step.state_old.vec)
                 self._lengthen(t_old, tau, history)
 
+        def leap() -> None:
+            eta.Set(width)
+            self._solve_directly(t_old, tau, history, FULL_STEPS)
+
         try:
-            self._follow(solve, first=WIDE, retreat=WIDEST / WIDE, furthest=WIDEST, ratio=0.1)
+            self._follow(solve, first=WIDE, retreat=WIDEST / WIDE, furthest=WIDEST, ratio=0.1, leap=leap)
         finally:
             eta.Set(width)
 
@@ -119,11 +131,18 @@ class RotheSolver:
         self._follow(solve, first=0.25, retreat=1 / 8, furthest=0.0, ratio=4.0)
 
     def _follow(
-        self, solve: Callable[[float], None], first: float, retreat: float, furthest: float, ratio: float
+        self,
+        solve: Callable[[float], None],
+        first: float,
+        retreat: float,
+        furthest: float,
+        ratio: float,
+        leap: Callable[[], None] | None = None,
     ) -> None:
         """Solve for a parameter that goes to 1 by factors of at most ``ratio``, each from the one before.
 
-        While nothing is solved, ``first`` is multiplied by ``retreat``, up to ``furthest``.
+        While nothing is solved, ``first`` is multiplied by ``retreat``, up to ``furthest``.  ``leap`` solves
+        for 1 at once; it is tried from each solution that damped steps do not lead on from.
         """
         guess = self.step.state.vec.CreateVector()
         guess.data = self.step.state.vec
@@ -141,6 +160,13 @@ class RotheSolver:
                     value *= retreat
                     continue
                 power /= 2
+                if leap is not None:
+                    self._restore(guess)
+                    try:
+                        leap()
+                        return
+                    except StepError as error:
+                        failure = error
             else:
                 if value == 1.0:
                     return
@@ -201,10 +227,10 @@ class RotheSolver:
         time.Set(t_old + tau)
         self.step.moving_walls.set_values()
 
-    def _solve(self, t_old: float, tau: float) -> list[NewtonIteration]:
+    def _solve(self, t_old: float, tau: float, full_steps: int | None = None) -> list[NewtonIteration]:
         self._set_context(t_old, tau)
         self.norm.units["v"] = self.h_min / tau
-        history = self.newton.solve()
+        history = self.newton.solve(full_steps)
         reason = self._defect()
         if reason is not None:
             raise StepError(f"{reason}: take a smaller step or a finer mesh", history)
