@@ -84,7 +84,13 @@ def test_gradient_creep_closes_and_is_trace_free(q, dim):
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
     assert ledger.column("dissipation_creep")[1:].min() > 0
     assert ledger.column("dissipation_creep_gradient")[1:].min() > 0
-    Pi = run.rothe_step.now.Pi
+    Pi, grad_Pi = run.rothe_step.now.Pi, run.rothe_step.now.grad_Pi
+    powers = {
+        "dissipation_creep": 2.0 * Integrate(square(Pi), run.mesh, order=8),
+        "dissipation_creep_gradient": 0.01 * Integrate(square(grad_Pi) ** (q / 2), run.mesh, order=8),
+    }
+    for column, power in powers.items():
+        assert ledger.column(column)[-1] == pytest.approx(power, rel=1e-3)
     assert run.sampler.extrema(square(Pi))[1] > 1e-4
     assert max(map(abs, run.sampler.extrema(tr(Pi)))) < 1e-14
     assert run.sampler.extrema(square(Pi - Pi.trans))[1] < 1e-28
