@@ -128,7 +128,7 @@ class RotheSolver:
         def solve(fraction: float) -> None:
             self._solve_directly(t_old, fraction * tau, history)
 
-        self._follow(solve, first=0.25, retreat=1 / 8, furthest=0.0, ratio=4.0)
+        self._follow(solve, first=0.25, retreat=1 / 8, furthest=0.25 / 8**5, ratio=4.0)
 
     def _follow(
         self,
@@ -165,8 +165,8 @@ class RotheSolver:
                     try:
                         leap()
                         return
-                    except StepError as error:
-                        failure = error
+                    except StepError as fault:
+                        failure = fault
             else:
                 if value == 1.0:
                     return

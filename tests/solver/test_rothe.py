@@ -95,7 +95,7 @@ def followed(solvable, **path) -> list[float]:
     return tried
 
 
-LENGTHEN = {"first": 0.25, "retreat": 1 / 8, "furthest": 0.0, "ratio": 4.0}
+LENGTHEN = {"first": 0.25, "retreat": 1 / 8, "furthest": 0.25 / 8**5, "ratio": 4.0}
 SOFTEN = {"first": 1e2, "retreat": 1e2, "furthest": 1e4, "ratio": 0.1}
 
 
@@ -117,6 +117,10 @@ def test_continuation_takes_smaller_steps_where_needed() -> None:
 def test_continuation_gives_up_beyond_the_furthest() -> None:
     with pytest.raises(StepError, match="did not converge"):
         followed(lambda value, solved: value > 1e4, **SOFTEN)
+    tried = []
+    with pytest.raises(StepError, match="did not converge"):
+        followed(lambda value, solved: tried.append(value), **LENGTHEN)
+    assert tried == pytest.approx([0.25 / 8**i for i in range(6)])
 
 
 def test_continuation_leaps_where_the_way_folds() -> None:
