@@ -28,7 +28,6 @@ from ngsolve import BaseVector, BilinearForm, BitArray
 
 from ngvisco.errors import ParameterError, StepError, require_choice, require_positive
 
-
 METHODS = ("auto", "coupled", "split")
 
 

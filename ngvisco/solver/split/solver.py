@@ -67,7 +67,11 @@ class Split:
     """Solves R(u; .) = 0 for the state of a step; keeps its tangent between solves."""
 
     def __init__(
-        self, step: Step, norm: BlockNorm, options: NewtonOptions, on_factorise: Callable[[], None] = lambda: None
+        self,
+        step: Step,
+        norm: BlockNorm,
+        options: NewtonOptions,
+        on_factorise: Callable[[], None] = lambda: None,
     ) -> None:
         """``on_factorise`` is called with the state at which the tangent has just been factorised."""
         self.step, self.norm, self.options, self.on_factorise = step, norm, options, on_factorise
@@ -163,7 +167,12 @@ class Split:
                 self.exists, tight, since = False, False, 0
                 continue
             slow = size > 0.5 * min(last, best)
-            if slow and since > 3 and size <= ROUNDING and self._size(f, coarse=True) <= self.options.tolerance:
+            if (
+                slow
+                and since > 3
+                and size <= ROUNDING
+                and self._size(f, coarse=True) <= self.options.tolerance
+            ):
                 return
             if size < best:
                 best, best_x, best_f = size, x, f
