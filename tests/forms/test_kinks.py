@@ -61,7 +61,9 @@ def test_a_fixed_wall_may_be_a_polygon():
     Walls(annulus(1, 2, 1, order=1), {"inner": nv.NoSlip(), "outer": nv.PrescribedTangential((-y, x))})
 
 
-@pytest.mark.parametrize("wall", [nv.Slip(), nv.NavierFriction(1.0), nv.Traction(f=(-y, x))], ids=str)
+@pytest.mark.parametrize(
+    "wall", [nv.Slip(), nv.NavierFriction(1.0), nv.Traction(f=(-y, x))], ids=lambda wall: type(wall).__name__
+)
 def test_a_polygon_has_to_be_declared(wall):
     mesh = polygon(8, 0.3)
     with pytest.raises(nv.MeshError, match="45 degrees"):
