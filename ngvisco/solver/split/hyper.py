@@ -39,14 +39,17 @@ from ngvisco.forms.spaces import Fields, contraction, hessian_basis
 from ngvisco.forms.system import Step
 from ngvisco.physics.tensors import inner
 from ngvisco.solver.split.blocks import BlockInverse
-from ngvisco.solver.split.operators import apply, mass_matrix
+from ngvisco.solver.split.operators import apply, mass_matrix, pruned
 
 
 class MatrixHyperviscosity:
     """Rows of v and a, and the element matrices' ingredients, of one step's hyperviscosity."""
 
     def __init__(self, step: Step, term: Hyperviscosity, points: CellPoints) -> None:
-        self.step, self.term, self.law, self.points = step, term, term.law, points
+        self.step, self.term, self.law = step, term, term.law
+        # Hs and all that is made of it are cellwise constant for k = 2: one point does
+        constant = step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
+        self.points = CellPoints(step.mesh, 0) if constant else points
         layout, self.dim = step.layout, step.mesh.dim
         k = layout.discretisation.k
         self.velocity = layout.scalar_velocity_space()
@@ -76,8 +79,7 @@ class MatrixHyperviscosity:
         of_a = BilinearForm(trialspace=self.normal, testspace=tests)
         of_a += (X_n * n) * (b * n) * facets
         with TaskManager():
-            self.L_v, self.L_a = csr(of_v.Assemble().mat), csr(of_a.Assemble().mat)
-        self.L_v_t, self.L_a_t = self.L_v.T.tocsr(), self.L_a.T.tocsr()
+            self.L_v, self.L_a = pruned(csr(of_v.Assemble().mat)), pruned(csr(of_a.Assemble().mat))
         self.h_values = self.points.values(scalar)
         self.h_test = (sp.diags(self.points.weights) @ self.h_values).T.tocsr()
         mass = mass_matrix(self.h_values, self.points.weights)
@@ -102,8 +104,11 @@ class MatrixHyperviscosity:
             inverse.update(csr(mass.mat))
             J_v, J_a = csr(of_v.Assemble().mat), csr(of_a.Assemble().mat)
         self.side_mass = csr(mass.mat)
-        self.J_v, self.J_a = (inverse.matrix() @ J_v).tocsr(), (inverse.matrix() @ J_a).tocsr()
-        self.J_v_t, self.J_a_t = self.J_v.T.tocsr(), self.J_a.T.tocsr()
+        self.J_v, self.J_a = (pruned((inverse.matrix() @ J).tocsr()) for J in (J_v, J_a))
+        self.J_a_t = self.J_a.T.tocsr()
+        # both maps of both unknowns at once, and their transpose
+        self.maps = sp.bmat([[self.L_v, self.L_a], [self.J_v, self.J_a]], format="csr")
+        self.tests = self.maps.T.tocsr()
         self.jump = GridFunction(VectorValued(sides, self.dim))
         self.j = self.jump.vec.FV().NumPy().reshape(self.dim, -1)
 
@@ -148,9 +153,7 @@ class MatrixHyperviscosity:
 
     def set_local(self) -> None:
         """Hs, s, c_s, S and the jumps from v and a, into the state."""
-        loads = apply(self.L_v, self.v) + apply(self.L_a, self.a)
-        self.hess[:] = self.h_inverse(loads.reshape(self.dim * self.size, -1))
-        self.j[:] = apply(self.J_v, self.v) + apply(self.J_a, self.a)
+        self.hess[:], self.j[:] = self._mapped(self.v, self.a)
         law = self.law
         if law.is_linear:
             self.stress[:] = (law.mu + law.mu_1) * self.hess
@@ -161,22 +164,34 @@ class MatrixHyperviscosity:
         values = law.coefficient(self.s_values @ self.s)
         self.c[:] = self.s_inverse(self.s_test @ values + self.coupling.vec.FV().NumPy())
         at_points *= (self.s_values @ self.c)[None]
-        self.stress[:] = self.h_inverse(apply(self.h_test, at_points))
+        self.stress[:] = apply(self.h_inverse_matrix, apply(self.h_test, at_points))
+
+    def _mapped(self, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Hs and the jumps of (v, a), (dim size, .) and (dim, .)."""
+        images = (self.maps @ np.concatenate([v, a], axis=1).T).T
+        loads = images[:, : self.size * self.h_count]
+        return (
+            apply(self.h_inverse_matrix, loads.reshape(self.dim * self.size, -1)),
+            images[:, self.size * self.h_count :],
+        )
+
+    def _tested(self, stress: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of v and a of a stress (dim size, .) and of loads on the sides (dim, .)."""
+        rows = (self.tests @ np.concatenate([stress.reshape(self.dim, -1), sides], axis=1).T).T
+        return rows[:, : self.v.shape[1]].copy(), rows[:, self.v.shape[1] :].copy()
 
     def residual(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows of v and of a, (dim, velocity's unknowns) and (dim, facets' unknowns)."""
-        stress = self.stress.reshape(self.dim, -1)
-        rows_v, rows_a = apply(self.L_v_t, stress), apply(self.L_a_t, stress)
-        if self.curved:
-            self._curved_v.Assemble()
-            rows_v += self._curved_v.vec.FV().NumPy().reshape(self.dim, -1)
-            for form, row in zip(self._curved_a, rows_a, strict=True):
-                form.Assemble()
-                row += form.vec.FV().NumPy()
-            return rows_v, rows_a
-        self.penalty.Assemble()
-        loads = self.penalty.vec.FV().NumPy().reshape(self.dim, -1)
-        return rows_v + apply(self.J_v_t, loads), rows_a + apply(self.J_a_t, loads)
+        if not self.curved:
+            self.penalty.Assemble()
+            return self._tested(self.stress, self.penalty.vec.FV().NumPy().reshape(self.dim, -1))
+        rows_v, rows_a = self._tested(self.stress, np.zeros_like(self.j))
+        self._curved_v.Assemble()
+        rows_v += self._curved_v.vec.FV().NumPy().reshape(self.dim, -1)
+        for form, row in zip(self._curved_a, rows_a, strict=True):
+            form.Assemble()
+            row += form.vec.FV().NumPy()
+        return rows_v, rows_a
 
     def side_squares(self, j: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Means of j . other over the sides, (sides,); both are (dim, sides' coefficients)."""
@@ -226,10 +241,8 @@ class MatrixHyperviscosity:
 
     def derivative(self, dv: np.ndarray, da: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The rows' derivative in the direction (dv, da), with means over the sides in the penalty."""
-        dim, sides = self.dim, self.dim + 1
-        loads = apply(self.L_v, dv) + apply(self.L_a, da)
-        hess = self.h_inverse(loads.reshape(dim * self.size, -1))
-        dj = apply(self.J_v, dv) + apply(self.J_a, da)
+        sides = self.dim + 1
+        hess, dj = self._mapped(dv, da)
         at = apply(self.h_values, hess)
         stress = self._c * at
         weighted = np.repeat(self._weight, self.per_side) * (self.side_mass @ dj.T).T
@@ -243,10 +256,7 @@ class MatrixHyperviscosity:
             coupling = (self._own_s * mean + self._own_q * dq) * self.areas
             from_sides = coupling.reshape(-1, sides).sum(axis=1) / volume
             stress += self._at * (self._slope * ds + np.repeat(from_sides, self.points.per_cell))
-        coefficients = self.h_inverse(apply(self.h_test, stress)).reshape(dim, -1)
-        rows_v = apply(self.L_v_t, coefficients) + apply(self.J_v_t, weighted)
-        rows_a = apply(self.L_a_t, coefficients) + apply(self.J_a_t, weighted)
-        return rows_v, rows_a
+        return self._tested(apply(self.h_inverse_matrix, apply(self.h_test, stress)), weighted)
 
     def hess_cells(self) -> np.ndarray:
         """The cell of every coefficient of a component of Hs."""

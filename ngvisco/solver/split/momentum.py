@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from ngsolve import CF, LinearForm
+from ngsolve import CF, BilinearForm, CoefficientFunction, Discontinuous, FacetFESpace, LinearForm
 
 from ngvisco.forms.creep import CreepRate
+from ngvisco.forms.points import csr
 from ngvisco.forms.regularisation import VelocityDamping
 from ngvisco.forms.system import Step
 from ngvisco.forms.wall_terms import Impenetrability, TangentialStress
 from ngvisco.physics.model import CentralGravity, Gravity, as_vector
 from ngvisco.physics.tensors import embed_gradient, inner, sym
-from ngvisco.solver.split.operators import Operators, apply
+from ngvisco.solver.split.blocks import BlockInverse
+from ngvisco.solver.split.operators import Operators, apply, pruned
 from ngvisco.solver.split.subsystem import Subsystem
 from ngvisco.solver.split.transport import Transport
 from ngvisco.solver.split.unknowns import Unknowns
@@ -28,10 +30,7 @@ class Momentum:
         self.v_old = step.state_old.vec.FV().NumPy()[step.layout.ranges["v"]].reshape(self.dim, -1)
         self.stokes = self._viscosity_matrix()
         c, u = self.context, step.now
-        w = step.layout.blocks["v"].TestFunction()
-        self.elastic_facets = LinearForm(step.layout.blocks["v"])
-        density = -c.inflow(u.v) * inner(u.z_hat - u.z, u.zeta)
-        self.elastic_facets += (density * (w * c.normal)).Compile() * step.quadrature.facets
+        self.elastic_facets = FacetForce(step, -c.inflow(u.v) * inner(u.z_hat - u.z, u.zeta))
         others = [term for term in step.terms if isinstance(term, BY_FORMS)]
         self.by_forms = Subsystem(step, unknowns.flow, others) if others else None
         self.rows = unknowns.flow_slice.stop
@@ -93,12 +92,59 @@ class Momentum:
         for load, values in self.loads:
             f = values.vec.FV().NumPy().reshape(d, -1)
             value -= rho * f if isinstance(load, (Gravity, CentralGravity)) else f
-        self.elastic_facets.Assemble()
         result = np.zeros(self.rows) if self.by_forms is None else self.by_forms.residual()
         rows = result[: self.v_old.size].reshape(d, -1)
-        rows += self.elastic_facets.vec.FV().NumPy().reshape(d, -1)
+        rows += self.elastic_facets()
         for i in range(d):
             rows[i] += op.v_t @ value[i]
             for j in range(d):
                 rows[i] += op.dv_t[j] @ gradient[i * d + j]
         return result
+
+
+class FacetForce:
+    """sum_K int_{dK} f w . n for tests w of v.
+
+    On straight facets w . n is a polynomial there, and it is enough to test f with the polynomials of each
+    side: one scalar test in place of all components of v.
+    """
+
+    def __init__(self, step: Step, density: CoefficientFunction) -> None:
+        space, facets = step.layout.blocks["v"], step.quadrature.facets
+        n, self.dim = step.context.normal, step.mesh.dim
+        self.curved = step.mesh.GetCurveOrder() > 1
+        if self.curved:
+            self.form = LinearForm(space)
+            self.form += (density * (space.TestFunction() * n)).Compile() * facets
+            return
+        sides = Discontinuous(FacetFESpace(step.mesh, order=step.discretisation.k))
+        t = sides.TestFunction()
+        self.form = LinearForm(sides)
+        self.form += density.Compile() * t * facets
+        mass = BilinearForm(sides)
+        mass += sides.TrialFunction() * t * facets
+        velocity = step.layout.scalar_velocity_space()
+        trace = BilinearForm(trialspace=velocity, testspace=sides)
+        trace += velocity.TrialFunction() * t * facets
+        matrix = csr(mass.Assemble().mat)
+        inverse = BlockInverse(matrix)
+        inverse.update(matrix)
+        self.tests = pruned((inverse.matrix() @ csr(trace.Assemble().mat)).tocsr()).T.tocsr()
+        # the normal is constant on a side: its component in the first of the side's functions
+        per_side = sides.ndof // (step.mesh.ne * (self.dim + 1))
+        self.normals = np.empty((self.dim, sides.ndof))
+        measure = LinearForm(sides)
+        measure += t * facets
+        areas = measure.Assemble().vec.FV().NumPy()[::per_side]
+        for i in range(self.dim):
+            normal = LinearForm(sides)
+            normal += n[i] * t * facets
+            self.normals[i] = np.repeat(normal.Assemble().vec.FV().NumPy()[::per_side] / areas, per_side)
+
+    def __call__(self) -> np.ndarray:
+        """Rows of v, (dim, unknowns of a component)."""
+        self.form.Assemble()
+        loads = self.form.vec.FV().NumPy()
+        if self.curved:
+            return loads.reshape(self.dim, -1)
+        return (self.tests @ (self.normals * loads).T).T
