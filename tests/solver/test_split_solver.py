@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from ngsolve import BilinearForm, cos, pi, sin, x, y
 from ngsolve.meshes import MakeStructured2DMesh
+from scipy.sparse.linalg import LinearOperator, gmres
 
 import ngvisco as nv
 from ngvisco.errors import StepError
@@ -13,6 +14,7 @@ from ngvisco.forms.context import Integrand
 from ngvisco.geometries import box
 from ngvisco.solver.choice import SPLIT_FROM
 from ngvisco.solver.split.anderson import Anderson
+from ngvisco.solver.split.linear import TwoLevelSolver
 from ngvisco.solver.split.solver import Split
 
 
@@ -167,3 +169,33 @@ def test_anderson_solves_a_linear_problem_in_as_many_steps_as_it_has_unknowns():
     for _ in range(7):
         u = anderson.step(u, A @ u - b, np.ones(4))
     assert np.linalg.norm(A @ u - b) <= 1e-8
+
+
+@pytest.mark.parametrize("k", [2, 3])
+def test_two_levels_lead_to_the_same_solution(monkeypatch, k):
+    order = nv.Discretisation(k=k)
+    direct = simulation(discretisation=order)
+    monkeypatch.setattr("ngvisco.solver.split.preconditioner.DIRECT_UP_TO", 0)
+    two_level = simulation(discretisation=order)
+    assert isinstance(two_level.solver.newton.preconditioner.solver, TwoLevelSolver)
+    for run in (direct, two_level):
+        run.run(0.04)
+    assert np.linalg.norm(state(two_level) - state(direct)) <= 1e-9 * np.linalg.norm(state(direct))
+    assert two_level.solver.retried == 0
+
+
+def test_two_levels_take_as_many_iterations_on_finer_meshes(monkeypatch):
+    monkeypatch.setattr("ngvisco.solver.split.preconditioner.DIRECT_UP_TO", 0)
+    counts = []
+    for maxh in (0.3, 0.15, 0.075):
+        run = simulation(maxh=maxh)
+        run.advance()
+        p = run.solver.newton.preconditioner
+        steps = []
+        r = np.where(p.free, np.random.default_rng(0).standard_normal(len(p.free)), 0.0)
+        operator = LinearOperator(
+            (len(r), len(r)), lambda x, p=p: p.solver(np.where(p.free, p.solver.matrix @ x, x))
+        )
+        gmres(operator, p.solver(r), rtol=1e-6, restart=100, callback=steps.append, callback_type="pr_norm")
+        counts.append(len(steps))
+    assert counts[2] <= 1.3 * counts[0]

@@ -47,3 +47,40 @@ class DirectSolver:
         result = np.zeros_like(r)
         result[self.free] = self._x.FV().NumPy()
         return result
+
+
+class TwoLevelSolver:
+    """An approximate inverse for large meshes: vertices solved as a whole, all other functions smoothed.
+
+    NGSolve's functions of degree two and more vanish at vertices, so that the coefficients of vertices
+    are the P_1 functions; their block is the coarse problem, factorised.  The others, of edges and faces,
+    make well-conditioned blocks with inertia and with viscosity (the hierarchical splitting), and get damped
+    Jacobi sweeps before and after.  Where the fourth-order term dominates at the mesh's scale the
+    iterations that it takes grow.
+    """
+
+    SWEEPS, DAMPING = 2, 0.6
+
+    def __init__(self, free: np.ndarray, vertices: np.ndarray, inverse: str) -> None:
+        """``free`` and ``vertices`` are masks of unknowns."""
+        self.free = free
+        self.coarse = DirectSolver(free & vertices, inverse, symmetric=True)
+        self.fine = free & ~vertices
+
+    def factorise(self, matrix: sp.csr_matrix) -> None:
+        """Raises StepError if the block of the vertices is singular."""
+        self.matrix = matrix.tocsr()
+        self.coarse.factorise(self.matrix)
+        diagonal = self.matrix.diagonal()
+        self._smoother = np.where(self.fine & (diagonal != 0), self.DAMPING, 0.0)
+        self._smoother /= np.where(diagonal != 0, diagonal, 1.0)
+
+    def __call__(self, r: np.ndarray) -> np.ndarray:
+        r = np.where(self.free, r, 0.0)
+        x = self._smoother * r
+        for _ in range(self.SWEEPS - 1):
+            x += self._smoother * (r - self.matrix @ x)
+        x += self.coarse(r - self.matrix @ x)
+        for _ in range(self.SWEEPS):
+            x += self._smoother * (r - self.matrix @ x)
+        return x

@@ -13,7 +13,7 @@ from ngvisco.forms.system import Step
 from ngvisco.solver.split.blocks import BlockInverse
 from ngvisco.solver.split.hyper import MatrixHyperviscosity
 from ngvisco.solver.split.hyper_tangent import HyperTangent
-from ngvisco.solver.split.linear import DirectSolver
+from ngvisco.solver.split.linear import DirectSolver, TwoLevelSolver
 from ngvisco.solver.split.momentum import Momentum
 from ngvisco.solver.split.operators import Operators, apply, mass_matrix
 from ngvisco.solver.split.sweep import Sweep
@@ -22,6 +22,10 @@ from ngvisco.solver.split.unknowns import Unknowns
 
 FLOW_ITERATIONS = 30
 """GMRES iterations for (v, a) with the tangent of v and facets' blocks as preconditioner."""
+
+
+DIRECT_UP_TO = 40_000
+"""Unknowns of v up to which its tangent is factorised as a whole; above, two levels do."""
 
 
 @dataclass
@@ -55,7 +59,13 @@ class Preconditioner:
         self.sweep = Sweep(self.t, inverse)
         free = [np.array(list(step.layout.blocks[name].FreeDofs()), dtype=bool) for name in unknowns.flow]
         self.free = np.concatenate(free)
-        self.solver = DirectSolver(self.free, inverse, symmetric=unknowns.flow == ["v"])
+        self.solver: DirectSolver | TwoLevelSolver
+        if unknowns.flow == ["v"] and self.free.sum() > DIRECT_UP_TO:
+            per_component = len(self.free) // self.d
+            vertices = np.arange(len(self.free)) % per_component < step.mesh.nv
+            self.solver = TwoLevelSolver(self.free, vertices, inverse)
+        else:
+            self.solver = DirectSolver(self.free, inverse, symmetric=unknowns.flow == ["v"])
         mass = mass_matrix(self.op.z, self.op.weights)
         self.project = BlockInverse(mass)
         self.project.update(mass)
