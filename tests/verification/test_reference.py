@@ -6,10 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from cases import KINDS
-from manufactured import RateTable
 from ngsolve import CF, BilinearForm, GridFunction, x, y
-from problems import PartialLayout
 
 from ngvisco import (
     Creep,
@@ -29,6 +26,9 @@ from ngvisco.forms.transport import Conjugates, Kinematics, UpwindTrace
 from ngvisco.geometries import box
 from ngvisco.physics.material import tensors_of
 from ngvisco.solver.newton import CondensedJacobian
+from ngvisco.verification.models import KINDS
+from ngvisco.verification.problems import PartialLayout
+from ngvisco.verification.rates import RateTable
 
 MYR = 1e6 * 365.25 * 24 * 3600
 
