@@ -52,7 +52,7 @@ def block(
     mesh: Mesh | None = None,
     speed: float = 1.0,
     gravity: float = 0.0,
-    viscosity: float = 0.1,
+    viscosity: float | StokesViscosity = 0.1,
     hyperviscosity: HyperViscosity | None = None,
     creep: float | None = None,
     of: Material | None = None,
@@ -60,9 +60,11 @@ def block(
 ) -> Simulation:
     """The block of ``SETTING``; ``creep`` is G_m, ``of`` another material, ``parts`` of the model or run."""
     regularisation = parts.pop("regularisation", None)
+    if not isinstance(viscosity, StokesViscosity):
+        viscosity = StokesViscosity(K_v=viscosity, G_v=viscosity)
     model = Model(
         material=of or material(kind),
-        viscosity=StokesViscosity(K_v=viscosity, G_v=viscosity) if viscosity else None,
+        viscosity=viscosity,
         hyperviscosity=hyperviscosity,
         creep=None if creep is None else Creep(G_m=creep),
         loads=(Gravity((0.0, -gravity)),) if gravity else (),
