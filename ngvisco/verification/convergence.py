@@ -24,20 +24,17 @@ def transport_rates(kind: str, dim: int, m: int, maxh: float, levels: int, tau: 
     """Density and E / F / J alone, with the exact velocity given, after two steps of length ``tau``."""
     system = Model(material=material(kind))
     sources = Sources(system, dim, tau)
+    load = Source(
+        lambda w: [Integrand(-sources.continuity * w.rho), Integrand(-inner(sources.kinematics, w.z))]
+    )
     table = RateTable(f"transport alone, {kind}, {dim}D, m = {m}")
     for h, mesh in refinements(dim, maxh, levels):
-        load = Source(
-            lambda w: [
-                Integrand(-sources.continuity * w.rho),
-                Integrand(-inner(sources.kinematics, w.z)),
-            ]
-        )
         problem = Problem(
             mesh,
             system,
             Discretisation(m=m),
             ("rho", "rho_hat", "z", "z_hat"),
-            lambda c, load=load: [Continuity(c), Kinematics(system, c), UpwindTrace(system, c), load],
+            lambda c: [Continuity(c), Kinematics(system, c), UpwindTrace(system, c), load],
             tau,
         )
         exact = Exact(system, dim, time)

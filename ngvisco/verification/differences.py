@@ -84,7 +84,7 @@ class FiniteDifferences:
 
     def divergence(self, f: ArrayFunction, X: np.ndarray) -> np.ndarray:
         """d_j f[..., j]."""
-        return sum(difference(f, j)(X)[..., j] for j in range(self.dim))
+        return np.sum([difference(f, j)(X)[..., j] for j in range(self.dim)], axis=0)
 
     def transport(self, f: Callable[[float], ArrayFunction], X: np.ndarray) -> np.ndarray:
         """(f - f_old)/tau + (v . grad) f."""
@@ -111,7 +111,7 @@ class FiniteDifferences:
     def diffused(self, f: ArrayFunction, X: np.ndarray) -> np.ndarray:
         """delta Laplace f."""
         second = [difference(difference(f, j), j)(X) for j in range(self.dim)]
-        return self.c.delta_fields * sum(second)
+        return self.c.delta_fields * np.sum(second, axis=0)
 
     def stress(self, X: np.ndarray) -> np.ndarray:
         """T of the textbook: S + phi I for E; 2 G J^{-2/3} F F^T + (J phi_J + phi) I for (F, J)."""

@@ -136,7 +136,8 @@ class Sources:
 
     def _through_walls(self, u: Fields, w: Fields) -> list[Integrand]:
         """The delta-terms' fluxes through walls, which the exact fields do not meet as zero."""
-        law, parts = self.model.regularisation, []
+        law = self.model.regularisation
+        parts: list[Integrand] = []
         if law is None:
             return parts
         on_wall, n = 1.0 - inner_facets(u.layout.mesh), specialcf.normal(self.dim)

@@ -75,8 +75,8 @@ def kelvin_voigt(kind: str) -> Outcome:
         runs.append(run)
         table.add(1 / G_m, **separation(run, solid))
     deviators, curves = {}, []
-    for name, G_m in (("Kelvin–Voigt", None), ("Jeffreys", 2.0)):
-        run = block(kind, 0.25, mesh=square_mesh(MAXH), of=SMALL[kind], creep=G_m, gravity=2.0, speed=0.2)
+    for name, creep in (("Kelvin–Voigt", None), ("Jeffreys", 2.0)):
+        run = block(kind, 0.25, mesh=square_mesh(MAXH), of=SMALL[kind], creep=creep, gravity=2.0, speed=0.2)
         sizes = []
         for _ in range(16):
             run.advance()

@@ -10,6 +10,7 @@ from ngsolve import CF, Id, cos, sin, x, y
 
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.walls import Conditions
 from ngvisco.geometries import annulus, box, disc
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import BarotropicFluid, LinearElastic, ReferentialNeoHookean
@@ -156,7 +157,7 @@ def _couette(kind: str) -> Outcome:
             viscosity=StokesViscosity(K_v=0.01, G_v=0.01),
             creep=Creep(G_m=2 * ETA),
         )
-        walls = {"outer": PrescribedTangential((-TURN * y, TURN * x)), "inner": NoSlip()}
+        walls: Conditions = {"outer": PrescribedTangential((-TURN * y, TURN * x)), "inner": NoSlip()}
         mesh = annulus(R_I, R_O, h)
         run = Simulation(mesh, model, dt=0.2, walls=walls, initial=Initial(density=0.1))
         run.run(2.0)

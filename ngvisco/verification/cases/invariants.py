@@ -33,7 +33,8 @@ REGULARISATIONS = {
 
 def mass(kind: str) -> Outcome:
     """Mass after every step, with each of the scheme's terms that move it."""
-    curves, rows, runs = [], [], []
+    curves, runs = [], []
+    rows: list[list[str | float]] = []
     for name, law in REGULARISATIONS.items():
         for tau in (0.02, 0.5):
             run = block(
@@ -85,7 +86,8 @@ def converging(
 
 def cut_off(kind: str) -> Outcome:
     """The tube with and without the cut-off, with the delta-term resolved, too weak, and absent."""
-    rows, curves, runs = [], [], {}
+    rows: list[list[str | float]] = []
+    curves, runs = [], {}
     for name, delta, rho_max, maxh, tau in (
         ("cut-off and delta", 1e-3, RHO_MAX, 1 / 16, 0.01),
         ("no cut-off, same delta", 1e-3, None, 1 / 16, 0.01),
@@ -133,7 +135,8 @@ def cut_off(kind: str) -> Outcome:
 
 def positivity(kind: str) -> Outcome:
     """Smallest rho and J of a strong eddy under refinement of h and tau together."""
-    rows, curves, lows = [], [], []
+    rows: list[list[str | float]] = []
+    curves, lows = [], []
     runs = []
     for h, tau in ((0.5, 0.02), (0.25, 0.01), (0.125, 0.005)):
         initial = Initial(density=1.0, velocity=CF((sin(pi * x) * cos(pi * x), 0.0)) * 4)

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from ngvisco.forms.initial import Initial
+from ngvisco.forms.walls import Conditions
 from ngvisco.geometries import channel
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean
@@ -130,7 +131,7 @@ def _creep(kind: str) -> Outcome:
             viscosity=StokesViscosity(K_v=G_V, G_v=G_V),
             creep=Creep(G_m=G_M),
         )
-        walls = {"top": Traction(f=(traction, 0.0)), "bottom": NoSlip()}
+        walls: Conditions = {"top": Traction(f=(traction, 0.0)), "bottom": NoSlip()}
         dt = until / steps
         run = Simulation(channel(1, 1, maxh=0.5), model, dt=dt, walls=walls, initial=Initial(density=density))
         rows, shear = [(0.0, 0.0, 0.0)], 0.0

@@ -101,7 +101,8 @@ def measure(kind: str) -> Outcome:
     """The whole grid, summed along each of its axes."""
     axes = {"stiffness, Pa": STIFFNESS, "K_e/G_e": RATIOS, "viscosity, Pa s": VISCOSITIES, "tau, s": TAUS}
     sums = {(name, value): Tally() for name, values in axes.items() for value in values}
-    total, failures = Tally(), []
+    total = Tally()
+    failures: list[list[str | float]] = []
     for point in product(*axes.values()):
         tally, failure = attempt(kind, *point)
         total.add(tally)
@@ -109,7 +110,7 @@ def measure(kind: str) -> Outcome:
             sums[name, value].add(tally)
         if failure:
             failures.append([*point, tally.directly + tally.helped, failure])
-    rows = [[name, value, *tally.row] for (name, value), tally in sums.items()]
+    rows: list[list[str | float]] = [[name, value, *tally.row] for (name, value), tally in sums.items()]
     rows.append(["all", "", *total.row])
     columns = ["", "value", "steps", "first try", "solved", "its a step", "closure", "CFL"]
     curves = [

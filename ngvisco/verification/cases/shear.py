@@ -10,6 +10,7 @@ from ngsolve import pi as PI
 
 from ngvisco.forms.context import time
 from ngvisco.forms.initial import Initial
+from ngvisco.forms.walls import Conditions
 from ngvisco.geometries import box, channel
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, NeoHookean
@@ -106,7 +107,7 @@ def sheared(
         creep=None if G_m is None else Creep(G_m=G_m),
         viscosity=StokesViscosity(K_v=viscosity, G_v=viscosity) if viscosity else None,
     )
-    walls = {"top": PrescribedTangential((rate, 0.0)), "bottom": NoSlip()}
+    walls: Conditions = {"top": PrescribedTangential((rate, 0.0)), "bottom": NoSlip()}
     initial = Initial(velocity=(rate * y, 0), density=density)
     run = Simulation(mesh or channel(1, 1, maxh=0.5), model, dt=dt, walls=walls, initial=initial)
     rows = [(0.0, 0.0, 0.0, 0.0)]
@@ -137,10 +138,10 @@ def _jaumann() -> Outcome:
             largest = [max(pair) for pair in zip(largest, errors, strict=True)]
             rows.append([t, float(tau_12), exact[0], errors[0], float(tau_11), exact[1], errors[1]])
             marks.append((t, float(tau_12), float(tau_11)))
-    t = np.linspace(0, 2, 100)
-    r, decay, scale = RATE, np.exp(-t), RATE * ETA / (1 + RATE**2)
-    tau_12 = scale * (1 - decay * (np.cos(r * t) - r * np.sin(r * t)))
-    tau_11 = scale * (r - decay * (r * np.cos(r * t) + np.sin(r * t)))
+    fine = np.linspace(0, 2, 100)
+    r, decay, scale = RATE, np.exp(-fine), RATE * ETA / (1 + RATE**2)
+    curve_12 = scale * (1 - decay * (np.cos(r * fine) - r * np.sin(r * fine)))
+    curve_11 = scale * (r - decay * (r * np.cos(r * fine) + np.sin(r * fine)))
     ts = [m[0] for m in marks]
     return Outcome(
         values={
@@ -157,8 +158,8 @@ def _jaumann() -> Outcome:
                 "t, s",
                 "Pa",
                 [
-                    Curve("tau_12, exact", list(map(float, t)), list(map(float, tau_12)), "-"),
-                    Curve("tau_11, exact", list(map(float, t)), list(map(float, tau_11)), "-"),
+                    Curve("tau_12, exact", fine.tolist(), curve_12.tolist(), "-"),
+                    Curve("tau_11, exact", fine.tolist(), curve_11.tolist(), "-"),
                     Curve("tau_12", ts, [m[1] for m in marks], "o"),
                     Curve("tau_11", ts, [m[2] for m in marks], "s"),
                 ],

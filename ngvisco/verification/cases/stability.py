@@ -22,7 +22,8 @@ def measure(kind: str, gravity: float) -> Outcome:
     curves, rises, closures, remainders, unsolved = [], [], [], [], 0
     for tau in TAUS:
         run = block(kind, tau, gravity=gravity, creep=2.0, hyperviscosity=HyperViscosity(mu=1e-5, p=4))
-        energies, failure = [], ""
+        energies: list[float] = []
+        failure = ""
         with_potential = potential(run, gravity)
         for _ in range(STEPS):
             try:
