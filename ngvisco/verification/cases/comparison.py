@@ -155,8 +155,7 @@ def _cases(kind: str) -> tuple[Case, Case]:
         name=f"fluid-limit-{kind}",
         theme=THEME,
         statement=f"In {KINDS[kind]} a Maxwell element of fixed viscosity and growing modulus becomes a "
-        f"Newtonian "
-        "fluid's viscosity.",
+        f"Newtonian fluid's viscosity.",
         label="Euler-small-viscoelastodyn+2" if kind == "linearised" else "ED-Euler-large3",
         setting=f"The block with {moduli}; viscosity 0.5 Pa s as G_m/2 with shear moduli of 10 to 1e4 "
         f"Pa, against "

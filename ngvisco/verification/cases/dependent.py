@@ -108,8 +108,8 @@ def _case(name: str, what: tuple[str, str], label: str, material: Material) -> C
     return Case(
         name=f"dependent-{name}",
         theme=THEME,
-        statement=f"{what[0]} and {what[1]} vanish as delta, tau and h go to zero, though each variable is "
-        "transported on its own.",
+        statement=f"{what[0]} and {what[1]} vanish as delta, tau and h go to zero, though each variable "
+        f"is transported on its own.",
         label=label,
         setting=f"{SETTING}; {type(material).__name__}, 0.5 m/s; h = 0.6, 0.3, 0.15 m with tau = 0.02 h and "
         f"delta = 0 or 0.1 h², until {DURATION} s; delta alone from 0.1 to 1e-4 at h = 0.3 m.",

@@ -191,8 +191,7 @@ def _cases(kind: str) -> tuple[Case, ...]:
         label="Euler-small-viscoelastodyn+0disc, " + ("DT-det-extended" if finite else "ZJ"),
         setting="Strip of 1 m x 0.25 m, periodic, v = 1 m/s, profile 1 + 0.2 sin(2 pi x), moduli of 1e-9 Pa; "
         "until 0.2 s in 5 steps; h = 0.2 to 0.05 m (m = 2: 0.25 to 0.0625); the exact profile has the "
-        "implicit "
-        "step's own damping.",
+        "implicit step's own damping.",
         bounds=(
             *(
                 Bound(f"rate of {what}, m = {m}", ">=", m + 0.75, "order m + 1")
@@ -229,8 +228,7 @@ def _cases(kind: str) -> tuple[Case, ...]:
         name=f"couette-{kind}",
         theme=THEME,
         statement=f"The shear stress of a Maxwell fluid between cylinders in {KINDS[kind]} is eta times "
-        f"that of "
-        "the closed form.",
+        f"that of the closed form.",
         label="Euler-small-flow-rule" if not finite else "ED-Euler-large3",
         setting="Annulus of 1 and 2 m, the outer wall turns at 0.05/s, G = 10 Pa, eta = 1 Pa s (Wi = 0.01), "
         "density 0.1, 10 steps of 0.2 s; h = 0.7 and 0.35 m.",

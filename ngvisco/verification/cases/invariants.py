@@ -211,8 +211,8 @@ def _cases(kind: str) -> tuple[Case, ...]:
     positive = Case(
         name=f"positivity-{kind}",
         theme=THEME,
-        statement=f"In {KINDS[kind]} min rho{' and min J stay' if finite else ' stays'} away from 0 as h and "
-        "tau are refined.",
+        statement=f"In {KINDS[kind]} min rho{' and min J stay' if finite else ' stays'} away from 0 as "
+        f"h and tau are refined.",
         label="basic-est-of-v, cont-eq-inverse" if not finite else "1/J-continuity-eq, J-min",
         setting=f"{SETTING.split(', set in')[0]} but of density 1, compressed along x by v = 4 sin(pi x) "
         "cos(pi x) m/s; hyperviscosity mu = 1e-4, p = 4; h = 0.5 to 0.125 m with tau = 0.04 h, until 0.2 s.",

@@ -121,8 +121,7 @@ def _cases(kind: str) -> tuple[Case, ...]:
         statement=f"As delta -> 0 the solutions of {KINDS[kind]} go to those without delta-terms.",
         label="Euler-small-converge+" if kind == "linearised" else "ED-Euler-large-polyconvex-eta",
         setting=f"{setting}; cells of 0.35 m, 8 steps; delta from 0.1 to 1e-4 in the density's (r = 4) "
-        f"and the "
-        "fields' diffusion.",
+        f"and the fields' diffusion.",
         bounds=(*_rates(0.5, "the size sqrt(delta) of the delta-terms"), CLOSURE),
         run=partial(against_zero, kind, _delta, "delta"),
     )

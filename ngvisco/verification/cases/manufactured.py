@@ -216,8 +216,7 @@ def _cases(kind: str) -> tuple[Case, ...]:
         statement="The coupled system with all its terms converges with first order in time.",
         label=label,
         setting=f"{TERMS}; sources with the derivative in time; unit square, k = 3, m = 2, h = 0.2 m, "
-        f"until 0.4 s "
-        "in 2, 4, 8 steps.",
+        f"until 0.4 s in 2, 4, 8 steps.",
         bounds=tuple(Bound(f"rate of {what}", ">=", 0.8, "implicit Euler") for what in ("v", "rho", "z")),
         run=partial(_time, kind),
     )

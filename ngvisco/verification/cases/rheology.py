@@ -247,8 +247,7 @@ CASES = (
         "small Weissenberg numbers, with a deviation of second order.",
         label="ED-Euler-large2, ED-Euler-large3",
         setting=f"The same channel without G_v; lambda = {LAMBDA:g} s, Wi = 0.4 to 0.05, until 4 s, "
-        f"extrapolated "
-        "twice from tau = 0.1 s.",
+        f"extrapolated twice from tau = 0.1 s.",
         bounds=(
             Bound("rate of the deviation of T_12 in Wi", ">=", 1.8, "quadratic in the elastic strain"),
             Bound("rate of the deviation of T_11 − T_22 in Wi", ">=", 1.8, "quadratic in the elastic strain"),

@@ -145,8 +145,7 @@ CASES = tuple(
         else "Euler-large-viscoelastodyn+disc",
         setting="The block at 1 m/s under gravity 1 m/s2, cells of 0.5 m, three steps of each of "
         f"{len(STIFFNESS) * len(RATIOS) * len(VISCOSITIES) * len(TAUS)} configurations: shear modulus 1 "
-        f"to 1e6 Pa, "
-        "K_e/G_e = 2 and 1e4, viscosity 0, 0.1, 10 Pa s, tau = 1e-3 to 10 s.",
+        f"to 1e6 Pa, K_e/G_e = 2 and 1e4, viscosity 0, 0.1, 10 Pa s, tau = 1e-3 to 10 s.",
         bounds=(
             Bound("share of the steps solved at the first try", ">=", 0.9, "a scheme for daily use"),
             Bound("share of the steps solved", ">=", 0.98, "a scheme for daily use"),

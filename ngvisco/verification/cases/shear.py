@@ -260,8 +260,7 @@ CASES = (
         name="maxwell-relaxation",
         theme=THEME,
         statement="A Maxwell body's uniform stress relaxes as tau_0 exp(−G t/eta): 20 MPa fall to 7.49 "
-        "kPa in "
-        "250 kyr.",
+        "kPa in 250 kyr.",
         label="Euler-small-viscoelastodyn+2; ASPECT viscoelastic_relaxation",
         setting="Box of 100 km with slip, v = 0, G = 1e10 Pa, eta = 1e22 Pa s (R = 1/(2 eta)); 64, 128, "
         "256 steps.",
