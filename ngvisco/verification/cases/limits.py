@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.run.simulation import Simulation
@@ -59,14 +60,15 @@ def in_tau(kind: str) -> Outcome:
     )
 
 
-def against_zero(kind: str, law: Callable[[float], Regularisation], name: str) -> Outcome:
-    """Runs with a regularisation of decreasing size against the one without."""
+def against_zero(kind: str, options: Callable[[float], dict[str, Any]], name: str) -> Outcome:
+    """Runs with a regularisation of decreasing size against the one without; ``options`` are those of "
+    "``block``."""
     dt, mesh = DURATION / 8, square_mesh(0.35)
     without = block(kind, dt, mesh=mesh, creep=2.0, gravity=1.0)
     without.run(DURATION)
     table, runs = RateTable(f"distance to {name} = 0, t = {DURATION} s"), [without]
     for size in SIZES:
-        run = block(kind, dt, mesh=mesh, creep=2.0, gravity=1.0, regularisation=law(size))
+        run = block(kind, dt, mesh=mesh, creep=2.0, gravity=1.0, **options(size))
         run.run(DURATION)
         runs.append(run)
         table.add(size, **separation(run, without))
@@ -80,12 +82,12 @@ def against_zero(kind: str, law: Callable[[float], Regularisation], name: str) -
     )
 
 
-def _delta(size: float) -> Regularisation:
-    return Regularisation(delta_density=size, delta_fields=size)
+def _delta(size: float) -> dict[str, Any]:
+    return {"regularisation": Regularisation(delta_density=size, delta_fields=size)}
 
 
-def _epsilon(size: float) -> Regularisation:
-    return Regularisation(epsilon=size)
+def _epsilon(size: float) -> dict[str, Any]:
+    return {"regularisation": Regularisation(epsilon=size)}
 
 
 def _rates(limit: float, reason: str) -> tuple[Bound, ...]:
