@@ -160,8 +160,8 @@ def _cases(kind: str) -> tuple[Case, ...]:
             for k, m in orders
             for what, least, reason in (
                 ("v", V_RATES[k, m], "the lifted penalty with p = 4"),
-                ("rho", min(m + 0.7, 2.3), "order m + 1, bounded by v's"),
-                ("z", min(m + 0.7, 2.3), "order m + 1, bounded by v's"),
+                ("rho", min(m + 0.7, 2.3 if k == 3 else 1.7), "order m + 1, but not above v's"),
+                ("z", min(m + 0.7, 2.3 if k == 3 else 1.7), "order m + 1, but not above v's"),
             )
         ),
         run=partial(_space, kind, 2, orders, 0.4, 3),

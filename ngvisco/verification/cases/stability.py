@@ -95,7 +95,8 @@ def _case(kind: str, load: str) -> Case:
         ),
         setting=f"{SETTING}, creep with G_m = 2 Pa s, hyperviscosity mu = 1e-5, p = 4"
         + (", gravity 2 m/s2" if gravity else "")
-        + f"; cells of 0.5 m, {STEPS} steps each of tau = 1e-3 to 10 s (CFL up to about 20).",
+        + f"; cells of 0.5 m, {STEPS} steps each of tau = 1e-3 to 10 s (at first the eddy crosses a "
+        f"cell in 0.5 s).",
         bounds=BOUNDS,
         run=partial(measure, kind, gravity),
         reduced=load == "free" and kind == "linearised",
