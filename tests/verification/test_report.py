@@ -6,6 +6,7 @@ import json
 import math
 import re
 import sys
+from dataclasses import replace
 
 import pytest
 
@@ -83,24 +84,18 @@ def test_what_is_not_a_number_keeps_no_bound(cases, tmp_path, value):
     assert saved.status == "fails" and saved.failed == ["the number"]
 
 
-def test_case_can_neither_drop_a_bound_nor_add_one(cases, tmp_path):
-    cases += [
-        Case(
-            name="sly",
-            theme="T",
-            statement="S",
-            label="L",
-            setting="S",
-            bounds=(Bound("a", "<=", 1), Bound("b", "<=", 1)),
-            run=lambda: Outcome(values={"a": 0.0, "c": 0.0}),
-        )
-    ]
+@pytest.mark.parametrize("values", [{"a": 0.0}, {"a": 0.0, "b": 0.0, "c": 0.0}], ids=["drop", "add"])
+def test_case_can_neither_drop_a_bound_nor_add_one(cases, tmp_path, values):
+    bounds = (Bound("a", "<=", 1), Bound("b", "<=", 1))
+    cases += [replace(case("sly", 0.0), bounds=bounds, run=lambda: Outcome(values=values))]
     assert main(["-o", str(tmp_path / "r")]) == FAILED
-    assert json.loads((tmp_path / "r" / "cases" / "sly.json").read_text())["status"] == "error"
+    saved = json.loads((tmp_path / "r" / "cases" / "sly.json").read_text())
+    assert saved["status"] == "error" and "must be the same" in saved["error"]
+
+
+def test_case_without_a_bound_cannot_be_made():
     with pytest.raises(VerificationError, match="without a bound"):
-        case("none", 0.0).__class__(
-            name="n", theme="", statement="", label="", setting="", bounds=(), run=lambda: None
-        )
+        replace(case("none", 0.0), bounds=())
 
 
 def test_misspelt_name_is_an_error_with_the_nearest_one(cases, tmp_path, capsys):
