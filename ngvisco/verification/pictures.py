@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +36,14 @@ def draw(plot: Plot) -> bytes:
     axis.grid(alpha=0.3)
     if any(curve.label for curve in plot.curves):
         axis.legend(fontsize="small")
-    image = io.BytesIO()
-    fig.savefig(image, dpi=90, format="png", metadata={"Software": None})
-    return image.getvalue()
+    return _as_png(fig)
+
+
+def _as_png(fig: Any) -> bytes:
+    """With a palette of 64 colours: a third of the size, and a report has a hundred of them."""
+    from PIL import Image  # matplotlib needs Pillow
+
+    drawn, small = io.BytesIO(), io.BytesIO()
+    fig.savefig(drawn, dpi=90, format="png")
+    Image.open(drawn).convert("RGB").quantize(64).save(small, format="png", optimize=True)
+    return small.getvalue()
