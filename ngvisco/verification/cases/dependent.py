@@ -22,7 +22,7 @@ THEME = "Dependent variables"
 COFACTORS = MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1)
 LOGARITHMIC = LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 DURATION = 0.096
-LEVELS = (0.6, 0.3, 0.15)
+LEVELS = (0.8, 0.4, 0.2)
 STEP = 0.02
 """tau / h: the first waves take 0.3 s"""
 DELTAS = (1e-1, 1e-2, 1e-3, 1e-4)
@@ -111,8 +111,8 @@ def _case(name: str, what: tuple[str, str], label: str, material: Material) -> C
         statement=f"{what[0]} and {what[1]} vanish as delta, tau and h go to zero, though each variable "
         f"is transported on its own.",
         label=label,
-        setting=f"{SETTING}; {type(material).__name__}, 0.5 m/s; h = 0.6, 0.3, 0.15 m with tau = 0.02 h and "
-        f"delta = 0 or 0.1 h², until {DURATION} s; delta alone from 0.1 to 1e-4 at h = 0.3 m.",
+        setting=f"{SETTING}; {type(material).__name__}, 0.5 m/s; h = 0.8, 0.4, 0.2 m with tau = 0.02 h and "
+        f"delta = 0 or 0.1 h², until {DURATION} s; delta alone from 0.1 to 1e-4 at h = 0.4 m.",
         bounds=(
             *rates,
             Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
