@@ -39,6 +39,7 @@ from ngvisco.physics.materials import (
     ReferentialMooneyRivlin,
     ReferentialNeoHookean,
     WithQuadratic,
+    Yosida,
 )
 from ngvisco.physics.model import BodyForce, CentralGravity, Gravity, Model
 from ngvisco.physics.regularisation import Regularisation
@@ -128,6 +129,7 @@ __all__ = [
     "UnknownNameError",
     "VTKSeries",
     "WithQuadratic",
+    "Yosida",
     "check_convexity",
     "load",
     "load_case",

@@ -151,7 +151,9 @@ class Case:
 
     def model(self, dim: int) -> Model:
         """Material, mechanisms and loads in ``dim`` dimensions; raises CaseError."""
-        material = self._made(self.sections.material, catalogue.MATERIALS, ("material",), dim)
+        material = self._made(
+            self.sections.material, {**catalogue.MATERIALS, **catalogue.WRAPPERS}, ("material",), dim
+        )
         mechanisms = {}
         for name, kind in catalogue.MECHANISMS.items():
             part = getattr(self.sections.rheology, name)

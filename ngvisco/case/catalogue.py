@@ -22,6 +22,8 @@ from ngvisco.physics.materials import (
     NeoHookean,
     ReferentialMooneyRivlin,
     ReferentialNeoHookean,
+    WithQuadratic,
+    Yosida,
 )
 from ngvisco.physics.model import BodyForce, CentralGravity, Gravity
 from ngvisco.physics.regularisation import Regularisation
@@ -61,6 +63,9 @@ MATERIALS: dict[str, type] = {
     "ReferentialMooneyRivlin": ReferentialMooneyRivlin,
     "ReferentialNeoHookean": ReferentialNeoHookean,
 }
+
+WRAPPERS: dict[str, type] = {"Yosida": Yosida, "WithQuadratic": WithQuadratic}
+"""Materials of another one, [material.material]: of those above, and of wrappers before them here."""
 
 MECHANISMS: dict[str, type] = {
     "viscosity": StokesViscosity,

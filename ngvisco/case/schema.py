@@ -22,7 +22,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model,
 
 from ngvisco.case import catalogue
 from ngvisco.case.expressions import parse
-from ngvisco.errors import ParameterError
+from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.physics.material import Material as MaterialObject
 
 _MAX_OUTPUT_TIMES = 100_000
 
@@ -88,7 +89,9 @@ def _mentions_function(hint: Any) -> bool:
     return any(_mentions_function(part) for part in get_args(hint) if not isinstance(part, list))
 
 
-def section(target: Callable[..., Any], tag: tuple[str, str] | None = None) -> type[Section]:
+def section(
+    target: Callable[..., Any], tag: tuple[str, str] | None = None, wrapped: Any = Section
+) -> type[Section]:
     """The section that holds a dataclass's (or function's) parameters.
 
     Parameters
@@ -96,6 +99,8 @@ def section(target: Callable[..., Any], tag: tuple[str, str] | None = None) -> t
     target : class or function
     tag : (key, name), optional
         A key whose value chooses this section, e.g. ``("kind", "NeoHookean")``.
+    wrapped : type
+        The schema's type of a parameter that is a material.
     """
     hints = get_type_hints(target.__init__ if inspect.isclass(target) else target)
     if inspect.isclass(target):
@@ -104,7 +109,8 @@ def section(target: Callable[..., Any], tag: tuple[str, str] | None = None) -> t
     if tag is not None:
         fields[tag[0]] = (Literal[tag[1]], ...)
     for name, parameter in inspect.signature(target).parameters.items():
-        annotation = _annotation(hints.get(name))
+        hint = hints.get(name)
+        annotation = wrapped if hint is MaterialObject else _annotation(hint)
         required = parameter.default is inspect.Parameter.empty
         if annotation is None:
             if required:
@@ -113,6 +119,7 @@ def section(target: Callable[..., Any], tag: tuple[str, str] | None = None) -> t
         fields[name] = (annotation, ... if required else _default(annotation, parameter.default))
     base = _checked_section(target) if _is_plain(target, fields) else Section
     model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
+    _TARGETS[model] = target
     _FIELDS[model] = frozenset(
         name for name, (annotation, _) in fields.items() if _has_field_value(annotation)
     )
@@ -120,6 +127,7 @@ def section(target: Callable[..., Any], tag: tuple[str, str] | None = None) -> t
 
 
 _FIELDS: dict[type[Section], frozenset[str]] = {}
+_TARGETS: dict[type[Section], Callable[..., Any]] = {}
 
 
 def field_names(part: Section) -> frozenset[str]:
@@ -148,28 +156,49 @@ def _checked_section(target: Callable[..., Any]) -> type[Section]:
     class Checked(Section):
         @model_validator(mode="after")
         def _admitted(self) -> Any:
-            target(**parameters(self))
+            try:
+                target(**parameters(self))
+            except UnknownNameError as error:  # a KeyError, which pydantic would let through
+                raise ValueError(str(error)) from error
             return self
 
     return Checked
 
 
 def parameters(part: Section) -> dict[str, Any]:
-    """The parameters that a section holds, by name, without its tag; None is left to the default."""
+    """The parameters that a section holds, by name, without its tag; None is left to the default.
+
+    A section within it becomes the object that it describes.
+    """
     tags = {"kind", "geometry"} & set(type(part).model_fields)
     values = {name: getattr(part, name) for name in type(part).model_fields if name not in tags}
-    return {name: value for name, value in values.items() if value is not None}
+    return {
+        name: _TARGETS[type(value)](**parameters(value)) if isinstance(value, Section) else value
+        for name, value in values.items()
+        if value is not None
+    }
 
 
 def _tagged(key: str, table: dict[str, Any]) -> Any:
-    models = tuple(section(target, (key, name)) for name, target in table.items())
+    return _choice(key, tuple(section(target, (key, name)) for name, target in table.items()))
+
+
+def _choice(key: str, models: tuple[type[Section], ...]) -> Any:
     if len(models) == 1:
         return models[0]
     return Annotated[Union[models], Field(discriminator=key)]  # noqa: UP007 (made at run time)
 
 
+def _materials() -> Any:
+    """The materials, and the wrappers of those before them."""
+    models = tuple(section(target, ("kind", name)) for name, target in catalogue.MATERIALS.items())
+    for name, target in catalogue.WRAPPERS.items():
+        models = (*models, section(target, ("kind", name), _choice("kind", models)))
+    return _choice("kind", models)
+
+
 Domain = _tagged("geometry", catalogue.GEOMETRIES)
-Material = _tagged("kind", catalogue.MATERIALS)
+Material = _materials()
 Load = _tagged("kind", catalogue.LOADS)
 Wall = _tagged("kind", catalogue.WALLS)
 Rheology: Any = create_model(

@@ -116,6 +116,7 @@ def listing(options: argparse.Namespace) -> int:
     groups = (
         ("geometries: [domain] geometry =", "geometry", catalogue.GEOMETRIES),
         ("materials: [material] kind =", "kind", catalogue.MATERIALS),
+        ("materials of another one, [material.material]: [material] kind =", "kind", catalogue.WRAPPERS),
         ("mechanisms: [rheology.NAME]", None, catalogue.MECHANISMS),
         ("loads: [[loads]] kind =", "kind", catalogue.LOADS),
         ("walls: [walls.NAME] kind =", "kind", catalogue.WALLS),

@@ -20,6 +20,7 @@ from ngsolve import (
     sqrt,
 )
 
+from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.spaces import Fields
 
 time = Parameter(0.0)
@@ -80,8 +81,9 @@ class Term(Protocol):
 class Context:
     """Parameters and known fields of a Rothe step from t_old to t_old + tau."""
 
-    def __init__(self, mesh: Mesh, old: Fields) -> None:
-        self.mesh, self.old = mesh, old
+    def __init__(self, mesh: Mesh, old: Fields, energy: StoredEnergy | None = None) -> None:
+        """``energy`` may be None where the material's energy has an expression."""
+        self.mesh, self.old, self.energy = mesh, old, energy
         self.tau = Parameter(1.0)
         self.t_old = Parameter(0.0)
         self.eta = Parameter(1e-6)

@@ -23,11 +23,11 @@ from ngsolve import (
 )
 
 from ngvisco.forms.context import Integrand
+from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.transport import Conjugates
-from ngvisco.physics.material import components_of, conjugates
 from ngvisco.physics.tensors import inner, square
 
 
@@ -71,6 +71,8 @@ class Elimination:
         u = layout.fields(state.components)
         parts = dict(zip(layout.names, state.components, strict=True))
         self.projections: list[LocalProjection] = []
+        self.energy: StoredEnergy | None = None
+        self._project_energy: LocalProjection | None = None
 
         def add(name: str, integrand: Any) -> None:
             space = layout.blocks[name]
@@ -78,9 +80,13 @@ class Elimination:
 
         for term in terms:
             if isinstance(term, Conjugates):
-                slope = conjugates(term.material, u.z_tensors)
-                components = components_of(term.material, slope, term.dim)
-                add("zeta", _tested(components))
+                self.energy = term.energy
+                add("zeta", _tested(term.energy.slope(u)))
+                self.conjugates = self.projections[-1]
+                if self.energy.projected is not None:
+                    target = self.energy.projected
+                    density = _tested(self.energy.density(u))
+                    self._project_energy = LocalProjection(target.space, target, quadrature, density)
             elif isinstance(term, Hyperviscosity) and not term.law.is_linear:
                 add("hess_square", _tested(square(u.hess)))
                 add("hyper_coefficient", lambda t, term=term: term.coefficient_load(u, t))
@@ -88,8 +94,14 @@ class Elimination:
 
     def __call__(self) -> None:
         """Make the local unknowns of the state consistent with its v, a and z."""
+        self.refresh()
         for projection in self.projections:
             projection()
+
+    def refresh(self) -> None:
+        """Make an energy that is kept at the quadrature points that of the present state."""
+        if self.energy is not None and self.energy.refresh() and self._project_energy is not None:
+            self._project_energy()
 
 
 def _tested(value: CoefficientFunction) -> Any:

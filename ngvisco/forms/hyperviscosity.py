@@ -47,7 +47,7 @@ class Hyperviscosity:
     law: HyperViscosity
     context: Context
 
-    def _penalty(self, u: Fields) -> tuple[CoefficientFunction, CoefficientFunction | None]:
+    def penalty(self, u: Fields) -> tuple[CoefficientFunction, CoefficientFunction | None]:
         """sigma/h (c(s~), c'(s~) |j|^2) at s~ = s + |j|^2/h^2 + chi^2; the second is None where c' = 0."""
         law, h = self.law, self.context.h
         weight = law.penalty / h
@@ -68,7 +68,7 @@ class Hyperviscosity:
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
         law, h = self.law, self.context.h
-        penalty, coupling = self._penalty(u)
+        penalty, coupling = self.penalty(u)
         parts = [
             *self.lifting(w, u),
             *negative(self.lifting(u, w)),
@@ -90,13 +90,13 @@ class Hyperviscosity:
 
     def coefficient_load(self, u: Fields, t: CoefficientFunction) -> Integrand:
         """int c(s) t + sum_K int_{dK} sigma/h c'(s~)|j|^2 t: the load that c_s is the projection of."""
-        _, coupling = self._penalty(u)
+        _, coupling = self.penalty(u)
         assert coupling is not None
         return Integrand(self.law.coefficient(u.hess_square) * t, coupling * t)
 
     def entries(self, u: Fields) -> list[Entry]:
         """int c(|Hs|^2)|Hs|^2 and the penalty's share: the paper's int mu |hess v|^p."""
-        penalty, coupling = self._penalty(u)
+        penalty, coupling = self.penalty(u)
         facets = penalty * square(u.jump)
         cells = (self.law.mu + self.law.mu_1) * square(u.hess)
         if coupling is not None:

@@ -94,7 +94,8 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
             if value is not None:
                 name = variable.name if variable.kind == "scalar" else f"det {variable.name}"
                 sampler.require(value, f"projected {name}_0", minimum=0.0)
-        sampler.require(step.model.material.energy(step.now.z_tensors), "stored energy")
+        if not np.isfinite(step.energy.samples(step.now.z_tensors, sampler)).all():
+            raise InitialDataError("stored energy", "not finite somewhere", "finite values")
         complete(step)
     step.state_old.vec.data = step.state.vec
 
@@ -177,7 +178,11 @@ def complete(step: Step) -> None:
     """Start values of traces, conjugates and the hyperviscosity's unknowns from v, rho and z."""
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     u, material, dim = step.now, step.model.material, step.mesh.dim
-    parts["zeta"].Set(components_of(material, conjugates(material, u.z_tensors), dim))
+    if step.energy.projected is None:
+        parts["zeta"].Set(components_of(material, conjugates(material, u.z_tensors), dim))
+    else:
+        step.eliminate.refresh()
+        step.eliminate.conjugates()
     _mean_traces(step)
     law = step.model.hyperviscosity
     if law is None:

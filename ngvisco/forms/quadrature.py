@@ -43,9 +43,11 @@ class Quadrature:
 
         The terms with the highest degree among the polynomial ones are m~ . (L^T w) and
         rate(grad w; z) : zeta, of degree m + 2k + (k - 1) and (k - 1) + 2m.  Energies are not
-        polynomial; 2k + m + 1 resolves them at least as well as the fields do.
+        polynomial; 2k + m + 1 resolves them at least as well as the fields do.  Rounded up to an even
+        degree: values are kept at the points, and NGSolve has spaces of these for even degrees only.
         """
         degree = max(2 * k + m + 1, 2 * m + k) + bonus
+        degree += degree % 2
         return cls(mesh, degree, degree)
 
     @cached_property

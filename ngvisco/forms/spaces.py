@@ -146,6 +146,21 @@ class Layout:
         free &= space.FreeDofs()
         return identified
 
+    def scalar_velocity_space(self) -> FESpace:
+        """The scalar space, without constraints, that every component of v lives in."""
+        space = H1(self.mesh, order=self.discretisation.k)
+        return Periodic(space) if self.periodic else space
+
+    def scalar_facet_space(self) -> FESpace:
+        """The scalar space that every component of z_hat lives in."""
+        space = FacetFESpace(self.mesh, order=self.discretisation.m)
+        return Periodic(space) if self.periodic else space
+
+    def scalar_creep_space(self) -> FESpace:
+        """The scalar space that every component of Pi lives in."""
+        space = H1(self.mesh, order=max(1, self.discretisation.m))
+        return Periodic(space) if self.periodic else space
+
     def fields(self, parts: Sequence[Any]) -> Fields:
         """Fields of trial or test proxies, or of a grid function's components."""
         return Fields(self, dict(zip(self.names, parts, strict=True)))

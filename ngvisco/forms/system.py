@@ -25,6 +25,7 @@ from ngvisco.forms import walls
 from ngvisco.forms.context import Context, Entry, Integrand, Term
 from ngvisco.forms.creep import CreepRate
 from ngvisco.forms.elimination import Elimination
+from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Continuity, Convection, Inertia, Loading, Stokes
 from ngvisco.forms.quadrature import Quadrature
@@ -73,11 +74,15 @@ class Step:
         self.now = self.layout.fields(self.state.components)
         self.old = self.layout.fields(self.state_old.components)
         self.moving_walls = walls.MovingWalls(self.walls, self.layout, self.state)
-        self.context = Context(mesh, self.old)
-        self.quadrature = Quadrature.for_orders(
-            mesh, self.discretisation.k, self.discretisation.m, self.discretisation.quadrature_bonus
-        )
+        k, m, bonus = (getattr(self.discretisation, name) for name in ("k", "m", "quadrature_bonus"))
+        response = model.material.response(mesh.dim)
+        self.quadrature = Quadrature.for_orders(mesh, k, m, bonus)
+        self.energy = StoredEnergy(model.material, mesh.dim)
+        if response is not None:
+            self.energy = PointwiseEnergy(model.material, response, self.quadrature, self.now, self.old, m)
+        self.context = Context(mesh, self.old, self.energy)
         self.terms = self._terms(sources)
+        self.has_sources = sources is not None
         self.residual = self._residual()
         self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms)
 

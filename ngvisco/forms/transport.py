@@ -15,8 +15,9 @@ from __future__ import annotations
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.context import Context, Entry, Integrand, negative
+from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.spaces import Fields
-from ngvisco.physics.material import components_of, conjugates, mandel_stress
+from ngvisco.physics.material import mandel_stress
 from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner, square
@@ -30,6 +31,7 @@ class Transport:
         self.model, self.context = model, context
         self.material = model.material
         self.dim = context.mesh.dim
+        self.energy = context.energy or StoredEnergy(model.material, self.dim)
 
     def operator(
         self,
@@ -90,9 +92,8 @@ class Kinematics(Transport):
 
     def entries(self, u: Fields) -> list[Entry]:
         """Creep's dissipation and the Bregman distance phi(z_old) - phi(z) - phi'(z):(z_old - z)."""
-        z, z_old = u.z_tensors, self.context.old.z_tensors
-        phi, phi_old = self.material.energy(z), self.material.energy(z_old)
-        slope = components_of(self.material, conjugates(self.material, z), self.dim)
+        phi, phi_old = self.energy.density(u), self.energy.density(self.context.old)
+        slope = self.energy.slope(u)
         bregman = phi_old - phi - inner(slope, self.context.old.z - u.z)
         entries = [Entry("bregman", "numerical", Integrand(bregman))]
         if self.model.creep is not None and self.model.creep.is_local and self.model.creep.R > 0:
@@ -122,11 +123,8 @@ class Conjugates(Transport):
     """int (zeta - phi'(z)) : X = 0: zeta is the cellwise L2 projection of the conjugates."""
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        slope = conjugates(self.material, u.z_tensors)
-        return [
-            Integrand(inner(u.zeta, w.zeta)),
-            *(Integrand(-inner(S, w.zeta_tensors[name])) for name, S in slope.items()),
-        ]
+        slope = self.energy.tested_slope(u, w)
+        return [Integrand(inner(u.zeta, w.zeta)), *(Integrand(-part) for part in slope)]
 
     def entries(self, u: Fields) -> list[Entry]:
         """No power; the share of a quadratic regularisation in the stored energy, for information."""

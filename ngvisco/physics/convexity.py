@@ -11,12 +11,9 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from functools import cache
-from typing import Any
 
 import numpy as np
-from ngsolve import CF, ET, L2, VOL, CoefficientFunction, GridFunction, IntegrationRule, VectorValued
-from ngsolve.meshes import MakeStructured2DMesh
+from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued
 
 from ngvisco.errors import require_positive
 from ngvisco.physics.material import (
@@ -26,6 +23,7 @@ from ngvisco.physics.material import (
     conjugates,
     tensors_of,
 )
+from ngvisco.physics.pointwise import squares
 from ngvisco.physics.tensors import tensor_space
 
 _CELLS = 16  # random states are the values of a cellwise constant field on this many squares squared
@@ -128,12 +126,14 @@ class _Sampling:
 
     def __init__(self, material: Material, dim: int) -> None:
         self.material, self.dim = material, dim
-        self.mesh, self.points = _squares()
+        self.mesh, self.points = squares(_CELLS)
         self.size = component_count(material, dim)
         self.state = GridFunction(VectorValued(L2(self.mesh, order=0), self.size))
-        z = tensors_of(material, self.state, dim)
-        slope = components_of(material, conjugates(material, z), dim)
-        self.outputs = CF((material.energy(z), slope)).Compile()
+        self.response = material.response(dim)
+        if self.response is None:
+            z = tensors_of(material, self.state, dim)
+            slope = components_of(material, conjugates(material, z), dim)
+            self.outputs = CF((material.energy(z), slope)).Compile()
 
     def random_states(self, rng: np.random.Generator, spread: float) -> np.ndarray:
         """States of a random F, with every variable then changed on its own."""
@@ -159,6 +159,9 @@ class _Sampling:
         return states
 
     def energy_and_slope(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if self.response is not None:
+            found = self.response(states)
+            return found.energy, found.slope
         _set(self.state, states)
         values = self._evaluate(self.outputs)
         return values[:, 0], values[:, 1:]
@@ -182,12 +185,6 @@ class _Sampling:
 
     def _evaluate(self, f: CoefficientFunction) -> np.ndarray:
         return np.array(f(self.points)).reshape(self.mesh.ne, -1)
-
-
-@cache
-def _squares() -> tuple[Any, Any]:
-    mesh = MakeStructured2DMesh(quads=True, nx=_CELLS, ny=_CELLS)
-    return mesh, mesh.MapToAllElements({ET.QUAD: IntegrationRule([(0.5, 0.5)], [1.0])}, VOL)
 
 
 def _set(gf: GridFunction, values: np.ndarray) -> None:

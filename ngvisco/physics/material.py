@@ -16,6 +16,7 @@ the variables z; this is the "generalised polyconvexity" of the paper's Section 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction
@@ -23,6 +24,9 @@ from ngsolve import CF, CoefficientFunction
 from ngvisco.errors import ParameterError
 from ngvisco.physics.tensors import IDENTITY, inner, tensor_space, trace_free_tensors
 from ngvisco.physics.variables import Values, Variable
+
+if TYPE_CHECKING:
+    from ngvisco.physics.pointwise import Respond
 
 
 class Material(ABC):
@@ -36,6 +40,13 @@ class Material(ABC):
     @abstractmethod
     def energy(self, z: Values) -> CoefficientFunction:
         """Stored energy per actual volume, Pa, from the variables' values by name."""
+
+    def response(self, dim: int) -> Respond | None:
+        """None where ``energy`` is an expression (the rule); otherwise what replaces it.
+
+        The energy is then evaluated as an array at the quadrature points, see ``ngvisco.physics.pointwise``.
+        """
+        return None
 
 
 def check_material(material: Material) -> None:
@@ -76,10 +87,16 @@ def rate_power(
     return total
 
 
-def cauchy_stress(material: Material, z: Values, zeta: Values | None = None) -> CoefficientFunction:
+def cauchy_stress(
+    material: Material,
+    z: Values,
+    zeta: Values | None = None,
+    phi: CoefficientFunction | None = None,
+) -> CoefficientFunction:
     """Cauchy stress T, 3x3, Pa (paper: Cauchy-stress-polyconvex).
 
     ``zeta`` defaults to the exact conjugates; the discretisation passes its projected ones.
+    ``phi`` defaults to the expression of the energy.
     The affine part of a rate (eps(v) of E) is linear in L, so T : A = power(A) + phi tr A.
     """
     zeta = conjugates(material, z) if zeta is None else zeta
@@ -90,7 +107,8 @@ def cauchy_stress(material: Material, z: Values, zeta: Values | None = None) -> 
             unit = np.zeros((3, 3))
             unit[i, j] = 1.0
             entries.append(rate_power(material, z, zeta, _constant(unit), zero))
-    return CF(tuple(entries), dims=(3, 3)) + material.energy(z) * IDENTITY
+    phi = material.energy(z) if phi is None else phi
+    return CF(tuple(entries), dims=(3, 3)) + phi * IDENTITY
 
 
 def mandel_stress(material: Material, z: Values, zeta: Values, dim: int) -> CoefficientFunction:

@@ -1,19 +1,20 @@
 """The regularisations of the paper's discrete scheme, each off by default.
 
 (paper: Euler-small-viscoelastodyn+disc, Euler-large-viscoelastodyn+disc.)  Those that change the stored
-energy are materials of their own: ``WithQuadratic`` wraps any material, and the linear
-continuation of a singular part is the parameter ``J_min`` of the materials that have one.  Gravity is
-averaged over the step in every run.
+energy are materials of their own: ``WithQuadratic`` and ``Yosida`` wrap any material, also one another, and
+the linear continuation of a singular part is the parameter ``J_min`` of the materials that have one.
+Gravity is averaged over the step in every run.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from ngsolve import CF, CoefficientFunction, IfPos
 
 from ngvisco.errors import require_above, require_nonnegative, require_positive
-from ngvisco.physics.tensors import power_of_square
+from ngvisco.physics.tensors import Scalar, power_of_square
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +79,7 @@ class Regularisation:
         if self.rho_max is not None:
             require_positive(self, rho_max=self.rho_max)
 
-    def diffusivity(self, gradient_square: CoefficientFunction) -> CoefficientFunction:
+    def diffusivity(self, gradient_square: Scalar) -> Scalar:
         """delta |grad rho|^{r-2}, m^2/s, of |grad rho|^2."""
         return self.delta_density * power_of_square(gradient_square, 0.5 * (self.r - 2), self.floor)
 
@@ -97,3 +98,10 @@ class Regularisation:
         s = (rho - self.rho_max) * (1 / self.width)
         smooth = 1 - s * s * (3 - 2 * s)
         return IfPos(rho, IfPos(s, IfPos(1 - s, smooth, 0.0), 1.0), 0.0)
+
+    def cut_off_values(self, rho: np.ndarray) -> np.ndarray:
+        """K(rho) of an array."""
+        if self.rho_max is None:
+            return np.ones_like(rho)
+        s = np.clip((rho - self.rho_max) / self.width, 0.0, 1.0)
+        return np.where(rho > 0, 1 - s * s * (3 - 2 * s), 0.0)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, require_above, require_nonnegative, require_positive
-from ngvisco.physics.tensors import IDENTITY, dev, power_of_square, square, tr
+from ngvisco.physics.tensors import IDENTITY, Scalar, dev, power_of_square, square, tr
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +77,8 @@ class HyperViscosity:
         """Whether the hyperstress is linear in hess v (p = 2)."""
         return self.p == 2
 
-    def coefficient(self, s: CoefficientFunction) -> CoefficientFunction:
-        """c(s) = mu_1 + mu s^{(p-2)/2} for s = |hess v|^2."""
+    def coefficient(self, s: Scalar) -> Scalar:
+        """c(s) = mu_1 + mu s^{(p-2)/2} for s = |hess v|^2, a coefficient function or an array."""
         power = self.mu * power_of_square(s, 0.5 * (self.p - 2), self.floor)
         return power + self.mu_1 if self.mu_1 else power
 

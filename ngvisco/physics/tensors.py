@@ -11,11 +11,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, InnerProduct, Trace
 
 IDENTITY = Id(3)
+
+Scalar = TypeVar("Scalar", CoefficientFunction, np.ndarray)
 
 
 def sym(A: CoefficientFunction) -> CoefficientFunction:
@@ -61,15 +64,15 @@ def embed_gradient(grad: CoefficientFunction, dim: int) -> CoefficientFunction:
     return columns * grad * columns.trans
 
 
-def power_of_square(s: CoefficientFunction, exponent: float, floor: float) -> CoefficientFunction:
-    """s^exponent for s = |.|^2 >= 0, differentiable at s = 0.
+def power_of_square(s: Scalar, exponent: float, floor: float) -> Scalar:
+    """s^exponent for s = |.|^2 >= 0, a coefficient function or an array; differentiable at s = 0.
 
     Small integer exponents are exact.  Otherwise (floor^2 + s)^exponent, because the derivative of a
     real power is NaN at zero; ``floor`` has the units of |.| and is far below any value of interest.
     """
     rounded = round(exponent)
     if abs(exponent - rounded) < 1e-14 and 0 <= rounded <= 8:
-        result = CF(1.0)
+        result = np.ones_like(s) if isinstance(s, np.ndarray) else CF(1.0)
         for _ in range(rounded):
             result = result * s
         return result

@@ -33,6 +33,7 @@ import numpy as np
 from ngsolve import VOL, Mesh
 
 from ngvisco.errors import CheckpointError, ParameterError
+from ngvisco.physics.material import Material
 from ngvisco.run.files import write_atomically
 from ngvisco.run.ledger import Balance, unit
 
@@ -267,7 +268,11 @@ def material_signature(material: object) -> str:
     values = []
     for field in dataclasses.fields(material) if dataclasses.is_dataclass(material) else ():
         value = getattr(material, field.name)
-        values.append(f"{field.name}={getattr(value, '__qualname__', None) or value!r}")
+        if isinstance(value, Material):
+            text = material_signature(value)
+        else:
+            text = getattr(value, "__qualname__", None) or repr(value)
+        values.append(f"{field.name}={text}")
     return f"{type(material).__name__}({', '.join(values)})"
 
 

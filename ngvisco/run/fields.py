@@ -15,7 +15,7 @@ from ngvisco.physics.tensors import dev, square, tr
 def output_fields(step: Step) -> dict[str, CoefficientFunction]:
     """Velocity, density, variables, Cauchy stress, pressure and von Mises stress at the new state."""
     u, material = step.now, step.model.material
-    T = cauchy_stress(material, u.z_tensors, u.zeta_tensors)
+    T = cauchy_stress(material, u.z_tensors, u.zeta_tensors, step.energy.anywhere(u))
     return {
         "velocity": u.v,
         "density": u.rho,

@@ -143,10 +143,10 @@ class Ledger:
         return self.rows[-1]
 
     def _cell_integrands(self) -> tuple[CoefficientFunction, list[str]]:
-        u, material = self.step.now, self.step.model.material
+        u = self.step.now
         named = {
             "kinetic": 0.5 * u.rho * square(u.v),
-            "stored": material.energy(u.z_tensors),
+            "stored": self.step.energy.density(u),
             "mass": u.rho,
         }
         for entry in self.entries:
@@ -156,6 +156,7 @@ class Ledger:
 
     def _integrals(self) -> dict[str, float]:
         quadrature = self.step.quadrature
+        self.step.energy.require()
         totals = quadrature.integrate_cells(self._cells)
         values = {name: float(t) for name, t in zip(self._cell_names, totals, strict=True)}
         for entry in self._facets:

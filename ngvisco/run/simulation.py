@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from typing import Protocol
 
@@ -23,7 +24,8 @@ from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
 from ngvisco.forms.walls import Conditions
 from ngvisco.physics.convexity import check_convexity
-from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, WithQuadratic, Yosida
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
@@ -66,6 +68,8 @@ class Simulation:
         Chooses the steps' lengths; default None is steps of the one length ``dt``.
     discretisation : Discretisation, optional
     newton : NewtonOptions, optional
+    solver : str, optional
+        ``"auto"``, ``"coupled"`` or ``"split"``: short for ``NewtonOptions(method=...)``.
     observers : sequence of Observer
     velocity_scale : float, optional
         A typical velocity, m/s; sets the width of the smoothed upwinding (1e-4 of it).  Default: the
@@ -92,6 +96,7 @@ class Simulation:
         walls: Conditions | None = None,
         discretisation: Discretisation | None = None,
         newton: NewtonOptions | None = None,
+        solver: str | None = None,
         observers: Sequence[Observer] = (),
         velocity_scale: float | None = None,
         sources: Term | None = None,
@@ -109,7 +114,7 @@ class Simulation:
             raise ParameterError("Simulation.dt", dt, "a finite number > 0")
         if velocity_scale is not None and not (_is_number(velocity_scale) and velocity_scale > 0):
             raise ParameterError("Simulation.velocity_scale", velocity_scale, "a number > 0")
-        if isinstance(model.material, (CustomMaterial, IsotropicStrainEnergy)):
+        if isinstance(_innermost(model.material), (CustomMaterial, IsotropicStrainEnergy)):
             check_convexity(model.material, dim=mesh.dim)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping)
@@ -119,7 +124,10 @@ class Simulation:
         self.t, self.number = 0.0, 0
         set_initial(self.rothe_step, initial or Initial(), self.sampler)
         self.set_velocity_scale(velocity_scale or self._typical_velocity())
-        self.solver = RotheSolver(self.rothe_step, newton or NewtonOptions(), self._defect)
+        options = newton or NewtonOptions()
+        if solver is not None:
+            options = replace(options, method=solver)
+        self.solver = RotheSolver(self.rothe_step, options, self._defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         u, variables = self.rothe_step.now, model.material.variables
         scalars = {v: v.positive(u.z_tensors[v.name]) for v in variables}
@@ -175,6 +183,7 @@ class Simulation:
         T of the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all Pa.  The passive
         fields of the run follow under their names.
         """
+        self.rothe_step.eliminate.refresh()
         return {**output_fields(self.rothe_step), **self.passive.fields}
 
     def advance(self, stop: float = math.inf) -> dict[str, float]:
@@ -281,8 +290,9 @@ class Simulation:
             largest = math.sqrt(self.sampler.extrema(acceleration)[1])
             fall = max(fall, math.sqrt(largest * self._diameter()))
         rest = {v.name: v.from_distortion(Id(3)) for v in model.material.variables}
-        excess = model.material.energy(u.z_tensors) - model.material.energy(rest)
-        released = 2 * float(abs(self.sampler.values(excess)).max())
+        energy = self.rothe_step.energy
+        excess = energy.samples(u.z_tensors, self.sampler) - energy.samples(rest, self.sampler)
+        released = 2 * float(abs(excess).max())
         elastic = math.sqrt(released / self.sampler.extrema(u.rho)[0])
         # the smoothed upwinding spreads jumps at its width: by 1e-4 of the domain a step, at most
         return max(speed, min(max(fall, elastic), self._diameter() / self.dt)) or 1.0
@@ -291,3 +301,10 @@ class Simulation:
         """Diagonal of the mesh's bounding box, m."""
         points = np.array([vertex.point for vertex in self.mesh.vertices])
         return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
+
+
+def _innermost(material: Material) -> Material:
+    """What the regularising wrappers hold in the end."""
+    while isinstance(material, (WithQuadratic, Yosida)):
+        material = material.material
+    return material

@@ -29,6 +29,9 @@ from ngsolve import BaseVector, BilinearForm, BitArray
 from ngvisco.errors import ParameterError, StepError, require_choice, require_positive
 
 
+METHODS = ("auto", "coupled", "split")
+
+
 @dataclass(frozen=True, kw_only=True)
 class NewtonOptions:
     """Tolerances of the iteration, in the norm of the module's docstring.
@@ -45,6 +48,10 @@ class NewtonOptions:
         Smallest step length tried.
     inverse : str
         NGSolve's name of a sparse direct solver for nonsymmetric matrices.
+    method : str
+        ``"coupled"``: all unknowns at once; ``"split"``: one problem for the velocity, with the fields as
+        functions of it, whose cost grows like the mesh; ``"auto"`` (default): the faster one for the
+        mesh's dimension and size.  Both solve the same equations.
     """
 
     tolerance: float = 1e-10
@@ -52,6 +59,7 @@ class NewtonOptions:
     refresh: float = 0.25
     min_damping: float = 1e-3
     inverse: str = "umfpack"
+    method: str = "auto"
 
     def __post_init__(self) -> None:
         require_positive(
@@ -67,6 +75,7 @@ class NewtonOptions:
                 raise ParameterError(f"NewtonOptions.{name}", value, "a number in (0, 1)")
         # sparsecholesky returns nonsense for nonsymmetric matrices, silently
         require_choice(self, ("umfpack", "pardiso", "mumps"), inverse=self.inverse)
+        require_choice(self, METHODS, method=self.method)
 
 
 @dataclass(frozen=True)
@@ -160,13 +169,15 @@ class Newton:
         eliminate: Callable[[], None],
         options: NewtonOptions,
         on_factorise: Callable[[], None] = lambda: None,
+        refresh: Callable[[], None] = lambda: None,
     ) -> None:
         """``eliminate`` recomputes the local unknowns of ``state`` from the others.
 
-        ``on_factorise`` is called with the state at which the Jacobian has just been factorised.
+        ``on_factorise`` is called with the state at which the Jacobian has just been factorised,
+        ``refresh`` before the form is used at a state that ``eliminate`` was not just called at.
         """
         self.form, self.state, self.norm, self.options = form, state, norm, options
-        self.eliminate, self.on_factorise = eliminate, on_factorise
+        self.eliminate, self.on_factorise, self.refresh = eliminate, on_factorise, refresh
         self.jacobian = CondensedJacobian(form, options.inverse)
         self._residual = state.CreateVector()
         self._trial_residual = state.CreateVector()
@@ -199,7 +210,8 @@ class Newton:
                 # NaN where an increment is not finite, which passes no test below
                 contraction = self.norm(self._next, self._base, u) / size if size != 0 else 0.0
             history.append(NewtonIteration(size, contraction, damping, fresh))
-            stalled = fresh and contraction > options.refresh
+            # not where the residual is no number: the next increment is then an old one
+            stalled = fresh and options.refresh < contraction < np.inf
             if damping == 1.0 and (next_size <= options.tolerance or (stalled and self._is_rounding())):
                 if contraction < 1:
                     u.data -= self._next
@@ -235,6 +247,7 @@ class Newton:
         return self.norm(self._next, self.state, coarse=True) <= self.options.tolerance
 
     def _start(self, history: list[NewtonIteration]) -> bool:
+        self.refresh()
         self.form.Apply(self.state, self._residual)
         if not np.isfinite(self._residual.Norm()):
             raise StepError("the residual at the start of the step is not finite", history)
@@ -244,6 +257,7 @@ class Newton:
         return False
 
     def _refresh(self, history: list[NewtonIteration]) -> bool:
+        self.refresh()
         try:
             self.jacobian.factorise(self.state)
         except StepError as error:

@@ -11,7 +11,9 @@ from ngsolve import BaseVector
 from ngvisco.errors import StepError
 from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
+from ngvisco.solver.choice import chosen_method, is_affordable
 from ngvisco.solver.newton import BlockNorm, Newton, NewtonIteration, NewtonOptions
+from ngvisco.solver.split.solver import Split
 
 WIDEST = 100.0
 """Width of the smoothed upwinding, in units of the scheme's, from which it is narrowed for start values.
@@ -38,9 +40,13 @@ class RotheSolver:
         self._defect = defect or (lambda: None)
         self.h_min = min(step.context.h.vec)
         self.norm = BlockNorm(step.layout.ranges, {"v": 0.0, "rho": 0.0, "z": 1.0})
-        self.newton = Newton(
-            step.residual, step.state.vec, self.norm, step.eliminate, options, self._remember
-        )
+        self.newton: Newton | Split
+        if chosen_method(step, options.method) == "split":
+            self.newton = Split(step, self.norm, options, self._remember)
+        else:
+            self.newton = self._coupled(self._remember)
+        self.retried = 0
+        """Steps that the split solver gave up and the coupled one was asked for."""
         self._last_tau: float | None = None
         self._factorised = {name: step.state.vec.CreateVector() for name in ("state", "state_old")}
         self._factorised_at = {"t_old": 0.0, "tau": 0.0}
@@ -55,7 +61,8 @@ class RotheSolver:
         ------
         StepError
             When Newton or the positivity of rho and J fails, with both continuations too; both
-            grid functions then hold the old state.
+            grid functions then hold the old state.  A step that the split solver fails is retried by the
+            coupled one where the mesh is small enough for that.
         """
         step = self.step
         step.state_old.vec.data = step.state.vec
@@ -63,7 +70,18 @@ class RotheSolver:
             self.forget()
             self._last_tau = tau
         history: list[NewtonIteration] = []
+        split = self.newton
         try:
+            if isinstance(split, Split):
+                try:
+                    self._solve_directly(t_old, tau, history)
+                    return history
+                except StepError:
+                    if not with_continuation or not is_affordable(step.mesh):
+                        raise
+                    self._restore(step.state_old.vec)
+                    self.newton = self._coupled(lambda: None)
+                    self.retried += 1
             for solve in (self._solve_directly, self._soften):
                 try:
                     solve(t_old, tau, history)
@@ -79,6 +97,20 @@ class RotheSolver:
             if isinstance(error, StepError):
                 raise StepError(f"step of length {tau:g} s from t = {t_old:g} s: {error}", history) from error
             raise
+        finally:
+            self.newton = split
+
+    def _coupled(self, on_factorise: Callable[[], None]) -> Newton:
+        step = self.step
+        return Newton(
+            step.residual,
+            step.state.vec,
+            self.norm,
+            step.eliminate,
+            self.options,
+            on_factorise,
+            step.eliminate.refresh,
+        )
 
     def _solve_directly(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
         """Solve the step from the present state, and record the iterations, also failed ones."""
@@ -170,6 +202,7 @@ class RotheSolver:
         for name, values in arrays.items():
             getattr(step, name).vec.FV().NumPy()[:] = values
         self._set_context(numbers["t_old"], numbers["tau"])
+        step.eliminate.refresh()
         self.newton.jacobian.factorise(step.state.vec)
         self._remember()
         self._last_tau = numbers["last_tau"]
@@ -193,7 +226,16 @@ class RotheSolver:
     def _solve(self, t_old: float, tau: float) -> list[NewtonIteration]:
         self._set_context(t_old, tau)
         self.norm.units["v"] = self.h_min / tau
-        history = self.newton.solve()
+        energy = self.step.energy
+        energy.last_failure = None
+        try:
+            history = self.newton.solve()
+        except StepError as error:
+            if energy.last_failure is None:
+                raise
+            raise StepError(f"{error}; {energy.last_failure}", error.history) from error
+        if energy.failure is not None:  # of the last increment, which is added without a test
+            raise StepError(energy.failure, history)
         reason = self._defect()
         if reason is not None:
             raise StepError(f"{reason}: take a smaller step or a finer mesh", history)

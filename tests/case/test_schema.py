@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import ngvisco as nv
 from ngvisco.case import CaseError
 from ngvisco.case.build import parse_case
-from ngvisco.case.catalogue import GEOMETRIES, LOADS, MATERIALS, MECHANISMS, SECTIONS, WALLS
+from ngvisco.case.catalogue import GEOMETRIES, LOADS, MATERIALS, MECHANISMS, SECTIONS, WALLS, WRAPPERS
 from ngvisco.case.toml import key_lines, override, parse_override, write
 
 DEMOS = Path(__file__).resolve().parents[2] / "demos"
@@ -239,10 +239,57 @@ def test_every_demo_has_a_valid_case_file(name):
     assert loaded.sections.title
 
 
+WRAPPED = """\
+[material]
+kind = "WithQuadratic"
+delta = 1e-6
+
+[material.material]
+kind = "Yosida"
+eps = 1e-3
+
+[material.material.material]
+"""
+
+
+def test_materials_are_wrapped():
+    """The paper's energy: the Yosida approximation and the quadratic term."""
+    text = CASE.replace("[material]\n", WRAPPED)
+    run = simulation(text)
+    assert run.model.material == nv.WithQuadratic(
+        material=nv.Yosida(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), eps=1e-3), delta=1e-6
+    )
+    assert abs(run.run(0.02).column("closure_relative")[-1]) < 1e-13
+    loaded = case(text)
+    assert case(loaded.resolved).hash == loaded.hash
+    assert case(text, "material.material.eps=2e-3").hash != loaded.hash
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        (
+            "material.material.eps=-1",
+            r"material.material.eps \(set on the command line\): -1.0: expected a fin",
+        ),
+        ("material.material.eps='a'", "expected a number"),
+        ("material.material.epsilon=1", r"unknown key; did you mean 'eps'\?"),
+        ("material.material.material.kind='WithQuadratic'", "'WithQuadratic': expected one of BarotropicFl"),
+        ("material.material.material.G_e=0", "material.material.material.G_e .*: 0.*: expected a finite"),
+        ("material.material.material.Ge=1", r"unknown key; did you mean 'G_e'\?"),
+        ("material.only=['Q']", r"unknown material variable 'Q' \(known: F, J\)"),
+        ("material.material=1", "expected a table"),
+    ],
+)
+def test_faults_of_wrapped_materials_have_their_place(override, message):
+    with pytest.raises(CaseError, match=message):
+        case(CASE.replace("[material]\n", WRAPPED), override)
+
+
 def test_every_dataclass_of_the_catalogue_makes_a_section():
     from ngvisco.case.schema import section
 
-    for table in (GEOMETRIES, MATERIALS, MECHANISMS, LOADS, WALLS, SECTIONS):
+    for table in (GEOMETRIES, MATERIALS, WRAPPERS, MECHANISMS, LOADS, WALLS, SECTIONS):
         for name, target in table.items():
             assert section(target, ("kind", name)).model_fields["kind"].is_required()
 

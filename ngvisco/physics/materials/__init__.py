@@ -12,6 +12,7 @@ from ngvisco.physics.materials.referential import (
     ReferentialNeoHookean,
 )
 from ngvisco.physics.materials.regularised import WithQuadratic
+from ngvisco.physics.materials.yosida import Yosida
 
 __all__ = [
     "BarotropicFluid",
@@ -26,6 +27,7 @@ __all__ = [
     "ReferentialMooneyRivlin",
     "ReferentialNeoHookean",
     "WithQuadratic",
+    "Yosida",
     "examples",
     "table",
 ]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError, UnknownNameError, require_positive
-from ngvisco.physics.material import Material
+from ngvisco.physics.material import Material, component_count, component_slices
+from ngvisco.physics.pointwise import Respond, Response
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values, Variable
 
@@ -53,6 +55,22 @@ class WithQuadratic(Material):
 
     def energy(self, z: Values) -> CoefficientFunction:
         return self.material.energy(z) + self.added_energy(z)
+
+    def response(self, dim: int) -> Respond | None:
+        inner_response = self.material.response(dim)
+        if inner_response is None:
+            return None
+        slices, weights = component_slices(self, dim), np.zeros(component_count(self, dim))
+        for name in self.only or [v.name for v in self.variables]:
+            weights[slices[name]] = self.delta**0.5
+
+        def respond(states: np.ndarray) -> Response:
+            part = inner_response(states)
+            energy = part.energy + 0.5 * (states * states) @ weights
+            hessian = part.hessian + np.diag(weights)
+            return Response(energy, part.slope + weights * states, hessian, part.failure)
+
+        return respond
 
     def added_energy(self, z: Values) -> CoefficientFunction:
         """sqrt(delta)/2 sum_i |z_i|^2, Pa."""

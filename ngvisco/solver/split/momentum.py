@@ -1,0 +1,104 @@
+"""Rows of the momentum equation: at the cells' points, and by forms what acts on facets and walls."""
+
+from __future__ import annotations
+
+import numpy as np
+from ngsolve import CF, LinearForm
+
+from ngvisco.forms.creep import CreepRate
+from ngvisco.forms.regularisation import VelocityDamping
+from ngvisco.forms.system import Step
+from ngvisco.forms.walls import Impenetrability, TangentialStress
+from ngvisco.physics.model import CentralGravity, Gravity, as_vector
+from ngvisco.physics.tensors import embed_gradient, inner, sym
+from ngvisco.solver.split.operators import Operators, apply
+from ngvisco.solver.split.subsystem import Subsystem
+from ngvisco.solver.split.transport import Transport
+from ngvisco.solver.split.unknowns import Unknowns
+
+BY_FORMS = (Impenetrability, TangentialStress, VelocityDamping, CreepRate)
+
+
+class Momentum:
+    """R(u; w) for tests of the flow's unknowns, without the hyperviscosity, given the fields."""
+
+    def __init__(self, step: Step, transport: Transport, unknowns: Unknowns) -> None:
+        self.step, self.transport, self.op = step, transport, transport.op
+        self.dim, self.context = step.mesh.dim, step.context
+        self.v_old = step.state_old.vec.FV().NumPy()[step.layout.ranges["v"]].reshape(self.dim, -1)
+        self.stokes = self._viscosity_matrix()
+        c, u = self.context, step.now
+        w = step.layout.blocks["v"].TestFunction()
+        self.elastic_facets = LinearForm(step.layout.blocks["v"])
+        density = -c.inflow(u.v) * inner(u.z_hat - u.z, u.zeta)
+        self.elastic_facets += (density * (w * c.normal)).Compile() * step.quadrature.facets
+        others = [term for term in step.terms if isinstance(term, BY_FORMS)]
+        self.by_forms = Subsystem(step, unknowns.flow, others) if others else None
+        self.rows = unknowns.flow_slice.stop
+        self.loads = [(load, self.op.points.function(self.dim)) for load in step.model.loads]
+
+    def _viscosity_matrix(self) -> np.ndarray | None:
+        """D as a matrix for the entries of grad v, (dim^2, dim^2), Pa s."""
+        law, dim = self.step.model.viscosity, self.dim
+        if law is None:
+            return None
+        points = self.op.points
+        out = points.function(9)
+        columns = []
+        for unit in np.eye(dim * dim):
+            L = embed_gradient(CF(tuple(unit), dims=(dim, dim)), dim)
+            out.Interpolate(law.stress(sym(L)).Reshape((9,)))
+            stress = out.vec.FV().NumPy().reshape(9, -1)[:, 0].reshape(3, 3)
+            columns.append(stress[:dim, :dim].ravel())
+        return np.array(columns).T
+
+    def start(self) -> None:
+        """What is known through a step: the old momentum and the averaged loads at the points."""
+        op = self.op
+        self.v_old_q = apply(op.v, self.v_old)
+        self.rho_old_q = op.z @ self.transport.rho_old
+        for load, values in self.loads:
+            vector = load.g if isinstance(load, (Gravity, CentralGravity)) else load.force
+            values.Interpolate(self.context.average(as_vector(vector, self.dim, "load")))
+
+    def mass_flux(self, rho: np.ndarray, v: np.ndarray, op: Operators) -> np.ndarray:
+        """K(rho) rho v + delta |grad rho|^{r-2} grad rho at the points of ``op``."""
+        law = self.step.model.regularisation
+        flux = rho * v
+        if law is None:
+            return flux
+        if law.rho_max is not None:
+            flux *= law.cut_off_values(rho)
+        if law.delta_density > 0:
+            gradient = np.stack([D @ self.transport.rho for D in op.dz])
+            flux += law.diffusivity((gradient * gradient).sum(axis=0)) * gradient
+        return flux
+
+    def residual(self) -> np.ndarray:
+        """The rows of the flow's unknowns, block after block."""
+        t, op, tau = self.transport, self.op, self.context.tau.Get()
+        d, v, L = self.dim, t.v_q, t.L_q
+        rho = op.z @ t.rho
+        value = ((rho * v - self.rho_old_q * self.v_old_q) - 0.5 * (rho - self.rho_old_q) * v) / tau
+        flux = self.mass_flux(rho, v, op)
+        gradient = np.zeros((d * d, op.points.count))
+        for i in range(d):
+            for j in range(d):
+                value[i] += 0.5 * L[i * d + j] * flux[j]
+                gradient[i * d + j] -= 0.5 * v[i] * flux[j]
+        value -= np.einsum("np,njp->jp", t.zeta_q, t.dz_q)
+        t.rates.stress(t.z_q, t.zeta_q, gradient)
+        if self.stokes is not None:
+            gradient += self.stokes @ L
+        for load, values in self.loads:
+            f = values.vec.FV().NumPy().reshape(d, -1)
+            value -= rho * f if isinstance(load, (Gravity, CentralGravity)) else f
+        self.elastic_facets.Assemble()
+        result = np.zeros(self.rows) if self.by_forms is None else self.by_forms.residual()
+        rows = result[: self.v_old.size].reshape(d, -1)
+        rows += self.elastic_facets.vec.FV().NumPy().reshape(d, -1)
+        for i in range(d):
+            rows[i] += op.v_t @ value[i]
+            for j in range(d):
+                rows[i] += op.dv_t[j] @ gradient[i * d + j]
+        return result

@@ -1,0 +1,81 @@
+"""Matrices of the scalar spaces that the fields and the velocity are made of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from ngsolve import CF, L2, BilinearForm, CoefficientFunction, FESpace
+
+from ngvisco.forms.points import CellPoints, csr
+from ngvisco.forms.system import Step
+from ngvisco.physics.material import component_count, components_of, conjugates, tensors_of
+
+
+class ScalarForm:
+    """A bilinear form over cell boundaries whose matrix is assembled again and again."""
+
+    def __init__(self, trial: FESpace, test: FESpace, value: Any, measure: Any) -> None:
+        """``value`` maps trial and test function to the integrand."""
+        self.form = BilinearForm(trialspace=trial, testspace=test)
+        self.form += value(trial.TrialFunction(), test.TestFunction()).Compile() * measure
+        self.form.Assemble()
+        self.matrix = csr(self.form.mat)
+
+    def assemble(self) -> sp.csr_matrix:
+        self.form.Assemble()
+        self.matrix.data[:] = self.form.mat.AsVector().FV().NumPy()
+        return self.matrix
+
+
+class Operators:
+    """Fields at the points of one rule, and tests there."""
+
+    def __init__(self, step: Step, order: int) -> None:
+        layout, mesh = step.layout, step.mesh
+        self.points = CellPoints(mesh, order)
+        self.scalar = L2(mesh, order=layout.discretisation.m)
+        self.velocity, self.creep = layout.scalar_velocity_space(), layout.scalar_creep_space()
+        self.weights = self.points.weights
+        W = sp.diags(self.weights)
+        self.z, self.v = self.points.values(self.scalar), self.points.values(self.velocity)
+        self.dz, self.dv = self.points.gradients(self.scalar), self.points.gradients(self.velocity)
+        # tests by the fields' and the velocity's functions
+        self.z_t, self.v_t = (W @ self.z).T.tocsr(), (W @ self.v).T.tocsr()
+        self.dv_t = [(W @ D).T.tocsr() for D in self.dv]
+
+
+def apply(matrix: sp.csr_matrix, rows: np.ndarray) -> np.ndarray:
+    """matrix @ each row, (rows, height)."""
+    return np.stack([matrix @ row for row in rows])
+
+
+class Conjugation:
+    """phi'(z) at the points of a rule, in components."""
+
+    def __init__(self, step: Step, points: CellPoints) -> None:
+        material, dim = step.model.material, step.mesh.dim
+        self.n, self.points = component_count(material, dim), points
+        self.response = material.response(dim)
+        if self.response is not None:
+            return
+        self.at, self.slope = points.function(self.n), points.function(self.n)
+        tensors = tensors_of(material, self.at, dim)
+        expression = components_of(material, conjugates(material, tensors), dim)
+        if self.n == 1:
+            expression = CF((expression[0], 0.0))
+        self.expression: CoefficientFunction = expression.Compile()
+
+    def __call__(self, z_values: np.ndarray) -> np.ndarray:
+        """phi'(z), (n, points), for z at the points, (n, points)."""
+        if self.response is not None:
+            return np.ascontiguousarray(self.response(z_values.T).slope.T)
+        self.points.read(self.at, self.n)[:] = z_values
+        self.slope.Interpolate(self.expression)
+        return self.points.read(self.slope, self.n).copy()
+
+
+def mass_matrix(values: sp.csr_matrix, weights: np.ndarray) -> sp.csr_matrix:
+    """The mass matrix of functions with these values at the points."""
+    return (values.T @ sp.diags(weights) @ values).tocsr()

@@ -1,0 +1,132 @@
+"""P^{-1} R: what the split solver takes for an increment of all unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, gmres
+
+from ngvisco.forms.system import Step
+from ngvisco.solver.split.blocks import BlockInverse
+from ngvisco.solver.split.hyper import MatrixHyperviscosity
+from ngvisco.solver.split.hyper_tangent import HyperTangent
+from ngvisco.solver.split.linear import DirectSolver
+from ngvisco.solver.split.momentum import Momentum
+from ngvisco.solver.split.operators import Operators, apply, mass_matrix
+from ngvisco.solver.split.sweep import Sweep
+from ngvisco.solver.split.tangent import PointTangent, VelocityTangent
+from ngvisco.solver.split.unknowns import Unknowns
+
+FLOW_ITERATIONS = 30
+"""GMRES iterations for (v, a) with the tangent of v and facets' blocks as preconditioner."""
+
+
+@dataclass
+class Residual:
+    """Rows of the flow's unknowns, of the normal derivatives a (dim, .), of the density's and of z (n, .)."""
+
+    flow: np.ndarray
+    normals: np.ndarray | None
+    density: np.ndarray
+    z: np.ndarray
+
+
+class Preconditioner:
+    """One sweep of the transport, the flow's tangent, and what z and rho take from the new velocity."""
+
+    def __init__(
+        self, step: Step, momentum: Momentum, hyper: MatrixHyperviscosity | None, unknowns: Unknowns, inverse: str
+    ) -> None:
+        self.t, self.m, self.hyper, self.unknowns = momentum.transport, momentum, hyper, unknowns
+        k, m = step.discretisation.k, step.discretisation.m
+        self.op = Operators(step, max(k - 1, m))
+        self.d = step.mesh.dim
+        self.points = PointTangent(self.t, self.op)
+        self.hyper_tangent = None if hyper is None else HyperTangent(hyper)
+        self.tangent = VelocityTangent(momentum, self.points, self.hyper_tangent)
+        self.sweep = Sweep(self.t, inverse)
+        free = [np.array(list(step.layout.blocks[name].FreeDofs()), dtype=bool) for name in unknowns.flow]
+        self.free = np.concatenate(free)
+        self.solver = DirectSolver(self.free, inverse, symmetric=unknowns.flow == ["v"])
+        mass = mass_matrix(self.op.z, self.op.weights)
+        self.project = BlockInverse(mass)
+        self.project.update(mass)
+        self.nv = self.t.v.size
+
+    def update(self) -> None:
+        """Form and factorise everything at the present state, whose residual has just been evaluated."""
+        self.points.update()
+        if self.hyper_tangent is not None:
+            self.hyper_tangent.update()
+        self.plain, matrix = self.tangent.matrices()
+        self.solver.factorise(matrix)
+        self.sweep.update()
+        self.linearise()
+
+    def linearise(self) -> None:
+        """Let the hyperviscosity's derivative follow the present state, at little cost."""
+        if self.hyper is not None:
+            self.hyper.linearise()
+
+    def __call__(self, r: Residual, tolerance: float) -> np.ndarray:
+        """The increment, packed; ``tolerance`` is that of the flow's linear system."""
+        p, op, d, t = self.points, self.op, self.d, self.t
+        tau = t.context.tau.Get()
+        dz = np.einsum("pnm,mp->np", p.resolvent, apply(op.z, self.sweep.fields(r.z)), optimize=True)
+        density = self.sweep.density(r.density)
+        flow = r.flow.copy()
+        v = flow[: self.nv].reshape(d, -1)
+        force = np.einsum("pxn,np->xp", p.force, dz, optimize=True)
+        for i in range(d):
+            for j in range(d):
+                v[i] -= op.dv_t[j] @ force[i * d + j]
+        dflow, da = self._flow(flow, r.normals, tolerance)
+        dv = dflow[: self.nv].reshape(d, -1)
+        X = np.stack([D @ c for c in dv for D in op.dv])
+        dv_q = apply(op.v, dv)
+        if t.Pi is not None:
+            dPi = dflow[-t.Pi.size :].reshape(t.Pi.shape)
+            X = np.concatenate([X, apply(op.points.values(op.creep), dPi)])
+        source = np.einsum("pnx,xp->np", p.columns[:, :, : len(X)], X, optimize=True)
+        source -= np.einsum("njp,jp->np", p.dz, dv_q)
+        dz += tau * np.einsum("pnm,mp->np", p.resolvent, source, optimize=True)
+        drho = (op.z @ t.rho) * sum(X[i * (d + 1)] for i in range(d))
+        drho += sum((D @ t.rho) * dv_q[j] for j, D in enumerate(op.dz))
+        density[: t.rho.size] -= tau * self.project(op.z_t @ drho)
+        parts = [dflow, *([] if da is None else [da.ravel()]), density]
+        return np.concatenate([*parts, self.project(apply(op.z_t, dz)).ravel()])
+
+    def _flow(
+        self, flow: np.ndarray, normals: np.ndarray | None, tolerance: float
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """(v, ..., a) of the flow's tangent with the hyperviscosity's own derivative, by GMRES."""
+        count, shape = len(flow), (0,) if normals is None else normals.shape
+        right = np.concatenate([np.where(self.free, flow, 0.0), np.ravel(normals) if normals is not None else []])
+
+        def operator(y: np.ndarray) -> np.ndarray:
+            rows = self.plain @ y[:count]
+            if self.hyper is None:
+                return np.where(self.free, rows, 0.0)
+            dv = y[: self.nv].reshape(self.d, -1)
+            of_v, of_a = self.hyper.derivative(dv, y[count:].reshape(shape))
+            rows[: self.nv] += of_v.ravel()
+            return np.concatenate([np.where(self.free, rows, 0.0), of_a.ravel()])
+
+        def block(y: np.ndarray) -> np.ndarray:
+            h = self.hyper_tangent
+            if h is None:
+                return self.solver(y)
+            a = y[count:].reshape(shape)
+            rows = y[:count].copy()
+            rows[: self.nv] += apply(h.E_t, a).ravel()
+            increment = self.solver(rows)
+            dv = increment[: self.nv].reshape(self.d, -1)
+            da = apply(h.E, dv) + h.a_inverse(a - apply(h.cross, dv))
+            return np.concatenate([increment, da.ravel()])
+
+        start = block(right)
+        size = len(right)
+        preconditioned = LinearOperator((size, size), lambda y: block(operator(y)), dtype=float)
+        y, _ = gmres(preconditioned, start, rtol=tolerance, restart=FLOW_ITERATIONS, maxiter=1)
+        return y[:count], None if normals is None else y[count:].reshape(shape)

@@ -1,0 +1,199 @@
+"""The split solver: a Rothe step as one fixed-point problem, preconditioned block by block.
+
+(formulation.md, Section 5.)  The coupled residual R(u) = 0 is evaluated with everything that is an
+explicit function of (v, a, rho, z) - upwind traces, conjugates, local creep, the hyperviscosity's local
+unknowns - put in exactly; what is iterated is u <- u - P^{-1} R(u) with P of ``Preconditioner``, which
+couples v to the fields inside each cell and leaves out what crosses facets.
+
+What was tried, on the neo-Hookean swirl (p = 4, P2/DG1, tau = 0.02 s, from 1e-1 to 1e-12):
+
+| variant                                                            | contraction an iteration |
+|--------------------------------------------------------------------|--------------------------|
+| without the share  zeta : dz div w  of the elastic force           | 0.75, fails at CFL 1     |
+| hyperviscosity by c in the tangent of v only, linearised once      | 0.55 to 0.9              |
+| the same with its own derivative in (v, a) (GMRES to 1/100)        | 0.2 to 0.35              |
+| that derivative with the penalty's weight averaged over cells      | diverges (|j| varies by facets) |
+| Anderson from the first iteration                                  | leaps away; from 1e-3 on it helps |
+| solves of the flow to 1/10 beside Anderson                         | stalls at 1e-8: not a fixed map |
+
+The first iterations, where the hyperviscosity's coefficient changes, are plain with its derivative formed
+at each iterate; then the map is fixed and accelerated.  Where it slows down it is Newton's method with the
+true directional derivative of P^{-1} R, by differences (``krylov``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from ngsolve import BaseVector, TaskManager
+
+from ngvisco.errors import StepError
+from ngvisco.forms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.system import Step
+from ngvisco.solver.newton import BlockNorm, NewtonIteration, NewtonOptions
+from ngvisco.solver.split.anderson import Anderson
+from ngvisco.solver.split.hyper import MatrixHyperviscosity
+from ngvisco.solver.split.krylov import newton_krylov
+from ngvisco.solver.split.momentum import Momentum
+from ngvisco.solver.split.operators import Operators
+from ngvisco.solver.split.preconditioner import Preconditioner, Residual
+from ngvisco.solver.split.transport import Transport
+from ngvisco.solver.split.unknowns import Unknowns
+
+ACCELERATED = 1e-3
+"""Increment below which the map is fixed and accelerated."""
+
+DEPTH = 8
+"""Differences kept for the acceleration."""
+
+TIGHT, LOOSE = 0.01, 0.05
+"""Tolerances of the flow's linear system, accelerated and before."""
+
+MARGIN = 1e-2
+"""The increment wanted, in units of the tolerance: what remains is a contraction's share of it."""
+
+RESTARTS = 4
+"""New tangents within a step, after which it has failed."""
+
+
+class Split:
+    """Solves R(u; .) = 0 for the state of a step; keeps its tangent between solves."""
+
+    def __init__(
+        self, step: Step, norm: BlockNorm, options: NewtonOptions, on_factorise: Callable[[], None] = lambda: None
+    ) -> None:
+        """``on_factorise`` is called with the state at which the tangent has just been factorised."""
+        self.step, self.norm, self.options, self.on_factorise = step, norm, options, on_factorise
+        self.unknowns = Unknowns(step)
+        op = Operators(step, step.quadrature.volume_degree // 2)
+        self.transport = Transport(step, op, self.unknowns)
+        self.momentum = Momentum(step, self.transport, self.unknowns)
+        laws = [term for term in step.terms if isinstance(term, Hyperviscosity)]
+        self.hyper = MatrixHyperviscosity(step, laws[0], op.points) if laws else None
+        self.preconditioner = Preconditioner(step, self.momentum, self.hyper, self.unknowns, options.inverse)
+        self.exists = False
+        self._increment = step.state.vec.CreateVector()
+
+    @property
+    def jacobian(self) -> Split:
+        """What is factorised is the tangent of this object."""
+        return self
+
+    def forget(self) -> None:
+        """Drop the tangent, so that the next solve makes a new one."""
+        self.exists = False
+
+    def factorise(self, state: BaseVector) -> None:
+        """Make the tangent at the present state (``state`` is its vector); raises StepError."""
+        with TaskManager():
+            self.momentum.start()
+            self.residual()
+            self._update()
+
+    def residual(self) -> Residual:
+        """R at the present state, whose derived unknowns are put in first."""
+        t = self.transport
+        t.set_velocity()
+        t.set_traces()
+        t.set_conjugates()
+        density, z = t.residual()
+        flow, normals = self.momentum.residual(), None
+        if self.hyper is not None:
+            self.hyper.set_local()
+            of_v, normals = self.hyper.residual()
+            flow[: of_v.size] += of_v.ravel()
+        return Residual(flow, normals, density, z)
+
+    def solve(self) -> list[NewtonIteration]:
+        """Iterate from the present state to a solution; returns the history.
+
+        Raises
+        ------
+        StepError
+            When the iteration does not converge; the state is then some iterate.
+        """
+        history: list[NewtonIteration] = []
+        with TaskManager():
+            self.momentum.start()
+            try:
+                self._iterate(history)
+            except (FloatingPointError, np.linalg.LinAlgError) as error:
+                raise StepError(f"the split solver met a singular block: {error}", history) from error
+        return history
+
+    def _iterate(self, history: list[NewtonIteration]) -> None:
+        anderson, restarts = Anderson(DEPTH), 0
+        last = best = np.inf
+        best_x: np.ndarray | None = None
+        tight, best_f = False, None
+        since = 0
+        while len(history) < self.options.max_iterations:
+            with np.errstate(all="ignore"):  # a diverging iterate is inf or NaN here
+                r = self.residual()
+            fresh = not self.exists
+            finite = all(np.isfinite(part).all() for part in (r.flow, r.density, r.z))
+            if finite:
+                if fresh:
+                    self._update()
+                elif not tight:
+                    self.preconditioner.linearise()
+                f = self.preconditioner(r, TIGHT if tight else LOOSE)
+                x = self.unknowns.pack()
+                size = self._size(f)
+            else:
+                size = np.inf
+            history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, fresh))
+            since += 1
+            if size <= MARGIN * self.options.tolerance:
+                self.unknowns.unpack(x - f)
+                self.residual()
+                return
+            if not size <= 2 * max(best, MARGIN * self.options.tolerance):
+                restarts += 1
+                if best_x is None or restarts > RESTARTS:
+                    break
+                assert best_f is not None
+                # from half the step of the best iterate, with a tangent of its own
+                self.unknowns.unpack(best_x - 0.5**restarts * best_f)
+                anderson.restart()
+                self.exists, tight, since = False, False, 0
+                last = np.inf
+                best *= 2
+                continue
+            stalled = since > 3 and size > 0.5 * last and size > 0.5 * best
+            if size < best:
+                best, best_x, best_f = size, x, f
+            if stalled and self._size(f, coarse=True) <= self.options.tolerance and size <= 1e-8:
+                return
+            last = size
+            if tight and since > 3 * DEPTH:
+                newton_krylov(self, x, history)
+                return
+            if tight:
+                x = anderson.step(x, f, self.unknowns.scales(x))
+            else:
+                x = x - f
+                if size < ACCELERATED:
+                    tight, since = True, 0
+                elif stalled and not fresh and restarts < RESTARTS:
+                    restarts += 1
+                    self.exists, since = False, 0
+            self.unknowns.unpack(x)
+        raise StepError(
+            f"the split solver did not converge ({len(history)} iterations, last increment {last:.1e}, "
+            f"wanted {MARGIN * self.options.tolerance:.0e}): take a smaller step or the coupled solver",
+            history,
+        )
+
+    def _update(self) -> None:
+        self.preconditioner.update()
+        self.exists = True
+        self.on_factorise()
+
+    def _size(self, f: np.ndarray, coarse: bool = False) -> float:
+        full = self._increment.FV().NumPy()
+        full[:] = 0.0
+        for name in self.unknowns.names:
+            full[self.unknowns.ranges[name]] = f[self.unknowns.slices[name]]
+        return self.norm(self._increment, self.step.state.vec, coarse=coarse)

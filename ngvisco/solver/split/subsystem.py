@@ -1,0 +1,75 @@
+"""Terms of the step restricted to some of its unknowns, the others known: residual and Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from ngsolve import CF, BilinearForm, FESpace, GridFunction
+
+from ngvisco.forms.context import Term
+from ngvisco.forms.points import csr
+from ngvisco.forms.spaces import Fields
+from ngvisco.forms.system import Step
+
+
+class Subsystem:
+    """Rows and columns of ``names`` of the given terms, by the terms' own forms."""
+
+    def __init__(self, step: Step, names: Sequence[str], terms: Sequence[Term]) -> None:
+        layout, self.names, self.step = step.layout, list(names), step
+        blocks = [layout.blocks[name] for name in self.names]
+        self.space = FESpace(blocks)
+        known = dict(zip(layout.names, step.state.components, strict=True))
+        trial, test = self.space.TnT()
+        zero: dict[str, Any] = {name: _zero(layout.blocks[name]) for name in layout.names}
+        u = Fields(layout, known | dict(zip(self.names, trial, strict=True)))
+        w = _Tests(layout, zero | dict(zip(self.names, test, strict=True)), set(self.names))
+        self.form = BilinearForm(self.space, check_unused=False)
+        for term in terms:
+            for part in term.form(u, w):
+                if part.cells is not None:
+                    self.form += part.cells.Compile() * step.quadrature.cells
+                if part.facets is not None:
+                    self.form += part.facets.Compile() * step.quadrature.facets
+        self.at = GridFunction(self.space)
+        self._rows = self.at.vec.CreateVector()
+        self.state = step.state.vec.FV().NumPy()
+        self.free = np.array(list(self.space.FreeDofs()), dtype=bool)
+
+    def _load(self) -> None:
+        self.at.vec.FV().NumPy()[:] = np.concatenate(
+            [self.state[self.step.layout.ranges[name]] for name in self.names]
+        )
+
+    def residual(self) -> np.ndarray:
+        """The rows at the present state, block after block."""
+        self._load()
+        self.form.Apply(self.at.vec, self._rows)
+        return self._rows.FV().NumPy().copy()
+
+    def jacobian(self) -> sp.csr_matrix:
+        """Their derivative in the unknowns of ``names``."""
+        self._load()
+        self.form.AssembleLinearization(self.at.vec)
+        return csr(self.form.mat)
+
+
+def _zero(space: FESpace) -> Any:
+    size = space.TrialFunction().dim
+    return CF((0.0,) * size) if size > 1 else CF(0.0)
+
+
+class _Tests(Fields):
+    """Test functions of some unknowns; gradients of the others' are zero too."""
+
+    def __init__(self, layout: Any, parts: dict[str, Any], names: set[str]) -> None:
+        super().__init__(layout, parts)
+        d = self.dim
+        gradients = {"rho": ("grad_rho", (d,)), "v": ("grad_v", (d, d))}
+        for name, (attribute, shape) in gradients.items():
+            if name not in names:
+                size = int(np.prod(shape))
+                self.__dict__[attribute] = CF((0.0,) * size, dims=shape)

@@ -1,0 +1,65 @@
+"""The unknowns that the split solver iterates on, packed into one vector."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ngvisco.forms.system import Step
+
+
+class Unknowns:
+    """Views of the state's blocks and a packed copy of those that are iterated.
+
+    ``flow`` are v, the wall stress and the creep rate field where there are such; ``normals`` the facets'
+    normal derivatives; ``fields`` rho, z, and the traces of rho where its equation is not linear.
+    """
+
+    def __init__(self, step: Step) -> None:
+        layout = step.layout
+        self.flow = [name for name in ("v", "wall_stress", "Pi") if name in layout.names]
+        self.normals = [name for name in layout.names if name.startswith("a_")]
+        density = density_by_forms(step)
+        self.density = [n for n in ("rho", "rho_hat", "rho_delta_hat") if n in layout.names]
+        if not density:
+            self.density = ["rho"]
+        self.names = [*self.flow, *self.normals, *self.density, "z"]
+        self.ranges = layout.ranges
+        self.state = step.state.vec.FV().NumPy()
+        self.slices: dict[str, slice] = {}
+        start = 0
+        for name in self.names:
+            size = self.ranges[name].stop - self.ranges[name].start
+            self.slices[name] = slice(start, start + size)
+            start += size
+        self.size = start
+        self.flow_slice = self._joint(self.flow)
+        self.normal_slice = self._joint(self.normals) if self.normals else slice(0, 0)
+        self.density_slice = self._joint(self.density)
+
+    def _joint(self, names: list[str]) -> slice:
+        return slice(self.slices[names[0]].start, self.slices[names[-1]].stop)
+
+    def pack(self) -> np.ndarray:
+        """A copy of the iterated unknowns."""
+        return np.concatenate([self.state[self.ranges[name]] for name in self.names])
+
+    def unpack(self, x: np.ndarray) -> None:
+        """Put them into the state."""
+        for name in self.names:
+            self.state[self.ranges[name]] = x[self.slices[name]]
+
+    def scales(self, x: np.ndarray) -> np.ndarray:
+        """The size of each one's block, for lengths; a thousand times that for what v determines."""
+        scale = np.ones_like(x)
+        for name in self.names:
+            where = self.slices[name]
+            size = np.linalg.norm(x[where])
+            determined = name not in ("v", "rho", "z")
+            scale[where] = (1e3 if determined else 1.0) * size if size > 0 else 1.0
+        return scale
+
+
+def density_by_forms(step: Step) -> bool:
+    """Whether the continuity equation is not linear in rho: with a cut-off or delta-regularisation."""
+    law = step.model.regularisation
+    return law is not None and (law.rho_max is not None or law.delta_density > 0)

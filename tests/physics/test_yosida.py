@@ -1,0 +1,194 @@
+"""The Yosida approximation as a function of states: definition, bounds, derivatives, limit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ngsolve import Det, log
+from support import tensor, values
+
+import ngvisco as nv
+from ngvisco.errors import NgviscoError, ParameterError
+from ngvisco.physics.convexity import _Sampling, check_convexity
+from ngvisco.physics.material import conjugates
+from ngvisco.physics.materials import examples
+from ngvisco.physics.pointwise import Response, respond
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import Distortion, Jacobian
+
+EXAMPLES = {example.constructor: example.material for example in examples()}
+NEO_HOOKEAN = EXAMPLES["NeoHookean"]
+
+
+def states(material: nv.Material, dim: int, spread: float = 0.4) -> np.ndarray:
+    """Random states with J > 0."""
+    return _Sampling(material, dim).random_states(np.random.default_rng(1), spread)[:40]
+
+
+def approximation(material: nv.Material, eps: float, z: np.ndarray, dim: int) -> Response:
+    response = respond(nv.Yosida(material=material, eps=eps), dim)(z)
+    assert response.failure is None
+    return response
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_approximation_satisfies_its_definition(name: str, dim: int) -> None:
+    """y = z - eps phi_eps' has phi'(y) = phi_eps'(z) and the energy phi(y) + |z - y|^2/(2 eps)."""
+    material, eps = EXAMPLES[name], 0.02
+    z = states(material, dim)
+    found = approximation(material, eps, z, dim)
+    y = z - eps * found.slope
+    at_y = respond(material, dim)(y)
+    scale = np.abs(at_y.slope).max()
+    assert np.abs(at_y.slope - found.slope).max() < 1e-12 * scale
+    energy = at_y.energy + ((z - y) ** 2).sum(axis=1) / (2 * eps)
+    np.testing.assert_allclose(found.energy, energy, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_derivatives_are_those_of_the_energy_and_bounded(name: str) -> None:
+    """Against differences; 0 <= phi_eps'' <= 1/eps; phi_eps <= phi; Bregman distances >= 0."""
+    material, eps = EXAMPLES[name], 0.1
+    z = states(material, 2)
+    direction = np.random.default_rng(2).standard_normal(z.shape)
+    found = approximation(material, eps, z, 2)
+    h = 1e-4
+    shifted = {s: approximation(material, eps, z + s * h * direction, 2) for s in (-2, -1, 1, 2)}
+    energy = (8 * (shifted[1].energy - shifted[-1].energy) - shifted[2].energy + shifted[-2].energy) / (
+        12 * h
+    )
+    slope = (8 * (shifted[1].slope - shifted[-1].slope) - shifted[2].slope + shifted[-2].slope) / (12 * h)
+    assert np.abs(energy - (found.slope * direction).sum(axis=1)).max() < 1e-9 * np.abs(found.slope).max()
+    product = np.einsum("nij,nj->ni", found.hessian, direction)
+    assert np.abs(slope - product).max() < 1e-9 * np.abs(found.hessian).max()
+    curvature = np.linalg.eigvalsh(found.hessian)
+    rounding = 1e-10 * curvature.max()
+    assert curvature.min() >= -rounding and curvature.max() <= (1 + 1e-12) / eps
+    assert (found.energy <= respond(material, 2)(z).energy).all()
+    other = found.energy[::-1], z[::-1], found.slope[::-1]
+    bregman = other[0] - found.energy - (found.slope * (other[1] - z)).sum(axis=1)
+    assert (bregman >= -1e-12 * np.abs(found.energy).max()).all()
+    jump = np.linalg.norm(found.slope - other[2], axis=1)
+    assert (jump <= np.linalg.norm(z - other[1], axis=1) / eps).all()
+
+
+@pytest.mark.parametrize("name", ["NeoHookean", "ReferentialMooneyRivlin", "CustomMaterial"])
+def test_the_approximation_is_of_first_order_in_eps(name: str) -> None:
+    """phi - phi_eps = eps/2 |phi'|^2 + O(eps^2), and the slope differs by O(eps)."""
+    material = EXAMPLES[name]
+    z = states(material, 3, 0.2)
+    exact = respond(material, 3)(z)
+    remainders, gaps = [], []
+    for eps in (1e-5, 5e-6):
+        found = approximation(material, eps, z, 3)
+        first = 0.5 * eps * (exact.slope**2).sum(axis=1)
+        remainders.append(np.abs(exact.energy - found.energy - first).max())
+        gaps.append(np.abs(exact.slope - found.slope).max())
+    assert remainders[1] < 1e-2 * first.max()
+    assert remainders[0] / remainders[1] == pytest.approx(4, abs=0.2)
+    assert gaps[0] / gaps[1] == pytest.approx(2, abs=0.1)
+
+
+@pytest.mark.parametrize("eps", [1e-14, 1e-3, 1.0, 1e8])
+def test_quadratic_energies_have_a_closed_form(eps: float) -> None:
+    """phi = K z^2/2 becomes K/(1 + eps K) z^2/2, to rounding whatever eps: here 3K_e and 2G_e."""
+    moduli = {"K_e": 10.0, "G_e": 5.0}
+    z = states(nv.LinearElastic(**moduli), 3)
+    found = approximation(nv.LinearElastic(**moduli), eps, z, 3)
+    softer = {"K_e": 10 / (1 + 30 * eps), "G_e": 5 / (1 + 10 * eps)}
+    expected = respond(nv.LinearElastic(**softer), 3)(z)
+    np.testing.assert_allclose(found.energy, expected.energy, rtol=1e-13)
+    assert np.abs(found.slope - expected.slope).max() < 1e-14 * np.abs(expected.slope).max()
+    assert np.abs(found.hessian - expected.hessian).max() < 1e-13 * np.abs(expected.hessian).max()
+
+
+def test_wrappers_combine() -> None:
+    """An approximation of an approximation is that of the summed eps; the paper adds sqrt(delta)/2 |z|^2."""
+    z = states(NEO_HOOKEAN, 2)
+    once = approximation(NEO_HOOKEAN, 0.03, z, 2)
+    twice = approximation(nv.Yosida(material=NEO_HOOKEAN, eps=0.01), 0.02, z, 2)
+    np.testing.assert_allclose(twice.slope, once.slope, atol=1e-12 * np.abs(once.slope).max())
+    np.testing.assert_allclose(twice.energy, once.energy, rtol=1e-13)
+    inner = nv.Yosida(material=NEO_HOOKEAN, eps=0.03)
+    both = respond(nv.WithQuadratic(material=inner, delta=4.0, only=("J",)), 2)(z)
+    np.testing.assert_allclose(both.energy, once.energy + z[:, -1] ** 2, rtol=1e-14)
+    np.testing.assert_allclose(both.slope - once.slope, np.eye(6)[-1] * 2 * z[:, -1:], atol=1e-13)
+    np.testing.assert_allclose(both.hessian - once.hessian, np.tile(np.diag(2 * np.eye(6)[-1]), (40, 1, 1)))
+    # of a sum it is another function
+    outer = approximation(nv.WithQuadratic(material=NEO_HOOKEAN, delta=4.0), 0.03, z, 2)
+    assert np.abs(outer.slope - both.slope).max() > 0.1
+
+
+@pytest.mark.parametrize("J", [-50.0, -1.0, 0.0, 1e-9, 1.0, 1e6])
+@pytest.mark.parametrize(
+    "name", ["NeoHookean", "ReferentialNeoHookean", "LogarithmicNeoHookean", "BarotropicFluid"]
+)
+def test_singular_energies_become_finite_everywhere(name: str, J: float) -> None:
+    """For any J or A, also negative, the minimiser has a positive one."""
+    material, eps = EXAMPLES[name], 0.05
+    z = states(material, 3)
+    where = {"LogarithmicNeoHookean": 9}.get(name, z.shape[1] - 1)
+    z[:, where] = J
+    found = approximation(material, eps, z, 3)
+    assert (z - eps * found.slope)[:, where].min() > -1e-14 * abs(J)
+    assert found.finite.all()
+
+
+def test_an_energy_without_a_singularity_is_not_kept_from_negative_J() -> None:
+    """Linear continuation: phi is finite and convex for J < 0, and so is its minimiser."""
+    material = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, J_min=0.2)
+    z = states(material, 2)
+    z[:, -1] = -20.0
+    found = approximation(material, 0.01, z, 2)
+    assert (z - 0.01 * found.slope)[:, -1].max() < 0
+
+
+def test_start_values_outside_the_domain_of_a_users_energy() -> None:
+    """log Det F alone, no J: det F < 0 is no number, and the iteration starts from rest there."""
+    material = nv.CustomMaterial(
+        transported=(Distortion(),), stored_energy=lambda F: 10 * square(F) - 0.1 * log(Det(F))
+    )
+    z = np.diag([-0.1, 1.0, 1.0]).reshape(1, 9)
+    found = approximation(material, 0.01, z, 3)
+    y = z - 0.01 * found.slope
+    assert np.linalg.det(y.reshape(3, 3)) > 0
+
+
+def test_slope_is_that_of_the_expression_for_tiny_eps() -> None:
+    """No digits are lost by (z - y)/eps."""
+    F = np.eye(3) + 0.1 * np.arange(9).reshape(3, 3) / 9
+    expected = values(conjugates(NEO_HOOKEAN, {"F": tensor(F), "J": tensor(np.array(1.1))}))
+    z = np.append(F.ravel(), 1.1)[None]
+    found = approximation(NEO_HOOKEAN, 1e-16, z, 3).slope[0]
+    np.testing.assert_allclose(found, np.append(expected["F"].ravel(), expected["J"]), rtol=1e-13, atol=1e-13)
+
+
+def test_failures_say_what_is_wrong() -> None:
+    material = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: -10 * (J - 1) * (J - 1))
+    response = respond(nv.Yosida(material=material, eps=1.0), 2)(np.array([[1.2]]))
+    assert response.failure is not None and "eps = 1" in response.failure
+    assert "no minima" in response.failure and "not convex" in response.failure
+    assert np.isnan(response.energy).all()
+    one = approximation(material, 0.01, np.array([[1.2]]), 2)
+    assert np.isfinite(one.energy).all()  # |z|^2/(2 eps) makes it convex
+    bounded = EXAMPLES['BarotropicFluid(form="A")']  # A^gamma is finite at 0 and ends there
+    response = respond(nv.Yosida(material=bounded, eps=1.0), 2)(np.array([[-1.0], [1.0]]))
+    assert response.failure is not None and "no minimiser at 1 points" in response.failure
+    assert np.isnan(response.energy[0]) and np.isfinite(response.energy[1])
+    response = respond(nv.Yosida(material=bounded, eps=1.0), 2)(np.array([[np.nan], [1.0]]))
+    assert response.failure is not None and "not finite at 1 points" in response.failure
+
+
+def test_bad_parameters_are_refused() -> None:
+    for eps in (0.0, -1.0, np.nan, np.inf, "a", None):
+        with pytest.raises(ParameterError, match=r"Yosida.eps = .*: expected a finite number > 0"):
+            nv.Yosida(material=NEO_HOOKEAN, eps=eps)
+    with pytest.raises(ParameterError, match=r"Yosida.material = 3: expected a Material"):
+        nv.Yosida(material=3, eps=1.0)
+    with pytest.raises(NgviscoError, match=r"has no expression: use ngvisco.physics.pointwise.respond"):
+        nv.Yosida(material=NEO_HOOKEAN, eps=1.0).energy({})
+
+
+def test_convexity_is_sampled() -> None:
+    assert check_convexity(nv.Yosida(material=NEO_HOOKEAN, eps=0.05), dim=2).passed

@@ -1,0 +1,149 @@
+"""Runs with Yosida approximations: the ledger, the limit eps -> 0, output, restarts and failures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ngsolve import CF, VOL, Id, Integrate
+
+import ngvisco as nv
+from ngvisco.errors import CheckpointError, InitialDataError, StepError
+from ngvisco.geometries import box
+from ngvisco.physics.convexity import ConvexityWarning
+from ngvisco.physics.pointwise import Response, respond
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import Distortion, Jacobian
+
+NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+REFERENTIAL = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+
+
+def foam(F, J):
+    return 4 * square(F) / J ** (2 / 3) + 6 * (J - 1) * (J - 1) + 0.2 / (J * J) + 0.4 * J
+
+
+FOAM = nv.CustomMaterial(transported=(Distortion(), Jacobian()), stored_energy=foam)
+
+
+def simulation(material: nv.Material, dim: int = 2, **options) -> nv.Simulation:
+    model = nv.Model(
+        material=material,
+        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+        creep=nv.Creep(G_m=2.0),
+        loads=[nv.Gravity((0.3, -1.0, 0.2)[:dim])],
+    )
+    return nv.Simulation(box((1,) * dim, 0.6 if dim == 2 else 1.2), model, dt=0.05, **options)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("material", [NEO_HOOKEAN, REFERENTIAL, FOAM], ids=["actual", "referential", "user"])
+def test_the_ledger_closes_and_energy_is_not_created(material: nv.Material, dim: int) -> None:
+    run = simulation(nv.Yosida(material=material, eps=0.02), dim)
+    steps = 4 if dim == 2 else 1
+    ledger = run.run(0.05 * steps)
+    assert np.abs(ledger.column("closure_relative")).max() < 1e-13
+    assert (ledger.column("bregman")[1:] > 0).all()
+    assert (ledger.column("dissipation_creep")[1:] > 0).all()
+    stored = Integrate(run.rothe_step.energy.projected, run.mesh)  # keeps cellwise means
+    assert ledger.column("stored")[-1] == pytest.approx(stored, rel=1e-13)
+    u, sampler = run.rothe_step.now, run.sampler
+    pointwise = run.rothe_step.energy.samples(u.z_tensors, sampler)
+    plain = sampler.values(material.energy(u.z_tensors))
+    assert (pointwise < plain).all()
+
+
+def test_runs_converge_with_eps_to_that_of_the_energy_itself() -> None:
+    """First order in eps."""
+    exact = simulation(NEO_HOOKEAN)
+    exact.run(0.1)
+    errors = []
+    for eps in (2e-5, 1e-5):
+        run = simulation(nv.Yosida(material=NEO_HOOKEAN, eps=eps), velocity_scale=exact.velocity_scale)
+        run.run(0.1)
+        difference = run.rothe_step.state.vec.FV().NumPy() - exact.rothe_step.state.vec.FV().NumPy()
+        ranges = run.rothe_step.layout.ranges
+        errors.append(max(np.abs(difference[ranges[name]]).max() for name in ("v", "z")))
+    assert errors[0] < 1e-3
+    assert errors[0] / errors[1] == pytest.approx(2, abs=0.02)
+
+
+def test_the_papers_energy_has_both_regularisations_in_the_ledger() -> None:
+    both = nv.WithQuadratic(material=nv.Yosida(material=NEO_HOOKEAN, eps=0.02), delta=0.01)
+    ledger = simulation(both).run(0.1)
+    assert np.abs(ledger.column("closure_relative")).max() < 1e-13
+    assert (ledger.column("stored_quadratic")[1:] > 0.1).all()
+
+
+def test_cauchy_stress_has_the_approximated_energy() -> None:
+    """T = F-part + (J zeta_J + phi_eps) I: its spherical part less that of the conjugates is phi_eps."""
+    run = simulation(nv.Yosida(material=NEO_HOOKEAN, eps=0.02))
+    fields = run.fields  # asked for once: they follow the state
+    run.run(0.1)
+    u = run.rothe_step.now
+    z, zeta = u.z_tensors, u.zeta_tensors
+    T, rate = fields["cauchy_stress"], zeta["F"] * z["F"].trans
+    points = run.mesh.MapToAllElements(run.rothe_step.quadrature.cell_rules, VOL)
+    phi = (T[0, 0] - rate[0, 0] - z["J"] * zeta["J"])(points).ravel()
+    states = np.asarray(u.z(points))
+    exact = respond(run.model.material, 2)(states).energy
+    assert np.abs(phi - exact).max() < 2e-3 * np.abs(exact).max()  # a projection to P_1 in a cell
+    assert np.abs((T[0, 1] - rate[0, 1])(points)).max() < 1e-12
+    assert np.isfinite(T(run.mesh(0.31, 0.47))).all()
+
+
+def test_restart_is_bit_for_bit(tmp_path) -> None:
+    """Nothing of the pointwise energies is in the file."""
+    material = nv.Yosida(material=NEO_HOOKEAN, eps=0.02)
+    path = tmp_path / "run.h5"
+    whole = simulation(material, observers=[nv.Checkpoints(path, every=2)])
+    whole.run(0.2)
+    resumed = simulation(material)
+    resumed.restore(path, 2)
+    resumed.run(0.2)
+    first, second = (run.rothe_step.state.vec.FV().NumPy() for run in (whole, resumed))
+    assert np.array_equal(first, second)
+    assert resumed.ledger.rows == whole.ledger.rows
+    other = simulation(nv.Yosida(material=NEO_HOOKEAN, eps=0.01))
+    with pytest.raises(CheckpointError, match=r"material is 'Yosida\(material=NeoHookean"):
+        other.restore(path)
+
+
+def test_a_users_energy_without_a_minimum_is_refused_with_the_reason() -> None:
+    """Its convexity is sampled as that of every user's energy; F = 1.3 I has no minimiser at all."""
+
+    def energy(F, J):
+        return square(F) + 5 * (J - 1) * (J - 1) - 40 * (J - 1) * (J - 1) * (J - 1)
+
+    concave = nv.CustomMaterial(transported=(Distortion(), Jacobian()), stored_energy=energy)
+    with (
+        pytest.warns(ConvexityWarning, match="Yosida: the stored energy is not convex"),
+        pytest.raises(InitialDataError, match=r"initial stored energy: Yosida .* eps = 0.001: no minimiser"),
+    ):
+        simulation(nv.Yosida(material=concave, eps=0.001), initial=nv.Initial(F=3 * CF(Id(3))))
+
+
+def test_a_failed_step_says_why_and_leaves_the_old_state(monkeypatch) -> None:
+    run = simulation(nv.Yosida(material=NEO_HOOKEAN, eps=0.02))
+    run.run(0.05)
+    before = run.rothe_step.state.vec.FV().NumPy().copy()
+    energy, asked = run.rothe_step.energy, []
+    real, known = energy.response, energy._last.T.copy()
+
+    def failing(z: np.ndarray) -> Response:
+        """The response at the old state only, as a function of the state must be."""
+        asked.append(z)
+        return real(z) if np.array_equal(z, known) else respond_nothing(z)
+
+    monkeypatch.setattr(energy, "response", failing)
+    with pytest.raises(StepError, match=r"Newton did not converge .*; no minimiser here"):
+        run.run(0.1)
+    assert asked and np.array_equal(run.rothe_step.state.vec.FV().NumPy(), before)
+    monkeypatch.undo()
+    run.run(0.1)
+    assert abs(run.ledger.column("closure_relative")[-1]) < 1e-13
+
+
+def respond_nothing(z: np.ndarray) -> Response:
+    n, size = z.shape
+    nan = np.full((n, size, size), np.nan)
+    return Response(nan[:, 0, 0], nan[:, 0], nan, "no minimiser here")
