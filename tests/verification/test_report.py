@@ -209,6 +209,7 @@ BOTH_MODELS = (
     "limit-tau",
     "limit-delta",
     "limit-epsilon",
+    "limit-yosida",
     "mass",
     "cut-off",
     "positivity",

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
 from typing import Any
 
+from ngvisco.physics.materials import Yosida
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.run.simulation import Simulation
 from ngvisco.verification.case import Bound, Case, Outcome, Plot
@@ -17,6 +18,7 @@ from ngvisco.verification.setups import (
     SETTING,
     block,
     closure,
+    material,
     separation,
     slope_line,
     square_mesh,
@@ -25,6 +27,7 @@ from ngvisco.verification.setups import (
 THEME = "Limits"
 DURATION = 0.16
 SIZES = (1e-1, 1e-2, 1e-3, 1e-4)
+YOSIDA_SIZES = (1e-2, 1e-3, 1e-4, 1e-5)
 CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
 
 
@@ -60,14 +63,16 @@ def in_tau(kind: str) -> Outcome:
     )
 
 
-def against_zero(kind: str, options: Callable[[float], dict[str, Any]], name: str) -> Outcome:
+def against_zero(
+    kind: str, options: Callable[[float], dict[str, Any]], name: str, sizes: Sequence[float] = SIZES
+) -> Outcome:
     """Runs with a regularisation of decreasing size against the one without; ``options`` are those of "
     "``block``."""
     dt, mesh = DURATION / 8, square_mesh(0.35)
     without = block(kind, dt, mesh=mesh, creep=2.0, gravity=1.0)
     without.run(DURATION)
     table, runs = RateTable(f"distance to {name} = 0, t = {DURATION} s"), [without]
-    for size in SIZES:
+    for size in sizes:
         run = block(kind, dt, mesh=mesh, creep=2.0, gravity=1.0, **options(size))
         run.run(DURATION)
         runs.append(run)
@@ -88,6 +93,10 @@ def _delta(size: float) -> dict[str, Any]:
 
 def _epsilon(size: float) -> dict[str, Any]:
     return {"regularisation": Regularisation(epsilon=size)}
+
+
+def _yosida(kind: str, size: float) -> dict[str, Any]:
+    return {"of": Yosida(material=material(kind), eps=size)}
 
 
 def _rates(limit: float, reason: str) -> tuple[Bound, ...]:
@@ -137,7 +146,20 @@ def _cases(kind: str) -> tuple[Case, ...]:
         run=partial(against_zero, kind, _epsilon, "epsilon"),
         reduced=kind == "linearised",
     )
-    return tau, delta, epsilon
+    yosida = Case(
+        name=f"limit-yosida-{kind}",
+        theme=THEME,
+        statement=f"As epsilon -> 0 the solutions of {KINDS[kind]} with the Yosida approximation of the "
+        f"stored "
+        "energy go to those with the energy itself.",
+        label="varphi-regularized, ED-Euler-large-polyconvex-eps"
+        if kind == "finite"
+        else "varphi-regularized",
+        setting=f"{setting}; cells of 0.35 m, 8 steps; epsilon from 1e-2 to 1e-5 1/Pa.",
+        bounds=(*_rates(0.9, "the approximation is of first order in epsilon"), CLOSURE),
+        run=partial(against_zero, kind, partial(_yosida, kind), "epsilon, 1/Pa", YOSIDA_SIZES),
+    )
+    return tau, delta, epsilon, yosida
 
 
 CASES = tuple(case for kind in KINDS for case in _cases(kind))
