@@ -66,8 +66,10 @@ def in_tau(kind: str) -> Outcome:
 def against_zero(
     kind: str, options: Callable[[float], dict[str, Any]], name: str, sizes: Sequence[float] = SIZES
 ) -> Outcome:
-    """Runs with a regularisation of decreasing size against the one without; ``options`` are those of "
-    "``block``."""
+    """Runs with a regularisation of decreasing size against the one without.
+
+    ``options`` gives ``block``'s for a size.
+    """
     dt, mesh = DURATION / 8, square_mesh(0.35)
     without = block(kind, dt, mesh=mesh, creep=2.0, gravity=1.0)
     without.run(DURATION)
