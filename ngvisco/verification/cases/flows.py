@@ -148,6 +148,9 @@ def _rotation(kind: str) -> Outcome:
     )
 
 
+COUETTE = {"linearised": (0.5, 0.25), "finite": (0.7, 0.35)}
+"""Cell sizes, m: a finite-strain step costs ten times as much."""
+
 R_I, R_O, TURN, MODULUS, ETA = 1.0, 2.0, 0.05, 10.0, 1.0
 
 
@@ -163,7 +166,7 @@ def _couette(kind: str) -> Outcome:
         else ReferentialNeoHookean(K_e=2 * MODULUS, G_e=MODULUS / 2)
     )
     curves, rows, runs, errors = [], [], [], []
-    for h in (0.5, 0.25):
+    for h in COUETTE[kind]:
         model = Model(
             material=material,
             viscosity=StokesViscosity(K_v=0.01, G_v=0.01),
@@ -184,7 +187,7 @@ def _couette(kind: str) -> Outcome:
     curves.append(Curve("closed form", [float(v) for v in r], [float(v) for v in exact], "k-"))
     return Outcome(
         values={
-            "largest relative error of the shear stress, h = 0.25 m": errors[-1],
+            "largest relative error of the shear stress on the finer mesh": errors[-1],
             "error on the finer / on the coarser mesh": errors[-1] / errors[0],
             "largest |closure|": closure(*runs),
         },
@@ -250,10 +253,13 @@ def _cases(kind: str) -> tuple[Case, ...]:
         f"that of the closed form.",
         label="Euler-small-flow-rule" if not finite else "ED-Euler-large3",
         setting="Annulus of 1 and 2 m, the outer wall turns at 0.05/s, G = 10 Pa, eta = 1 Pa s (Wi = 0.01), "
-        "density 0.1, 4 steps of 0.5 s; h = 0.5 and 0.25 m.",
+        f"density 0.1, 4 steps of 0.5 s; h = {COUETTE[kind][0]} and {COUETTE[kind][1]} m.",
         bounds=(
             Bound(
-                "largest relative error of the shear stress, h = 0.25 m", "<=", 0.02, "P2 velocity, P1 stress"
+                "largest relative error of the shear stress on the finer mesh",
+                "<=",
+                0.04 if finite else 0.02,
+                "P2 velocity, P1 stress",
             ),
             Bound("error on the finer / on the coarser mesh", "<=", 0.6, "converges"),
             CLOSURE,
