@@ -180,7 +180,7 @@ def _cases(kind: str) -> tuple[Case, Case]:
         statement=f"In {KINDS[kind]} a Maxwell element of fixed viscosity and growing modulus becomes a "
         f"Newtonian fluid's viscosity.",
         label="Euler-small-viscoelastodyn+2" if kind == "linearised" else "ED-Euler-large3",
-        setting=f"The block with {moduli}; viscosity 0.5 Pa s as G_m/2 with shear moduli of 10 to 1e4 "
+        setting=f"The block with {moduli}; viscosity 0.5 Pa s as G_m/2 with shear moduli of 10 to 3000 "
         f"Pa, against "
         "a Stokes viscosity without shear modulus; 8 steps of 0.02 s.",
         bounds=(
@@ -190,7 +190,7 @@ def _cases(kind: str) -> tuple[Case, Case]:
         ),
         run=partial(fluid, kind),
         explanation="With a relaxation time far below tau Newton's iteration does not find the finite-strain "
-        "step, whose creep is strongly nonlinear in F; shorter steps are solved. See the remarks.",
+        "step, whose creep is nonlinear in F. The remarks name the moduli.",
     )
     return solid, liquid
 
