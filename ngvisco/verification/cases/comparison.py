@@ -118,21 +118,32 @@ def kelvin_voigt(kind: str) -> Outcome:
 
 def fluid(kind: str) -> Outcome:
     """A Maxwell element of fixed viscosity and growing modulus is a Newtonian fluid."""
-    eta, K_e, mesh = 0.5, 10.0, square_mesh(MAXH)
+    eta, K_e, mesh, orders = 0.5, 10.0, square_mesh(MAXH), Discretisation(k=3, m=2)
 
     def material(G: float) -> Material:
         if kind == "linearised":
             return LinearElastic(K_e=K_e, G_e=G)
         return ReferentialNeoHookean(K_e=K_e, G_e=G / 2)
 
-    newtonian = block(kind, 0.02, mesh=mesh, of=material(1e-9), speed=0.2, viscosity=eta)
+    newtonian = block(
+        kind, 0.02, mesh=mesh, of=material(1e-9), speed=0.2, viscosity=eta, discretisation=orders
+    )
     table, runs = RateTable("distance of v to the Newtonian fluid's at t = 0.16 s"), [newtonian]
     newtonian.run(0.16)
     unsolved = []
     for G in (10.0, 30.0, 100.0, 300.0, 1e3, 3e3):
         # the bulk viscosity stays beside the Maxwell element, whose shear viscosity is G_m/2
         bulk = StokesViscosity(K_v=eta, G_v=0.0)
-        run = block(kind, 0.02, mesh=mesh, of=material(G), speed=0.2, viscosity=bulk, creep=2 * eta)
+        run = block(
+            kind,
+            0.02,
+            mesh=mesh,
+            of=material(G),
+            speed=0.2,
+            viscosity=bulk,
+            creep=2 * eta,
+            discretisation=orders,
+        )
         try:
             run.run(0.16)
         except StepError as error:
@@ -148,7 +159,14 @@ def fluid(kind: str) -> Outcome:
             "moduli of six at which every step is solved": len(table.sizes),
             "largest |closure|": closure(*runs),
         },
-        remarks=unsolved,
+        remarks=[
+            "With k = 2, m = 1 at finite strain the error in space grows with the modulus: 0.003 at 100 "
+            "Pa and "
+            "0.008 at 300 Pa, whatever tau.",
+            *unsolved,
+        ]
+        if kind == "finite"
+        else unsolved,
         tables=[table.table("1/G")],
         plots=[Plot(plot.title, plot.xlabel, plot.ylabel, [*plot.curves, line], log="xy")],
     )
@@ -182,7 +200,7 @@ def _cases(kind: str) -> tuple[Case, Case]:
         label="Euler-small-viscoelastodyn+2" if kind == "linearised" else "ED-Euler-large3",
         setting=f"The block with {moduli}; viscosity 0.5 Pa s as G_m/2 with shear moduli of 10 to 3000 "
         f"Pa, against "
-        "a Stokes viscosity without shear modulus; 8 steps of 0.02 s.",
+        "a Stokes viscosity without shear modulus; 8 steps of 0.02 s, k = 3, m = 2.",
         bounds=(
             Bound("last rate of v in 1/G", ">=", 0.8, "the relaxation time"),
             Bound("moduli of six at which every step is solved", ">=", 6, "a stiff rheology, implicit steps"),
