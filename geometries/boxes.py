@@ -5,7 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from netgen.occ import Box, Circle, Cylinder, IdentificationType, Pnt, Rectangle, X, Y, Z, gp_Trsf, gp_Vec
+from netgen.occ import (
+    Box,
+    Circle,
+    Cylinder,
+    IdentificationType,
+    Pnt,
+    Rectangle,
+    WorkPlane,
+    X,
+    Y,
+    Z,
+    gp_Trsf,
+    gp_Vec,
+)
 from ngsolve import Mesh
 
 from ngvisco.errors import ParameterError
@@ -100,10 +113,11 @@ def block_with_hole(
     radius: float,
     maxh: float,
     *,
+    fillet: float = 0.0,
     order: int = CURVE_ORDER,
     refine: Mapping[str, float] | None = None,
 ) -> Mesh:
-    """A box with a circular hole in its middle, in 3D along y; walls of the box, and ``hole``.
+    """A box with a circular hole in its middle, in 3D along y; walls of the box, ``hole`` and ``fillet``.
 
     Parameters
     ----------
@@ -113,12 +127,20 @@ def block_with_hole(
         Less than half of the edges that it is between, m.
     maxh : float
         m.
+    fillet : float
+        Radius to which all corners (2D) or edges and corners (3D) of the box are rounded, m, less than half
+        of its edges; 0 leaves them sharp.
     order : int
         Of the curved cells.
     refine : mapping of walls to cell sizes, optional
     """
     check_lengths("block_with_hole", radius=radius)
     shape, dim, lengths = _block("block_with_hole", size)
+    if fillet != 0:
+        check_lengths("block_with_hole", fillet=fillet)
+        if 2 * fillet >= min(lengths):
+            raise ParameterError("block_with_hole.fillet", fillet, f"a number < {min(lengths) / 2:g}")
+        shape = _rounded(shape, lengths, fillet)
     across = (lengths[0], lengths[-1])
     if 2 * radius >= min(across):
         raise ParameterError("block_with_hole.radius", radius, f"a number < {min(across) / 2:g}")
@@ -141,6 +163,29 @@ def _block(owner: str, size: Sequence[float]) -> tuple[Any, int, tuple[float, ..
     for name, direction in _WALLS[dim]:
         walls.Max(direction).name = name
     return shape, dim, lengths
+
+
+def _rounded(shape: Any, lengths: Sequence[float], fillet: float) -> Any:
+    """The box with its walls, all its corners or edges rounded; what is new has the name ``fillet``."""
+    if len(lengths) == 2:
+        path = WorkPlane().MoveTo(fillet, 0)
+        for length in (*lengths, *lengths):
+            path = path.Line(length - 2 * fillet).Arc(fillet, 90)
+        rounded = path.Face()
+        walls = rounded.edges
+    else:
+        rounded = shape.MakeFillet(shape.edges, fillet)
+        walls = rounded.faces
+    # a wall keeps its middle; names and order of MakeFillet's faces are not to be relied upon
+    sharp = shape.edges if len(lengths) == 2 else shape.faces
+    names = {_middle(wall): wall.name for wall in sharp}
+    for wall in walls:
+        wall.name = names.get(_middle(wall), "fillet")
+    return rounded
+
+
+def _middle(wall: Any) -> tuple[float, ...]:
+    return tuple(round(float(c), 9) + 0.0 for c in wall.center)
 
 
 def _identify(shape: Any, dim: int, lengths: Sequence[float], periodic: str | Sequence[str]) -> None:

@@ -15,6 +15,8 @@ from ngsolve import Mesh
 from ngvisco.errors import MeshError, ParameterError
 from ngvisco.geometries.meshing import CURVE_ORDER, check_lengths
 
+_FLAT = 1e-6  # of a sheet's width, above and below z = 0; OCC's bounding boxes have a margin
+
 _ENDS = {
     ".vol": "endmesh",
     ".step": "END-ISO-10303-21;",
@@ -31,7 +33,8 @@ def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = C
     ----------
     path : path
         ``.vol`` or ``.msh`` (format 2) holds a mesh; ``.step``, ``.stp`` or ``.brep`` a geometry, which is
-        meshed.  Walls have the names of the file's boundaries, faces or physical groups.
+        meshed: solids in 3D, faces in the plane z = 0 in 2D.  Walls have the names of the file's
+        boundaries, faces or physical groups.
     maxh : float
         Largest cell size, in the file's unit; for geometries only, and needed there.
     order : int
@@ -86,5 +89,17 @@ def _read(path: Path, kind: str, maxh: float | None) -> Any:
     check_lengths("load", maxh=maxh)
     geometry = OCCGeometry(str(path))
     if len(geometry.shape.solids) == 0:
-        raise MeshError(f"{path}: the geometry has no solid, so that its mesh has no volume elements")
+        geometry = _sheet(path, geometry.shape)
     return Mesh(geometry.GenerateMesh(maxh=maxh))
+
+
+def _sheet(path: Path, shape: Any) -> OCCGeometry:
+    """The two-dimensional geometry of faces in the plane z = 0."""
+    low, high = shape.bounding_box
+    width = max(high.x - low.x, high.y - low.y)
+    if len(shape.faces) == 0 or max(abs(low.z), abs(high.z)) > _FLAT * width:
+        raise MeshError(
+            f"{path}: the geometry has no solid, so that its mesh has no volume elements; expected a solid, "
+            "or faces in the plane z = 0 for a two-dimensional mesh"
+        )
+    return OCCGeometry(shape, dim=2)

@@ -50,6 +50,8 @@ def mesh_of(
 def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
     """Bisect the cells that touch the named walls ``times`` times: a boundary layer graded towards them.
 
+    Each time halves the height of the cells at the wall, and their size along it as well: the cells keep
+    their shape, they are not flattened as those of a layer that is extruded from the wall.
     The mesh is changed in place, curved again as it was, and returned.
 
     Raises

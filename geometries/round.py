@@ -21,7 +21,7 @@ def disc(
     radius, maxh : float
         m.
     order : int
-        Of the curved cells; 1 gives a polygon, on which a slip wall locks.
+        Of the curved cells; 1 gives a polygon, on which slip is refused.
     refine : mapping of walls to cell sizes, optional
     """
     check_lengths("disc", radius=radius)

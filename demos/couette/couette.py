@@ -6,8 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from ngsolve import x as X
-from ngsolve import y as Y
+from ngsolve import x, y
 
 import ngvisco as nv
 from ngvisco.geometries import annulus
@@ -28,7 +27,8 @@ def simulation(maxh: float = 0.35, dt: float = 0.1, **options) -> nv.Simulation:
         viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
         creep=nv.Creep(G_m=2 * ETA),
     )
-    options["walls"] = {"outer": nv.PrescribedTangential((-OMEGA * Y, OMEGA * X)), "inner": nv.NoSlip()}
+    options["walls"] = {"outer": nv.PrescribedTangential((-OMEGA * y, OMEGA * x)), "inner": nv.NoSlip()}
+    options["discretisation"] = nv.Discretisation(k=3, m=2)
     return nv.Simulation(annulus(R_I, R_O, maxh), model, dt=dt, initial=nv.Initial(density=0.1), **options)
 
 

@@ -13,7 +13,7 @@ from ngvisco.geometries import box
 
 
 def simulation(
-    G_mr: float = 2.5, maxh: float = 0.5, dt: float = 0.02, gravity: float = 0.0, **options
+    G_mr: float = 2.5, maxh: float = 0.25, dt: float = 0.02, gravity: float = 0.0, **options
 ) -> nv.Simulation:
     """1 m x 1 m, at most 0.5 m/s at the start; G_e + G_mr = 5 Pa whatever G_mr."""
     model = nv.Model(

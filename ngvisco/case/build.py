@@ -26,8 +26,8 @@ from ngvisco.errors import (
     ParameterError,
     UnknownNameError,
 )
+from ngvisco.forms.boundaries import check_boundary_names
 from ngvisco.forms.context import time
-from ngvisco.forms.walls import check_boundary_names
 from ngvisco.physics.model import Model
 from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints

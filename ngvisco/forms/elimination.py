@@ -35,14 +35,15 @@ class LocalProjection:
     """target = cellwise L2 projection of an integrand that may have a part on the cell's boundary."""
 
     def __init__(self, space: FESpace, target: GridFunction, quadrature: Quadrature, integrand: Any) -> None:
-        """``integrand`` maps the test function of ``space`` to an Integrand."""
+        """``integrand`` maps the test function of ``space`` to an Integrand, or a sequence of them."""
         self.target = target
         self.load = LinearForm(space)
-        parts: Integrand = integrand(space.TestFunction())
-        if parts.cells is not None:
-            self.load += parts.cells.Compile() * quadrature.cells
-        if parts.facets is not None:
-            self.load += parts.facets.Compile() * quadrature.facets
+        given = integrand(space.TestFunction())
+        for part in (given,) if isinstance(given, Integrand) else given:
+            if part.cells is not None:
+                self.load += part.cells.Compile() * quadrature.cells
+            if part.facets is not None:
+                self.load += part.facets.Compile() * quadrature.facets
         self.inverse_mass = _inverse_mass(space, quadrature)
 
     def __call__(self) -> None:

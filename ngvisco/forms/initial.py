@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
 from ngsolve import (
     CF,
-    BilinearForm,
-    BitArray,
     CoefficientFunction,
     Det,
-    GridFunction,
     Id,
-    LinearForm,
     TaskManager,
     specialcf,
 )
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError
+from ngvisco.forms.context import Integrand
+from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.projections import project_velocity, set_traces
 from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.spaces import Fields
 from ngvisco.forms.system import Step
-from ngvisco.forms.walls import Impenetrability
+from ngvisco.forms.wall_terms import Impenetrability
 from ngvisco.physics.material import components_of, conjugates
 from ngvisco.physics.model import VectorLike, as_vector
 from ngvisco.physics.tensors import inner, square, tensor_space
@@ -149,29 +149,18 @@ def remove_constrained(step: Step) -> None:
 
 def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
     """Make v.n = 0 hold in the walls' discrete sense: v = 0 where there is no slip, the given tangential
-    part where a wall moves, and on oblique or curved walls the L2 projection with their multiplier."""
+    part where a wall moves, and on oblique or curved walls the L2 projection with their multiplier.
+    """
     remove_constrained(step)
     where = step.layout.ranges["v"]
     v = step.state.vec.FV().NumPy()[where]
     for name, (_, mask) in step.moving_walls.moving.items():
         n = specialcf.normal(step.mesh.dim)
         v[mask] = step.moving_walls.interpolate(name, v_0 - (v_0 * n) * n)[mask]
-    for term in step.terms:
-        if isinstance(term, Impenetrability):
-            _project_velocity(step, v_0, term)
-
-
-def _project_velocity(step: Step, v_0: CoefficientFunction, term: Impenetrability) -> None:
-    trial, test = step.layout.space.TnT()
-    u, w = step.layout.fields(trial), step.layout.fields(test)
-    mass = BilinearForm(step.layout.space, check_unused=False)
-    load = LinearForm(step.layout.space)
-    mass += inner(u.v, w.v) * step.quadrature.cells
-    load += inner(v_0, w.v) * step.quadrature.cells
-    for part in term.form(u, w):
-        mass += part.facets * step.quadrature.facets
-    _solve_blocks(step, mass, load, ["v", "wall_stress"])
-    step.state.vec[step.layout.ranges["wall_stress"]] = 0.0
+    term = next((term for term in step.terms if isinstance(term, Impenetrability)), None)
+    # on a periodic mesh ``Set`` counts a vertex twice in a cell that meets its own image
+    if term is not None or step.layout.periodic:
+        project_velocity(step.layout, step.state, v_0, term, step.quadrature)
 
 
 def complete(step: Step) -> None:
@@ -183,7 +172,7 @@ def complete(step: Step) -> None:
     else:
         step.eliminate.refresh()
         step.eliminate.conjugates()
-    _mean_traces(step)
+    set_traces(step.layout, step.state, step.context, step.quadrature)
     law = step.model.hyperviscosity
     if law is None:
         return
@@ -196,67 +185,13 @@ def complete(step: Step) -> None:
     parts["hyperstress"].Set(coefficient * parts["hess"])
 
 
-def _mean_traces(step: Step) -> None:
-    """Facet unknowns as the means of both sides' values."""
-    trial, test = step.layout.space.TnT()
-    u, w, now = step.layout.fields(trial), step.layout.fields(test), step.now
-    measure = step.quadrature.facets
-    mass = BilinearForm(step.layout.space, check_unused=False)
-    load = LinearForm(step.layout.space)
-    mass += u.rho_hat * w.rho_hat * measure
-    load += now.rho * w.rho_hat * measure
-    mass += inner(u.z_hat, w.z_hat) * measure
-    load += inner(now.z, w.z_hat) * measure
-    names = ["rho_hat", "z_hat"]
-    for name, value in (("rho_delta_hat", now.rho), ("z_delta_hat", now.z)):
-        if name in step.layout.names:
-            mass += inner(u.parts[name], w.parts[name]) * measure
-            load += inner(value, w.parts[name]) * measure
-            names.append(name)
-    if step.model.hyperviscosity is not None:
-        n = step.context.normal
-        mass += inner(u.normal_derivative, w.normal_derivative) * measure
-        load += inner(now.grad_v * n, w.normal_derivative) * measure
-        names += [f"a_{i + 1}" for i in range(step.mesh.dim)]
-    _solve_blocks(step, mass, load, names)
-
-
 def _recover_hessian(step: Step, term: Hyperviscosity) -> None:
     """The local projection int Hs : X = lifting of (v, a)."""
-    trial, test = step.layout.space.TnT()
-    u, w = step.layout.fields(trial), step.layout.fields(test)
-    mass = BilinearForm(step.layout.space, check_unused=False)
-    load = LinearForm(step.layout.space)
-    # the lifting is tested by hyperstress; its local space is the same as that of hess
-    mass += inner(u.hyperstress, w.hyperstress) * step.quadrature.cells
-    for part in term.lifting(step.now, w):
-        if part.cells is not None:
-            load += part.cells * step.quadrature.cells
-        if part.facets is not None:
-            load += part.facets * step.quadrature.facets
-    _solve_blocks(step, mass, load, ["hyperstress"])
-    parts = dict(zip(step.layout.names, step.state.components, strict=True))
-    parts["hess"].vec.data = parts["hyperstress"].vec
+    layout = step.layout
+    parts = dict(zip(layout.names, step.state.components, strict=True))
 
+    def lifted(test: CoefficientFunction) -> Sequence[Integrand]:
+        # the lifting is tested by hyperstress; its local space is the same as that of hess
+        return term.lifting(step.now, Fields(layout, {"hyperstress": test}))
 
-def _solve_blocks(step: Step, mass: BilinearForm, load: LinearForm, names: list[str]) -> None:
-    mass.Assemble()
-    load.Assemble()
-    free = BitArray(step.layout.space.ndof)
-    free.Clear()
-    for name in names:
-        free[step.layout.ranges[name]] = True
-    # neither facets of coarser meshes, nor identified copies, nor prescribed coefficients
-    free &= step.layout.space.FreeDofs()
-    solution = GridFunction(step.layout.space)
-    if "v" in names:
-        where = step.layout.ranges["v"]
-        solution.vec[where] = step.state.vec[where]
-        for i in range(where.start, where.stop):
-            if free[i]:
-                solution.vec[i] = 0.0
-        load.vec.data -= mass.mat * solution.vec
-    solution.vec.data += mass.mat.Inverse(free, inverse="umfpack") * load.vec
-    for name in names:
-        where = step.layout.ranges[name]
-        step.state.vec[where] = solution.vec[where]
+    LocalProjection(layout.blocks["hess"], parts["hess"], step.quadrature, lifted)()

@@ -94,4 +94,3 @@ class RateTensors:
 
 def _constant(array: np.ndarray) -> CoefficientFunction:
     return CF(tuple(float(a) for a in array.ravel()), dims=array.shape)
-

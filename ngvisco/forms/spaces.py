@@ -9,7 +9,7 @@
 | z, z_hat, zeta   | all transported components, trace, conjugates     | local, global  |
 | Pi               | creep rate where nu > 0, continuous P_max(1, m)   | global         |
 | rho_delta_hat, z_delta_hat | traces of the delta-regularisation      | global         |
-| wall_stress      | P_{k-1} (2D), P_{k-2} (3D) on oblique, curved walls | global       |
+| wall_stress      | P_{k-2} (2D, k = 3: P_2) on oblique, curved walls | global         |
 
 The local unknowns are condensed out cell by cell.
 """

@@ -21,17 +21,20 @@ from collections.abc import Callable
 
 from ngsolve import BilinearForm, GridFunction, Mesh
 
-from ngvisco.forms import walls
+from ngvisco.forms.boundaries import check_mesh
 from ngvisco.forms.context import Context, Entry, Integrand, Term
 from ngvisco.forms.creep import CreepRate
 from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Continuity, Convection, Inertia, Loading, Stokes
+from ngvisco.forms.moving_walls import MovingWalls
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.regularisation import regularising_terms
 from ngvisco.forms.spaces import Discretisation, Fields, Layout
 from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
+from ngvisco.forms.wall_terms import wall_terms
+from ngvisco.forms.walls import Conditions, Walls
 from ngvisco.physics.model import Model
 
 
@@ -55,12 +58,12 @@ class Step:
         model: Model,
         discretisation: Discretisation | None = None,
         sources: Term | None = None,
-        conditions: walls.Conditions | None = None,
+        conditions: Conditions | None = None,
     ) -> None:
-        walls.check_mesh(mesh)
+        check_mesh(mesh)
         self.mesh, self.model = mesh, model
         self.discretisation = discretisation or Discretisation()
-        self.walls = walls.Walls(mesh, conditions)
+        self.walls = Walls(mesh, conditions)
         self.layout = Layout(
             mesh,
             model,
@@ -73,7 +76,7 @@ class Step:
         self.state_old = GridFunction(self.layout.space, name="state_old")
         self.now = self.layout.fields(self.state.components)
         self.old = self.layout.fields(self.state_old.components)
-        self.moving_walls = walls.MovingWalls(self.walls, self.layout, self.state)
+        self.moving_walls = MovingWalls(self.walls, self.layout, self.state)
         k, m, bonus = (getattr(self.discretisation, name) for name in ("k", "m", "quadrature_bonus"))
         response = model.material.response(mesh.dim)
         self.quadrature = Quadrature.for_orders(mesh, k, m, bonus)
@@ -107,7 +110,7 @@ class Step:
         if model.creep is not None and not model.creep.is_local:
             terms.append(CreepRate(model, context))
         terms += regularising_terms(model.regularisation, context)
-        terms += walls.wall_terms(self.walls, context)
+        terms += wall_terms(self.walls, context)
         if sources is not None:
             terms.append(sources)
         return tuple(terms)

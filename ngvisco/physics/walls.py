@@ -16,10 +16,22 @@ from ngvisco.physics.model import VectorLike
 class Wall:
     """Base of all wall conditions."""
 
+    straight: bool = False
+    """Whether straight facets are meant, see ``Slip``."""
+
 
 @dataclass(frozen=True)
 class Slip(Wall):
-    """v.n = 0 and no tangential stress (paper: Euler-small-BC-hyper); the default everywhere."""
+    """v.n = 0 and no tangential stress (paper: Euler-small-BC-hyper); the default everywhere.
+
+    Parameters
+    ----------
+    straight : bool
+        The wall really is a polygon or polyhedron.  Straight facets of one wall that meet at less than 60
+        degrees are refused otherwise: where they approach a curved wall, slip turns into no slip.
+    """
+
+    straight: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,10 +64,13 @@ class Traction(Wall):
         no power and is dropped.
     friction : float
         eps >= 0, Pa s/m.
+    straight : bool
+        As in ``Slip``.
     """
 
     f: VectorLike
     friction: float = 0.0
+    straight: bool = False
 
     def __post_init__(self) -> None:
         require_nonnegative(self, friction=self.friction)
@@ -69,9 +84,12 @@ class NavierFriction(Wall):
     ----------
     coefficient : number or coefficient function
         Pa s/m, >= 0, may depend on x.
+    straight : bool
+        As in ``Slip``.
     """
 
     coefficient: float | CoefficientFunction
+    straight: bool = False
 
     def __post_init__(self) -> None:
         if isinstance(self.coefficient, CoefficientFunction):

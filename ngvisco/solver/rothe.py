@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -15,15 +14,24 @@ from ngvisco.solver.choice import chosen_method, is_affordable
 from ngvisco.solver.newton import BlockNorm, Newton, NewtonIteration, NewtonOptions
 from ngvisco.solver.split.solver import Split
 
-WIDEST = 100.0
-"""Width of the smoothed upwinding, in units of the scheme's, from which it is narrowed for start values.
+WIDE, WIDEST = 1e2, 1e4
+"""Widths of the smoothed upwinding, in units of the scheme's, from which it is narrowed for start values.
 
 Where v.n changes sign on a facet within the step, the elastic force jumps by [z]:[zeta] across that
 width: the sharp problem can have a fold between the old state and the solution, the soft one has none.
+The widest is about the run's velocity: the upwinding is then nearly central, and steps of growing
+length lead from the old state to tau also where creep is stiff and z jumps from cell to cell.
 """
 
 MAX_CONTINUATION = 20
-"""Shorter steps tried for start values, when tau itself does not converge from the old state."""
+"""Values of a parameter tried on the way to a start value."""
+
+FULL_STEPS = 12
+"""Undamped Newton steps tried from a soft solution to the sharp one, where the way between them folds.
+
+Across a fold the sign of v.n changes on a facet: the sharp equation is nearly piecewise smooth, and full
+steps change such signs as damped ones cannot.
+"""
 
 
 class RotheSolver:
@@ -90,7 +98,7 @@ class RotheSolver:
                     if not with_continuation:
                         raise
                     self._restore(step.state_old.vec)
-            self._continue(t_old, tau, history)
+            self._lengthen(t_old, tau, history)
             return history
         except BaseException as error:  # also an interrupt: never leave an iterate behind
             self.undo(t_old)
@@ -112,10 +120,12 @@ class RotheSolver:
             step.eliminate.refresh,
         )
 
-    def _solve_directly(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
+    def _solve_directly(
+        self, t_old: float, tau: float, history: list[NewtonIteration], full_steps: int | None = None
+    ) -> None:
         """Solve the step from the present state, and record the iterations, also failed ones."""
         try:
-            history += self._solve(t_old, tau)
+            history += self._solve(t_old, tau, full_steps)
         except StepError as error:
             history += error.history
             raise
@@ -124,54 +134,81 @@ class RotheSolver:
         """Solve the step with wide upwinding and narrow it to the scheme's."""
         eta = self.step.context.eta
         width = eta.Get()
-        guess = self.step.state.vec.CreateVector()
-        guess.data = self.step.state.vec
-        solved, factor, ratio = math.inf, WIDEST, 10.0
-        failure: StepError | None = None
+
+        def solve(factor: float) -> None:
+            eta.Set(factor * width)
+            try:
+                self._solve_directly(t_old, tau, history)
+            except StepError:
+                if factor < WIDEST:
+                    raise
+                self._restore(self.step.state_old.vec)
+                self._lengthen(t_old, tau, history)
+
+        def leap() -> None:
+            eta.Set(width)
+            self._solve_directly(t_old, tau, history, FULL_STEPS)
+
         try:
-            for _ in range(MAX_CONTINUATION):
-                self._restore(guess)
-                eta.Set(factor * width)
-                try:
-                    history += self._solve(t_old, tau)
-                except StepError as error:
-                    failure = error
-                    history += error.history
-                    if solved == math.inf:
-                        break
-                    ratio = math.sqrt(ratio)
-                else:
-                    if factor == 1.0:
-                        return
-                    guess.data = self.step.state.vec
-                    solved = factor
-                factor = max(1.0, solved / ratio)
-            assert failure is not None
-            raise StepError(str(failure))
+            self._follow(solve, first=WIDE, retreat=WIDEST / WIDE, furthest=WIDEST, ratio=0.1, leap=leap)
         finally:
             eta.Set(width)
 
-    def _continue(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
+    def _lengthen(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
         """Solve steps of growing length from t_old, each the start value of the next, up to tau."""
-        guess = self.step.state_old.vec.CreateVector()
-        guess.data = self.step.state_old.vec
-        solved, fraction = 0.0, 0.25
+
+        def solve(fraction: float) -> None:
+            self._solve_directly(t_old, fraction * tau, history)
+
+        self._follow(solve, first=0.25, retreat=1 / 8, furthest=0.25 / 8**5, ratio=4.0)
+
+    def _follow(
+        self,
+        solve: Callable[[float], None],
+        first: float,
+        retreat: float,
+        furthest: float,
+        ratio: float,
+        leap: Callable[[], None] | None = None,
+    ) -> None:
+        """Solve for a parameter that goes to 1 by factors of at most ``ratio``, each from the one before.
+
+        While nothing is solved, ``first`` is multiplied by ``retreat``, up to ``furthest``.  ``leap`` solves
+        for 1 at once; it is tried from each solution that damped steps do not lead on from.
+        """
+        guess = self.step.state.vec.CreateVector()
+        guess.data = self.step.state.vec
+        value, solved, power = first, 0.0, 1.0
         failure: StepError | None = None
         for _ in range(MAX_CONTINUATION):
             self._restore(guess)
             try:
-                history += self._solve(t_old, fraction * tau)
+                solve(value)
             except StepError as error:
                 failure = error
-                history += error.history
-                fraction = math.sqrt(solved * fraction) if solved else fraction / 8
-                continue
-            if fraction == 1.0:
-                return
-            guess.data = self.step.state.vec
-            solved, fraction = fraction, min(1.0, 4 * fraction)
+                if not solved and value == furthest:
+                    break
+                if not solved:
+                    value *= retreat
+                    continue
+                power /= 2
+                if leap is not None:
+                    self._restore(guess)
+                    try:
+                        leap()
+                        return
+                    except StepError as fault:
+                        failure = fault
+            else:
+                if value == 1.0:
+                    return
+                guess.data = self.step.state.vec
+                solved, power = value, min(1.0, 1.5 * power)
+            value = solved * ratio**power
+            if (value < 1.0) == (ratio < 1.0):  # at or beyond the end of the way
+                value = 1.0
         assert failure is not None
-        raise failure
+        raise StepError(str(failure))
 
     def undo(self, t_old: float) -> None:
         """Put both grid functions into the state before the last ``advance``, at ``t_old``."""
@@ -223,13 +260,15 @@ class RotheSolver:
         time.Set(t_old + tau)
         self.step.moving_walls.set_values()
 
-    def _solve(self, t_old: float, tau: float) -> list[NewtonIteration]:
+    def _solve(self, t_old: float, tau: float, full_steps: int | None = None) -> list[NewtonIteration]:
         self._set_context(t_old, tau)
         self.norm.units["v"] = self.h_min / tau
         energy = self.step.energy
         energy.last_failure = None
         try:
-            history = self.newton.solve()
+            # only the coupled iteration takes full steps whatever the increments
+            newton = self.newton
+            history = newton.solve(full_steps) if isinstance(newton, Newton) else newton.solve()
         except StepError as error:
             if energy.last_failure is None:
                 raise

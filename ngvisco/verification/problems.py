@@ -8,7 +8,7 @@ from typing import Any
 from ngsolve import BilinearForm, CoefficientFunction, FESpace, GridFunction, Integrate, Mesh
 
 from ngvisco import Discretisation, Model, NewtonOptions, time
-from ngvisco.forms import walls
+from ngvisco.forms.boundaries import slip_constraints
 from ngvisco.forms.context import Context, Entry, Integrand, Term
 from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.quadrature import Quadrature
@@ -45,7 +45,7 @@ class PartialLayout(Layout):
         discretisation: Discretisation,
         names: Sequence[str],
     ) -> None:
-        super().__init__(mesh, model, discretisation, walls.slip_constraints(mesh))
+        super().__init__(mesh, model, discretisation, slip_constraints(mesh))
         self.blocks = {name: space for name, space in self.blocks.items() if name in names}
         self.names = tuple(self.blocks)
         self.space = FESpace(list(self.blocks.values()))

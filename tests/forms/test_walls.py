@@ -11,7 +11,7 @@ from ngsolve import CF, Mesh, VectorH1
 from ngsolve.meshes import Make1DMesh, MakeStructured2DMesh, MakeStructured3DMesh
 
 from ngvisco import MeshError, UnknownNameError
-from ngvisco.forms.walls import axis_parallel_walls, check_boundary_names, check_mesh, slip_constraints
+from ngvisco.forms.boundaries import axis_parallel_walls, check_boundary_names, check_mesh, slip_constraints
 from ngvisco.geometries import box
 
 

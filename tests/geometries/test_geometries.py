@@ -2,8 +2,9 @@
 
 import math
 
+import numpy as np
 import pytest
-from netgen.occ import Box, Pnt, Rectangle
+from netgen.occ import Axis, Box, Circle, Pnt, Rectangle, X
 from ngsolve import BND, CF, Integrate
 
 from ngvisco import MeshError, ParameterError, UnknownNameError
@@ -48,7 +49,7 @@ def test_measure_and_walls_are_those_of_the_domain(name):
 
 @pytest.mark.parametrize("periodic", ["x", "y", "xy", "xyz"])
 def test_identified_walls_have_pairs(periodic):
-    from ngvisco.forms.walls import periodic_boundaries
+    from ngvisco.forms.boundaries import periodic_boundaries
 
     mesh = g.box((1, 1, 1) if "z" in periodic else (1, 1), 0.6, periodic=periodic)
     planes = {"x": {"left", "right"}, "y": {"bottom", "top"}}
@@ -65,7 +66,33 @@ def test_refinement_is_local():
     assert edges[2] > 2.5 * edges[0] and edges[3] < 1.5 * edges[1]
 
 
-def test_boundary_layer_is_bisected_and_stays_round():
+@pytest.mark.parametrize(
+    ("make", "wall"),
+    [(lambda: g.disc(1, 0.5), "wall"), (lambda: g.box((1, 1, 1), 1.0), "bottom")],
+    ids=["2D", "3D"],
+)
+def test_boundary_layer_is_bisected_towards_the_wall(make, wall):
+    """The height of the cells at the wall is halved each time, by fewer cells than halving all takes."""
+
+    def height(mesh):
+        """Mean height over the wall of the cells that have a facet on it."""
+        areas = np.array(Integrate(CF(1.0), mesh, BND, element_wise=True))
+        volumes = np.array(Integrate(CF(1.0), mesh, element_wise=True))
+        kind = (lambda e: e.edges) if mesh.dim == 2 else (lambda e: e.faces)
+        owner = {f.nr: e.nr for e in mesh.Elements() for f in kind(e)}
+        on_wall = [e for e in mesh.Elements(BND) if e.mat == wall]
+        return np.mean([mesh.dim * volumes[owner[kind(e)[0].nr]] / areas[e.nr] for e in on_wall])
+
+    meshes = [make() for _ in range(3)]
+    for times, mesh in enumerate(meshes[1:], start=1):
+        g.refine_walls(mesh, wall, times=times)
+    heights = [height(mesh) for mesh in meshes]
+    assert heights[1] == pytest.approx(heights[0] / 2, rel=0.1)
+    assert heights[2] == pytest.approx(heights[0] / 4, rel=0.15)
+    assert meshes[2].ne < 0.75 * meshes[0].ne * 4 ** meshes[0].dim
+
+
+def test_boundary_layer_stays_round():
     mesh = g.disc(1, 0.5)
     before = mesh.ne
     assert g.refine_walls(mesh, "wall", times=2).ne > 3 * before
@@ -162,9 +189,22 @@ def test_files_missing_or_cut_short_raise(name, tmp_path):
         g.load(path, maxh=1.0)
 
 
+@pytest.mark.parametrize("ending", ["step", "brep"])
+def test_a_sheet_in_the_plane_gives_a_curved_mesh_in_2d(ending, tmp_path):
+    sheet = Rectangle(2, 1).Face() - Circle((1, 0.5), 0.3).Face()
+    path = tmp_path / f"sheet.{ending}"
+    (sheet.WriteStep if ending == "step" else sheet.WriteBrep)(str(path))
+    mesh = g.load(path, maxh=0.3)
+    assert mesh.dim == 2
+    assert Integrate(CF(1.0), mesh) == pytest.approx(2 - 0.09 * math.pi, rel=5e-5)
+
+
 def test_a_surface_has_no_volume_elements(tmp_path):
+    tilted = Rectangle(1, 1).Face().Rotate(Axis(Pnt(0, 0, 0), X), 30)
+    for name, sheet in (("tilted", tilted), ("lifted", Rectangle(1, 1).Face().Move((0, 0, 0.5)))):
+        sheet.WriteStep(str(tmp_path / f"{name}.step"))
+        with pytest.raises(MeshError, match="faces in the plane z = 0"):
+            g.load(tmp_path / f"{name}.step", maxh=0.5)
     Rectangle(1, 1).Face().WriteStep(str(tmp_path / "sheet.step"))
-    with pytest.raises(MeshError, match="no volume elements"):
-        g.load(tmp_path / "sheet.step", maxh=0.5)
     with pytest.raises(ParameterError, match="maxh"):
         g.load(tmp_path / "sheet.step")

@@ -18,6 +18,7 @@ from ngvisco import (
     time,
 )
 from ngvisco.geometries import box
+from ngvisco.solver.rothe import MAX_CONTINUATION
 
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 JUMP = Id(3) + IfPos(x - 0.4, 0.4, -0.2) * OuterProduct(CF((1, 0, 0)), CF((0.3, 1, 0)))
@@ -77,6 +78,71 @@ def test_step_after_a_failure_equals_one_without() -> None:
     rows = [run.advance() for run in (clean, failed)]
     assert np.array_equal(state(clean), state(failed))
     assert rows[0] == rows[1] or {k for k in rows[0] if rows[0][k] != rows[1][k]} <= {"J_min", "J_defect"}
+
+
+def followed(solvable, **path) -> list[float]:
+    """The values that a continuation tries where ``solvable(value, solved)`` says what Newton would do."""
+    run = simulation()
+    tried, solved = [], []
+
+    def solve(value: float) -> None:
+        tried.append(value)
+        if not solvable(value, solved[-1] if solved else None):
+            raise StepError("Newton did not converge")
+        solved.append(value)
+
+    run.solver._follow(solve, **path)
+    return tried
+
+
+LENGTHEN = {"first": 0.25, "retreat": 1 / 8, "furthest": 0.25 / 8**5, "ratio": 4.0}
+SOFTEN = {"first": 1e2, "retreat": 1e2, "furthest": 1e4, "ratio": 0.1}
+
+
+def test_continuation_goes_to_one_by_its_ratio() -> None:
+    assert followed(lambda value, solved: True, **LENGTHEN) == [0.25, 1.0]
+    assert followed(lambda value, solved: True, **SOFTEN) == pytest.approx([1e2, 1e1, 1.0])
+    assert followed(lambda value, solved: solved or value <= 0.01, **LENGTHEN) == pytest.approx(
+        [0.25, 0.25 / 8, 0.25 / 64, 0.25 / 16, 0.25 / 4, 0.25, 1.0]
+    )
+
+
+def test_continuation_takes_smaller_steps_where_needed() -> None:
+    """Only ratios up to 1.5 are solved: it arrives, by such ratios."""
+    values = followed(lambda value, solved: solved is None or value <= 1.5 * solved, **LENGTHEN)
+    assert values[-1] == 1.0
+    assert len(values) <= MAX_CONTINUATION
+
+
+def test_continuation_gives_up_beyond_the_furthest() -> None:
+    with pytest.raises(StepError, match="did not converge"):
+        followed(lambda value, solved: value > 1e4, **SOFTEN)
+    tried = []
+    with pytest.raises(StepError, match="did not converge"):
+        followed(lambda value, solved: tried.append(value), **LENGTHEN)
+    assert tried == pytest.approx([0.25 / 8**i for i in range(6)])
+
+
+def test_continuation_leaps_where_the_way_folds() -> None:
+    """No value below 30 is reached by a path; the leap is tried after the first failure, and ends it."""
+    leaps = []
+    values = followed(lambda value, solved: value >= 30, **SOFTEN, leap=lambda: leaps.append(1))
+    assert values == pytest.approx([1e2, 1e1])
+    assert leaps == [1]
+
+
+def test_full_steps_are_taken_whatever_the_increments() -> None:
+    """From a rough start: increments that grow are kept, none is damped, and there are so many at most."""
+    run = simulation("neo_hookean", speed=100.0, F=JUMP, dt=5.0)
+    run.solver._set_context(0.0, 5.0)
+    run.solver.norm.units["v"] = run.solver.h_min / 5.0
+    with pytest.raises(StepError, match="too many iterations") as error:
+        run.solver.newton.solve(full_steps=4)
+    history = error.value.history
+    assert len(history) == 4
+    assert all(line.damping == 1.0 for line in history)
+    assert max(line.contraction for line in history) > 1
+    assert len({line.increment for line in history}) == 4
 
 
 def test_solution_with_a_defect_is_not_accepted() -> None:

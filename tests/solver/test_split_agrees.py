@@ -94,8 +94,11 @@ def test_for_other_orders(k, m):
 
 @pytest.mark.parametrize("periodic", ["x", "xy"])
 def test_on_periodic_cells(periodic):
-    assert_both_agree(box((1, 1), maxh=0.3, periodic=periodic), model(loads=[]), initial=nv.Initial(
-        velocity=(sin(2 * pi * y), 0.3 * sin(2 * pi * x) * sin(2 * pi * y))))
+    assert_both_agree(
+        box((1, 1), maxh=0.3, periodic=periodic),
+        model(loads=[]),
+        initial=nv.Initial(velocity=(sin(2 * pi * y), 0.3 * sin(2 * pi * x) * sin(2 * pi * y))),
+    )
 
 
 WALLS = {

@@ -29,7 +29,7 @@ class MooneyRivlin(NeoHookean):
     cube (Hartmann and Neff 2003, which the paper cites).  Its factor makes the two agree to second order at
     rest.  Jointly convex in (F, H, J); minimum on SO(3); blows up as J -> 0+.  Stress at rest is
     hydrostatic, T = phi(rest) I with phi(rest) = 3 G_e + 2 G_mr + epsilon^2/(2 K_e).  G_e + G_mr is half
-    the usual shear modulus.
+    the usual shear modulus, and the bulk modulus is ``NeoHookean``'s.
 
     Parameters
     ----------
@@ -67,8 +67,9 @@ class ReferentialMooneyRivlin(Material):
 
     H = J^{-5/6} F and N = J^{-7/6} Cof F: the compressible Mooney-Rivlin material with the invariants of
     F_iso, per referential volume.  N's rate is not the paper's printed one, see ``variables``.  Jointly
-    convex, strongly in (H, N); blows up as J -> 0+.  T(I) = 0.  K_e is the usual bulk modulus, G_e + G_mr
-    half the usual shear modulus (so G_e and G_mr are the usual C_10 and C_01).
+    convex, strongly in (H, N); blows up as J -> 0+.  T(I) = 0.  K_e is the usual bulk modulus
+    (K_e + kappa (kappa + 1) epsilon with the added term), G_e + G_mr half the usual shear modulus (so G_e and
+    G_mr are the usual C_10 and C_01).
 
     Parameters
     ----------

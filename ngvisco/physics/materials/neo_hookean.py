@@ -26,13 +26,15 @@ class NeoHookean(Material):
     blows up as J -> 0+.  Its minimum is on SO(3).  Stress at rest is hydrostatic and constant,
     T(I, 1) = phi(I, 1) I = (3 G_e + epsilon^2/(2 K_e)) I (with kappa: (3 G_e + epsilon +
     (kappa epsilon)^2/(2 K_e)) I): an energy per *actual* volume, which a body with a fixed shape does not
-    feel.  The paper's G_e is half the usual shear modulus: in simple shear F = I + gamma e1 x e2,
-    T_12 = 2 G_e gamma.
+    feel.  The usual bulk modulus at rest is K_e + epsilon (with kappa: K_e + kappa (kappa + 1) epsilon), and
+    the paper's G_e is half the usual shear modulus: in simple shear F = I + gamma e1 x e2, T_12 is
+    2 G_e gamma.
 
     Parameters
     ----------
     K_e, G_e, epsilon : float
-        Bulk modulus, half the shear modulus, and weight of the singular term, all Pa, > 0.
+        Bulk modulus without the singular term, half the shear modulus, and weight of the singular term,
+        all Pa, > 0.
     kappa : float, optional
         Exponent of the singular term; None (default) is the logarithm.  The paper has kappa >= 1.
     J_min : float, optional

@@ -17,28 +17,26 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from ngsolve import (
+    CF,
     L2,
     BilinearForm,
+    CoefficientFunction,
     Discontinuous,
     FacetFESpace,
+    Grad,
     GridFunction,
     LinearForm,
     NormalFacetFESpace,
     Periodic,
-    VectorValued,
-    CF,
-    CoefficientFunction,
-    Grad,
     TaskManager,
+    VectorValued,
     grad,
 )
 
-from ngvisco.forms.context import Integrand
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.points import CellPoints, csr
 from ngvisco.forms.spaces import Fields, contraction, hessian_basis
 from ngvisco.forms.system import Step
-from ngvisco.physics.rheology import HyperViscosity
 from ngvisco.physics.tensors import inner
 from ngvisco.solver.split.blocks import BlockInverse
 from ngvisco.solver.split.operators import apply, mass_matrix
@@ -220,7 +218,10 @@ class MatrixHyperviscosity:
         bend = 0.5 * (law.p - 4) * slope / size * q  # c'' |j|^2
         weight = law.penalty / h
         self._weight = weight * (law.coefficient(size) + slope * q / h**2)
-        self._weight_s, self._weight_q = weight * (slope + bend / h**2), weight * (2 * slope + bend / h**2) / h**2
+        self._weight_s, self._weight_q = (
+            weight * (slope + bend / h**2),
+            weight * (2 * slope + bend / h**2) / h**2,
+        )
         self._own_s, self._own_q = weight * bend, weight * (slope + bend / h**2)
 
     def derivative(self, dv: np.ndarray, da: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sp
 from ngsolve.la import SparseMatrixd
@@ -20,7 +22,8 @@ class DirectSolver:
         """
         self.free, self.symmetric = np.flatnonzero(free), symmetric
         self.inverse_type = "sparsecholesky" if symmetric else inverse
-        self._matrix = self._inverse = None
+        self._matrix: Any = None
+        self._inverse: Any = None
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
         """Raises StepError if the matrix is singular."""

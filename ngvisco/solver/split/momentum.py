@@ -8,7 +8,7 @@ from ngsolve import CF, LinearForm
 from ngvisco.forms.creep import CreepRate
 from ngvisco.forms.regularisation import VelocityDamping
 from ngvisco.forms.system import Step
-from ngvisco.forms.walls import Impenetrability, TangentialStress
+from ngvisco.forms.wall_terms import Impenetrability, TangentialStress
 from ngvisco.physics.model import CentralGravity, Gravity, as_vector
 from ngvisco.physics.tensors import embed_gradient, inner, sym
 from ngvisco.solver.split.operators import Operators, apply

@@ -36,7 +36,12 @@ class Preconditioner:
     """One sweep of the transport, the flow's tangent, and what z and rho take from the new velocity."""
 
     def __init__(
-        self, step: Step, momentum: Momentum, hyper: MatrixHyperviscosity | None, unknowns: Unknowns, inverse: str
+        self,
+        step: Step,
+        momentum: Momentum,
+        hyper: MatrixHyperviscosity | None,
+        unknowns: Unknowns,
+        inverse: str,
     ) -> None:
         self.t, self.m, self.hyper, self.unknowns = momentum.transport, momentum, hyper, unknowns
         k, m = step.discretisation.k, step.discretisation.m
@@ -62,10 +67,12 @@ class Preconditioner:
         self.plain, matrix = self.tangent.matrices()
         self.solver.factorise(matrix)
         self.sweep.update()
-        self.linearise()
+        if self.hyper is not None:
+            self.hyper.linearise()
 
     def linearise(self) -> None:
-        """Let the hyperviscosity's derivative follow the present state, at little cost."""
+        """Let what is strongly nonlinear follow the present state, at little cost."""
+        self.sweep.linearise()
         if self.hyper is not None:
             self.hyper.linearise()
 
@@ -102,7 +109,9 @@ class Preconditioner:
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """(v, ..., a) of the flow's tangent with the hyperviscosity's own derivative, by GMRES."""
         count, shape = len(flow), (0,) if normals is None else normals.shape
-        right = np.concatenate([np.where(self.free, flow, 0.0), np.ravel(normals) if normals is not None else []])
+        right = np.concatenate(
+            [np.where(self.free, flow, 0.0), np.ravel(normals) if normals is not None else []]
+        )
 
         def operator(y: np.ndarray) -> np.ndarray:
             rows = self.plain @ y[:count]
@@ -126,7 +135,19 @@ class Preconditioner:
             return np.concatenate([increment, da.ravel()])
 
         start = block(right)
+        # lengths in units of each block's first increment, so that stresses do not drown velocities
+        scale = np.ones_like(start)
+        for where in self._blocks(count, len(start)):
+            scale[where] = np.linalg.norm(start[where]) / np.sqrt(where.stop - where.start) or 1.0
         size = len(right)
-        preconditioned = LinearOperator((size, size), lambda y: block(operator(y)), dtype=float)
-        y, _ = gmres(preconditioned, start, rtol=tolerance, restart=FLOW_ITERATIONS, maxiter=1)
+        operator_of_scaled = LinearOperator(
+            (size, size), lambda y: block(operator(scale * y)) / scale, dtype=float
+        )
+        y, _ = gmres(operator_of_scaled, start / scale, rtol=tolerance, restart=FLOW_ITERATIONS, maxiter=1)
+        y *= scale
         return y[:count], None if normals is None else y[count:].reshape(shape)
+
+    def _blocks(self, count: int, size: int) -> list[slice]:
+        """v, wall stress, creep rate and normal derivatives in the joint vector of the flow."""
+        blocks = [self.unknowns.slices[name] for name in self.unknowns.flow]
+        return blocks if count == size else [*blocks, slice(count, size)]

@@ -53,6 +53,12 @@ TIGHT, LOOSE = 0.01, 0.05
 MARGIN = 1e-2
 """The increment wanted, in units of the tolerance: what remains is a contraction's share of it."""
 
+FAR = 0.5
+"""Increment after which the tangent is formed anew: from rest it knows nothing of the curvature of v."""
+
+ROUNDING = 1e-8
+"""Increment, relative to the smallest velocities, from which a stall may be rounding."""
+
 RESTARTS = 4
 """New tangents within a step, after which it has failed."""
 
@@ -61,7 +67,11 @@ class Split:
     """Solves R(u; .) = 0 for the state of a step; keeps its tangent between solves."""
 
     def __init__(
-        self, step: Step, norm: BlockNorm, options: NewtonOptions, on_factorise: Callable[[], None] = lambda: None
+        self,
+        step: Step,
+        norm: BlockNorm,
+        options: NewtonOptions,
+        on_factorise: Callable[[], None] = lambda: None,
     ) -> None:
         """``on_factorise`` is called with the state at which the tangent has just been factorised."""
         self.step, self.norm, self.options, self.on_factorise = step, norm, options, on_factorise
@@ -125,64 +135,64 @@ class Split:
     def _iterate(self, history: list[NewtonIteration]) -> None:
         anderson, restarts = Anderson(DEPTH), 0
         last = best = np.inf
-        best_x: np.ndarray | None = None
-        tight, best_f = False, None
-        since = 0
+        best_x, best_f = None, None
+        tight, since = False, 0
+        wanted = MARGIN * self.options.tolerance
         while len(history) < self.options.max_iterations:
             with np.errstate(all="ignore"):  # a diverging iterate is inf or NaN here
                 r = self.residual()
-            fresh = not self.exists
-            finite = all(np.isfinite(part).all() for part in (r.flow, r.density, r.z))
-            if finite:
+            fresh, size = not self.exists, np.inf
+            if all(np.isfinite(part).all() for part in (r.flow, r.density, r.z)):
                 if fresh:
                     self._update()
+                    last = best = np.inf  # increments by another tangent do not compare
                 elif not tight:
                     self.preconditioner.linearise()
                 f = self.preconditioner(r, TIGHT if tight else LOOSE)
                 x = self.unknowns.pack()
                 size = self._size(f)
-            else:
-                size = np.inf
             history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, fresh))
             since += 1
-            if size <= MARGIN * self.options.tolerance:
+            if size <= wanted:
                 self.unknowns.unpack(x - f)
                 self.residual()
                 return
-            if not size <= 2 * max(best, MARGIN * self.options.tolerance):
+            if not size <= 2 * max(best, wanted):
                 restarts += 1
-                if best_x is None or restarts > RESTARTS:
+                if best_x is None or best_f is None or restarts > RESTARTS:
                     break
-                assert best_f is not None
                 # from half the step of the best iterate, with a tangent of its own
                 self.unknowns.unpack(best_x - 0.5**restarts * best_f)
                 anderson.restart()
                 self.exists, tight, since = False, False, 0
-                last = np.inf
-                best *= 2
                 continue
-            stalled = since > 3 and size > 0.5 * last and size > 0.5 * best
+            slow = size > 0.5 * min(last, best)
+            if (
+                slow
+                and since > 3
+                and size <= ROUNDING
+                and self._size(f, coarse=True) <= self.options.tolerance
+            ):
+                return
             if size < best:
                 best, best_x, best_f = size, x, f
-            if stalled and self._size(f, coarse=True) <= self.options.tolerance and size <= 1e-8:
-                return
             last = size
             if tight and since > 3 * DEPTH:
                 newton_krylov(self, x, history)
                 return
-            if tight:
-                x = anderson.step(x, f, self.unknowns.scales(x))
-            else:
-                x = x - f
-                if size < ACCELERATED:
-                    tight, since = True, 0
-                elif stalled and not fresh and restarts < RESTARTS:
-                    restarts += 1
-                    self.exists, since = False, 0
+            if not tight and (size < ACCELERATED or (slow and since > 2)):
+                # the map is fixed from here on, formed anew where it was made far away
+                tight, since = True, 0
+                if size > ACCELERATED:
+                    self.exists = False
+                    continue
+            x = anderson.step(x, f, self.unknowns.scales(x)) if tight else x - f
+            if size > FAR:
+                self.exists = False
             self.unknowns.unpack(x)
         raise StepError(
             f"the split solver did not converge ({len(history)} iterations, last increment {last:.1e}, "
-            f"wanted {MARGIN * self.options.tolerance:.0e}): take a smaller step or the coupled solver",
+            f"wanted {wanted:.0e}): take a smaller step or the coupled solver",
             history,
         )
 

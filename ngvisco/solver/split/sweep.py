@@ -43,12 +43,16 @@ class Sweep:
             self._whole.factorise((cells + t.diffusion).tocsr())
         else:
             self._cells.update(cells.tocsr())
-        if self._own is not None:
-            assert t.density is not None
-            self._own.factorise(t.density.jacobian())
-        else:
+        self.linearise()
+        if self._own is None:
             density = t.mass / tau - convection.T + t.density_out.matrix
             self._density.update(density.tocsr())
+
+    def linearise(self) -> None:
+        """Let a density equation that is not linear follow the present state."""
+        if self._own is not None:
+            assert self.t.density is not None
+            self._own.factorise(self.t.density.jacobian())
 
     def fields(self, r: np.ndarray) -> np.ndarray:
         """Increments of z, (n, cells' unknowns), before rates and creep."""

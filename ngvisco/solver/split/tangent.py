@@ -101,7 +101,10 @@ class VelocityTangent:
         """
         d, n = self.d, self.n
         A = self._pointwise()
-        plain = [[self._assembled(A[:, :, i, :, k, :]) for k in range(d)] for i in range(d)]
+        plain = [[self._assembled(self._cells(A[:, :, i, :, k, :])) for k in range(d)] for i in range(d)]
+        inertia = self._assembled(self._inertia())
+        for i in range(d):
+            plain[i][i] = plain[i][i] + inertia
         parts = [sp.bmat(plain, format="csr"), None]
         if self.hyper is not None:
             parts[1] = sp.block_diag([self.hyper.matrix] * d, format="csr")
@@ -117,8 +120,8 @@ class VelocityTangent:
         plain_matrix = parts[0].tocsr()
         return plain_matrix, plain_matrix if parts[1] is None else (plain_matrix + parts[1]).tocsr()
 
-    def _assembled(self, A: np.ndarray) -> sp.csr_matrix:
-        values = np.bincount(self.position, weights=self._cells(A).ravel(), minlength=len(self.rows))
+    def _assembled(self, cells: np.ndarray) -> sp.csr_matrix:
+        values = np.bincount(self.position, weights=cells.ravel(), minlength=len(self.rows))
         return sp.csr_matrix((values, (self.rows, self.columns)), shape=(self.n, self.n))
 
     def _creep_stiffness(self) -> sp.csr_matrix:
@@ -131,6 +134,13 @@ class VelocityTangent:
         blocks = [[values.T @ sp.diags(C[:, i, k]) @ values for k in range(size)] for i in range(size)]
         return sp.bmat(blocks, format="csr")
 
+    def _inertia(self) -> np.ndarray:
+        """(rho + rho_old)/(2 tau), by the rule of the forms: the coarse one does not see all of P_k."""
+        t, op = self.m.transport, self.m.op
+        density = op.z @ (0.5 / t.context.tau.Get() * (t.rho + t.rho_old)) * op.weights
+        shapes = op.v.data.reshape(self.cells, op.points.per_cell, self.local)
+        return shapes.transpose(0, 2, 1) @ (density.reshape(shapes.shape[:2])[:, :, None] * shapes)
+
     def _cells(self, A: np.ndarray) -> np.ndarray:
         """Element matrices (cells, local, local) of pointwise matrices (cells, points, 1 + d, 1 + d)."""
         shapes = self.shapes
@@ -141,13 +151,12 @@ class VelocityTangent:
     def _pointwise(self) -> np.ndarray:
         """dR/d(v, grad v) at the points: (cells, points, i, 0 or 1 + j, k, 0 or 1 + l)."""
         m, p, d = self.m, self.p, self.d
-        t, op, tau = m.transport, p.op, m.context.tau.Get()
-        rho, rho_old = op.z @ t.rho, op.z @ t.rho_old
+        t, op = m.transport, p.op
+        rho = op.z @ t.rho
         v, L = p.v, p.L
         count = op.points.count
         A = np.zeros((count, d, 1 + d, d, 1 + d))
         for i in range(d):
-            A[:, i, 0, i, 0] += 0.5 * (rho + rho_old) / tau
             for j in range(d):
                 A[:, i, 0, j, 0] += 0.5 * L[i * d + j] * rho
                 A[:, i, 0, i, 1 + j] += 0.5 * rho * v[j]

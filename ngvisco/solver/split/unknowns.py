@@ -16,10 +16,10 @@ class Unknowns:
 
     def __init__(self, step: Step) -> None:
         layout = step.layout
-        self.flow = [name for name in ("v", "wall_stress", "Pi") if name in layout.names]
+        self.flow: list[str] = [name for name in ("v", "wall_stress", "Pi") if name in layout.names]
         self.normals = [name for name in layout.names if name.startswith("a_")]
         density = density_by_forms(step)
-        self.density = [n for n in ("rho", "rho_hat", "rho_delta_hat") if n in layout.names]
+        self.density: list[str] = [n for n in ("rho", "rho_hat", "rho_delta_hat") if n in layout.names]
         if not density:
             self.density = ["rho"]
         self.names = [*self.flow, *self.normals, *self.density, "z"]

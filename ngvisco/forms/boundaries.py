@@ -1,0 +1,99 @@
+"""The boundaries of a mesh: their names, directions and identifications, and meshes that are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from ngsolve import BND, CF, FacetFESpace, GridFunction, Integrate, Mesh, specialcf
+
+from ngvisco.errors import MeshError, UnknownNameError
+from ngvisco.forms.context import periodic_facets
+from ngvisco.forms.orientation import check_orientation
+
+_PARALLEL = 1e-10
+
+
+def check_mesh(mesh: Mesh) -> None:
+    """Raise MeshError unless the mesh is 2D or 3D, has volume elements and none is inverted."""
+    if mesh.dim not in (2, 3):
+        raise MeshError(f"the mesh has dimension {mesh.dim}: expected 2 (plane strain) or 3")
+    if mesh.ne == 0:
+        raise MeshError("the mesh has no volume elements: mesh the interior, not only its surface")
+    check_orientation(mesh)
+
+
+def check_boundary_names(mesh: Mesh, names: Iterable[str]) -> None:
+    """Raise UnknownNameError for a name that no boundary of the mesh has; NGSolve stays silent."""
+    known = set(mesh.GetBoundaries())
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("boundary", name, known)
+
+
+def axis_parallel_walls(mesh: Mesh) -> tuple[list[list[str]], list[str]]:
+    """For each axis the boundaries normal to it, and the boundaries that are normal to none."""
+    n = specialcf.normal(mesh.dim)
+    walls: list[list[str]] = [[] for _ in range(mesh.dim)]
+    others: list[str] = []
+    for name in sorted(set(mesh.GetBoundaries())):
+        region = mesh.Boundaries(_exactly(name))
+        area = Integrate(CF(1.0), mesh, BND, definedon=region)
+        tilt = [abs(Integrate(1 - n[i] * n[i], mesh, BND, definedon=region)) for i in range(mesh.dim)]
+        axis = int(np.argmin(tilt))
+        (walls[axis] if tilt[axis] <= _PARALLEL * area else others).append(name)
+    return walls, others
+
+
+def slip_constraints(mesh: Mesh) -> tuple[str, ...]:
+    """Boundary pattern for v_i = 0, one for each i, that makes every wall impenetrable.
+
+    Raises
+    ------
+    MeshError
+        If a wall is not parallel to the axes.
+    """
+    walls, others = axis_parallel_walls(mesh)
+    if others:
+        raise MeshError(
+            f"boundary {others[0]!r} is not normal to an axis: expected walls parallel to the axes"
+        )
+    return tuple("|".join(_exactly(name) for name in names) for names in walls)
+
+
+def periodic_boundaries(mesh: Mesh) -> set[str]:
+    """Names of the boundaries that the mesh identifies with each other.
+
+    Raises
+    ------
+    MeshError
+        If only a part of a name's boundary is identified.
+    """
+    facets = periodic_facets(mesh)
+    names: dict[str, set[bool]] = {}
+    if facets:
+        for element in mesh.Elements(BND):
+            own = element.edges if mesh.dim == 2 else element.faces
+            names.setdefault(element.mat, set()).add(own[0].nr in facets)
+    for name, kinds in names.items():
+        if len(kinds) == 2:
+            raise MeshError(f"boundary {name!r} is periodic in a part only: give that part a name of its own")
+    return {name for name, kinds in names.items() if True in kinds}
+
+
+def facet_indicator(mesh: Mesh, names: Iterable[str]) -> GridFunction:
+    """1 on the facets of these boundaries, 0 on all others."""
+    space = FacetFESpace(mesh, order=0)
+    indicator = GridFunction(space)
+    indicator.vec.FV().NumPy()[:] = list(space.GetDofs(mesh.Boundaries(pattern(names))))
+    return indicator
+
+
+def pattern(names: Iterable[str]) -> str:
+    """A regular expression that matches these boundary names and no other."""
+    return "|".join(_exactly(name) for name in names)
+
+
+def _exactly(name: str) -> str:
+    """A regular expression that matches this boundary name and no other."""
+    return "".join(c if c.isalnum() or c == "_" else "\\" + c for c in name)

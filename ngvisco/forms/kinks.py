@@ -1,0 +1,150 @@
+"""Straight facets where a wall is curved: v.n = 0 on them is a wrong condition.
+
+A continuous velocity with v.n = 0 on every side of a polygon vanishes at all corners, and in the limit on
+the whole wall that the polygon approaches (Babuska): slip turns into no slip, and refinement does not help.
+Measured on polygons in a disc: with k = 3 rates 1.3 of v and 0.6 of grad v; with k = 2, where only the mean
+of v.n vanishes on each side, 2.4 and 2, and the geometry's error is left.  A polyhedron cannot be told
+from an approximation of a curved wall with certainty.  What is looked at is
+the angle between the normals of neighbouring facets of one wall, where they meet: on curved cells it is
+far smaller than that between the straight facets of the same vertices, on straight ones the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from ngsolve import (
+    BND,
+    CF,
+    ET,
+    CoefficientFunction,
+    FacetFESpace,
+    IntegrationRule,
+    LinearForm,
+    Mesh,
+    dx,
+    specialcf,
+    x,
+    y,
+    z,
+)
+
+from ngvisco.errors import MeshError
+
+_FLAT = 1e-4  # rad: of facets in one plane, whose coordinates were rounded
+_CORNER = np.deg2rad(59.0)  # angles above are corners of the domain, not of its approximation
+_CURVED = 0.5  # share of the chords' angles that may be left; straight facets keep all
+
+_TRIANGLE = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]
+_CORNERS: dict[Any, list[Any]] = {
+    ET.SEGM: [(0.0,), (1.0,)],
+    ET.TRIG: _TRIANGLE,
+    ET.QUAD: [*_TRIANGLE, (1.0, 1.0)],
+}
+
+
+def require_curved_cells(mesh: Mesh, names: Iterable[str]) -> None:
+    """Raise MeshError if a wall is bent by small angles between straight facets.
+
+    Facets of different names are not compared: planes with names of their own may meet at any angle.
+    """
+    for name in names:
+        chords, left = _kinks(mesh, name)
+        if sum(left) > _CURVED * sum(chords):
+            worst = max(chords)
+            raise MeshError(
+                f"wall {name!r} is bent by {np.rad2deg(worst):.3g} degrees between straight facets, like a "
+                "polygon that stands for a curved wall: there v.n = 0 tends to no slip, however fine "
+                "the mesh; expected curved cells, mesh.Curve(order) on a mesh that knows its geometry (as "
+                "the functions of geometries do). If the wall really is a polyhedron, give its planes "
+                "names of their own, or say so by Slip(straight=True) for it"
+            )
+
+
+def _kinks(mesh: Mesh, name: str) -> tuple[list[float], list[float]]:
+    """Angles between neighbouring facets of a wall, of their chords and of the facets where they meet.
+
+    Facets in one plane and those that form a corner are left out.
+    """
+    elements = [e for e in mesh.Elements(BND) if e.mat == name]
+    facets = [(e.edges if mesh.dim == 2 else e.faces)[0].nr for e in elements]
+    means = _mean_normals(mesh)[facets]
+    chords = [
+        np.sign(n @ mean) * n for n, mean in zip(map(_chord_normal(mesh), elements), means, strict=True)
+    ]
+    corners = _corner_normals(mesh)
+
+    def outward(i: int, vertex: int) -> np.ndarray:
+        n = corners[elements[i].nr, vertex]
+        return np.sign(n @ means[i]) * n
+
+    near: dict[int, list[int]] = {}
+    result: tuple[list[float], list[float]] = ([], [])
+    for i, e in enumerate(elements):
+        for part in e.vertices if mesh.dim == 2 else e.edges:
+            near.setdefault(part.nr, []).append(i)
+    for both in near.values():
+        for i, j in combinations(both, 2):
+            angle = _angle(chords[i], chords[j])
+            if not _FLAT < angle < _CORNER:
+                continue
+            ends = {v.nr for v in elements[i].vertices} & {v.nr for v in elements[j].vertices}
+            result[0].append(angle)
+            result[1].append(float(np.mean([_angle(outward(i, end), outward(j, end)) for end in ends])))
+    return result
+
+
+def _chord_normal(mesh: Mesh) -> Callable[[Any], np.ndarray]:
+    """The unit normal of the straight facet between a boundary element's vertices."""
+
+    def normal(element: Any) -> np.ndarray:
+        X = [np.asarray(mesh[v].point) for v in element.vertices]
+        if mesh.dim == 2:
+            n = np.array([X[1][1] - X[0][1], X[0][0] - X[1][0]])
+        else:  # of a quadrilateral the diagonals span it
+            n = np.cross(X[1] - X[0], X[2] - X[0]) if len(X) == 3 else np.cross(X[2] - X[0], X[3] - X[1])
+        return n / np.linalg.norm(n)
+
+    return normal
+
+
+def _mean_normals(mesh: Mesh) -> np.ndarray:
+    """(facets, dim): the outward unit normal of every boundary facet, its mean; sense elsewhere none."""
+    n, q = specialcf.normal(mesh.dim), FacetFESpace(mesh, order=0).TestFunction()
+
+    def assembled(value: CoefficientFunction) -> np.ndarray:
+        return LinearForm(value * q * dx(element_boundary=True)).Assemble().vec.FV().NumPy().copy()
+
+    sums = np.array([assembled(n[i]) for i in range(mesh.dim)]).T
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return sums / np.where(lengths > 0, lengths, 1.0)
+
+
+def _corner_normals(mesh: Mesh) -> dict[tuple[int, int], np.ndarray]:
+    """The unit normal, of either sign, of every boundary element at each of its vertices."""
+    n = specialcf.normal(mesh.dim)
+    elements = list(mesh.Elements(BND))
+    result = {}
+    for kind, points in _CORNERS.items():
+        if not any(e.type == kind for e in elements):
+            continue
+        rule = IntegrationRule(points, [1.0] * len(points))
+        mapped = mesh.MapToAllElements({kind: rule}, BND)
+        where = np.asarray(_position(mesh)(mapped)).reshape(-1, len(points), mesh.dim)
+        normals = np.asarray(n(mapped)).reshape(-1, len(points), mesh.dim)
+        for e, X, N in zip((e for e in elements if e.type == kind), where, normals, strict=True):
+            for v in e.vertices:
+                distance = np.linalg.norm(X - np.asarray(mesh[v].point), axis=1)
+                result[e.nr, v.nr] = N[int(np.argmin(distance))]
+    return result
+
+
+def _position(mesh: Mesh) -> CoefficientFunction:
+    return CF((x, y, z)[: mesh.dim])
+
+
+def _angle(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.arccos(np.clip(a @ b, -1.0, 1.0)))

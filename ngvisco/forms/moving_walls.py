@@ -1,0 +1,118 @@
+"""Walls whose velocity is prescribed: constrained coefficients of v, and the power of their reaction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from ngsolve import (
+    BND,
+    BaseMatrix,
+    BaseVector,
+    BilinearForm,
+    BitArray,
+    CoefficientFunction,
+    GridFunction,
+    Integrate,
+    LinearForm,
+    ds,
+    specialcf,
+)
+
+from ngvisco.errors import ParameterError
+from ngvisco.forms.boundaries import pattern
+from ngvisco.forms.spaces import Layout
+from ngvisco.forms.walls import Walls
+from ngvisco.physics.model import as_vector
+from ngvisco.physics.tensors import inner
+from ngvisco.physics.walls import PrescribedTangential
+
+_OPEN = 1e-3  # |V.n|^2/|V|^2 that the geometry's approximation may leave of a tangential velocity
+
+
+class MovingWalls:
+    """The constrained coefficients of v: zero, or a prescribed wall velocity at the end of the step.
+
+    The rows of R(u; .) at these coefficients are not zero but the wall's reaction; tested by v they
+    give its power, which is what is missing in R(u; v) = 0 for the energy identity.
+    """
+
+    def __init__(self, walls: Walls, layout: Layout, state: GridFunction) -> None:
+        self.walls, self.layout, self.state = walls, layout, state
+        mesh = walls.mesh
+        self._values = GridFunction(layout.blocks["v"])
+        self._inverses: dict[str, BaseMatrix] = {}
+        self.fixed = self._constrained(layout, walls.dirichlet)
+        self.zero = self._constrained(layout, walls.homogeneous)
+        self.moving: dict[str, tuple[CoefficientFunction, np.ndarray]] = {}
+        taken = self.zero.copy()
+        for name, wall in walls.conditions.items():
+            if isinstance(wall, PrescribedTangential):
+                mask = self._constrained(layout, (pattern([name]),) * mesh.dim) & ~taken
+                taken |= mask
+                velocity = as_vector(wall.velocity, mesh.dim, "PrescribedTangential.velocity")
+                self.moving[name] = (velocity, mask)
+
+    @staticmethod
+    def _constrained(layout: Layout, patterns: Sequence[str]) -> np.ndarray:
+        """Coefficients of v that these boundary patterns hold, as a mask."""
+        free = np.array(list(layout.velocity_space(patterns).FreeDofs()), dtype=bool)
+        unconstrained = np.array(list(layout.velocity_space(("",) * layout.mesh.dim).FreeDofs()), dtype=bool)
+        return unconstrained & ~free
+
+    def set_values(self) -> None:
+        """Write the constrained coefficients of v into the state, at the present ``ngvisco.time``."""
+        v = self._view()
+        v[self.zero] = 0.0
+        for name, (velocity, mask) in self.moving.items():
+            v[mask] = self.interpolate(name, velocity)[mask]
+
+    def interpolate(self, name: str, velocity: CoefficientFunction) -> np.ndarray:
+        """Coefficients on the wall of the tangential part of a velocity.
+
+        Raises
+        ------
+        ParameterError
+            If the velocity has a normal part, i.e. the wall would be open.
+        """
+        mesh = self.walls.mesh
+        region = mesh.Boundaries(pattern([name]))
+        n = specialcf.normal(mesh.dim)
+        normal = velocity * n
+        size = Integrate(velocity * velocity, mesh, BND, definedon=region)
+        through = Integrate(normal * normal, mesh, BND, definedon=region)
+        if not through <= _OPEN * size:
+            raise ParameterError(
+                f"walls[{name!r}].velocity",
+                f"normal part {through**0.5:.3g} of {size**0.5:.3g} in L2",
+                "a tangential velocity: every wall is impenetrable, inflow and outflow are not modelled",
+            )
+        self._values.vec[:] = 0.0
+        if self.layout.periodic:
+            self._project(name, velocity - normal * n)
+        else:
+            self._values.Set(velocity - normal * n, definedon=region)
+        return self._values.vec.FV().NumPy()
+
+    def _project(self, name: str, velocity: CoefficientFunction) -> None:
+        """The L2 projection on the wall: ``Set`` counts a vertex twice in a facet that meets its image."""
+        space, region = self._values.space, self.walls.mesh.Boundaries(pattern([name]))
+        trial, test = space.TnT()
+        if name not in self._inverses:
+            mass = BilinearForm(space, check_unused=False)
+            mass += inner(trial, test) * ds(definedon=region)
+            on_wall = self._constrained(self.layout, (pattern([name]),) * self.walls.mesh.dim)
+            active = BitArray(list(map(bool, on_wall)))
+            self._inverses[name] = mass.Assemble().mat.Inverse(active, inverse="umfpack")
+        load = LinearForm(space)
+        load += inner(velocity, test) * ds(definedon=region)
+        self._values.vec.data = self._inverses[name] * load.Assemble().vec
+
+    def reaction_power(self, residual: BaseVector, name: str) -> float:
+        """Power of the reaction on a moving wall, W, from the residual of the solved step."""
+        mask = self.moving[name][1]
+        where = self.layout.ranges["v"]
+        return float(residual.FV().NumPy()[where][mask] @ self._view()[mask])
+
+    def _view(self) -> np.ndarray:
+        return self.state.vec.FV().NumPy()[self.layout.ranges["v"]]
