@@ -35,7 +35,10 @@ def draw(plot: Plot) -> bytes:
     axis.set(title=plot.title, xlabel=plot.xlabel, ylabel=plot.ylabel)
     axis.grid(alpha=0.3)
     if any(curve.label for curve in plot.curves):
-        axis.legend(fontsize="small")
+        if len(plot.curves) > 6:  # beside the axes: it would hide half of them
+            axis.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+        else:
+            axis.legend(fontsize="small")
     return _as_png(fig)
 
 
