@@ -59,7 +59,6 @@ class RateTensors:
 
     def columns(self, z: np.ndarray) -> np.ndarray:
         """d rate/dX at values z (n, points): (points, n, X)."""
-        X, n = self.constant.shape
         columns = np.einsum("xnm,mp->pnx", self.linear, z, optimize=True)
         columns += self.constant.T[None]
         return columns

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,14 +61,20 @@ class Preconditioner:
         self.project.update(mass)
         self.nv = self.t.v.size
 
-    def update(self) -> None:
-        """Form and factorise everything at the present state, whose residual has just been evaluated."""
-        self.points.update()
-        if self.hyper_tangent is not None:
-            self.hyper_tangent.update()
-        self.plain, matrix = self.tangent.matrices()
-        self.solver.factorise(matrix)
-        self.sweep.update()
+    def update(self, clock: Callable[[str], AbstractContextManager[None]]) -> None:
+        """Form and factorise everything at the present state, whose residual has just been evaluated.
+
+        ``clock(name)`` measures the time of a part.
+        """
+        with clock("assembly"):
+            self.points.update()
+            if self.hyper_tangent is not None:
+                self.hyper_tangent.update()
+            self.plain, matrix = self.tangent.matrices()
+        with clock("factorisation"):
+            self.solver.factorise(matrix)
+        with clock("assembly"):
+            self.sweep.update()
         if self.hyper is not None:
             self.hyper.linearise()
 

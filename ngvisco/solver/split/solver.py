@@ -23,7 +23,10 @@ true directional derivative of P^{-1} R, by differences (``krylov``).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time as clock
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from ngsolve import BaseVector, TaskManager
@@ -47,10 +50,10 @@ ACCELERATED = 1e-3
 DEPTH = 8
 """Differences kept for the acceleration."""
 
-TIGHT, LOOSE = 0.01, 0.05
+TIGHT, LOOSE = 0.01, 0.1
 """Tolerances of the flow's linear system, accelerated and before."""
 
-MARGIN = 1e-2
+MARGIN = 0.1
 """The increment wanted, in units of the tolerance: what remains is a contraction's share of it."""
 
 FAR = 0.5
@@ -83,6 +86,8 @@ class Split:
         self.hyper = MatrixHyperviscosity(step, laws[0], op.points) if laws else None
         self.preconditioner = Preconditioner(step, self.momentum, self.hyper, self.unknowns, options.inverse)
         self.exists = False
+        self.seconds: dict[str, float] = defaultdict(float)
+        """Wall time by parts of the work, s, since the solver was made."""
         self._increment = step.state.vec.CreateVector()
 
     @property
@@ -104,16 +109,27 @@ class Split:
     def residual(self) -> Residual:
         """R at the present state, whose derived unknowns are put in first."""
         t = self.transport
-        t.set_velocity()
-        t.set_traces()
-        t.set_conjugates()
-        density, z = t.residual()
-        flow, normals = self.momentum.residual(), None
-        if self.hyper is not None:
-            self.hyper.set_local()
-            of_v, normals = self.hyper.residual()
-            flow[: of_v.size] += of_v.ravel()
+        with self._clock("transport"):
+            t.set_velocity()
+            t.set_traces()
+        with self._clock("projections"):
+            t.set_conjugates()
+        with self._clock("transport"):
+            density, z = t.residual()
+        with self._clock("momentum"):
+            flow, normals = self.momentum.residual(), None
+        with self._clock("hyperviscosity"):
+            if self.hyper is not None:
+                self.hyper.set_local()
+                of_v, normals = self.hyper.residual()
+                flow[: of_v.size] += of_v.ravel()
         return Residual(flow, normals, density, z)
+
+    @contextmanager
+    def _clock(self, name: str) -> Iterator[None]:
+        began = clock.perf_counter()
+        yield
+        self.seconds[name] += clock.perf_counter() - began
 
     def solve(self) -> list[NewtonIteration]:
         """Iterate from the present state to a solution; returns the history.
@@ -148,7 +164,8 @@ class Split:
                     last = best = np.inf  # increments by another tangent do not compare
                 elif not tight:
                     self.preconditioner.linearise()
-                f = self.preconditioner(r, TIGHT if tight else LOOSE)
+                with self._clock("solves"):
+                    f = self.preconditioner(r, TIGHT if tight else LOOSE)
                 x = self.unknowns.pack()
                 size = self._size(f)
             history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, fresh))
@@ -197,7 +214,7 @@ class Split:
         )
 
     def _update(self) -> None:
-        self.preconditioner.update()
+        self.preconditioner.update(self._clock)
         self.exists = True
         self.on_factorise()
 

@@ -17,7 +17,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.errors import MeshError
-
 from ngvisco.solver.split.hyper_tangent import HyperTangent
 from ngvisco.solver.split.momentum import Momentum
 from ngvisco.solver.split.operators import Conjugation, Operators, apply

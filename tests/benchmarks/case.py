@@ -1,0 +1,79 @@
+"""One row of the benchmark; prints it as JSON."""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import time
+
+from ngsolve import CF, SetNumThreads, TaskManager, cos, pi, sin, x, y, z
+
+import ngvisco as nv
+from ngvisco.geometries import box
+
+
+def swirl(dim: int, maxh: float, method: str) -> nv.Simulation:
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
+        hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
+        loads=[nv.Gravity((0.0,) * (dim - 1) + (-1.0,))],
+    )
+    height = (1 + z) / 2 if dim == 3 else CF(1.0)
+    velocity = (height * sin(pi * x) * cos(pi * y), -height * cos(pi * x) * sin(pi * y), CF(0.0))[:dim]
+    mesh = box((1,) * dim, maxh=maxh)
+    return nv.Simulation(mesh, model, dt=0.02, initial=nv.Initial(velocity=velocity), solver=method)
+
+
+def main(dim: int, maxh: float, method: str, threads: int, steps: int) -> dict:
+    SetNumThreads(threads)
+    began = time.perf_counter()
+    run = swirl(dim, maxh, method)
+    row = {"dim": dim, "maxh": maxh, "method": method, "threads": threads, "cells": run.mesh.ne}
+    row["set-up"] = time.perf_counter() - began
+    newton = run.solver.newton
+    row["unknowns"] = run.rothe_step.layout.space.ndof
+    run.advance()
+    before = dict(getattr(newton, "seconds", {}))
+    began, iterations = time.perf_counter(), 0
+    for _ in range(steps):
+        last = run.advance()
+        iterations += int(last["newton_iterations"])
+    row["step"] = (time.perf_counter() - began) / steps
+    row["iterations"] = iterations / steps
+    row["closure"] = abs(last["closure_relative"])
+    row["retried"] = run.solver.retried
+    if method == "split":
+        row["parts"] = {
+            name: (value - before.get(name, 0.0)) / steps for name, value in newton.seconds.items()
+        }
+    row["floor"] = floor(run, method)
+    row["memory"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    return row
+
+
+def floor(run: nv.Simulation, method: str) -> float:
+    """One assembly and factorisation of the tangent, and one solve: what no implicit step is without."""
+    step, newton = run.rothe_step, run.solver.newton
+    with TaskManager():
+        if method == "coupled":
+            increment, rows = step.state.vec.CreateVector(), step.state.vec.CreateVector()
+            step.residual.Apply(step.state.vec, rows)
+            newton.jacobian.forget()
+            began = time.perf_counter()
+            newton.jacobian.factorise(step.state.vec)
+            newton.jacobian.solve(rows, increment)
+            return time.perf_counter() - began
+        newton.momentum.start()
+        r = newton.residual()
+        began = time.perf_counter()
+        newton.preconditioner.update(newton._clock)
+        newton.preconditioner.solver(r.flow)
+        return time.perf_counter() - began
+
+
+if __name__ == "__main__":
+    values = sys.argv[1:]
+    result = main(int(values[0]), float(values[1]), values[2], int(values[3]), int(values[4]))
+    print(json.dumps(result))

@@ -1,0 +1,79 @@
+"""The benchmark's rows as a table, and the ratios that they make."""
+
+from __future__ import annotations
+
+import numpy as np
+
+PARTS = ("transport", "projections", "momentum", "hyperviscosity", "assembly", "factorisation", "solves")
+
+
+def markdown(rows: list[dict]) -> str:
+    """A Markdown table: seconds a step, split into parts where the solver has them, and GB."""
+    head = [
+        "case",
+        "cells",
+        "unknowns",
+        "threads",
+        "its",
+        "step, s",
+        *PARTS,
+        "floor, s",
+        "step/floor",
+        "GB",
+        "closure",
+    ]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for row in rows:
+        name = f"{row['dim']}D {row['method']}, h = {row['maxh']:g}"
+        if "failed" in row:
+            lines.append(f"| {name} | {row['failed']} |" + " |" * (len(head) - 2))
+            continue
+        parts = [f"{row['parts'].get(part, 0.0):.2f}" if "parts" in row else "" for part in PARTS]
+        cells = [
+            name,
+            f"{row['cells']:,}",
+            f"{row['unknowns']:,}",
+            str(row["threads"]),
+            f"{row['iterations']:.1f}",
+            f"{row['step']:.2f}",
+            *parts,
+            f"{row['floor']:.2f}",
+            f"{row['step'] / row['floor']:.1f}",
+            f"{row['memory']:.2f}",
+            f"{row['closure']:.0e}",
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def summary(rows: list[dict]) -> str:
+    """Ratios within the call, and exponents of cost and memory in the number of cells."""
+    done = [row for row in rows if "failed" not in row]
+    lines = []
+    for row in done:
+        partner = [
+            other
+            for other in done
+            if other["method"] == "coupled" != row["method"]
+            and (other["dim"], other["maxh"], other["threads"]) == (row["dim"], row["maxh"], row["threads"])
+        ]
+        if partner:
+            ratio = partner[0]["step"] / row["step"]
+            lines.append(f"- {row['dim']}D, {row['cells']:,} cells: coupled over split {ratio:.2f}")
+        single = [
+            other
+            for other in done
+            if other["threads"] == 1 < row["threads"]
+            and (other["dim"], other["maxh"], other["method"]) == (row["dim"], row["maxh"], row["method"])
+        ]
+        if single:
+            ratio = single[0]["step"] / row["step"]
+            lines.append(f"- {row['dim']}D, {row['cells']:,} cells: one thread over two {ratio:.2f}")
+    for dim in (2, 3):
+        series = [r for r in done if r["dim"] == dim and r["method"] == "split" and r["threads"] == 2]
+        if len(series) >= 2:
+            size = np.log([row["cells"] for row in series])
+            for name in ("step", "memory"):
+                exponent = np.polyfit(size, np.log([row[name] for row in series]), 1)[0]
+                lines.append(f"- {dim}D split: {name} grows like cells^{exponent:.2f}")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,169 @@
+"""The split solver's own duties: restarts, failures that are said, the choice of the solver, its parts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ngsolve import BilinearForm, cos, pi, sin, x, y
+from ngsolve.meshes import MakeStructured2DMesh
+
+import ngvisco as nv
+from ngvisco.errors import StepError
+from ngvisco.forms.context import Integrand
+from ngvisco.geometries import box
+from ngvisco.solver.choice import SPLIT_FROM
+from ngvisco.solver.split.anderson import Anderson
+from ngvisco.solver.split.solver import Split
+
+
+def simulation(maxh=0.4, mesh=None, **options):
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+        hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
+        creep=nv.Creep(G_m=2.0),
+        loads=[nv.Gravity((0.0, -1.0))],
+    )
+    initial = nv.Initial(velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))
+    options = {"solver": "split", "dt": 0.02} | options
+    return nv.Simulation(mesh or box((1, 1), maxh=maxh), model, initial=initial, **options)
+
+
+def state(run):
+    return run.rothe_step.state.vec.FV().NumPy().copy()
+
+
+def test_resumed_run_is_bit_for_bit_the_uninterrupted_one(tmp_path):
+    whole = simulation(observers=[nv.Checkpoints(tmp_path / "run.h5", every=2)])
+    whole.run(0.1)
+    resumed = simulation()
+    resumed.restore(tmp_path / "run.h5", step=4)
+    resumed.run(0.1)
+    assert (state(resumed) == state(whole)).all()
+
+
+def test_converged_state_solves_the_coupled_residual():
+    run = simulation()
+    run.advance()
+    step = run.rothe_step
+    rows = step.state.vec.CreateVector()
+    step.eliminate.refresh()
+    step.residual.Apply(step.state.vec, rows)
+    free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
+    assert np.abs(rows.FV().NumPy()[free]).max() <= 1e-10
+
+
+def test_residual_is_the_coupled_one_away_from_a_solution():
+    run = simulation()
+    run.advance()
+    step, split = run.rothe_step, run.solver.newton
+    noise = np.random.default_rng(0).standard_normal(split.unknowns.size)
+    free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
+    split.unknowns.unpack(split.unknowns.pack() + 1e-3 * noise)
+    step.state.vec.FV().NumPy()[~free] = 0.0
+    split.momentum.start()
+    r = split.residual()
+    rows = step.state.vec.CreateVector()
+    step.residual.Apply(step.state.vec, rows)
+    full, ranges = rows.FV().NumPy(), step.layout.ranges
+    size = np.abs(full[free]).max()
+    for name, own in (("v", r.flow), ("rho", r.density), ("z", r.z.ravel())):
+        mask = free[ranges[name]]
+        assert np.abs(full[ranges[name]] - own)[mask].max() <= 1e-13 * size, name
+    normals = full[ranges["a_1"].start : ranges["a_2"].stop]
+    assert np.abs(normals - r.normals.ravel()).max() <= 1e-13 * size
+    for name in ("rho_hat", "z_hat", "zeta", "hess", "hess_square", "hyper_coefficient", "hyperstress"):
+        assert np.abs(full[ranges[name]]).max() <= 1e-12 * size, name
+
+
+def test_hyperviscosity_s_derivative_is_that_of_its_rows():
+    """But for the penalty's weight, a mean over each side: 5 per cent here."""
+    run = simulation()
+    run.advance()
+    hyper = run.solver.newton.hyper
+    rng = np.random.default_rng(1)
+    dv, da = rng.standard_normal(hyper.v.shape), rng.standard_normal(hyper.a.shape)
+    hyper.set_local()
+    hyper.linearise()
+    derivative = hyper.derivative(dv, da)
+    v, a, rows = hyper.v.copy(), hyper.a.copy(), []
+    for sign in (1, -1):
+        hyper.v[:], hyper.a[:] = v + sign * 1e-6 * dv, a + sign * 1e-6 * da
+        hyper.set_local()
+        rows.append([part.copy() for part in hyper.residual()])
+    for i in range(2):
+        quotient = (rows[0][i] - rows[1][i]) / 2e-6
+        assert np.linalg.norm(quotient - derivative[i]) <= 0.05 * np.linalg.norm(quotient)
+
+
+def test_failed_step_is_retried_by_the_coupled_solver(monkeypatch):
+    def fail(self):
+        raise StepError("the split solver did not converge", [])
+
+    monkeypatch.setattr(Split, "solve", fail)
+    run = simulation()
+    run.advance()
+    assert run.solver.retried == 1
+    assert abs(run.ledger.rows[-1]["closure_relative"]) <= 1e-10
+
+
+def test_failed_step_is_an_error_where_the_coupled_solver_is_too_large(monkeypatch):
+    monkeypatch.setattr("ngvisco.solver.choice.COUPLED_UP_TO", {2: 1, 3: 1})
+    run = simulation(newton=nv.NewtonOptions(max_iterations=2))
+    before = state(run)
+    with pytest.raises(StepError, match="split solver did not converge"):
+        run.advance()
+    assert (state(run) == before).all()
+
+
+def test_steps_are_converged_in_fewer_iterations_with_acceleration(monkeypatch):
+    counts = []
+    for start in (1e-3, 0.0):
+        monkeypatch.setattr("ngvisco.solver.split.solver.ACCELERATED", start)
+        run = simulation(maxh=0.1)
+        counts.append(run.advance()["newton_iterations"])
+    assert counts[0] < counts[1] + 1
+
+
+def test_auto_chooses_by_dimension_and_size():
+    small, large = simulation(solver="auto"), simulation(maxh=0.05, solver="auto")
+    assert small.mesh.ne < SPLIT_FROM[2] <= large.mesh.ne
+    assert not isinstance(small.solver.newton, Split)
+    assert isinstance(large.solver.newton, Split)
+
+
+def test_quadrilaterals_are_for_the_coupled_solver():
+    mesh = MakeStructured2DMesh(quads=True, nx=2, ny=2)
+    assert not isinstance(simulation(mesh=mesh, solver="auto").solver.newton, Split)
+    with pytest.raises(nv.ParameterError, match="triangles or tetrahedra"):
+        simulation(mesh=mesh)
+
+
+def test_unknown_method_is_refused():
+    with pytest.raises(
+        nv.ParameterError, match=r"method = 'iterative': expected one of auto, coupled, split"
+    ):
+        simulation(solver="iterative")
+
+
+def test_sources_are_for_the_coupled_solver():
+    class Source:
+        def form(self, u, w):
+            return [Integrand(0 * w.v[0])]
+
+        def entries(self, u):
+            return []
+
+    with pytest.raises(nv.ParameterError, match="sources"):
+        simulation(sources=Source())
+    assert isinstance(simulation(sources=Source(), solver="auto").rothe_step.residual, BilinearForm)
+
+
+def test_anderson_solves_a_linear_problem_in_as_many_steps_as_it_has_unknowns():
+    rng = np.random.default_rng(2)
+    A = np.eye(4) + 0.8 * rng.standard_normal((4, 4))
+    b, u = rng.standard_normal(4), np.zeros(4)
+    anderson = Anderson(depth=5, conditioning=1e-14)
+    for _ in range(7):
+        u = anderson.step(u, A @ u - b, np.ones(4))
+    assert np.linalg.norm(A @ u - b) <= 1e-8
