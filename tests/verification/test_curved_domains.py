@@ -17,14 +17,14 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from manufactured import RateTable
 from ngsolve import CF, CoefficientFunction, Mesh, Parameter, x, y, z
-from problems import distance
 from scipy.special import jv, spherical_jn
 
 from ngvisco import Creep, Initial, LinearElastic, Model, Simulation, Slip, StokesViscosity, Traction
 from ngvisco.geometries import disc, sphere
 from ngvisco.physics.tensors import embed_gradient
+from ngvisco.verification.problems import distance
+from ngvisco.verification.rates import RateTable
 
 RHO, G_E, G_V, G_M, TAU, STEPS = 1.3, 0.4, 0.05, 0.6, 0.05, 4
 AMPLITUDE = 1e-6

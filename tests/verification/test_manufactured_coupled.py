@@ -3,41 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from cases import KINDS, model
-from manufactured import Exact, RateTable, Sources
-from problems import distance, refinements
 
-from ngvisco import Discretisation, Initial, Simulation, time
-
-TAU, STEPS = 0.05, 2
-
-
-def coupled_rates(
-    kind: str, dim: int, p: float | None, k: int, m: int, maxh: float, levels: int
-) -> RateTable:
-    system = model(kind, dim, p)
-    table = RateTable(f"coupled, {kind}, {dim}D, p = {p}, k = {k}, m = {m}")
-    for h, mesh in refinements(dim, maxh, levels):
-        time.Set(0.0)
-        exact = Exact(system, dim, time)
-        simulation = Simulation(
-            mesh,
-            system,
-            dt=TAU,
-            initial=Initial(density=exact.rho, velocity=exact.v, values=exact.values),
-            discretisation=Discretisation(k=k, m=m),
-            sources=Sources(system, dim, TAU),
-        )
-        for _ in range(STEPS):
-            simulation.advance()
-        u = simulation.rothe_step.now
-        table.add(
-            h,
-            v=distance(u.v, exact.v, mesh),
-            rho=distance(u.rho, exact.rho, mesh),
-            z=distance(u.z, exact.z, mesh),
-        )
-    return table
+from ngvisco.verification.convergence import coupled_rates
+from ngvisco.verification.models import KINDS
 
 
 @pytest.mark.parametrize("kind", KINDS)

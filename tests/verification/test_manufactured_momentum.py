@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import pytest
-from cases import hyperviscosity, material
-from manufactured import Exact, RateTable, Sources
-from problems import Problem, Source, distance, refinements
 
 from ngvisco import Discretisation, Model, StokesViscosity, time
 from ngvisco.forms.context import Integrand
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Convection, Inertia, Stokes
 from ngvisco.physics.tensors import inner
+from ngvisco.verification.manufactured import Exact
+from ngvisco.verification.models import hyperviscosity, material
+from ngvisco.verification.problems import Problem, Source, distance, refinements
+from ngvisco.verification.rates import RateTable
+from ngvisco.verification.sources import Sources
 
 TAU = 0.25
 VISCOSITY = StokesViscosity(K_v=0.3, G_v=0.2)

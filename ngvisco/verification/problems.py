@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from manufactured import Exact
 from ngsolve import BilinearForm, CoefficientFunction, FESpace, GridFunction, Integrate, Mesh
 
 from ngvisco import Discretisation, Model, NewtonOptions, time
@@ -17,6 +16,7 @@ from ngvisco.forms.spaces import Fields, Layout
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import square
 from ngvisco.solver.newton import BlockNorm, Newton
+from ngvisco.verification.manufactured import Exact
 
 ERROR_ORDER = 12
 

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from manufactured import Coefficients
-
-from ngvisco import (
-    Creep,
-    Gravity,
-    HyperViscosity,
-    LinearElastic,
-    Material,
-    Model,
-    NeoHookean,
-    StokesViscosity,
-)
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials import LinearElastic, NeoHookean
+from ngvisco.physics.model import Gravity, Model
+from ngvisco.physics.regularisation import Regularisation
+from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.verification.differences import Coefficients
 
 KINDS = ("linear", "neo-hookean")
+DELTA, DELTA_FIELDS, EPSILON = 0.02, 0.03, 1.0
 
 
 def material(kind: str) -> Material:
+    """The linearised model's or the finite-strain model's material."""
     if kind == "linear":
         return LinearElastic(K_e=2.0, G_e=1.0)
     return NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5)
@@ -29,18 +25,20 @@ def hyperviscosity(p: float | None) -> HyperViscosity | None:
     return None if p is None else HyperViscosity(mu=1e-2 if p == 2 else 1e-3, p=p)
 
 
-def model(kind: str, dim: int, p: float | None) -> Model:
-    """Everything on: creep, gravity, viscosity, and hyperviscosity with exponent p unless None."""
+def model(kind: str, dim: int, p: float | None, regularised: bool = False) -> Model:
+    """Creep, gravity, viscosity, hyperviscosity with exponent p unless None, delta- and epsilon-terms."""
+    law = Regularisation(delta_density=DELTA, delta_fields=DELTA_FIELDS, epsilon=EPSILON)
     return Model(
         material=material(kind),
         viscosity=StokesViscosity(K_v=0.3, G_v=0.2),
         hyperviscosity=hyperviscosity(p),
         creep=Creep(G_m=2.0),
         loads=(Gravity((0.0, -0.7, 0.0)[:dim]),),
+        regularisation=law if regularised else None,
     )
 
 
-def coefficients(kind: str, p: float | None) -> Coefficients:
+def coefficients(kind: str, p: float | None, regularised: bool = False) -> Coefficients:
     """The same constants once more, for the formulas in numpy."""
     return Coefficients(
         K_e=2.0,
@@ -52,4 +50,7 @@ def coefficients(kind: str, p: float | None) -> Coefficients:
         p=2.0 if p is None else p,
         R=0.5,
         g=-0.7,
+        delta=DELTA if regularised else 0.0,
+        delta_fields=DELTA_FIELDS if regularised else 0.0,
+        damping=EPSILON if regularised else 0.0,
     )

@@ -1,0 +1,37 @@
+"""The cases, one module a theme, in the report's order."""
+
+from ngvisco.verification.cases import (
+    comparison,
+    dependent,
+    estimates,
+    flows,
+    fronts,
+    hyper,
+    invariants,
+    limits,
+    manufactured,
+    maxwell,
+    rheology,
+    robustness,
+    shear,
+    stability,
+    waves,
+)
+
+MODULES = (
+    stability,
+    estimates,
+    limits,
+    dependent,
+    invariants,
+    hyper,
+    maxwell,
+    shear,
+    rheology,
+    waves,
+    fronts,
+    flows,
+    manufactured,
+    robustness,
+    comparison,
+)

@@ -1,0 +1,133 @@
+"""Variables that depend on each other: J -> det F, H -> Cof F, A -> 1/J, K -> ln J/J as delta, tau, h -> 0.
+
+The scheme transports them independently, as the paper does; they are consistent in the limit only.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ngsolve import CoefficientFunction, Cof, Det, log
+
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials import LogarithmicNeoHookean, MooneyRivlin
+from ngvisco.physics.regularisation import Regularisation
+from ngvisco.run.simulation import Simulation
+from ngvisco.verification.case import Bound, Case, Outcome, Plot
+from ngvisco.verification.problems import distance
+from ngvisco.verification.rates import RateTable
+from ngvisco.verification.setups import SETTING, block, closure, slope_line, square_mesh
+
+THEME = "Dependent variables"
+COFACTORS = MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1)
+LOGARITHMIC = LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+DURATION = 0.096
+LEVELS = (0.8, 0.4, 0.2)
+STEP = 0.02
+"""tau / h: the first waves take 0.3 s"""
+DELTAS = (1e-1, 1e-2, 1e-3, 1e-4)
+
+
+def defects(run: Simulation) -> dict[str, float]:
+    """L2 distances of each dependent variable and what it should be."""
+    z = run.fields
+    pairs: dict[str, tuple[CoefficientFunction, CoefficientFunction]] = {}
+    if "F" in z:
+        pairs["J - det F"] = z["J"], Det(z["F"])
+        pairs["H - Cof F"] = z["H"], Cof(z["F"])
+    else:  # H = J^(-5/6) F, so that det H = J^(-3/2) = A^(3/2)
+        pairs["A - 1/J"] = z["A"], Det(z["H"]) ** (2 / 3)
+        pairs["K - ln J/J"] = z["K"], -z["A"] * log(z["A"])
+    return {name: distance(a, b, run.mesh) for name, (a, b) in pairs.items()}
+
+
+def in_h_and_tau(material: Material, with_delta: bool) -> tuple[RateTable, list[Simulation]]:
+    """tau proportional to h, delta to h^2."""
+    what = "delta, tau and h" if with_delta else "tau and h"
+    table, runs = RateTable(f"defects as {what} go to zero"), []
+    for h in LEVELS:
+        law = Regularisation(delta_density=0.1 * h * h, delta_fields=0.1 * h * h) if with_delta else None
+        run = block("finite", STEP * h, mesh=square_mesh(h), of=material, regularisation=law, speed=0.5)
+        run.run(DURATION)
+        runs.append(run)
+        table.add(h, **defects(run))
+    return table, runs
+
+
+def measure(material: Material) -> Outcome:
+    """The three refinements."""
+    plain, runs = in_h_and_tau(material, with_delta=False)
+    together, more = in_h_and_tau(material, with_delta=True)
+    alone = RateTable("defects as delta alone goes to zero (beyond those of delta = 0)")
+    h = LEVELS[1]
+    rest = defects(runs[1])
+    for delta in DELTAS:
+        law = Regularisation(delta_density=delta, delta_fields=delta)
+        run = block("finite", STEP * h, mesh=square_mesh(h), of=material, regularisation=law, speed=0.5)
+        run.run(DURATION)
+        more.append(run)
+        alone.add(delta, **{name: abs(value - rest[name]) for name, value in defects(run).items()})
+    plots = []
+    for table, size in ((plain, "h, m"), (together, "h, m")):
+        plot, name = table.plot(size, "defect in L2"), next(iter(table.errors))
+        line = slope_line(table.sizes, table.errors[name], 1.0)
+        plots.append(Plot(plot.title, plot.xlabel, plot.ylabel, [*plot.curves, line], log="xy"))
+    return Outcome(
+        values={
+            **{f"last rate of {name}, tau and h": plain.last(name) for name in plain.errors},
+            **{f"last rate of {name}, delta, tau and h": together.last(name) for name in together.errors},
+            **{f"last rate of {name}, delta alone": alone.last(name) for name in alone.errors},
+            "largest |closure|": closure(*runs, *more),
+            "least J": min(_least(run) for run in runs),
+        },
+        tables=[plain.table("h, m"), together.table("h, m"), alone.table("delta, m2/s")],
+        plots=plots,
+        remarks=[
+            "In plane strain H_33 is the only entry of Cof F that is not linear in F: both defects are one."
+        ]
+        if "J - det F" in plain.errors
+        else [],
+    )
+
+
+def _least(run: Simulation) -> float:
+    values = [row["J_min"] for row in run.ledger.rows]
+    return math.nan if any(map(math.isnan, values)) else min(values)
+
+
+def _case(name: str, what: tuple[str, str], label: str, material: Material) -> Case:
+    rates = [
+        Bound(f"last rate of {one}, {how}", ">=", least, reason)
+        for one in what
+        for how, least, reason in (
+            ("tau and h", 0.8, "first order in tau ~ h"),
+            ("delta, tau and h", 0.8, "first order in tau ~ h, and delta ~ h²"),
+            ("delta alone", 0.5, "the size sqrt(delta) of the delta-terms"),
+        )
+    ]
+    return Case(
+        name=f"dependent-{name}",
+        theme=THEME,
+        statement=f"{what[0]} and {what[1]} vanish as delta, tau and h go to zero, though each variable "
+        f"is transported on its own.",
+        label=label,
+        setting=f"{SETTING}; {type(material).__name__}, 0.5 m/s; h = 0.8, 0.4, 0.2 m with tau = 0.02 h and "
+        f"delta = 0 or 0.1 h², until {DURATION} s; delta alone from 0.1 to 1e-4 at h = 0.4 m.",
+        bounds=(
+            *rates,
+            Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
+            Bound("least J", ">=", 0.5, "far from folding over"),
+        ),
+        run=lambda: measure(material),
+    )
+
+
+CASES = (
+    _case(
+        "cofactor",
+        ("J - det F", "H - Cof F"),
+        "DT-det-extended, H-flow-rule, rem-polyconvex-general",
+        COFACTORS,
+    ),
+    _case("reciprocal", ("A - 1/J", "K - ln J/J"), "DT-det-inverse, exa-neo-Hookean-ref", LOGARITHMIC),
+)

@@ -1,0 +1,112 @@
+"""Tables of errors against the manufactured solutions: transport alone, the coupled system, and in time."""
+
+from __future__ import annotations
+
+from ngsolve import GridFunction
+
+from ngvisco.forms.context import Integrand, time
+from ngvisco.forms.initial import Initial
+from ngvisco.forms.momentum import Continuity
+from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.transport import Kinematics, UpwindTrace
+from ngvisco.geometries import box
+from ngvisco.physics.model import Model
+from ngvisco.physics.tensors import inner
+from ngvisco.run.simulation import Simulation
+from ngvisco.verification.manufactured import Exact
+from ngvisco.verification.models import material, model
+from ngvisco.verification.problems import Problem, Source, distance, refinements
+from ngvisco.verification.rates import RateTable
+from ngvisco.verification.sources import Sources
+
+
+def transport_rates(kind: str, dim: int, m: int, maxh: float, levels: int, tau: float = 0.25) -> RateTable:
+    """Density and E / F / J alone, with the exact velocity given, after two steps of length ``tau``."""
+    system = Model(material=material(kind))
+    sources = Sources(system, dim, tau)
+    load = Source(
+        lambda w: [Integrand(-sources.continuity * w.rho), Integrand(-inner(sources.kinematics, w.z))]
+    )
+    table = RateTable(f"transport alone, {kind}, {dim}D, m = {m}")
+    for h, mesh in refinements(dim, maxh, levels):
+        problem = Problem(
+            mesh,
+            system,
+            Discretisation(m=m),
+            ("rho", "rho_hat", "z", "z_hat"),
+            lambda c: [Continuity(c), Kinematics(system, c), UpwindTrace(system, c), load],
+            tau,
+        )
+        exact = Exact(system, dim, time)
+        time.Set(0.0)
+        problem.set("rho", exact.rho)
+        problem.set("z", exact.z)
+        for n in range(2):
+            problem.advance(n * tau)
+        table.add(h, rho=distance(problem.now.rho, exact.rho, mesh), z=distance(problem.now.z, exact.z, mesh))
+    return table
+
+
+def coupled_rates(
+    kind: str,
+    dim: int,
+    p: float | None,
+    k: int,
+    m: int,
+    maxh: float,
+    levels: int,
+    *,
+    regularised: bool = False,
+    tau: float = 0.05,
+    steps: int = 2,
+) -> RateTable:
+    """The whole system: creep, gravity, viscosity, hyperviscosity (unless p is None), and delta- and
+    epsilon-terms if ``regularised``; errors in L2 after ``steps`` steps, space only."""
+    system = model(kind, dim, p, regularised)
+    terms = ", all terms" if regularised else ""
+    table = RateTable(f"coupled, {kind}, {dim}D, p = {p}, k = {k}, m = {m}{terms}")
+    for h, mesh in refinements(dim, maxh, levels):
+        time.Set(0.0)
+        exact = Exact(system, dim, time)
+        simulation = Simulation(
+            mesh,
+            system,
+            dt=tau,
+            initial=Initial(density=exact.rho, velocity=exact.v, values=exact.values),
+            discretisation=Discretisation(k=k, m=m),
+            sources=Sources(system, dim, tau),
+        )
+        for _ in range(steps):
+            simulation.advance()
+        table.add(h, **errors(simulation, exact))
+    return table
+
+
+def errors(simulation: Simulation, exact: Exact) -> dict[str, float]:
+    """L2 errors of v, rho and z."""
+    u, mesh = simulation.rothe_step.now, simulation.mesh
+    return {
+        "v": distance(u.v, exact.v, mesh),
+        "rho": distance(u.rho, exact.rho, mesh),
+        "z": distance(u.z, exact.z, mesh),
+    }
+
+
+def free_solution(kind: str, steps: int, duration: float, maxh: float = 0.6) -> Simulation:
+    """A run without sources from the manufactured initial state, with creep, gravity and viscosity."""
+    system = model(kind, 2, None)
+    time.Set(0.0)
+    exact = Exact(system, 2, 0.0)
+    initial = Initial(density=exact.rho, velocity=exact.v, values=exact.values)
+    simulation = Simulation(box((1, 1), maxh), system, dt=duration / steps, initial=initial)
+    simulation.run(duration)
+    return simulation
+
+
+def separation(one: Simulation, other: Simulation) -> dict[str, float]:
+    """L2 distances of v, rho and z of two runs on equal meshes of their own."""
+    best = one.rothe_step
+    copy = GridFunction(best.layout.space)
+    copy.vec.data = other.rothe_step.state.vec
+    u = best.layout.fields(copy.components)
+    return {name: distance(getattr(u, name), getattr(best.now, name), one.mesh) for name in ("v", "rho", "z")}

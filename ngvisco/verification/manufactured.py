@@ -1,0 +1,147 @@
+"""Exact fields of manufactured solutions.
+
+The fields are written once, for coefficient functions and for numpy arrays alike.  They meet the
+natural conditions of the walls of the unit box: v.n = 0, no tangential traction, hess v:(n x n) = 0 (not
+those of the delta-regularisation, whose fluxes through walls ``sources`` supplies).
+With f = sin(pi x) and g = 1 - 2S, S the smooth step of degree 7 (g', g'', g''' vanish at 0 and 1),
+v_i = c_i(t) f(x_i) prod_{j != i} g(x_j), and shear components of E and F vanish where they must.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction, cos, sin, x, y, z
+
+from ngvisco.physics.material import components_of
+from ngvisco.physics.model import Model
+
+PI = np.pi
+COORDINATES = (x, y, z)
+
+
+@dataclass(frozen=True)
+class Functions:
+    """The functions that the exact fields are made of, of one kind of argument."""
+
+    sin: Callable[[Any], Any]
+    cos: Callable[[Any], Any]
+
+
+SYMBOLIC = Functions(sin, cos)
+NUMERIC = Functions(np.sin, np.cos)
+
+
+def plateau(s: Any) -> Any:
+    """1 - 2S(s): from 1 to -1 over [0, 1], with three vanishing derivatives at both ends."""
+    cube = s * s * s
+    return 1 - 2 * (s * cube) * (35 - 84 * s + 70 * s * s - 20 * cube)
+
+
+def velocity(X: Sequence[Any], t: Any, m: Functions) -> list[Any]:
+    amplitudes = (0.4 * (1 + t), -0.3 * m.cos(t), 0.2 * (1 - t))
+    result = []
+    for i in range(len(X)):
+        value = amplitudes[i] * m.sin(PI * X[i])
+        for j in range(len(X)):
+            if j != i:
+                value = value * plateau(X[j])
+        result.append(value)
+    return result
+
+
+def density(X: Sequence[Any], t: Any, m: Functions) -> Any:
+    value = 0.3 * (1 - 0.5 * t)
+    for i, s in enumerate(X):
+        value = value * m.cos(PI * s + 0.2 * (i + 1))
+    return 1.2 + value
+
+
+def jacobian(X: Sequence[Any], t: Any, m: Functions) -> Any:
+    value = 0.2 * m.cos(t)
+    for s in X:
+        value = value * m.cos(PI * s)
+    return 1.1 + value
+
+
+def tensor(X: Sequence[Any], t: Any, m: Functions, identity: float) -> list[list[Any]]:
+    """identity * I plus a field whose ij entry vanishes on the walls normal to e_i and to e_j."""
+    dim = len(X)
+    zero = 0 * X[0]
+    A = [[zero for _ in range(3)] for _ in range(3)]
+    for i in range(3):
+        value = (0.10 + 0.05 * i) * (1 + 0.5 * t)
+        for s in X:
+            value = value * m.cos(PI * s + 0.3 * i)
+        A[i][i] = identity + value
+    for i in range(dim):
+        for j in range(dim):
+            if i != j:
+                value = (0.15 + 0.05 * i - 0.02 * j) * m.cos(t + i)
+                A[i][j] = value * m.sin(PI * X[i]) * m.sin(PI * X[j])
+    return A
+
+
+def strain(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
+    A = tensor(X, t, m, 0.0)
+    return [[0.5 * (A[i][j] + A[j][i]) for j in range(3)] for i in range(3)]
+
+
+def distortion(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
+    return tensor(X, t, m, 1.0)
+
+
+EXACT = {"E": strain, "F": distortion, "J": jacobian}
+
+
+@dataclass(frozen=True)
+class Exact:
+    """The exact fields at a time, as coefficient functions."""
+
+    model: Model
+    dim: int
+    t: Any
+
+    def _value(self, function: Callable[..., Any]) -> CoefficientFunction:
+        value = function(COORDINATES[: self.dim], self.t, SYMBOLIC)
+        if not isinstance(value, list):
+            return value
+        if isinstance(value[0], list):
+            return CF(tuple(entry for row in value for entry in row), dims=(3, 3))
+        return CF(tuple(value))
+
+    @property
+    def rho(self) -> CoefficientFunction:
+        return self._value(density)
+
+    @property
+    def v(self) -> CoefficientFunction:
+        return self._value(velocity)
+
+    @property
+    def grad_v(self) -> CoefficientFunction:
+        """(grad v)_ij = d_j v_i."""
+        return CF(tuple(gradient(self.v, self.dim)), dims=(self.dim, self.dim)).trans
+
+    @property
+    def values(self) -> dict[str, CoefficientFunction]:
+        return {v.name: self._value(EXACT[v.name]) for v in self.model.material.variables}
+
+    @property
+    def z(self) -> CoefficientFunction:
+        """All transported components, as they are stored."""
+        return components_of(self.model.material, self.values, self.dim)
+
+
+def gradient(f: CoefficientFunction, dim: int) -> list[CoefficientFunction]:
+    """d_1 f, ..., d_dim f."""
+    return [f.Diff(s) for s in COORDINATES[:dim]]
+
+
+def divergence(A: CoefficientFunction, dim: int) -> CoefficientFunction:
+    """(div A)_i = d_j A_ij, of the first dim rows and columns."""
+    columns = gradient(A, dim)
+    return CF(tuple(sum(columns[j][i, j] for j in range(dim)) for i in range(dim)))

@@ -1,0 +1,236 @@
+"""The verification's framework: what fails is reported, nothing is lost or half written."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+from dataclasses import replace
+
+import pytest
+
+from ngvisco.verification import registry
+from ngvisco.verification.__main__ import BAD_INPUT, DONE, FAILED, INTERRUPTED, main
+from ngvisco.verification.case import Bound, Case, Curve, Outcome, Plot, Result, Table, VerificationError
+from ngvisco.verification.rates import RateTable
+from ngvisco.verification.registry import all_cases, select
+
+
+def case(name, value, limit=1.0, **options):
+    """A case that measures ``value`` (or calls it) under the bound <= ``limit``."""
+    calls = options.pop("calls", [])
+
+    def run():
+        calls.append(name)
+        measured = value() if callable(value) else value
+        curve = Curve("a", [1.0, 2.0], [1.0, 4.0])
+        return Outcome(
+            values={"the number": measured},
+            tables=[Table("a table", ["x", "y"], [[1.0, "a|b<i>"]])],
+            plots=[Plot("a plot", "x", "y", [curve], log="xy")],
+            remarks=["A remark."],
+        )
+
+    bounds = (Bound("the number", "<=", limit, "a reason"),)
+    said = {"theme": "T", "statement": f"{name} & so on", "label": "L", "setting": "S"}
+    return Case(name=name, bounds=bounds, run=run, **{**said, **options})
+
+
+@pytest.fixture
+def cases(monkeypatch):
+    """Puts a list of cases in the place of the package's."""
+    chosen = []
+    monkeypatch.setattr(registry, "all_cases", lambda: tuple(chosen))
+    return chosen
+
+
+def test_report_of_cases_that_hold_opens_offline_and_exits_with_0(cases, tmp_path, capsys):
+    cases += [case("one", 0.5), case("two", 0.25)]
+    assert main(["-o", str(tmp_path / "r")]) == DONE
+    page = (tmp_path / "r" / "report.html").read_text()
+    assert "one &amp; so on" in page and "a|b&lt;i&gt;" in page
+    assert page.count("data:image/png;base64,") == 2
+    # nothing from anywhere else
+    assert not re.search(r"(src|href)=\"(?!data:|#)", page) and "http" not in page
+    text = (tmp_path / "r" / "report.md").read_text()
+    assert "pictures/two.png" in text and (tmp_path / "r" / "pictures" / "two.png").stat().st_size > 0
+    assert "2 hold, 0 do not" in capsys.readouterr().out
+
+
+def test_case_that_fails_is_reported_with_its_number_its_bound_and_its_explanation(cases, tmp_path, capsys):
+    cases += [case("good", 0.5), case("bad", 7.25, explanation="It is known.")]
+    assert main(["-o", str(tmp_path / "r")]) == FAILED
+    assert "the number 7.25, not <= 1" in capsys.readouterr().out
+    for name in ("report.html", "report.md"):
+        page = (tmp_path / "r" / name).read_text()
+        assert "1 hold, 1 do not" in page and "DOES NOT HOLD" in page
+        assert "7.25" in page and "≤ 1" in page and "a reason" in page and "It is known." in page
+
+
+def test_error_of_one_case_does_not_kill_the_report(cases, tmp_path):
+    cases += [case("broken", lambda: 1 / 0), case("fine", 0.5)]
+    assert main(["-o", str(tmp_path / "r")]) == FAILED
+    page = (tmp_path / "r" / "report.html").read_text()
+    assert "ZeroDivisionError" in page and "not measured" in page
+    assert json.loads((tmp_path / "r" / "cases" / "fine.json").read_text())["status"] == "holds"
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_what_is_not_a_number_keeps_no_bound(cases, tmp_path, value):
+    cases += [case("nan", value)]
+    assert main(["-o", str(tmp_path / "r")]) == FAILED
+    saved = Result.from_json((tmp_path / "r" / "cases" / "nan.json").read_text())
+    assert saved.status == "fails" and saved.failed == ["the number"]
+
+
+@pytest.mark.parametrize("values", [{"a": 0.0}, {"a": 0.0, "b": 0.0, "c": 0.0}], ids=["drop", "add"])
+def test_case_can_neither_drop_a_bound_nor_add_one(cases, tmp_path, values):
+    bounds = (Bound("a", "<=", 1), Bound("b", "<=", 1))
+    cases += [replace(case("sly", 0.0), bounds=bounds, run=lambda: Outcome(values=values))]
+    assert main(["-o", str(tmp_path / "r")]) == FAILED
+    saved = json.loads((tmp_path / "r" / "cases" / "sly.json").read_text())
+    assert saved["status"] == "error" and "must be the same" in saved["error"]
+
+
+def test_case_without_a_bound_cannot_be_made():
+    with pytest.raises(VerificationError, match="without a bound"):
+        replace(case("none", 0.0), bounds=())
+
+
+def test_misspelt_name_is_an_error_with_the_nearest_one(cases, tmp_path, capsys):
+    cases += [case("limit-tau-finite", 0.0)]
+    assert main(["limit-tua", "-o", str(tmp_path / "r")]) == BAD_INPUT
+    assert "did you mean 'limit-tau-finite'" in capsys.readouterr().err
+    assert not (tmp_path / "r").exists()
+
+
+def test_beginnings_of_names_and_the_reduced_set_select_cases():
+    some = [case("a-x", 0, reduced=True), case("a-y", 0), case("ab", 0)]
+    assert [c.name for c in select(some, ["a"])] == ["a-x", "a-y"]
+    assert [c.name for c in select(some, [], reduced=True)] == ["a-x"]
+
+
+def test_list_runs_nothing(cases, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    cases += [case("one", lambda: 1 / 0)]
+    assert main(["--list"]) == DONE
+    assert "one & so on" in capsys.readouterr().out and not list(tmp_path.iterdir())
+
+
+def test_foreign_directory_is_left_alone(cases, tmp_path, capsys):
+    cases += [case("one", 0.5)]
+    (tmp_path / "thesis.tex").write_text("mine")
+    assert main(["-o", str(tmp_path)]) == BAD_INPUT
+    assert main(["-o", str(tmp_path), "--resume"]) == BAD_INPUT
+    assert main(["-o", str(tmp_path / "thesis.tex")]) == BAD_INPUT
+    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+    assert "something else than a report" in capsys.readouterr().err
+
+
+def test_earlier_report_is_not_overwritten_without_being_asked(cases, tmp_path, capsys):
+    cases += [case("one", 0.5)]
+    assert main(["-o", str(tmp_path / "r")]) == DONE
+    before = (tmp_path / "r" / "report.html").read_bytes()
+    assert main(["-o", str(tmp_path / "r")]) == BAD_INPUT
+    assert "--resume" in capsys.readouterr().err
+    assert (tmp_path / "r" / "report.html").read_bytes() == before
+
+
+def test_interrupted_report_is_not_half_written_and_goes_on(cases, tmp_path, capsys):
+    calls, patience = [], []
+
+    def interrupted_once():
+        if not patience:
+            patience.append(1)
+            raise KeyboardInterrupt
+        return 0.5
+
+    cases += [case("one", 0.5, calls=calls), case("two", interrupted_once, calls=calls)]
+    directory = tmp_path / "r"
+    assert main(["-o", str(directory)]) == INTERRUPTED
+    assert "--resume" in capsys.readouterr().err
+    assert sorted(p.name for p in directory.iterdir()) == ["cases", "verification.json"]
+    assert main(["-o", str(directory), "--resume"]) == DONE
+    assert calls == ["one", "two", "two"]
+    assert (directory / "report.html").exists() and not list(directory.rglob("*.part"))
+
+
+def test_resume_runs_errors_and_changed_cases_again(cases, tmp_path):
+    calls = []
+    cases += [case("changed", 0.5, calls=calls), case("error", lambda: 1 / 0, calls=calls)]
+    assert main(["-o", str(tmp_path / "r")]) == FAILED
+    cases[0] = case("changed", 0.5, limit=0.75, calls=calls)
+    cases[1] = case("error", 0.5, calls=calls)
+    assert main(["-o", str(tmp_path / "r"), "--resume"]) == DONE
+    assert calls == ["changed", "error", "changed", "error"]
+    assert "≤ 0.75" in (tmp_path / "r" / "report.html").read_text()
+
+
+def test_without_matplotlib_the_report_comes_without_pictures_and_says_so(cases, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    cases += [case("one", 0.5)]
+    assert main(["-o", str(tmp_path / "r")]) == DONE
+    for name in ("report.html", "report.md"):
+        page = (tmp_path / "r" / name).read_text()
+        assert "matplotlib is missing" in page and "<img" not in page and "![" not in page
+        assert "0.5" in page
+
+
+def test_result_survives_json():
+    outcome = Outcome(
+        values={"a": math.inf},
+        tables=[Table("t", ["x"], [[1.5], ["text"]])],
+        plots=[Plot("p", "x", "y", [Curve("c", [1.0], [2.0])])],
+        remarks=["said"],
+    )
+    result = Result(name="n", fingerprint="f", version="1", status="fails", seconds=1.5, outcome=outcome)
+    again = Result.from_json(result.to_json())
+    assert again == result and again.outcome.plots[0].curves[0].y == [2.0]
+
+
+def test_rate_table_finds_its_rates_and_refuses_smaller_ones():
+    table = RateTable("r", [1.0, 0.5, 0.25], {"a": [1.0, 0.25, 0.0625]})
+    assert table.rates("a") == pytest.approx([2, 2])
+    table.require(a=1.99)
+    with pytest.raises(VerificationError, match=r"rate of a < 2\.1"):
+        table.require(a=2.1)
+    table.errors["a"][-1] = math.nan
+    with pytest.raises(VerificationError):
+        table.require(a=1.0)
+    assert table.table().columns == ["h", "a", "rate"]
+
+
+BOTH_MODELS = (
+    "stability-free",
+    "stability-loaded",
+    "estimates",
+    "delta-terms",
+    "limit-tau",
+    "limit-delta",
+    "limit-epsilon",
+    "limit-yosida",
+    "mass",
+    "cut-off",
+    "positivity",
+    "hyperviscosity",
+    "manufactured-2d",
+    "manufactured-3d",
+    "robustness",
+    "fluid-limit",
+)
+
+
+def test_every_claim_is_on_a_linearised_and_a_finite_strain_case():
+    names = {c.name for c in all_cases()}
+    for name in BOTH_MODELS:
+        assert {f"{name}-linearised", f"{name}-finite"} <= names
+    for c in all_cases():
+        assert c.statement and c.label and c.setting and all(b.reason for b in c.bounds), c.name
+
+
+@pytest.mark.long
+@pytest.mark.ci
+def test_reduced_set_holds(tmp_path):
+    """Minutes: one case or two of every theme."""
+    assert main(["--reduced", "-o", str(tmp_path / "report")]) == DONE
