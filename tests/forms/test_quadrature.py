@@ -68,8 +68,9 @@ def test_degree_resolves_the_polynomial_terms(k: int, m: int) -> None:
     """Momentum's 3k - 1 + m with v three times is left out on purpose; the others are exact."""
     quadrature = Quadrature.for_orders(box((1, 1), 1.0), k, m)
     assert quadrature.volume_degree == quadrature.facet_degree >= max(2 * k + m, k - 1 + 2 * m)
-    more = Quadrature.for_orders(box((1, 1), 1.0), k, m, bonus=3)
-    assert more.volume_degree == quadrature.volume_degree + 3
+    assert quadrature.volume_degree % 2 == 0  # NGSolve keeps values at the points of even degrees only
+    more = Quadrature.for_orders(box((1, 1), 1.0), k, m, bonus=4)
+    assert more.volume_degree == quadrature.volume_degree + 4
 
 
 def test_vector_integrands_are_integrated_by_component() -> None:
