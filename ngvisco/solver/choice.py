@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from ngsolve import ET, VOL, Mesh
+import numpy as np
+from ngsolve import ET, VERTEX, VOL, Mesh
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.system import Step
 
-SPLIT_FROM = {2: 400, 3: 60}
+SPLIT_FROM = {2: 400, 3: 10}
 """Cells, by dimension, from which the split solver is the faster one (tests/benchmarks)."""
 
 COUPLED_UP_TO = {2: 20_000, 3: 1_000}
@@ -35,9 +38,23 @@ def split_obstacle(step: Step) -> str | None:
     """Why the split solver cannot take this step, or None."""
     if any(element.type not in (ET.TRIG, ET.TET) for element in step.mesh.Elements(VOL)):
         return "the split solver needs a mesh of triangles or tetrahedra only"
+    if meets_itself(step.mesh):
+        return "a cell of the periodic mesh meets its own image: two cells or more are needed"
     if step.has_sources:
         return "further terms (sources) are for the coupled solver"
     return None
+
+
+def meets_itself(mesh: Mesh) -> bool:
+    """Whether a cell has two vertices that the mesh identifies with each other."""
+    pairs = np.array([pair for pair, _ in mesh.GetPeriodicNodePairs(VERTEX)])
+    if not len(pairs):
+        return False
+    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(mesh.nv, mesh.nv))
+    _, label = connected_components(graph, directed=False)
+    elements = mesh.ngmesh.Elements2D() if mesh.dim == 2 else mesh.ngmesh.Elements3D()
+    vertices = np.sort(label[elements.NumPy()["nodes"][:, : mesh.dim + 1] - 1], axis=1)
+    return bool((np.diff(vertices, axis=1) == 0).any())
 
 
 def is_affordable(mesh: Mesh) -> bool:

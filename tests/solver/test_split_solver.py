@@ -12,7 +12,7 @@ import ngvisco as nv
 from ngvisco.errors import StepError
 from ngvisco.forms.context import Integrand
 from ngvisco.geometries import box
-from ngvisco.solver.choice import SPLIT_FROM
+from ngvisco.solver.choice import SPLIT_FROM, meets_itself
 from ngvisco.solver.split.anderson import Anderson
 from ngvisco.solver.split.linear import TwoLevelSolver
 from ngvisco.solver.split.solver import Split
@@ -141,6 +141,15 @@ def test_quadrilaterals_are_for_the_coupled_solver():
         simulation(mesh=mesh)
 
 
+def test_cells_that_meet_their_own_image_are_for_the_coupled_solver():
+    wide, narrow = (box((1, 1), maxh=maxh, periodic="x") for maxh in (0.3, 2))
+    assert not meets_itself(wide)
+    assert meets_itself(narrow)
+    with pytest.raises(nv.ParameterError, match="meets its own image"):
+        simulation(mesh=narrow)
+    assert not isinstance(simulation(mesh=narrow, solver="auto").solver.newton, Split)
+
+
 def test_unknown_method_is_refused():
     with pytest.raises(
         nv.ParameterError, match=r"method = 'iterative': expected one of auto, coupled, split"
@@ -175,7 +184,7 @@ def test_anderson_solves_a_linear_problem_in_as_many_steps_as_it_has_unknowns():
 def test_two_levels_lead_to_the_same_solution(monkeypatch, k):
     order = nv.Discretisation(k=k)
     direct = simulation(discretisation=order)
-    monkeypatch.setattr("ngvisco.solver.split.preconditioner.DIRECT_UP_TO", 0)
+    monkeypatch.setattr("ngvisco.solver.split.preconditioner.DIRECT_UP_TO", {2: 0, 3: 0})
     two_level = simulation(discretisation=order)
     assert isinstance(two_level.solver.newton.preconditioner.solver, TwoLevelSolver)
     for run in (direct, two_level):
@@ -185,7 +194,7 @@ def test_two_levels_lead_to_the_same_solution(monkeypatch, k):
 
 
 def test_two_levels_take_as_many_iterations_on_finer_meshes(monkeypatch):
-    monkeypatch.setattr("ngvisco.solver.split.preconditioner.DIRECT_UP_TO", 0)
+    monkeypatch.setattr("ngvisco.solver.split.preconditioner.DIRECT_UP_TO", {2: 0, 3: 0})
     counts = []
     for maxh in (0.3, 0.15, 0.075):
         run = simulation(maxh=maxh)
