@@ -28,14 +28,14 @@ class HyperTangent:
         h = self.h
         cell, penalty = h.tangent_coefficients()
         weight = _scaled(h.side_mass, penalty[self.side])
-        self.a_mass = (h.J_a_t @ weight @ h.J_a).tocsr()
-        self.facet_inverse.update(self.a_mass)
+        facets = (h.J_a_t @ weight @ h.J_a).tocsr()
+        self.facet_inverse.update(facets)
         self.E = -(self.facet_inverse.matrix() @ (h.J_a_t @ (weight @ h.J_v))).tocsr()
         self.E_t = self.E.T.tocsr()
         L, J = (h.L_v + h.L_a @ self.E).tocsr(), (h.J_v + h.J_a @ self.E).tocsr()
         inverse = _scaled(h.h_inverse_matrix, cell[self.h_cell])
         own = (J.T @ weight @ J).tocsr()
-        blocks = (h.J_a_t @ weight @ h.J_a).tocsr()
+        blocks = facets
         for b in range(h.size):
             rows = slice(b * h.h_count, (b + 1) * h.h_count)
             own = own + L[rows].T @ inverse @ L[rows]

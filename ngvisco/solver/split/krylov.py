@@ -60,7 +60,7 @@ def newton_krylov(split: Split, x: np.ndarray, history: list[NewtonIteration]) -
                 break
             damping /= 2
             if damping < split.options.min_damping:
-                if size <= 100 * wanted:  # differences do not see further
+                if size <= split.options.tolerance:  # differences do not see further
                     split.unknowns.unpack(x)
                     split.residual()
                     return

@@ -5,16 +5,18 @@ explicit function of (v, a, rho, z) - upwind traces, conjugates, local creep, th
 unknowns - put in exactly; what is iterated is u <- u - P^{-1} R(u) with P of ``Preconditioner``, which
 couples v to the fields inside each cell and leaves out what crosses facets.
 
-What was tried, on the neo-Hookean swirl (p = 4, P2/DG1, tau = 0.02 s, from 1e-1 to 1e-12):
+What was tried, on the neo-Hookean swirl (p = 4, P2/DG1, tau = 0.02 s) and a rotating disc, |increments|
+from 1e-1 to 1e-11, and what came of it:
 
-| variant                                                            | contraction an iteration |
-|--------------------------------------------------------------------|--------------------------|
-| without the share  zeta : dz div w  of the elastic force           | 0.75, fails at CFL 1     |
-| hyperviscosity by c in the tangent of v only, linearised once      | 0.55 to 0.9              |
-| the same with its own derivative in (v, a) (GMRES to 1/100)        | 0.2 to 0.35              |
-| that derivative with the penalty's weight averaged over cells      | diverges (|j| varies by facets) |
-| Anderson from the first iteration                                  | leaps away; from 1e-3 on it helps |
-| solves of the flow to 1/10 beside Anderson                         | stalls at 1e-8: not a fixed map |
+- inertia in the tangent by the coarse rule, which does not see all of P_2: eigenvalue 2.2 of P^{-1} R' on the
+  disc, diverges; by the rule of the forms 0.16 an iteration;
+- the hyperviscosity by its coefficient c in the tangent of v alone, linearised once: 0.55 to 0.9; with its
+  own derivative in (v, a), by GMRES: 0.2 to 0.35;
+- that derivative with the penalty's weight averaged over cells: eigenvalue 27 where the jump is large on one
+  side of a cell; averaged over sides it is right to a few per cent;
+- without the share  zeta : dz div w  of the elastic force: one iteration more in 21;
+- Anderson from the first iteration, with the two faults above: leaps away;
+- the flow's system by a relative tolerance in unscaled unknowns: the wall stress drowns the velocity.
 
 The first iterations, where the hyperviscosity's coefficient changes, are plain with its derivative formed
 at each iterate; then the map is fixed and accelerated.  Where it slows down it is Newton's method with the

@@ -51,7 +51,6 @@ class PointTangent:
             Pi = -creep.R * np.einsum("np,pnx->px", self.zeta, columns[:, :, g:], optimize=True)
             K += np.einsum("xnm,px->pnm", rates.linear[g:], Pi, optimize=True)
             K -= creep.R * columns[:, :, g:] @ force[:, g:]
-        self.K = K
         self.resolvent = np.linalg.inv(np.eye(t.n)[None] - tau * K)
         self.C = tau * force @ (self.resolvent @ columns)
         self.force, self.columns = force, columns
