@@ -5,14 +5,10 @@ once.  What is nonlinear is in scalars on cells (see ``ngvisco.forms.hyperviscos
 
     Hs = lifting(v, a),  s = P |Hs|^2,  c_s = P c(s) + facets,  S = P (c_s Hs),
 
-P the cellwise L2 projections.  The penalty's integrals over facets are NGSolve's, of the jump as a field
-on each side of each facet; on curved cells, where it is no polynomial, of v and a themselves.
+P the cellwise L2 projections.  The penalty is formed at the sides' points, by the rule of the forms.
 """
 
 from __future__ import annotations
-
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,53 +17,79 @@ from ngsolve import (
     L2,
     BilinearForm,
     CoefficientFunction,
-    Discontinuous,
-    FacetFESpace,
     Grad,
-    GridFunction,
-    LinearForm,
     NormalFacetFESpace,
     Periodic,
     TaskManager,
     VectorValued,
     grad,
+    specialcf,
 )
 
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.points import CellPoints, csr
-from ngvisco.forms.spaces import Fields, contraction, hessian_basis
+from ngvisco.forms.side_points import SidePoints
+from ngvisco.forms.spaces import contraction, hessian_basis
 from ngvisco.forms.system import Step
-from ngvisco.physics.tensors import inner
 from ngvisco.solver.split.blocks import BlockInverse
-from ngvisco.solver.split.operators import apply, mass_matrix, pruned
+from ngvisco.solver.split.local import LocalMatrix
+from ngvisco.solver.split.operators import mass_matrix, pruned
+
+
+class SideJumps:
+    """Jumps j = a - d_n v, and what the penalty needs besides, at the sides' points of one rule."""
+
+    def __init__(self, hyper: MatrixHyperviscosity, points: SidePoints) -> None:
+        mesh, n = points.mesh, specialcf.normal(points.mesh.dim)
+        self.points, self.weights = points, points.weights
+        self.of_v = points.operator(hyper.velocity, lambda u: -(grad(u) * n))
+        self.of_a = points.operator(hyper.normal, lambda b: b * n)
+        self.jump = LocalMatrix(sp.hstack([self.of_v, self.of_a], format="csr"), mesh.ne, self.weights)
+        self.h = np.repeat(hyper.term.context.h.vec.FV().NumPy(), self.jump.per_cell)
+        self.penalty = hyper.law.penalty / self.h
+        if not hyper.law.is_linear:
+            self.scalar = LocalMatrix(points.values(hyper.squares), mesh.ne, self.weights)
 
 
 class MatrixHyperviscosity:
-    """Rows of v and a, and the element matrices' ingredients, of one step's hyperviscosity."""
+    """Rows of v and a of one step's hyperviscosity."""
 
-    def __init__(self, step: Step, term: Hyperviscosity, points: CellPoints) -> None:
+    def __init__(self, step: Step, term: Hyperviscosity, points: CellPoints, sides: SidePoints) -> None:
         self.step, self.term, self.law = step, term, term.law
-        # Hs and all that is made of it are cellwise constant for k = 2: one point does
-        constant = step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
-        self.points = CellPoints(step.mesh, 0) if constant else points
         layout, self.dim = step.layout, step.mesh.dim
         k = layout.discretisation.k
+        # Hs and all that is made of it are cellwise constant for k = 2: one point does
+        constant = k == 2 and step.mesh.GetCurveOrder() <= 1
+        self.points = CellPoints(step.mesh, 0) if constant else points
         self.velocity = layout.scalar_velocity_space()
         normal_space = NormalFacetFESpace(step.mesh, order=k - 1)
         self.normal = Periodic(normal_space) if layout.periodic else normal_space
+        self.squares = L2(step.mesh, order=2 * k - 4)
         state = step.state.vec.FV().NumPy()
         self.v = state[layout.ranges["v"]].reshape(self.dim, -1)
         start = layout.ranges["a_1"].start
         stop = layout.ranges[f"a_{self.dim}"].stop
         self.a = state[start:stop].reshape(self.dim, -1)
         self._lifting(k)
-        self._jumps(k)
-        self._scalars(k)
+        self.sides = SideJumps(self, sides)
+        self.hess = state[layout.ranges["hess"]].reshape(self.dim * self.size, -1)
+        self.stress = state[layout.ranges["hyperstress"]].reshape(self.dim * self.size, -1)
+        if not self.law.is_linear:
+            self.s = state[layout.ranges["hess_square"]]
+            self.c = state[layout.ranges["hyper_coefficient"]]
+            self.s_values = self._local(self.points.values(self.squares))
+            mass = mass_matrix(self.s_values.matrix, self.points.weights)
+            self.s_inverse = BlockInverse(mass)
+            self.s_inverse.update(mass)
+
+    def _local(self, matrix: sp.csr_matrix) -> LocalMatrix:
+        return LocalMatrix(matrix, self.step.mesh.ne, self.points.weights)
 
     def _lifting(self, k: int) -> None:
-        """L_v, L_a with  mass Hs_i = L_v v_i + L_a a_i."""
-        dim, n, facets = self.dim, self.term.context.normal, self.step.quadrature.facets
-        scalar = L2(self.step.mesh, order=k - 2)
+        """L_v, L_a with  mass Hs_i = L_v v_i + L_a a_i,  and the lifting of (v, a)."""
+        dim, facets = self.dim, self.step.quadrature.facets
+        mesh, n = self.step.mesh, self.term.context.normal
+        scalar = L2(mesh, order=k - 2)
         size = hessian_basis(dim).shape[1]
         tests = VectorValued(scalar, size)
         X, phi, b = tests.TestFunction(), self.velocity.TrialFunction(), self.normal.TrialFunction()
@@ -80,214 +102,55 @@ class MatrixHyperviscosity:
         of_a += (X_n * n) * (b * n) * facets
         with TaskManager():
             self.L_v, self.L_a = pruned(csr(of_v.Assemble().mat)), pruned(csr(of_a.Assemble().mat))
-        self.h_values = self.points.values(scalar)
-        self.h_test = (sp.diags(self.points.weights) @ self.h_values).T.tocsr()
-        mass = mass_matrix(self.h_values, self.points.weights)
+        self.h_values = self._local(self.points.values(scalar))
+        mass = mass_matrix(self.h_values.matrix, self.points.weights)
         self.h_inverse = BlockInverse(mass)
         self.h_inverse.update(mass)
         self.h_inverse_matrix = self.h_inverse.matrix()
         self.size, self.h_count = size, scalar.ndof
+        # rows cell by cell, the components of Hs after each other in a cell
+        loads = sp.hstack([self.L_v, self.L_a], format="csr")
+        inverse = sp.block_diag([self.h_inverse_matrix] * size, format="csr")
+        order = np.arange(size * self.h_count).reshape(size, mesh.ne, -1).transpose(1, 0, 2).ravel()
+        self.lift = LocalMatrix((inverse @ loads).tocsr()[order], mesh.ne)
 
-    def _jumps(self, k: int) -> None:
-        """J_v, J_a with  j_i = J_v v_i + J_a a_i  on each side of each facet."""
-        facets, n = self.step.quadrature.facets, self.term.context.normal
-        sides = Discontinuous(FacetFESpace(self.step.mesh, order=k - 1))
-        t, phi, b = sides.TestFunction(), self.velocity.TrialFunction(), self.normal.TrialFunction()
-        of_v = BilinearForm(trialspace=self.velocity, testspace=sides)
-        of_v += -(grad(phi) * n) * t * facets
-        of_a = BilinearForm(trialspace=self.normal, testspace=sides)
-        of_a += (b * n) * t * facets
-        mass = BilinearForm(sides)
-        mass += sides.TrialFunction() * t * facets
-        with TaskManager():
-            inverse = BlockInverse(csr(mass.Assemble().mat))
-            inverse.update(csr(mass.mat))
-            J_v, J_a = csr(of_v.Assemble().mat), csr(of_a.Assemble().mat)
-        self.side_mass = csr(mass.mat)
-        self.J_v, self.J_a = (pruned((inverse.matrix() @ J).tocsr()) for J in (J_v, J_a))
-        self.J_a_t = self.J_a.T.tocsr()
-        # both maps of both unknowns at once, and their transpose
-        self.maps = sp.bmat([[self.L_v, self.L_a], [self.J_v, self.J_a]], format="csr")
-        self.tests = self.maps.T.tocsr()
-        self.jump = GridFunction(VectorValued(sides, self.dim))
-        self.j = self.jump.vec.FV().NumPy().reshape(self.dim, -1)
+    def lifted(self, x: np.ndarray) -> np.ndarray:
+        """Hs of x = (v, a) side by side, (dim, .): coefficients (dim size, h_count)."""
+        by_cells = self.lift(x).reshape(self.dim, self.step.mesh.ne, self.size, -1)
+        return by_cells.swapaxes(1, 2).reshape(-1, self.h_count)
 
-    def _scalars(self, k: int) -> None:
-        """Forms of the penalty, and the projections of s and c_s."""
-        layout, facets = self.step.layout, self.step.quadrature.facets
-        state = self.step.state.vec.FV().NumPy()
-        parts = dict(zip(layout.names, self.step.state.components, strict=True))
-        curved = self.step.mesh.GetCurveOrder() > 1
-        u = self.step.now if curved else SideFields(layout, parts, self.jump)
-        stiffness, coupling = self.term.penalty(u)
-        if coupling is not None:
-            h = self.term.context.h
-            stiffness = stiffness + coupling / (h * h)
-            squares = layout.blocks["hess_square"]
-            self.coupling = LinearForm(squares)
-            self.coupling += coupling.Compile() * squares.TestFunction() * facets
-            self.s = state[layout.ranges["hess_square"]]
-            self.c = state[layout.ranges["hyper_coefficient"]]
-            self.s_values = self.points.values(L2(self.step.mesh, order=2 * k - 4))
-            self.s_test = (sp.diags(self.points.weights) @ self.s_values).T.tocsr()
-            mass = mass_matrix(self.s_values, self.points.weights)
-            self.s_inverse = BlockInverse(mass)
-            self.s_inverse.update(mass)
-        n = self.term.context.normal
-        if curved:
-            w, b = self.step.layout.blocks["v"].TestFunction(), self.normal.TestFunction()
-            self._curved_v = LinearForm(self.step.layout.blocks["v"])
-            self._curved_v += (-stiffness * inner(u.jump, Grad(w) * n)).Compile() * facets
-            self._curved_a = []
-            for i in range(self.dim):
-                form = LinearForm(self.normal)
-                form += (stiffness * u.jump[i] * (b * n)).Compile() * facets
-                self._curved_a.append(form)
-        else:
-            tests = self.jump.space
-            self.penalty = LinearForm(tests)
-            self.penalty += (stiffness * inner(self.jump, tests.TestFunction())).Compile() * facets
-        self.curved = curved
-        self.hess = state[layout.ranges["hess"]].reshape(self.dim * self.size, -1)
-        self.stress = state[layout.ranges["hyperstress"]].reshape(self.dim * self.size, -1)
+    def tested(self, loads: np.ndarray) -> np.ndarray:
+        """Rows of (v, a) side by side of a stress's integrals against the functions of Hs."""
+        by_components = loads.reshape(self.dim, self.size, self.step.mesh.ne, -1)
+        return self.lift.test(by_components.swapaxes(1, 2).reshape(self.dim, -1))
 
     def set_local(self) -> None:
         """Hs, s, c_s, S and the jumps from v and a, into the state."""
-        self.hess[:], self.j[:] = self._mapped(self.v, self.a)
-        law = self.law
+        law, sides = self.law, self.sides
+        x = np.concatenate([self.v, self.a], axis=1)
+        self.hess[:] = self.lifted(x)
+        self.j = sides.jump(x)
         if law.is_linear:
             self.stress[:] = (law.mu + law.mu_1) * self.hess
+            self._loads = (law.mu + law.mu_1) * self.h_values.test(self.h_values(self.hess))
+            self.stiffness = sides.penalty * (law.mu + law.mu_1)
             return
-        at_points = apply(self.h_values, self.hess)
-        self.s[:] = self.s_inverse(self.s_test @ np.einsum("bp,bp->p", at_points, at_points))
-        self.coupling.Assemble()
-        values = law.coefficient(self.s_values @ self.s)
-        self.c[:] = self.s_inverse(self.s_test @ values + self.coupling.vec.FV().NumPy())
-        at_points *= (self.s_values @ self.c)[None]
-        self.stress[:] = apply(self.h_inverse_matrix, apply(self.h_test, at_points))
-
-    def _mapped(self, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Hs and the jumps of (v, a), (dim size, .) and (dim, .)."""
-        images = (self.maps @ np.concatenate([v, a], axis=1).T).T
-        loads = images[:, : self.size * self.h_count]
-        return (
-            apply(self.h_inverse_matrix, loads.reshape(self.dim * self.size, -1)),
-            images[:, self.size * self.h_count :],
-        )
-
-    def _tested(self, stress: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of v and a of a stress (dim size, .) and of loads on the sides (dim, .)."""
-        rows = (self.tests @ np.concatenate([stress.reshape(self.dim, -1), sides], axis=1).T).T
-        return rows[:, : self.v.shape[1]].copy(), rows[:, self.v.shape[1] :].copy()
+        at_points = self.h_values(self.hess)
+        self.s[:] = self.s_inverse(self.s_values.test(np.einsum("bp,bp->p", at_points, at_points)))
+        squares = np.einsum("ip,ip->p", self.j, self.j)
+        size = sides.scalar(self.s) + squares / sides.h**2 + self.term.context.curvature.Get() ** 2
+        slope = sides.penalty * law.slope(size)
+        self.stiffness = sides.penalty * law.coefficient(size) + slope * squares / sides.h**2
+        values = law.coefficient(self.s_values(self.s))
+        self.c[:] = self.s_inverse(self.s_values.test(values) + sides.scalar.test(slope * squares))
+        at_points *= self.s_values(self.c)
+        self._loads = self.h_values.test(at_points)
+        self.stress[:] = self.h_inverse(self._loads)
 
     def residual(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows of v and of a, (dim, velocity's unknowns) and (dim, facets' unknowns)."""
-        if not self.curved:
-            self.penalty.Assemble()
-            return self._tested(self.stress, self.penalty.vec.FV().NumPy().reshape(self.dim, -1))
-        rows_v, rows_a = self._tested(self.stress, np.zeros_like(self.j))
-        self._curved_v.Assemble()
-        rows_v += self._curved_v.vec.FV().NumPy().reshape(self.dim, -1)
-        for form, row in zip(self._curved_a, rows_a, strict=True):
-            form.Assemble()
-            row += form.vec.FV().NumPy()
-        return rows_v, rows_a
-
-    def side_squares(self, j: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Means of j . other over the sides, (sides,); both are (dim, sides' coefficients)."""
-        product = (j * (self.side_mass @ other.T).T).sum(axis=0)
-        return product.reshape(len(self.areas), -1).sum(axis=1) / self.areas
-
-    @cached_property
-    def areas(self) -> np.ndarray:
-        """Measure of every side of every cell, (sides,)."""
-        one = GridFunction(self.jump.space.components[0])
-        one.Set(1.0, dual=True)
-        values = one.vec.FV().NumPy()
-        return (values * (self.side_mass @ values)).reshape(-1, self.per_side).sum(axis=1)
-
-    @property
-    def per_side(self) -> int:
-        return self.j.shape[1] // (self.step.mesh.ne * (self.dim + 1))
-
-    def cell_means(self, values: np.ndarray) -> np.ndarray:
-        """Means over the cells of values at the points."""
-        weights = self.points.weights.reshape(self.step.mesh.ne, -1)
-        return (values.reshape(weights.shape) * weights).sum(axis=1) / weights.sum(axis=1)
-
-    def linearise(self) -> None:
-        """Keep what ``derivative`` needs of the present state."""
-        law, sides = self.law, self.dim + 1
-        h = np.repeat(self.term.context.h.vec.FV().NumPy(), sides)
-        self._at = apply(self.h_values, self.hess)
-        self._j, self._h = self.j.copy(), h
-        if law.is_linear:
-            self._c = np.full(self.points.count, law.mu + law.mu_1)
-            self._weight = law.penalty / h * (law.mu + law.mu_1)
-            return
-        s = self.s_values @ self.s
-        self._c, self._slope = self.s_values @ self.c, law.slope(s)
-        q = self.side_squares(self._j, self._j)
-        size = np.repeat(self.cell_means(s), sides) + q / h**2 + self.term.context.curvature.Get() ** 2
-        slope = law.slope(size)
-        bend = 0.5 * (law.p - 4) * slope / size * q  # c'' |j|^2
-        weight = law.penalty / h
-        self._weight = weight * (law.coefficient(size) + slope * q / h**2)
-        self._weight_s, self._weight_q = (
-            weight * (slope + bend / h**2),
-            weight * (2 * slope + bend / h**2) / h**2,
-        )
-        self._own_s, self._own_q = weight * bend, weight * (slope + bend / h**2)
-
-    def derivative(self, dv: np.ndarray, da: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The rows' derivative in the direction (dv, da), with means over the sides in the penalty."""
-        sides = self.dim + 1
-        hess, dj = self._mapped(dv, da)
-        at = apply(self.h_values, hess)
-        stress = self._c * at
-        weighted = np.repeat(self._weight, self.per_side) * (self.side_mass @ dj.T).T
-        if not self.law.is_linear:
-            ds = 2 * np.einsum("bp,bp->p", self._at, at)
-            dq = 2 * self.side_squares(self._j, dj)
-            mean = np.repeat(self.cell_means(ds), sides)
-            change = self._weight_s * mean + self._weight_q * dq
-            weighted += np.repeat(change, self.per_side) * (self.side_mass @ self._j.T).T
-            volume = self.points.weights.reshape(self.step.mesh.ne, -1).sum(axis=1)
-            coupling = (self._own_s * mean + self._own_q * dq) * self.areas
-            from_sides = coupling.reshape(-1, sides).sum(axis=1) / volume
-            stress += self._at * (self._slope * ds + np.repeat(from_sides, self.points.per_cell))
-        return self._tested(apply(self.h_inverse_matrix, apply(self.h_test, stress)), weighted)
-
-    def hess_cells(self) -> np.ndarray:
-        """The cell of every coefficient of a component of Hs."""
-        return np.arange(self.h_count) // (self.h_count // self.step.mesh.ne)
-
-    def sides(self) -> np.ndarray:
-        """The side of every coefficient of a jump."""
-        return np.arange(self.j.shape[1]) // self.per_side
-
-    def tangent_coefficients(self) -> tuple[np.ndarray, np.ndarray]:
-        """Cellwise coefficients of |Hs|^2 and of the penalty in the tangent, (cells,) each."""
-        law, cells = self.law, self.step.mesh.ne
-        h = self.term.context.h.vec.FV().NumPy()
-        if law.is_linear:
-            c = np.full(cells, law.mu + law.mu_1)
-            return c, np.repeat(law.penalty / h * c, self.dim + 1)
-        s, c = (np.maximum(self.cell_means(self.s_values @ q), 0) for q in (self.s, self.c))
-        sides = self.dim + 1
-        size = np.repeat(s, sides) + self.side_squares(self.j, self.j) / np.repeat(h, sides) ** 2
-        c_penalty = law.coefficient(size + self.term.context.curvature.Get() ** 2)
-        stretch = 0.5 * law.p
-        c, c_penalty = (law.mu_1 + stretch * (value - law.mu_1) for value in (c, c_penalty))
-        return c, law.penalty / np.repeat(h, sides) * c_penalty
-
-
-class SideFields(Fields):
-    """Fields whose jump of the normal derivative is a field on the sides of facets."""
-
-    def __init__(self, layout: Any, parts: dict[str, Any], jump: GridFunction) -> None:
-        super().__init__(layout, parts)
-        self.__dict__["jump"] = jump  # in place of the cached property
+        rows = self.tested(self._loads) + self.sides.jump.test(self.stiffness * self.j)
+        return rows[:, : self.v.shape[1]], rows[:, self.v.shape[1] :]
 
 
 def _divergence(X: CoefficientFunction, dim: int) -> CoefficientFunction:

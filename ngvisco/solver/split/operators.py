@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from ngsolve import CF, L2, BilinearForm, CoefficientFunction, FESpace
 from ngvisco.forms.points import CellPoints, csr
 from ngvisco.forms.system import Step
 from ngvisco.physics.material import component_count, components_of, conjugates, tensors_of
+from ngvisco.solver.split.local import LocalMatrix
 
 
 class ScalarForm:
@@ -34,16 +36,28 @@ class Operators:
 
     def __init__(self, step: Step, order: int) -> None:
         layout, mesh = step.layout, step.mesh
-        self.points = CellPoints(mesh, order)
+        self.points = points = CellPoints(mesh, order)
         self.scalar = L2(mesh, order=layout.discretisation.m)
         self.velocity, self.creep = layout.scalar_velocity_space(), layout.scalar_creep_space()
-        self.weights = self.points.weights
-        W = sp.diags(self.weights)
-        self.z, self.v = self.points.values(self.scalar), self.points.values(self.velocity)
-        self.dz, self.dv = self.points.gradients(self.scalar), self.points.gradients(self.velocity)
-        # tests by the fields' and the velocity's functions
-        self.z_t, self.v_t = (W @ self.z).T.tocsr(), (W @ self.v).T.tocsr()
-        self.dv_t = [(W @ D).T.tocsr() for D in self.dv]
+        self.weights = points.weights
+        self.z, self.v = self.local(points.values(self.scalar)), self.local(points.values(self.velocity))
+        self.dz = [self.local(D) for D in points.gradients(self.scalar)]
+        self.dv = [self.local(D) for D in points.gradients(self.velocity)]
+
+    def local(self, matrix: sp.csr_matrix) -> LocalMatrix:
+        """A matrix whose rows are the points, with the rule's weights for tests."""
+        return LocalMatrix(matrix, self.points.mesh.ne, self.weights)
+
+    def gradients(self, operators: Sequence[LocalMatrix], rows: np.ndarray) -> np.ndarray:
+        """Partial derivatives of each of ``rows``, (rows, dim, points)."""
+        result = np.empty((len(rows), len(operators), self.points.count))
+        for j, D in enumerate(operators):
+            D(rows, out=result[:, j])
+        return result
+
+    def velocity_gradient(self, v: np.ndarray) -> np.ndarray:
+        """L_ij = d_j v_i row by row at the points, (dim^2, points)."""
+        return self.gradients(self.dv, v).reshape(-1, self.points.count)
 
 
 def apply(matrix: sp.csr_matrix, rows: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from scipy.sparse.linalg import LinearOperator, gmres
 from ngvisco.forms.system import Step
 from ngvisco.solver.split.blocks import BlockInverse
 from ngvisco.solver.split.hyper import MatrixHyperviscosity
+from ngvisco.solver.split.hyper_derivative import HyperDerivative
 from ngvisco.solver.split.hyper_tangent import HyperTangent
 from ngvisco.solver.split.linear import DirectSolver, TwoLevelSolver
 from ngvisco.solver.split.momentum import Momentum
@@ -52,12 +53,13 @@ class Preconditioner:
         unknowns: Unknowns,
         inverse: str,
     ) -> None:
-        self.t, self.m, self.hyper, self.unknowns = momentum.transport, momentum, hyper, unknowns
+        self.t, self.m, self.unknowns = momentum.transport, momentum, unknowns
         k, m = step.discretisation.k, step.discretisation.m
         self.op = Operators(step, max(k - 1, m))
         self.d = step.mesh.dim
         self.points = PointTangent(self.t, self.op)
-        self.hyper_tangent = None if hyper is None else HyperTangent(hyper)
+        self.derivative = None if hyper is None else HyperDerivative(hyper)
+        self.hyper_tangent = None if self.derivative is None else HyperTangent(self.derivative)
         self.tangent = VelocityTangent(momentum, self.points, self.hyper_tangent)
         self.sweep = Sweep(self.t, inverse)
         free = [np.array(list(step.layout.blocks[name].FreeDofs()), dtype=bool) for name in unknowns.flow]
@@ -69,10 +71,12 @@ class Preconditioner:
             self.solver = TwoLevelSolver(self.free, vertices, inverse)
         else:
             self.solver = DirectSolver(self.free, inverse, symmetric=unknowns.flow == ["v"])
-        mass = mass_matrix(self.op.z, self.op.weights)
+        mass = mass_matrix(self.op.z.matrix, self.op.weights)
         self.project = BlockInverse(mass)
         self.project.update(mass)
         self.nv = self.t.v.size
+        if self.t.Pi is not None:
+            self._creep = self.op.local(self.op.points.values(self.op.creep))
 
     def update(self, clock: Callable[[str], AbstractContextManager[None]]) -> None:
         """Form and factorise everything at the present state, whose residual has just been evaluated.
@@ -82,48 +86,59 @@ class Preconditioner:
         with clock("assembly"):
             self.points.update()
             if self.hyper_tangent is not None:
+                self.hyper_tangent.derivative.update()
                 self.hyper_tangent.update()
             self.plain, matrix = self.tangent.matrices()
         with clock("factorisation"):
             self.solver.factorise(matrix)
         with clock("assembly"):
             self.sweep.update()
-        if self.hyper is not None:
-            self.hyper.linearise()
 
     def linearise(self) -> None:
         """Let what is strongly nonlinear follow the present state, at little cost."""
         self.sweep.linearise()
-        if self.hyper is not None:
-            self.hyper.linearise()
+        if self.derivative is not None:
+            self.derivative.update()
 
     def __call__(self, r: Residual, tolerance: float) -> np.ndarray:
         """The increment, packed; ``tolerance`` is that of the flow's linear system."""
-        p, op, d, t = self.points, self.op, self.d, self.t
-        tau = t.context.tau.Get()
-        dz = np.einsum("pnm,mp->np", p.resolvent, apply(op.z, self.sweep.fields(r.z)), optimize=True)
-        density = self.sweep.density(r.density)
+        op, d, t = self.op, self.d, self.t
+        dz = self._resolved(self.sweep.fields(r.z))
         flow = r.flow.copy()
-        v = flow[: self.nv].reshape(d, -1)
-        force = np.einsum("pxn,np->xp", p.force, dz, optimize=True)
-        for i in range(d):
-            for j in range(d):
-                v[i] -= op.dv_t[j] @ force[i * d + j]
+        flow[: self.nv] -= self._force(dz).ravel()
         dflow, da = self._flow(flow, r.normals, tolerance)
         dv = dflow[: self.nv].reshape(d, -1)
-        X = np.stack([D @ c for c in dv for D in op.dv])
-        dv_q = apply(op.v, dv)
+        X = op.velocity_gradient(dv)
         if t.Pi is not None:
-            dPi = dflow[-t.Pi.size :].reshape(t.Pi.shape)
-            X = np.concatenate([X, apply(op.points.values(op.creep), dPi)])
+            X = np.concatenate([X, self._creep(dflow[-t.Pi.size :].reshape(t.Pi.shape))])
+        dv_q = op.v(dv)
+        dz += self._carried(X, dv_q)
+        drho = op.z(t.rho) * sum(X[i * (d + 1)] for i in range(d))
+        drho += sum(D(t.rho) * dv_q[j] for j, D in enumerate(op.dz))
+        density = r.density.copy()
+        density[: t.rho.size] -= op.z.test(drho)
+        parts = [dflow, *([] if da is None else [da.ravel()]), self.sweep.density(density)]
+        return np.concatenate([*parts, self.project(op.z.test(dz)).ravel()])
+
+    def _resolved(self, dz: np.ndarray) -> np.ndarray:
+        """(1 - tau K)^{-1} dz at the coarse rule's points, (n, points), of coefficients dz."""
+        return np.einsum("pnm,mp->np", self.points.resolvent, self.op.z(dz), optimize=True)
+
+    def _carried(self, X: np.ndarray, dv_q: np.ndarray) -> np.ndarray:
+        """What z takes from an increment of v and Pi with these values at the points, (n, points)."""
+        p = self.points
         source = np.einsum("pnx,xp->np", p.columns[:, :, : len(X)], X, optimize=True)
-        source -= np.einsum("njp,jp->np", p.dz, dv_q)
-        dz += tau * np.einsum("pnm,mp->np", p.resolvent, source, optimize=True)
-        drho = (op.z @ t.rho) * sum(X[i * (d + 1)] for i in range(d))
-        drho += sum((D @ t.rho) * dv_q[j] for j, D in enumerate(op.dz))
-        density[: t.rho.size] -= tau * self.project(op.z_t @ drho)
-        parts = [dflow, *([] if da is None else [da.ravel()]), density]
-        return np.concatenate([*parts, self.project(apply(op.z_t, dz)).ravel()])
+        for j, values in enumerate(dv_q):
+            source -= p.dz[:, j] * values
+        return self._resolved(self.sweep.fields(self.op.z.test(source)))
+
+    def _force(self, dz: np.ndarray) -> np.ndarray:
+        """The elastic force's derivative in dz at the points, rows of v (dim, .)."""
+        stress = np.einsum("pxn,np->xp", self.points.force[:, : self.d**2], dz, optimize=True)
+        rows = np.zeros((self.d, self.op.v.width))
+        for j, D in enumerate(self.op.dv):
+            rows += D.test(stress[j :: self.d])
+        return rows
 
     def _flow(
         self, flow: np.ndarray, normals: np.ndarray | None, tolerance: float
@@ -136,12 +151,16 @@ class Preconditioner:
 
         def operator(y: np.ndarray) -> np.ndarray:
             rows = self.plain @ y[:count]
-            if self.hyper is None:
-                return np.where(self.free, rows, 0.0)
             dv = y[: self.nv].reshape(self.d, -1)
-            of_v, of_a = self.hyper.derivative(dv, y[count:].reshape(shape))
-            rows[: self.nv] += of_v.ravel()
-            return np.concatenate([np.where(self.free, rows, 0.0), of_a.ravel()])
+            carried = self._carried(self.op.velocity_gradient(dv), self.op.v(dv))
+            rows[: self.nv] += self._force(carried).ravel()
+            if self.derivative is None:
+                return np.where(self.free, rows, 0.0)
+            both = [dv, y[count:].reshape(shape)]
+            of_both = self.derivative(np.concatenate(both, axis=1))
+            n = self.nv // self.d
+            rows[: self.nv] += of_both[:, :n].ravel()
+            return np.concatenate([np.where(self.free, rows, 0.0), of_both[:, n:].ravel()])
 
         def block(y: np.ndarray) -> np.ndarray:
             h = self.hyper_tangent

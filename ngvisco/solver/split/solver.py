@@ -85,7 +85,9 @@ class Split:
         self.transport = Transport(step, op, self.unknowns)
         self.momentum = Momentum(step, self.transport, self.unknowns)
         laws = [term for term in step.terms if isinstance(term, Hyperviscosity)]
-        self.hyper = MatrixHyperviscosity(step, laws[0], op.points) if laws else None
+        self.hyper: MatrixHyperviscosity | None = None
+        if laws:
+            self.hyper = MatrixHyperviscosity(step, laws[0], op.points, self.transport.facets.points)
         self.preconditioner = Preconditioner(step, self.momentum, self.hyper, self.unknowns, options.inverse)
         self.exists = False
         self.seconds: dict[str, float] = defaultdict(float)

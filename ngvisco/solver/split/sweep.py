@@ -1,8 +1,10 @@
-"""One sweep of the transport: each cell for itself, with its neighbours' values held (block Jacobi).
+"""Approximate solution of the transport equations for a given velocity.
 
-The scalar block of a cell is M/tau + convection + what flows in; rates and creep follow at the points of
-the coarse rule by (1 - tau K)^{-1} (``PointTangent``).  With diffusion of z the blocks no longer do: its
-scalar matrix is factorised as a whole.  A density equation that is not linear has a Jacobian of its own.
+One component of z, and rho, have the scalar matrix T = M/tau + convection + facets with the trace
+eliminated.  Sweeps over the cells, each for itself with its neighbours' values (block Jacobi), converge
+like the Courant number; ``SWEEPS`` of them are taken always, so that the map stays linear.  With diffusion of
+z, which cells do not resolve, T is factorised.  A density equation that is not linear has a Jacobian of its
+own.
 """
 
 from __future__ import annotations
@@ -14,17 +16,19 @@ from ngvisco.solver.split.blocks import BlockInverse
 from ngvisco.solver.split.linear import DirectSolver
 from ngvisco.solver.split.transport import Transport
 
+SWEEPS = 4
+"""Block Jacobi sweeps."""
+
 
 class Sweep:
     """Approximate inverses of the scalar transport of z and of the density equation."""
 
     def __init__(self, transport: Transport, inverse: str) -> None:
         self.t = transport
-        op = transport.op
-        pattern = abs(transport.mass) + abs(transport.own_trace.matrix)
-        for D in op.dz:
-            pattern = pattern + abs(op.z).T @ abs(D)
-        self._cells, self._density = BlockInverse(pattern.tocsr()), BlockInverse(pattern.tocsr())
+        pattern = abs(transport.op.z.matrix).T @ abs(transport.op.z.matrix)
+        for D in transport.op.dz:
+            pattern = pattern + abs(transport.op.z.matrix).T @ abs(D.matrix)
+        self._cells, self._rho_cells = BlockInverse(pattern.tocsr()), BlockInverse(pattern.tocsr())
         self._whole = self._own = None
         if transport.diffusion is not None:
             self._whole = DirectSolver(np.ones(transport.mass.shape[0], dtype=bool), inverse)
@@ -32,21 +36,19 @@ class Sweep:
             self._own = DirectSolver(transport.density.free, inverse)
 
     def update(self) -> None:
-        """Invert at the present state."""
+        """Form the matrices and invert at the present state."""
         t, op, tau = self.t, self.t.op, self.t.context.tau.Get()
-        W = sp.diags(op.weights)
-        convection = op.z.T @ W @ sum(sp.diags(t.v_q[j]) @ D for j, D in enumerate(op.dz))
-        own = t.from_trace.matrix @ t.trace_inverse.matrix() @ t.to_trace.matrix
-        inflow = own.multiply(t.own_trace.matrix != 0) - t.own_trace.matrix
-        cells = t.mass / tau + convection + inflow
+        z_t = op.z.matrix.T @ sp.diags(op.weights)
+        convection = sum(z_t @ sp.diags(t.v_q[j]) @ D.matrix for j, D in enumerate(op.dz))
+        self._T = (t.mass / tau + convection + t.facets.fields_matrix()).tocsr()
         if self._whole is not None:
-            self._whole.factorise((cells + t.diffusion).tocsr())
+            self._whole.factorise((self._T + t.diffusion).tocsr())
         else:
-            self._cells.update(cells.tocsr())
+            self._cells.update(self._T)
         self.linearise()
         if self._own is None:
-            density = t.mass / tau - convection.T + t.density_out.matrix
-            self._density.update(density.tocsr())
+            self._T_rho = (t.mass / tau - convection.T + t.facets.density_matrix()).tocsr()
+            self._rho_cells.update(self._T_rho)
 
     def linearise(self) -> None:
         """Let a density equation that is not linear follow the present state."""
@@ -56,12 +58,17 @@ class Sweep:
 
     def fields(self, r: np.ndarray) -> np.ndarray:
         """Increments of z, (n, cells' unknowns), before rates and creep."""
-        return self._cells(r) if self._whole is None else apply_solver(self._whole, r)
+        if self._whole is not None:
+            return np.stack([self._whole(row) for row in r])
+        return _swept(self._T, self._cells, r)
 
     def density(self, r: np.ndarray) -> np.ndarray:
         """Increments of the density's unknowns."""
-        return self._density(r) if self._own is None else self._own(r)
+        return _swept(self._T_rho, self._rho_cells, r) if self._own is None else self._own(r)
 
 
-def apply_solver(solver: DirectSolver, rows: np.ndarray) -> np.ndarray:
-    return np.stack([solver(row) for row in rows])
+def _swept(matrix: sp.csr_matrix, cells: BlockInverse, r: np.ndarray) -> np.ndarray:
+    x = cells(r)
+    for _ in range(SWEEPS - 1):
+        x += cells(r - (matrix @ x.T).T)
+    return x

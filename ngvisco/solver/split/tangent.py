@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from ngvisco.errors import MeshError
 from ngvisco.solver.split.hyper_tangent import HyperTangent
 from ngvisco.solver.split.momentum import Momentum
-from ngvisco.solver.split.operators import Conjugation, Operators, apply
+from ngvisco.solver.split.operators import Conjugation, Operators
 from ngvisco.solver.split.transport import Transport
 
 
@@ -34,9 +34,8 @@ class PointTangent:
         """Form K's resolvent, d rate/dX and C at the present state."""
         t, op, rates = self.t, self.op, self.t.rates
         tau, g = t.context.tau.Get(), rates.gradients
-        self.z, self.zeta = apply(op.z, t.z), apply(op.z, t.zeta)
-        self.v = apply(op.v, t.v)
-        self.L = np.stack([D @ c for c in t.v for D in op.dv])
+        self.z, self.zeta, self.v = op.z(t.z), op.z(t.zeta), op.v(t.v)
+        self.L = op.velocity_gradient(t.v)
         slopes = self._second_derivative()  # (points, n, n)
         columns = rates.columns(self.z)  # (points, n, X)
         K = np.einsum("xnm,xp->pnm", rates.linear[:g], self.L, optimize=True)
@@ -54,7 +53,7 @@ class PointTangent:
         self.resolvent = np.linalg.inv(np.eye(t.n)[None] - tau * K)
         self.C = tau * force @ (self.resolvent @ columns)
         self.force, self.columns = force, columns
-        self.dz = np.stack([[D @ c for D in op.dz] for c in t.z])
+        self.dz = op.gradients(op.dz, t.z)
 
     def _second_derivative(self) -> np.ndarray:
         """phi'' by central differences of phi', (points, n, n)."""
@@ -78,37 +77,40 @@ class VelocityTangent:
         self.m, self.p, self.hyper = momentum, points, hyper
         op, d = points.op, momentum.dim
         cells = op.points.mesh.ne
-        per, local = op.points.per_cell, op.v.indptr[1]
-        if not (np.diff(op.v.indptr) == local).all():
+        v = op.v.matrix
+        per, local = op.points.per_cell, v.indptr[1]
+        if not (np.diff(v.indptr) == local).all():
             raise MeshError("a cell of a periodic mesh meets its own image: expected two cells or more")
-        self.dofs = op.v.indices.reshape(cells, per, local)[:, 0]
+        self.dofs = v.indices.reshape(cells, per, local)[:, 0]
         self.shapes = np.stack(
-            [matrix.data.reshape(cells, per, local) for matrix in (op.v, *op.dv)], axis=2
+            [each.matrix.data.reshape(cells, per, local) for each in (op.v, *op.dv)], axis=2
         )  # (cells, points, 1 + d, local)
         self.weights = op.weights.reshape(cells, per)
-        n = op.v.shape[1]
+        n = op.v.width
         flat = self.dofs[:, :, None].astype(np.int64) * n + self.dofs[:, None, :]
         keys, self.position = np.unique(flat.ravel(), return_inverse=True)
         self.rows, self.columns = keys // n, keys % n
         self.n, self.d, self.cells, self.per, self.local = n, d, cells, per, local
 
     def matrices(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        """Matrices of the flow's unknowns without and with the hyperviscosity's part.
+        """Matrices of the flow's unknowns without and with the elastic and the hyperviscosity's part.
 
         PointTangent and HyperTangent are those of the present state.
         """
         d, n = self.d, self.n
-        A = self._pointwise()
-        plain = [[self._assembled(self._cells(A[:, :, i, :, k, :])) for k in range(d)] for i in range(d)]
+        plain, elastic = (
+            [[self._assembled(self._cells(A[:, :, i, :, k, :])) for k in range(d)] for i in range(d)]
+            for A in self._pointwise()
+        )
         inertia = self._assembled(self._inertia())
         for i in range(d):
             plain[i][i] = plain[i][i] + inertia
-        parts = [sp.bmat(plain, format="csr"), None]
+        parts = [sp.bmat(plain, format="csr"), sp.bmat(elastic, format="csr")]
         if self.hyper is not None:
-            parts[1] = sp.block_diag([self.hyper.matrix] * d, format="csr")
+            parts[1] = parts[1] + sp.block_diag([self.hyper.matrix] * d, format="csr")
         rest = self.m.rows - d * n
         if rest:
-            parts = [None if m is None else sp.block_diag([m, sp.csr_matrix((rest, rest))]) for m in parts]
+            parts = [sp.block_diag([m, sp.csr_matrix((rest, rest))]) for m in parts]
         if self.m.by_forms is not None:
             parts[0] = parts[0] + self.m.by_forms.jacobian()
         if self.m.transport.Pi is not None:
@@ -116,7 +118,7 @@ class VelocityTangent:
             first = self.m.rows - creep.shape[0]
             parts[0] = parts[0] + sp.block_diag([sp.csr_matrix((first, first)), creep])
         plain_matrix = parts[0].tocsr()
-        return plain_matrix, plain_matrix if parts[1] is None else (plain_matrix + parts[1]).tocsr()
+        return plain_matrix, (plain_matrix + parts[1]).tocsr()
 
     def _assembled(self, cells: np.ndarray) -> sp.csr_matrix:
         values = np.bincount(self.position, weights=cells.ravel(), minlength=len(self.rows))
@@ -135,8 +137,8 @@ class VelocityTangent:
     def _inertia(self) -> np.ndarray:
         """(rho + rho_old)/(2 tau), by the rule of the forms: the coarse one does not see all of P_k."""
         t, op = self.m.transport, self.m.op
-        density = op.z @ (0.5 / t.context.tau.Get() * (t.rho + t.rho_old)) * op.weights
-        shapes = op.v.data.reshape(self.cells, op.points.per_cell, self.local)
+        density = op.z(0.5 / t.context.tau.Get() * (t.rho + t.rho_old)) * op.weights
+        shapes = op.v.matrix.data.reshape(self.cells, op.points.per_cell, self.local)
         return shapes.transpose(0, 2, 1) @ (density.reshape(shapes.shape[:2])[:, :, None] * shapes)
 
     def _cells(self, A: np.ndarray) -> np.ndarray:
@@ -146,11 +148,11 @@ class VelocityTangent:
         shape = (self.cells, self.per * (self.d + 1), self.local)
         return shapes.reshape(shape).transpose(0, 2, 1) @ right.reshape(shape)
 
-    def _pointwise(self) -> np.ndarray:
-        """dR/d(v, grad v) at the points: (cells, points, i, 0 or 1 + j, k, 0 or 1 + l)."""
+    def _pointwise(self) -> tuple[np.ndarray, np.ndarray]:
+        """dR/d(v, grad v) at the points, (cells, points, i, 0 or 1 + j, k, 0 or 1 + l); its elastic part."""
         m, p, d = self.m, self.p, self.d
         t, op = m.transport, p.op
-        rho = op.z @ t.rho
+        rho = op.z(t.rho)
         v, L = p.v, p.L
         count = op.points.count
         A = np.zeros((count, d, 1 + d, d, 1 + d))
@@ -161,8 +163,9 @@ class VelocityTangent:
                 A[:, i, 1 + j, i, 0] -= 0.5 * rho * v[j]
                 A[:, i, 1 + j, j, 0] -= 0.5 * rho * v[i]
                 A[:, i, 0, j, 1 + j] -= 0.5 * rho * v[i]
-        C = p.C[:, : d * d, : d * d].reshape(count, d, d, d, d)
-        A[:, :, 1:, :, 1:] += C
+        elastic = np.zeros_like(A)
+        elastic[:, :, 1:, :, 1:] = p.C[:, : d * d, : d * d].reshape(count, d, d, d, d)
         if m.stokes is not None:
             A[:, :, 1:, :, 1:] += m.stokes.reshape(1, d, d, d, d)
-        return A.reshape(self.cells, self.per, d, 1 + d, d, 1 + d)
+        shape = (self.cells, self.per, d, 1 + d, d, 1 + d)
+        return A.reshape(shape), elastic.reshape(shape)

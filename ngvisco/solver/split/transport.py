@@ -1,20 +1,18 @@
 """The transported fields' equations for a given velocity: residuals, upwind traces, one sweep.
 
-For a given v the kinematic equations are linear but for creep.  All components of z are carried by the
-same scalar matrices of the facets, assembled once a velocity; rates and creep are formed at the cells'
-points by ``RateTensors``.  The upwind traces, the conjugates zeta and the creep rate R M are functions of
-(v, rho, z) here: they are evaluated, never iterated.  So is the trace of the delta-regularised z, whose
-equation is linear with constant coefficients.
+For a given v the kinematic equations are linear but for creep.  What crosses facets is formed at the
+sides' points by ``Facets``, rates and creep at the cells' points by ``RateTensors``.  The upwind traces, the
+conjugates zeta and the creep rate R M are functions of (v, rho, z) here: they are evaluated, never
+iterated.  So is the trace of the delta-regularised z, whose equation is linear with constant coefficients.
 """
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from ngsolve import grad, sin, x, y, z
+from ngsolve import grad
 
 from ngvisco.forms.momentum import Continuity
 from ngvisco.forms.rate_tensors import RateTensors
@@ -22,6 +20,7 @@ from ngvisco.forms.regularisation import DensityDiffusion, penalty_weight
 from ngvisco.forms.system import Step
 from ngvisco.physics.material import component_count
 from ngvisco.solver.split.blocks import BlockInverse
+from ngvisco.solver.split.facets import Facets
 from ngvisco.solver.split.operators import Conjugation, Operators, ScalarForm, apply, mass_matrix
 from ngvisco.solver.split.subsystem import Subsystem
 from ngvisco.solver.split.unknowns import Unknowns, density_by_forms
@@ -43,10 +42,10 @@ class Transport:
         self.z, self.z_old = state[ranges["z"]].reshape(n, -1), old[ranges["z"]].reshape(n, -1)
         self.z_hat = state[ranges["z_hat"]].reshape(n, -1)
         self.zeta = state[ranges["zeta"]].reshape(n, -1)
-        self.mass = mass_matrix(operators.z, operators.weights)
+        self.mass = mass_matrix(operators.z.matrix, operators.weights)
         self.inverse_mass = BlockInverse(self.mass)
         self.inverse_mass.update(self.mass)
-        self._facet_forms()
+        self.facets = Facets(step, operators)
         self.density: Subsystem | None = None
         if density_by_forms(step):
             terms = [t for t in step.terms if isinstance(t, (Continuity, DensityDiffusion))]
@@ -54,32 +53,9 @@ class Transport:
         self.diffusion = self._diffusion()
         self.Pi: np.ndarray | None = None
         if "Pi" in ranges:
-            self.creep_values = operators.points.values(step.layout.scalar_creep_space())
+            self.creep_values = operators.local(operators.points.values(step.layout.scalar_creep_space()))
             p = len(self.rates.constant) - self.rates.gradients
             self.Pi = state[ranges["Pi"]].reshape(p, -1)
-
-    def _facet_forms(self) -> None:
-        """Scalar matrices of the facets for the present v (see ``UpwindTrace``, ``Kinematics``)."""
-        step, c, measure = self.step, self.context, self.step.quadrature.facets
-        cell, facet = self.op.scalar, step.layout.scalar_facet_space()
-        v = step.now.v
-        inflow, normal, a = c.inflow(v), v * c.normal, c.normal_velocity(v)
-        share = 1 - 0.5 * c.inner  # the two sides of an inner facet make one facet
-        self.to_trace = ScalarForm(cell, facet, lambda u, t: (1 - inflow) * u * t, measure)
-        self.from_trace = ScalarForm(facet, cell, lambda u, t: normal * inflow * u * t, measure)
-        self.own_trace = ScalarForm(cell, cell, lambda u, t: normal * inflow * u * t, measure)
-        trace_mass = ScalarForm(facet, facet, lambda u, t: share * u * t, measure).matrix
-        # a weight that varies shows which coefficients belong to one facet
-        varying = share * (2 + sin(17 * x + 13 * y + 11 * z))
-        pattern = ScalarForm(facet, facet, lambda u, t: varying * u * t, measure).matrix
-        self.trace_inverse = BlockInverse(pattern)
-        self.trace_inverse.update(trace_mass)
-        up, down = 0.5 * (c.modulus(a) + a), 0.5 * (c.modulus(a) - a)
-        self.density_out = ScalarForm(cell, cell, lambda u, t: up * u * t, measure)
-        self.density_out_hat = ScalarForm(cell, facet, lambda u, t: up * u * t, measure)
-        self.density_in = ScalarForm(facet, cell, lambda u, t: down * u * t, measure)
-        self.density_mass = ScalarForm(facet, facet, lambda u, t: down * u * t, measure)
-        self.density_inverse = BlockInverse(pattern)
 
     def _diffusion(self) -> sp.csr_matrix | None:
         """delta (-Laplace) of one component with its trace eliminated; see ``FieldDiffusion``."""
@@ -96,7 +72,7 @@ class Transport:
 
         own = ScalarForm(cell, cell, cells, measure).matrix
         W = sp.diags(self.op.weights)
-        stiffness = delta * sum(D.T @ W @ D for D in self.op.dz)
+        stiffness = delta * sum(D.matrix.T @ W @ D.matrix for D in self.op.dz)
         to_facet = ScalarForm(
             cell, facet, lambda u, t: delta * (grad(u) * c.normal) * t - weight * u * t, measure
         ).matrix
@@ -107,23 +83,16 @@ class Transport:
         return (stiffness + own - to_facet.T @ inverse.matrix() @ to_facet).tocsr()
 
     def set_velocity(self) -> None:
-        """Assemble what depends on v alone."""
-        forms = [self.to_trace, self.from_trace, self.own_trace]
-        if self.density is None:
-            forms += [self.density_out, self.density_out_hat, self.density_in, self.density_mass]
-        for form in forms:
-            form.assemble()
-        if self.density is None:
-            self.density_inverse.update(self.density_mass.matrix)
-        op = self.op
-        self.v_q = apply(op.v, self.v)
-        self.L_q = np.stack([D @ component for component in self.v for D in op.dv])
+        """Evaluate what depends on v alone."""
+        self.facets.set_velocity(self.v, with_density=self.density is None)
+        self.v_q = self.op.v(self.v)
+        self.L_q = self.op.velocity_gradient(self.v)
 
     def set_traces(self) -> None:
         """The upwind values of z and rho on facets."""
-        self.z_hat[:] = self.trace_inverse(apply(self.to_trace.matrix, self.z))
+        self.facets.set_fields(self.z, self.z_hat)
         if self.density is None:
-            self.rho_hat[:] = self.density_inverse(self.density_out_hat.matrix @ self.rho)
+            self.facets.set_density(self.rho, self.rho_hat)
         if self.diffusion is not None:
             ranges = self.step.layout.ranges
             hats = self.step.state.vec.FV().NumPy()[ranges["z_delta_hat"]].reshape(self.n, -1)
@@ -132,15 +101,15 @@ class Transport:
     def set_conjugates(self) -> None:
         """z and phi'(z) at the points, and zeta, the projection of the latter."""
         op = self.op
-        self.z_q = apply(op.z, self.z)
-        self.dz_q = np.stack([[D @ c for D in op.dz] for c in self.z])
-        self.zeta[:] = self.inverse_mass(apply(op.z_t, self.conjugation(self.z_q)))
-        self.zeta_q = apply(op.z, self.zeta)
+        self.z_q = op.z(self.z)
+        self.dz_q = op.gradients(op.dz, self.z)
+        self.zeta[:] = self.inverse_mass(op.z.test(self.conjugation(self.z_q)))
+        self.zeta_q = op.z(self.zeta)
 
     def creep(self) -> np.ndarray | None:
         """Pi at the points in trace-free components, (p, points)."""
         if self.Pi is not None:
-            return apply(self.creep_values, self.Pi)
+            return self.creep_values(self.Pi)
         creep = self.step.model.creep
         if creep is None or creep.R == 0:
             return None
@@ -153,23 +122,19 @@ class Transport:
     def residual(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows of the density's unknowns and of z, the latter (n, cells' unknowns)."""
         op, tau = self.op, self.context.tau.Get()
-        r = apply(op.z, (self.z_old - self.z) / tau)
+        r = op.z((self.z_old - self.z) / tau)
         Pi = self.creep()
         self.rates.rate(self.z_q, self.L_q if Pi is None else np.concatenate([self.L_q, Pi]), r)
-        r -= np.einsum("njp,jp->np", self.dz_q, self.v_q)
-        rows = -apply(op.z_t, r)
-        rows += apply(self.from_trace.matrix, self.z_hat) - apply(self.own_trace.matrix, self.z)
+        for j, v_j in enumerate(self.v_q):
+            r -= self.dz_q[:, j] * v_j
+        rows = self.facets.fields()
+        rows -= op.z.test(r)
         if self.diffusion is not None:
             rows += apply(self.diffusion, self.z)
         if self.density is not None:
             return self.density.residual(), rows
         rho = self.mass @ ((self.rho - self.rho_old) / tau)
-        flux = (op.z @ self.rho) * op.weights
-        for j, D in enumerate(self._dz_t):
-            rho -= D @ (flux * self.v_q[j])
-        rho += self.density_out.matrix @ self.rho - self.density_in.matrix @ self.rho_hat
-        return rho, rows
-
-    @cached_property
-    def _dz_t(self) -> list[sp.csr_matrix]:
-        return [D.T.tocsr() for D in self.op.dz]
+        rho_q = op.z(self.rho)
+        for D, v_j in zip(op.dz, self.v_q, strict=True):
+            rho -= D.test(rho_q * v_j)
+        return rho + self.facets.density(), rows
