@@ -4,6 +4,8 @@ All tensors are three-dimensional.  A two-dimensional mesh means plane strain: v
 depends on x_3, so a tensor keeps its 33 entry and has zero 13, 23, 31, 32 entries.  That subspace is
 closed under every operation used here (products, Cof, W E - E W, ...), so its fields are stored by
 their components in an orthonormal basis and all algebra is done on the full 3x3 tensor.
+
+What energies are written with also takes the arrays of ``ngvisco.physics.arrays``.
 """
 
 from __future__ import annotations
@@ -13,8 +15,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
 
+import ngsolve
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Id, InnerProduct, Trace
+from ngsolve import CF, CoefficientFunction, Id, IfPos, InnerProduct, Trace
 
 IDENTITY = Id(3)
 
@@ -33,12 +36,12 @@ def skw(A: CoefficientFunction) -> CoefficientFunction:
 
 def tr(A: CoefficientFunction) -> CoefficientFunction:
     """Trace."""
-    return Trace(A)
+    return A.trace() if hasattr(A, "trace") else Trace(A)
 
 
 def sph(A: CoefficientFunction) -> CoefficientFunction:
     """Spherical part (tr A / 3) I (paper: St.Venenat-Kirchhoff-linear)."""
-    return (1 / 3) * Trace(A) * IDENTITY
+    return (1 / 3) * tr(A) * (np.eye(3) if hasattr(A, "trace") else IDENTITY)
 
 
 def dev(A: CoefficientFunction) -> CoefficientFunction:
@@ -54,6 +57,18 @@ def inner(A: CoefficientFunction, B: CoefficientFunction) -> CoefficientFunction
 def square(A: CoefficientFunction) -> CoefficientFunction:
     """|A|^2 = A : A."""
     return InnerProduct(A, A)
+
+
+def log(a: CoefficientFunction) -> CoefficientFunction:
+    """Natural logarithm of a scalar."""
+    return a.log() if hasattr(a, "log") else ngsolve.log(a)
+
+
+def if_positive(
+    a: CoefficientFunction, then: CoefficientFunction, otherwise: CoefficientFunction | float
+) -> CoefficientFunction:
+    """``then`` where a > 0, ``otherwise`` elsewhere."""
+    return a.where_positive(then, otherwise) if hasattr(a, "where_positive") else IfPos(a, then, otherwise)
 
 
 def embed_gradient(grad: CoefficientFunction, dim: int) -> CoefficientFunction:
@@ -72,7 +87,10 @@ def power_of_square(s: Scalar, exponent: float, floor: float) -> Scalar:
     """
     rounded = round(exponent)
     if abs(exponent - rounded) < 1e-14 and 0 <= rounded <= 8:
-        result = np.ones_like(s) if isinstance(s, np.ndarray) else CF(1.0)
+        if isinstance(s, np.ndarray):
+            result = np.ones_like(s)
+        else:
+            result = s.like(1.0) if hasattr(s, "like") else CF(1.0)
         for _ in range(rounded):
             result = result * s
         return result

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction
+from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, UnknownNameError, require_positive
 from ngvisco.physics.material import Material, component_count, component_slices
@@ -74,7 +76,5 @@ class WithQuadratic(Material):
 
     def added_energy(self, z: Values) -> CoefficientFunction:
         """sqrt(delta)/2 sum_i |z_i|^2, Pa."""
-        total = CF(0.0)
-        for name in self.only or [v.name for v in self.variables]:
-            total = total + 0.5 * self.delta**0.5 * inner(z[name], z[name])
-        return total
+        squares = [inner(z[name], z[name]) for name in self.only or [v.name for v in self.variables]]
+        return 0.5 * self.delta**0.5 * reduce(add, squares)

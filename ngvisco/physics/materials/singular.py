@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeAlias
 
-from ngsolve import CoefficientFunction, IfPos, log
+from ngsolve import CoefficientFunction
 
 from ngvisco.errors import require_positive
+from ngvisco.physics.tensors import if_positive, log
 
 Scalar: TypeAlias = CoefficientFunction
 
@@ -33,7 +34,7 @@ def continued(
     """
     if J_min is None:
         return s(J)
-    above = IfPos(J - J_min, J, J_min)
+    above = if_positive(J - J_min, J, J_min)
     return s(above) + slope(above) * (J - above)
 
 

@@ -32,6 +32,12 @@ class BlockInverse:
         ]
         self.n = pattern.shape[0]
         self._inverses: list[np.ndarray] = []
+        # blocks of a discontinuous space stand one after the other
+        self._in_order = (
+            len(self.groups) == 1
+            and bool((self.groups[0].ravel() == np.arange(self.n)).all())
+            and self.groups[0].size == self.n
+        )
         self._entries = [_entries(group) for group in self.groups]
 
     def update(self, matrix: sp.csr_matrix) -> None:
@@ -50,9 +56,15 @@ class BlockInverse:
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """Inverse times ``r`` (..., n)."""
+        if self._in_order:
+            parts = r.reshape(-1, *self.groups[0].shape).swapaxes(0, 1)
+            result = np.empty(r.shape)
+            out = result.reshape(-1, *self.groups[0].shape).swapaxes(0, 1)
+            np.matmul(parts, self._inverses[0].swapaxes(1, 2), out=out)
+            return result
         result = np.zeros_like(r)
         for group, inverse in zip(self.groups, self._inverses, strict=True):
-            result[..., group] = np.einsum("gij,...gj->...gi", inverse, r[..., group], optimize=True)
+            result[..., group] = (inverse @ r[..., group][..., None])[..., 0]
         return result
 
 

@@ -122,19 +122,19 @@ class Preconditioner:
 
     def _resolved(self, dz: np.ndarray) -> np.ndarray:
         """(1 - tau K)^{-1} dz at the coarse rule's points, (n, points), of coefficients dz."""
-        return np.einsum("pnm,mp->np", self.points.resolvent, self.op.z(dz), optimize=True)
+        return _at_points(self.points.resolvent, self.op.z(dz))
 
     def _carried(self, X: np.ndarray, dv_q: np.ndarray) -> np.ndarray:
         """What z takes from an increment of v and Pi with these values at the points, (n, points)."""
         p = self.points
-        source = np.einsum("pnx,xp->np", p.columns[:, :, : len(X)], X, optimize=True)
+        source = _at_points(p.columns[:, :, : len(X)], X)
         for j, values in enumerate(dv_q):
             source -= p.dz[:, j] * values
         return self._resolved(self.sweep.fields(self.op.z.test(source)))
 
     def _force(self, dz: np.ndarray) -> np.ndarray:
         """The elastic force's derivative in dz at the points, rows of v (dim, .)."""
-        stress = np.einsum("pxn,np->xp", self.points.force[:, : self.d**2], dz, optimize=True)
+        stress = _at_points(self.points.force[:, : self.d**2], dz)
         rows = np.zeros((self.d, self.op.v.width))
         for j, D in enumerate(self.op.dv):
             rows += D.test(stress[j :: self.d])
@@ -191,3 +191,8 @@ class Preconditioner:
         """v, wall stress, creep rate and normal derivatives in the joint vector of the flow."""
         blocks = [self.unknowns.slices[name] for name in self.unknowns.flow]
         return blocks if count == size else [*blocks, slice(count, size)]
+
+
+def _at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Matrices (points, i, j) times values (j, points): (i, points)."""
+    return np.ascontiguousarray((matrices @ values.T[:, :, None])[:, :, 0].T)

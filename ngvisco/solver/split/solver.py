@@ -52,7 +52,7 @@ ACCELERATED = 1e-3
 DEPTH = 8
 """Differences kept for the acceleration."""
 
-TIGHT, LOOSE = 0.02, 0.1
+TIGHT, LOOSE = 0.1, 0.1
 """Tolerances of the flow's linear system, accelerated and before."""
 
 MARGIN = 0.1

@@ -14,9 +14,10 @@ import scipy.sparse as sp
 
 from ngvisco.solver.split.blocks import BlockInverse
 from ngvisco.solver.split.linear import DirectSolver
+from ngvisco.solver.split.operators import pruned
 from ngvisco.solver.split.transport import Transport
 
-SWEEPS = 4
+SWEEPS = 2
 """Block Jacobi sweeps."""
 
 
@@ -40,15 +41,21 @@ class Sweep:
         t, op, tau = self.t, self.t.op, self.t.context.tau.Get()
         z_t = op.z.matrix.T @ sp.diags(op.weights)
         convection = sum(z_t @ sp.diags(t.v_q[j]) @ D.matrix for j, D in enumerate(op.dz))
-        self._T = (t.mass / tau + convection + t.facets.fields_matrix()).tocsr()
+        T = (t.mass / tau + convection + t.facets.fields_matrix()).tocsr()
         if self._whole is not None:
-            self._whole.factorise((self._T + t.diffusion).tocsr())
+            self._whole.factorise((T + t.diffusion).tocsr())
         else:
-            self._cells.update(self._T)
+            self._carried = self._between(self._cells, T)
         self.linearise()
         if self._own is None:
-            self._T_rho = (t.mass / tau - convection.T + t.facets.density_matrix()).tocsr()
-            self._rho_cells.update(self._T_rho)
+            T = (t.mass / tau - convection.T + t.facets.density_matrix()).tocsr()
+            self._rho_carried = self._between(self._rho_cells, T)
+
+    @staticmethod
+    def _between(cells: BlockInverse, T: sp.csr_matrix) -> sp.csr_matrix:
+        """1 - B^{-1} T with the blocks B of cells: what a sweep takes from the neighbours."""
+        cells.update(T)
+        return pruned((sp.identity(T.shape[0], format="csr") - cells.matrix() @ T).tocsr())
 
     def linearise(self) -> None:
         """Let a density equation that is not linear follow the present state."""
@@ -60,15 +67,17 @@ class Sweep:
         """Increments of z, (n, cells' unknowns), before rates and creep."""
         if self._whole is not None:
             return np.stack([self._whole(row) for row in r])
-        return _swept(self._T, self._cells, r)
+        return _swept(self._carried, self._cells, r)
 
     def density(self, r: np.ndarray) -> np.ndarray:
         """Increments of the density's unknowns."""
-        return _swept(self._T_rho, self._rho_cells, r) if self._own is None else self._own(r)
+        return _swept(self._rho_carried, self._rho_cells, r) if self._own is None else self._own(r)
 
 
-def _swept(matrix: sp.csr_matrix, cells: BlockInverse, r: np.ndarray) -> np.ndarray:
-    x = cells(r)
+def _swept(carried: sp.csr_matrix, cells: BlockInverse, r: np.ndarray) -> np.ndarray:
+    start = np.ascontiguousarray(cells(r).T)
+    x = start
     for _ in range(SWEEPS - 1):
-        x += cells(r - (matrix @ x.T).T)
-    return x
+        x = carried @ x
+        x += start
+    return np.ascontiguousarray(x.T)
