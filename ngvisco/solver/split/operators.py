@@ -66,6 +66,11 @@ def apply(matrix: sp.csr_matrix, rows: np.ndarray) -> np.ndarray:
     return np.stack([matrix @ row for row in rows])
 
 
+def together(matrix: sp.csr_matrix, rows: np.ndarray) -> np.ndarray:
+    """The same, of few rows by one pass through the matrix."""
+    return np.ascontiguousarray((matrix @ np.ascontiguousarray(rows.T)).T)
+
+
 class Conjugation:
     """phi'(z) at the points of a rule, in components."""
 
