@@ -28,17 +28,23 @@ class FlowOperator:
         self.nv = self.t.v.size
         self.size = momentum.rows
 
-    def update(self) -> None:
-        """Linearise at the present state, whose residual has just been evaluated."""
-        self.p.update()
-        self.sweep.update()
+    def update(self, everything: bool = True) -> None:
+        """Linearise at the present state, whose residual has just been evaluated.
+
+        Without ``everything`` only hyperviscosity, upwinding and a density equation that is not linear.
+        """
+        self.sweep.linearise()
+        self.t.facets.linearise(self.t.z, self.t.zeta)
         if self.derivative is not None:
             self.derivative.update()
+        if not everything:
+            return
+        self.p.update()
+        self.sweep.update()
         d, count = self.d, self.op.points.count
         self.base = self._base()
         self._matrices = self.base.reshape(count, d * (1 + d), d * (1 + d))
-        tau = self.t.context.tau.Get()
-        self.inertia = self.m.op.z(0.5 / tau * (self.t.rho + self.t.rho_old))
+        self.inertia = self.m.op.z(0.5 / self.t.context.tau.Get() * (self.t.rho + self.t.rho_old))
         self.rest = self._rest()
 
     def _base(self) -> np.ndarray:
@@ -84,8 +90,9 @@ class FlowOperator:
         v_q, L = op.v(dv), op.velocity_gradient(dv)
         both = np.concatenate([v_q[:, None], L.reshape(d, d, -1)], axis=1)
         tested = at_points(self._matrices, both.reshape(d * (1 + d), -1)).reshape(d, 1 + d, -1)
-        tested[:, 1:] += self.stress(self.carried(L, v_q)).reshape(d, d, -1)
-        rows = op.v.test(tested[:, 0]) + self.tested(tested[:, 1:])
+        force, through = self.t.facets.derivative(dv)
+        tested[:, 1:] += self.stress(self.carried(L, v_q, through)).reshape(d, d, -1)
+        rows = op.v.test(tested[:, 0]) + self.tested(tested[:, 1:]) + force
         rows += self.m.op.v.test(self.inertia * self.m.op.v(dv))
         of_a = None
         if self.derivative is not None and normals is not None:
@@ -100,12 +107,16 @@ class FlowOperator:
         """(1 - tau K)^{-1} dz at the points, (n, points), of coefficients dz."""
         return at_points(self.p.resolvent, self.op.z(dz))
 
-    def carried(self, X: np.ndarray, v_q: np.ndarray) -> np.ndarray:
-        """What z takes from an increment of v and Pi with these values at the points, (n, points)."""
+    def carried(self, X: np.ndarray, v_q: np.ndarray, through: np.ndarray) -> np.ndarray:
+        """What z takes from an increment of v and Pi, (n, points).
+
+        These have the values ``X`` = (grad v, Pi) and ``v_q`` at the points, and change the rows of z by
+        ``through`` what crosses facets.
+        """
         source = at_points(self.p.columns[:, :, : len(X)], X)
         for j, values in enumerate(v_q):
             source -= self.p.dz[:, j] * values
-        return self.resolved(self.sweep.fields(self.op.z.test(source)))
+        return self.resolved(self.sweep.fields(self.op.z.test(source) - through))
 
     def stress(self, dz: np.ndarray) -> np.ndarray:
         """The elastic stress's derivative in dz at the points, entries ij row by row, (dim^2, points)."""
