@@ -70,27 +70,6 @@ class Facets:
         density = -self.inflow * np.einsum("np,np->p", self.jump, self.z(zeta))
         return self.v.test(density * self.points.normals)
 
-    def linearise(self, z: np.ndarray, zeta: np.ndarray) -> None:
-        """Keep what ``derivative`` needs of the present state."""
-        eta = self.context.eta.Get()
-        a = self.normal_velocity
-        self._values, self._zeta = self.z(z), self.z(zeta)
-        self._slope = -0.5 * self.inner * eta * eta / (a * a + eta * eta) ** 1.5  # of n^- by v . n
-        self._jump, self._inflow, self._carried = self.jump.copy(), self.inflow.copy(), self.carried.copy()
-        self._carried_slope = self.inflow + self.through * self._slope
-
-    def derivative(self, dv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What an increment of v changes in the elastic force and in ``fields``, with z and zeta held.
-
-        Where v . n is about to change its sign n^- does so at once, and with it the force.
-        """
-        through = np.einsum("ip,ip->p", self.points.normals, self.v(dv))
-        inflow = self._slope * through
-        trace = self.hat(self.trace_mass.solve(self.hat.test(-inflow * self._values)))
-        density = -np.einsum("np,np->p", inflow * self._jump + self._inflow * trace, self._zeta)
-        fields = self._carried_slope * through * self._jump + self._carried * trace
-        return self.v.test(density * self.points.normals), self.z.test(fields)
-
     def fields_matrix(self) -> sp.csr_matrix:
         """The derivative of ``fields`` in one component of z, its trace eliminated."""
         weights = self.points.weights

@@ -13,6 +13,7 @@ import scipy.sparse as sp
 
 from ngvisco.solver.split.hyper_derivative import HyperDerivative
 from ngvisco.solver.split.momentum import Momentum
+from ngvisco.solver.split.reversal import Reversal
 from ngvisco.solver.split.sweep import Sweep
 from ngvisco.solver.split.tangent import PointTangent
 
@@ -25,6 +26,7 @@ class FlowOperator:
     ) -> None:
         self.m, self.p, self.sweep, self.derivative = momentum, points, sweep, derivative
         self.t, self.op, self.d = momentum.transport, points.op, momentum.dim
+        self.reversal = Reversal(self.t.facets)
         self.nv = self.t.v.size
         self.size = momentum.rows
 
@@ -34,7 +36,7 @@ class FlowOperator:
         Without ``everything`` only hyperviscosity, upwinding and a density equation that is not linear.
         """
         self.sweep.linearise()
-        self.t.facets.linearise(self.t.z, self.t.zeta)
+        self.reversal.update(self.t.z, self.t.zeta, abs(self.t.v_q).max())
         if self.derivative is not None:
             self.derivative.update()
         if not everything:
@@ -90,7 +92,7 @@ class FlowOperator:
         v_q, L = op.v(dv), op.velocity_gradient(dv)
         both = np.concatenate([v_q[:, None], L.reshape(d, d, -1)], axis=1)
         tested = at_points(self._matrices, both.reshape(d * (1 + d), -1)).reshape(d, 1 + d, -1)
-        force, through = self.t.facets.derivative(dv)
+        force, through = self.reversal(dv) if self.reversal.exists else (0.0, 0.0)
         tested[:, 1:] += self.stress(self.carried(L, v_q, through)).reshape(d, d, -1)
         rows = op.v.test(tested[:, 0]) + self.tested(tested[:, 1:]) + force
         rows += self.m.op.v.test(self.inertia * self.m.op.v(dv))
@@ -107,7 +109,7 @@ class FlowOperator:
         """(1 - tau K)^{-1} dz at the points, (n, points), of coefficients dz."""
         return at_points(self.p.resolvent, self.op.z(dz))
 
-    def carried(self, X: np.ndarray, v_q: np.ndarray, through: np.ndarray) -> np.ndarray:
+    def carried(self, X: np.ndarray, v_q: np.ndarray, through: np.ndarray | float) -> np.ndarray:
         """What z takes from an increment of v and Pi, (n, points).
 
         These have the values ``X`` = (grad v, Pi) and ``v_q`` at the points, and change the rows of z by

@@ -111,7 +111,8 @@ class Preconditioner:
         if t.Pi is not None:
             X = np.concatenate([X, self._creep(dflow[-t.Pi.size :].reshape(t.Pi.shape))])
         dv_q = op.v(dv)
-        dz += operator.carried(X, dv_q, t.facets.derivative(dv)[1])
+        through = operator.reversal(dv)[1] if operator.reversal.exists else 0.0
+        dz += operator.carried(X, dv_q, through)
         drho = op.z(t.rho) * sum(X[i * (d + 1)] for i in range(d))
         drho += sum(D(t.rho) * dv_q[j] for j, D in enumerate(op.dz))
         density = r.density.copy()
