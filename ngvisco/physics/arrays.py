@@ -183,7 +183,7 @@ def array_slope(material: Material, dim: int) -> Slope | None:
             space = spaces[name]
             part = z[where.start] if space.is_scalar else (space.columns @ z[where]).reshape(3, 3, -1)
             values[name] = Array(part)
-        energy = material.energy(values)  # type: ignore[arg-type]
+        energy = material.energy(values)
         for (name, where), g in zip(slices.items(), derivatives(energy, list(values.values())), strict=True):
             result[where] = g if spaces[name].is_scalar else spaces[name].columns.T @ g.reshape(9, -1)
 

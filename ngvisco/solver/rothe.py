@@ -11,6 +11,7 @@ from ngvisco.errors import StepError
 from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
 from ngvisco.solver.choice import chosen_method, is_affordable
+from ngvisco.solver.extrapolation import Extrapolation
 from ngvisco.solver.newton import BlockNorm, Newton, NewtonIteration, NewtonOptions
 from ngvisco.solver.split.solver import Split
 
@@ -58,6 +59,7 @@ class RotheSolver:
         self._last_tau: float | None = None
         self._factorised = {name: step.state.vec.CreateVector() for name in ("state", "state_old")}
         self._factorised_at = {"t_old": 0.0, "tau": 0.0}
+        self.extrapolation = Extrapolation(step)
 
     def advance(self, t_old: float, tau: float, with_continuation: bool = True) -> list[NewtonIteration]:
         """Solve the step; ``step.state`` becomes the new state, ``step.state_old`` the old one.
@@ -82,7 +84,7 @@ class RotheSolver:
         try:
             if isinstance(split, Split):
                 try:
-                    self._solve_directly(t_old, tau, history)
+                    self._solve_split(t_old, tau, history)
                     return history
                 except StepError:
                     if not with_continuation or not is_affordable(step.mesh):
@@ -107,6 +109,19 @@ class RotheSolver:
             raise
         finally:
             self.newton = split
+
+    def _solve_split(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
+        """Solve from extrapolated values where there are such, from the old state where that fails."""
+        extrapolated = self.extrapolation.start(tau)
+        try:
+            self._solve_directly(t_old, tau, history)
+        except StepError:
+            self.extrapolation.drop()
+            if not extrapolated:
+                raise
+            self._restore(self.step.state_old.vec)
+            self._solve_directly(t_old, tau, history)
+        self.extrapolation.keep(tau)
 
     def _coupled(self, on_factorise: Callable[[], None]) -> Newton:
         step = self.step
@@ -212,6 +227,7 @@ class RotheSolver:
 
     def undo(self, t_old: float) -> None:
         """Put both grid functions into the state before the last ``advance``, at ``t_old``."""
+        self.extrapolation.drop()
         self._restore(self.step.state_old.vec)
         time.Set(t_old)
 
@@ -224,20 +240,22 @@ class RotheSolver:
 
         A restart factorises there again, so that it goes on bit for bit as the run that wrote it.
         """
+        numbers, arrays = self.extrapolation.memory()
         if not self.newton.jacobian.exists or self._last_tau is None:
-            return {}, {}
-        numbers = {**self._factorised_at, "last_tau": self._last_tau}
-        return numbers, {name: vec.FV().NumPy().copy() for name, vec in self._factorised.items()}
+            return numbers, arrays
+        numbers |= {**self._factorised_at, "last_tau": self._last_tau}
+        return numbers, arrays | {name: vec.FV().NumPy().copy() for name, vec in self._factorised.items()}
 
     def recall(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
         """Take up what ``memory`` gave; state, old state and time are left as they are."""
         self.forget()
-        if not numbers:
+        self.extrapolation.recall(numbers, arrays)
+        if "last_tau" not in numbers:
             return
         step, now = self.step, time.Get()
         kept = {name: getattr(step, name).vec.FV().NumPy().copy() for name in self._factorised}
-        for name, values in arrays.items():
-            getattr(step, name).vec.FV().NumPy()[:] = values
+        for name in self._factorised:
+            getattr(step, name).vec.FV().NumPy()[:] = arrays[name]
         self._set_context(numbers["t_old"], numbers["tau"])
         step.eliminate.refresh()
         self.newton.jacobian.factorise(step.state.vec)

@@ -35,8 +35,8 @@ class BlockInverse:
         # blocks of a discontinuous space stand one after the other
         self._in_order = (
             len(self.groups) == 1
-            and bool((self.groups[0].ravel() == np.arange(self.n)).all())
             and self.groups[0].size == self.n
+            and bool((self.groups[0].ravel() == np.arange(self.n)).all())
         )
         self._entries = [_entries(group) for group in self.groups]
 

@@ -100,8 +100,8 @@ class FacetMass:
         self.facet = facet_of[first]
         columns = self.unknowns[self.facet]
         rows = np.repeat(np.arange(matrix.shape[0]), columns.shape[1])
-        values = np.asarray(matrix[rows, columns.ravel()]).reshape(columns.shape)
-        self.shapes = np.ascontiguousarray(values.T)  # (unknowns, points)
+        shapes = np.asarray(matrix[rows, columns.ravel()]).reshape(columns.shape)
+        self.shapes = np.ascontiguousarray(shapes.T)  # (unknowns, points)
 
     def update(self, weights: np.ndarray) -> None:
         """Invert the blocks for the weights (points,)."""

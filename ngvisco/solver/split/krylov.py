@@ -28,7 +28,7 @@ def newton_krylov(split: Split, x: np.ndarray, history: list[NewtonIteration]) -
     StepError
         When an increment does not shorten f, or the iterations are used up.
     """
-    from ngvisco.solver.split.solver import MARGIN, TIGHT
+    from ngvisco.solver.split.solver import FORCING, MARGIN
 
     wanted = MARGIN * split.options.tolerance
     scale = split.unknowns.scales(x)
@@ -36,7 +36,7 @@ def newton_krylov(split: Split, x: np.ndarray, history: list[NewtonIteration]) -
     def function(at: np.ndarray) -> np.ndarray:
         split.unknowns.unpack(at)
         with np.errstate(all="ignore"):
-            return split.preconditioner(split.residual(), 0.1 * TIGHT)
+            return split.preconditioner(split.residual(), 0.01 * FORCING)
 
     f = function(x)
     size = split._size(f)

@@ -77,6 +77,8 @@ class Preconditioner:
         self.project = BlockInverse(mass)
         self.project.update(mass)
         self.nv = self.t.v.size
+        self.iterations = 0
+        """What the last linear system of the flow took."""
         if self.t.Pi is not None:
             self._creep = self.op.local(self.op.points.values(self.op.creep))
 
@@ -152,7 +154,17 @@ class Preconditioner:
         operator_of_scaled = LinearOperator(
             (size, size), lambda y: block(operator(scale * y)) / scale, dtype=float
         )
-        y, _ = gmres(operator_of_scaled, start / scale, rtol=tolerance, restart=FLOW_ITERATIONS, maxiter=1)
+        residuals: list[float] = []
+        y, _ = gmres(
+            operator_of_scaled,
+            start / scale,
+            rtol=tolerance,
+            restart=FLOW_ITERATIONS,
+            maxiter=1,
+            callback=residuals.append,
+            callback_type="pr_norm",
+        )
+        self.iterations = len(residuals)
         y *= scale
         return y[:count], None if normals is None else y[count:].reshape(shape)
 
