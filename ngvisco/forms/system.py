@@ -85,7 +85,7 @@ class Step:
             self.energy = PointwiseEnergy(model.material, response, self.quadrature, self.now, self.old, m)
         self.context = Context(mesh, self.old, self.energy)
         self.terms = self._terms(sources)
-        self.has_sources = sources is not None
+        self.sources = sources
         self.residual = self._residual()
         self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms)
 

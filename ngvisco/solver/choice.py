@@ -9,6 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.system import Step
+from ngvisco.solver.split.sources import source_obstacle
 
 SPLIT_FROM = {2: 400, 3: 10}
 """Cells, by dimension, from which the split solver is the faster one (tests/benchmarks)."""
@@ -40,9 +41,7 @@ def split_obstacle(step: Step) -> str | None:
         return "the split solver needs a mesh of triangles or tetrahedra only"
     if meets_itself(step.mesh):
         return "a cell of the periodic mesh meets its own image: two cells or more are needed"
-    if step.has_sources:
-        return "further terms (sources) are for the coupled solver"
-    return None
+    return source_obstacle(step)
 
 
 def meets_itself(mesh: Mesh) -> bool:

@@ -16,6 +16,14 @@ it makes in the step.  The other unknowns are functions of these three.  The flo
 strains and velocities converge relatively to themselves, as the ledger needs; near a state of rest that
 is below rounding, so an iteration that a fresh Jacobian no longer advances also ends where the
 increment is below the tolerance with f = 1e-3, or below ten times the tolerance.
+
+Rounding.  The residual sums parts that cancel: near F = I those of the elastic force have the size of the
+modulus G, and their rounding leaves a force of eps G/h that the stiffness of a strain does not resist where
+it moves the body as a whole: v is known to eps G tau/(rho h) only (G = 1e6 Pa, tau = 10 s, h = 0.4 m,
+rho = 1 kg/m3: 3e-9 m/s).  How large that is, the problem itself tells: the state is perturbed by one unit
+in the last place of every number, and what this changes in the increment cannot be iterated away.  Where a
+fresh Jacobian no longer advances the iteration, an increment of at most ``NOISE_MARGIN`` times that change,
+and at most ``NOISE_CAP`` tolerances, is accepted.
 """
 
 from __future__ import annotations
@@ -27,6 +35,15 @@ import numpy as np
 from ngsolve import BaseVector, BilinearForm, BitArray
 
 from ngvisco.errors import ParameterError, StepError, require_choice, require_positive
+
+NOISE_SAMPLES = 2
+"""Perturbations by rounding that are tried; the largest change of the increment counts."""
+
+NOISE_MARGIN = 10.0
+"""Increments of a stalled iteration, in units of that change: both are random, of a few modes."""
+
+NOISE_CAP = 100.0
+"""The largest increment, in tolerances, that is accepted as rounding."""
 
 METHODS = ("auto", "coupled", "split")
 
@@ -255,8 +272,35 @@ class Newton:
         contracts quadratically there, so that a factor above ``refresh`` is rounding.
         """
         tolerance = self.options.tolerance
-        coarse = self.norm(self._next, self.state, coarse=True)
-        return coarse <= tolerance or self.norm(self._next, self.state) <= 10 * tolerance
+        if self.norm(self._next, self.state, coarse=True) <= tolerance:
+            return True
+        size = self.norm(self._next, self.state)
+        if not size <= NOISE_CAP * tolerance:
+            return False
+        return size <= 10 * tolerance or size <= NOISE_MARGIN * self._noise()
+
+    def _noise(self) -> float:
+        """How much the present increment changes where the state does by one unit in the last place.
+
+        The change of the state itself, by far the smaller one, is not counted apart.  A derivative that is
+        wrong does not show here, nor a fold or a kink of the equations: their increments stay what they are.
+        """
+        u = self.state
+        kept, rows, change = (u.CreateVector() for _ in range(3))
+        values = u.FV().NumPy()
+        kept.data = u
+        signs = np.random.default_rng(0)  # a run does the same again
+        largest = 0.0
+        for _ in range(NOISE_SAMPLES):
+            values *= 1 + np.finfo(float).eps * signs.choice((-1.0, 1.0), len(values))
+            self.eliminate()
+            self.form.Apply(u, rows)
+            rows.data -= self._trial_residual
+            self.jacobian.solve(rows, change)
+            u.data = kept
+            largest = max(largest, self.norm(change, u))
+        self.refresh()
+        return largest
 
     def _start(self, history: list[NewtonIteration]) -> bool:
         self.refresh()

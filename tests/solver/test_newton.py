@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from ngsolve import H1, BilinearForm, CoefficientFunction, GridFunction, atan, dx, exp, grad
+from ngsolve import H1, BilinearForm, CoefficientFunction, GridFunction, IfPos, atan, dx, exp, grad
 from support import Case, random_direction, randomise, step_of, uncondensed
 
 from ngvisco import NewtonOptions, StepError
@@ -114,6 +114,61 @@ def test_too_many_iterations_says_so() -> None:
     with pytest.raises(StepError, match="too many iterations; 2 iterations") as error:
         solver.solve()
     assert len(error.value.history) == 2
+
+
+# --- rounding ------------------------------------------------------------------------------------------
+
+
+def cancelling(size: float):
+    """u - 1 with parts of ``size`` that cancel but for their rounding, size times 1e-16."""
+    return lambda u: (u - 1) + (size * (u + 1) - size * u - size)
+
+
+def without_noise(monkeypatch) -> None:
+    monkeypatch.setattr(Newton, "_noise", lambda self: 0.0)
+
+
+# the cancelling parts leave about size eps: above ten tolerances, below a hundred
+ROUNDED = {"tolerance": 1e-12, "equation": cancelling(1.5e4)}
+
+
+def test_rounding_of_parts_that_cancel_ends_the_iteration() -> None:
+    solver, state = newton(1.3, **ROUNDED)
+    history = solver.solve()
+    assert 10e-12 < history[-1].increment * history[-1].contraction <= 100e-12
+    assert spread(state, 1.0) < 1e-9
+
+
+def test_rounding_would_be_a_failure_if_it_were_not_measured(monkeypatch) -> None:
+    """Negative control."""
+    without_noise(monkeypatch)
+    solver, _ = newton(1.3, **ROUNDED)
+    with pytest.raises(StepError, match="no step length reduces the increment"):
+        solver.solve()
+
+
+def test_measuring_the_rounding_leaves_the_state_as_it_is() -> None:
+    solver, state = newton(1.3, **ROUNDED)
+    solver.solve()
+    before = state.vec.FV().NumPy().copy()
+    solver.form.Apply(state.vec, solver._trial_residual)
+    assert 1e-12 < solver._noise() < 1e-9
+    assert (state.vec.FV().NumPy() == before).all()
+
+
+def test_rounding_of_more_than_a_hundred_tolerances_is_a_failure() -> None:
+    solver, _ = newton(1.3, cancelling(1e9), tolerance=1e-12)
+    with pytest.raises(StepError, match="no step length reduces the increment"):
+        solver.solve()
+
+
+def test_jump_of_the_equation_is_not_taken_for_rounding() -> None:
+    """u - 1 + s sign(u - 1) has no root: increments stall at s, and a perturbed state's are the same."""
+    s = 2e-11
+    solver, _ = newton(1.3, lambda u: u - 1 + IfPos(u - 1, s, -s), tolerance=1e-12)
+    with pytest.raises(StepError, match="no step length reduces the increment") as error:
+        solver.solve()
+    assert 10e-12 < error.value.history[-1].increment < 100e-12
 
 
 # --- the norm ----------------------------------------------------------------------------------------

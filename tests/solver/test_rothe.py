@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ngsolve import CF, Id, IfPos, OuterProduct, cos, pi, sin, x, y
+from ngsolve import CF, Id, IfPos, Integrate, OuterProduct, cos, pi, sin, x, y
 from support import MATERIALS
 
 from ngvisco import (
@@ -12,6 +12,7 @@ from ngvisco import (
     Initial,
     Model,
     NewtonOptions,
+    ReferentialNeoHookean,
     Simulation,
     StepError,
     StokesViscosity,
@@ -186,3 +187,17 @@ def test_change_of_the_step_length_assembles_anew() -> None:
     assert run.solver.newton.jacobian.exists
     history = run.solver.advance(run.t, 0.02)
     assert history[0].fresh_jacobian
+
+
+def test_stiff_body_that_drifts_is_solved_in_long_steps() -> None:
+    """Stresses are rounded by 1e-10 Pa, a force that moves the drifting body by 1e-9 m/s in the step."""
+    model = Model(material=ReferentialNeoHookean(K_e=2e6, G_e=5e5))
+    mesh = box((1, 1), 0.4, periodic="xy")
+    drift = (1 + 0.5 * sin(2 * pi * x) * cos(2 * pi * y), 0.5 - 0.5 * cos(2 * pi * x) * sin(2 * pi * y))
+    initial = Initial(density=1 + 0.2 * cos(2 * pi * x), velocity=drift)
+    run = Simulation(mesh, model, dt=10.0, initial=initial, solver="coupled")
+    u = run.rothe_step.now
+    before = [Integrate(u.rho * u.v[i], mesh) for i in range(2)]
+    history = run.solver.advance(0.0, 10.0, with_continuation=False)
+    assert 10e-10 < history[-1].increment < 100e-10
+    assert [Integrate(u.rho * u.v[i], mesh) for i in range(2)] == pytest.approx(before, abs=2e-8)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ngsolve import BilinearForm, cos, pi, sin, x, y
+from ngsolve import cos, pi, sin, x, y
 from ngsolve.meshes import MakeStructured2DMesh
 from scipy.sparse.linalg import LinearOperator, gmres
 
@@ -17,13 +17,14 @@ from ngvisco.solver.split.linear import TwoLevelSolver
 from ngvisco.solver.split.solver import Split
 
 
-def simulation(maxh=0.4, mesh=None, hyperviscosity=None, **options):
+def simulation(maxh=0.4, mesh=None, hyperviscosity=None, regularisation=None, **options):
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
         hyperviscosity=hyperviscosity or nv.HyperViscosity(mu=1e-4, p=4),
         creep=nv.Creep(G_m=2.0),
         loads=[nv.Gravity((0.0, -1.0))],
+        regularisation=regularisation,
     )
     initial = nv.Initial(velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))
     options = {"solver": "split", "dt": 0.02} | options
@@ -54,26 +55,58 @@ def test_converged_state_solves_the_coupled_residual():
     assert np.abs(rows.FV().NumPy()[free]).max() <= 1e-10
 
 
-def test_residual_is_the_coupled_one_away_from_a_solution():
-    run = simulation()
-    run.advance()
+def density_rows(unknowns):
+    first = unknowns.density_slice.start
+    slices = {name: unknowns.slices[name] for name in unknowns.density}
+    return {name: slice(s.start - first, s.stop - first) for name, s in slices.items()}
+
+
+class EveryRow:
+    """A source in each equation that may have one, of the size of the equation's terms."""
+
+    def form(self, u, w):
+        s = sin(3 * x + nv.time) * cos(2 * y)
+        flux = [(0.02 + 0.01 * i) * s * w.z_delta_hat[i] for i in range(w.z_delta_hat.dim)]
+        return [
+            Integrand(s * w.rho),
+            Integrand(s * w.v[0] - 2 * s * w.v[1]),
+            Integrand(sum((i + 1) * s * w.z[i] for i in range(w.z.dim))),
+            Integrand(facets=1e-4 * s * w.normal_derivative[1]),
+            Integrand(facets=1e-2 * s * w.rho_delta_hat),
+            *(Integrand(facets=part) for part in flux),
+        ]
+
+    def entries(self, u):
+        return []
+
+
+DELTA = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1)
+
+
+@pytest.mark.parametrize("options", [{}, {"sources": EveryRow(), "regularisation": DELTA}])
+def test_residual_is_the_coupled_one_away_from_a_solution(options):
+    run = simulation(**options)
+    run.solver._set_context(0.0, 0.02)
     step, split = run.rothe_step, run.solver.newton
+    step.state_old.vec.data = step.state.vec
     noise = np.random.default_rng(0).standard_normal(split.unknowns.size)
     free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
     split.unknowns.unpack(split.unknowns.pack() + 1e-3 * noise)
     step.state.vec.FV().NumPy()[~free] = 0.0
-    split.momentum.start()
+    split._start()
     r = split.residual()
     rows = step.state.vec.CreateVector()
     step.residual.Apply(step.state.vec, rows)
     full, ranges = rows.FV().NumPy(), step.layout.ranges
     size = np.abs(full[free]).max()
-    for name, own in (("v", r.flow), ("rho", r.density), ("z", r.z.ravel())):
+    own = {"v": r.flow, "z": r.z.ravel()}
+    own |= {name: r.density[rows] for name, rows in density_rows(split.unknowns).items()}
+    for name, values in own.items():
         mask = free[ranges[name]]
-        assert np.abs(full[ranges[name]] - own)[mask].max() <= 1e-13 * size, name
+        assert np.abs(full[ranges[name]] - values)[mask].max() <= 1e-13 * size, name
     normals = full[ranges["a_1"].start : ranges["a_2"].stop]
     assert np.abs(normals - r.normals.ravel()).max() <= 1e-13 * size
-    for name in ("rho_hat", "z_hat", "zeta", "hess", "hess_square", "hyper_coefficient", "hyperstress"):
+    for name in set(ranges) - set(split.unknowns.names):
         assert np.abs(full[ranges[name]]).max() <= 1e-12 * size, name
 
 
@@ -170,17 +203,33 @@ def test_unknown_method_is_refused():
         simulation(solver="iterative")
 
 
-def test_sources_are_for_the_coupled_solver():
-    class Source:
-        def form(self, u, w):
-            return [Integrand(0 * w.v[0])]
+class Source:
+    """A term made by a function of the unknowns and the tests."""
 
-        def entries(self, u):
-            return []
+    def __init__(self, integrand):
+        self.integrand = integrand
 
-    with pytest.raises(nv.ParameterError, match="sources"):
-        simulation(sources=Source())
-    assert isinstance(simulation(sources=Source(), solver="auto").rothe_step.residual, BilinearForm)
+    def form(self, u, w):
+        return [self.integrand(u, w)]
+
+    def entries(self, u):
+        return []
+
+
+REFUSED = {
+    "a source takes the unknown v": lambda u, w: Integrand(u.v * w.v),
+    "a source takes the unknown rho": lambda u, w: Integrand(u.grad_rho[0] * w.rho),
+    "a source has a row of zeta": lambda u, w: Integrand(w.zeta[0]),
+    "a source has a row of z_hat": lambda u, w: Integrand(facets=w.z_hat[0]),
+}
+
+
+@pytest.mark.parametrize("reason", REFUSED)
+def test_sources_of_unknowns_and_of_derived_rows_are_for_the_coupled_solver(reason):
+    source = Source(REFUSED[reason])
+    with pytest.raises(nv.ParameterError, match=reason):
+        simulation(sources=source)
+    assert not isinstance(simulation(maxh=0.05, sources=source, solver="auto").solver.newton, Split)
 
 
 @pytest.mark.parametrize("k", [2, 3])

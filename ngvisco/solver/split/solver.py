@@ -49,6 +49,7 @@ from ngvisco.solver.split.krylov import newton_krylov
 from ngvisco.solver.split.momentum import Momentum
 from ngvisco.solver.split.operators import Operators
 from ngvisco.solver.split.preconditioner import Preconditioner, Residual
+from ngvisco.solver.split.sources import KnownRows
 from ngvisco.solver.split.transport import Transport
 from ngvisco.solver.split.unknowns import Unknowns
 
@@ -98,6 +99,7 @@ class Split:
         if laws:
             self.hyper = MatrixHyperviscosity(step, laws[0], op.points, self.transport.facets.points)
         self.preconditioner = Preconditioner(step, self.momentum, self.hyper, self.unknowns, options.inverse)
+        self.sources = None if step.sources is None else KnownRows(step, self.transport, self.unknowns)
         self.exists = False
         self.seconds: dict[str, float] = defaultdict(float)
         """Wall time by parts of the work, s, since the solver was made."""
@@ -115,7 +117,7 @@ class Split:
     def factorise(self, state: BaseVector) -> None:
         """Make the tangent at the present state (``state`` is its vector); raises StepError."""
         with TaskManager():
-            self.momentum.start()
+            self._start()
             self.residual()
             self._update()
 
@@ -125,6 +127,8 @@ class Split:
         with self._clock("transport"):
             t.set_velocity()
             t.set_traces()
+            if self.sources is not None:
+                self.sources.correct_traces()
         with self._clock("projections"):
             t.set_conjugates()
         with self._clock("transport"):
@@ -136,7 +140,16 @@ class Split:
                 self.hyper.set_local()
                 of_v, normals = self.hyper.residual()
                 flow[: of_v.size] += of_v.ravel()
-        return Residual(flow, normals, density, z)
+        residual = Residual(flow, normals, density, z)
+        if self.sources is not None:
+            self.sources.add_to(residual)
+        return residual
+
+    def _start(self) -> None:
+        """Evaluate what is known through the step."""
+        self.momentum.start()
+        if self.sources is not None:
+            self.sources.start()
 
     @contextmanager
     def _clock(self, name: str) -> Iterator[None]:
@@ -154,7 +167,7 @@ class Split:
         """
         history: list[NewtonIteration] = []
         with TaskManager():
-            self.momentum.start()
+            self._start()
             try:
                 self._iterate(history)
             except (FloatingPointError, np.linalg.LinAlgError) as error:
