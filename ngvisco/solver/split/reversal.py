@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from ngvisco.solver.split.facets import Facets
 from ngvisco.solver.split.operators import together
 
-SUDDEN = 1e-2
+SUDDEN = 0.1
 """Change of n^-, for a change of v by its largest value, from which a facet counts."""
 
 
