@@ -57,13 +57,15 @@ def coupled_rates(
     levels: int,
     *,
     regularised: bool = False,
+    delta: bool = True,
     tau: float = 0.05,
     steps: int = 2,
 ) -> RateTable:
     """The whole system: creep, gravity, viscosity, hyperviscosity (unless p is None), and delta- and
-    epsilon-terms if ``regularised``; errors in L2 after ``steps`` steps, space only."""
-    system = model(kind, dim, p, regularised)
-    terms = ", all terms" if regularised else ""
+    epsilon-terms if ``regularised``, without delta if not ``delta``; errors in L2 after ``steps`` steps,
+    space only."""
+    system = model(kind, dim, p, regularised, delta)
+    terms = (", all terms" if delta else ", all terms but delta") if regularised else ""
     table = RateTable(f"coupled, {kind}, {dim}D, p = {p}, k = {k}, m = {m}{terms}")
     for h, mesh in refinements(dim, maxh, levels):
         time.Set(0.0)

@@ -25,9 +25,13 @@ def hyperviscosity(p: float | None) -> HyperViscosity | None:
     return None if p is None else HyperViscosity(mu=1e-2 if p == 2 else 1e-3, p=p)
 
 
-def model(kind: str, dim: int, p: float | None, regularised: bool = False) -> Model:
+def model(kind: str, dim: int, p: float | None, regularised: bool = False, delta: bool = True) -> Model:
     """Creep, gravity, viscosity, hyperviscosity with exponent p unless None, delta- and epsilon-terms."""
-    law = Regularisation(delta_density=DELTA, delta_fields=DELTA_FIELDS, epsilon=EPSILON)
+    law = Regularisation(
+        delta_density=DELTA if delta else 0.0,
+        delta_fields=DELTA_FIELDS if delta else 0.0,
+        epsilon=EPSILON,
+    )
     return Model(
         material=material(kind),
         viscosity=StokesViscosity(K_v=0.3, G_v=0.2),

@@ -10,6 +10,7 @@ from ngvisco.verification.cases import (
     invariants,
     limits,
     manufactured,
+    manufactured_space,
     maxwell,
     rheology,
     robustness,
@@ -32,6 +33,7 @@ MODULES = (
     fronts,
     flows,
     manufactured,
+    manufactured_space,
     robustness,
     comparison,
 )

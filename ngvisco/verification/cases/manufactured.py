@@ -1,4 +1,4 @@
-"""Manufactured solutions: the sources checked without NGSolve, and rates in space and time."""
+"""Manufactured solutions: the sources checked without NGSolve, rates of the transport alone and in time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ngvisco.forms.initial import Initial
 from ngvisco.geometries import box
 from ngvisco.run.simulation import Simulation
 from ngvisco.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from ngvisco.verification.convergence import coupled_rates, errors, transport_rates
+from ngvisco.verification.convergence import errors, transport_rates
 from ngvisco.verification.differences import mismatch
 from ngvisco.verification.manufactured import Exact
 from ngvisco.verification.models import coefficients, model
@@ -22,6 +22,7 @@ from ngvisco.verification.sources import Sources
 
 THEME = "Convergence: manufactured solutions"
 NAMES = {"linear": "linearised", "neo-hookean": "finite"}
+LABELS = {"linear": "Euler-small-viscoelastodyn+disc", "neo-hookean": "Euler-large-viscoelastodyn+disc"}
 TERMS = "creep, gravity, Stokes viscosity, hyperviscosity p = 4, delta (r = 4) and epsilon (p = 4)"
 AGREES = 1e-6
 """Of differences of eighth order with the analytic sources, relative."""
@@ -73,19 +74,6 @@ def _sources(kind: str) -> Outcome:
     )
 
 
-def _space(kind: str, dim: int, orders: tuple[tuple[int, int], ...], maxh: float, levels: int) -> Outcome:
-    values, tables, curves = {}, [], []
-    for k, m in orders:
-        # the delta-terms need gradients of the fields
-        table = coupled_rates(kind, dim, 4.0, k, m, maxh, levels, regularised=m > 0)
-        tables.append(table.table("h, m"))
-        for name in table.errors:
-            values[f"rate of {name}, k = {k}, m = {m}"] = table.last(name)
-            curves.append(Curve(f"{name}, k = {k}, m = {m}", table.sizes, table.errors[name]))
-    plot = Plot(f"Coupled system, {kind}, {dim}D", "h, m", "L2 error", curves, log="xy")
-    return Outcome(values=values, tables=tables, plots=[plot])
-
-
 def _transport(kind: str, dim: int, orders: tuple[int, ...], maxh: float, levels: int) -> Outcome:
     values, tables, curves = {}, [], []
     for m in orders:
@@ -129,21 +117,14 @@ def _time(kind: str) -> Outcome:
     )
 
 
-V_RATES = {(2, 0): 1.0, (2, 1): 1.7, (2, 2): 1.7, (3, 1): 1.7, (3, 2): 2.3}
-"""Asked of v with p = 4: 2 for k = 2 (formulation.md, Section 4), above 2 for k = 3, and no more than the
-fields it is coupled to."""
-
-
 def _cases(kind: str) -> tuple[Case, ...]:
     name = NAMES[kind]
-    label = "Euler-small-viscoelastodyn+disc" if kind == "linear" else "Euler-large-viscoelastodyn+disc"
-    orders = tuple(V_RATES)
+    label = LABELS[kind]
     checked = Case(
         name=f"manufactured-sources-{name}",
         theme=THEME,
         statement="Each manufactured source is the strong residual of the exact fields, found "
-        "independently by "
-        "finite differences in NumPy; a coefficient that is wrong is noticed.",
+        "independently by finite differences in NumPy; a coefficient that is wrong is noticed.",
         label=label,
         setting=f"{TERMS}; 2D and 3D, eight random points.",
         bounds=(
@@ -152,41 +133,6 @@ def _cases(kind: str) -> tuple[Case, ...]:
         ),
         run=partial(_sources, kind),
         reduced=kind == "linear",
-    )
-    plane = Case(
-        name=f"manufactured-2d-{name}",
-        theme=THEME,
-        statement="The coupled system with all its terms converges in space: v with order 2 (k = 2) and more "
-        "(k = 3), rho and z with order m + 1.",
-        label=label,
-        setting=f"{TERMS} (delta only for m >= 1); unit square, 0.4 m refined twice, two steps of 0.05 "
-        f"s with "
-        "the discrete time derivative in the sources; p = 4 limits the rates of k = 3.",
-        bounds=tuple(
-            Bound(f"rate of {what}, k = {k}, m = {m}", ">=", least, reason)
-            for k, m in orders
-            for what, least, reason in (
-                ("v", V_RATES[k, m], "the lifted penalty with p = 4"),
-                ("rho", min(m + 0.7, 2.3 if k == 3 else 1.7), "order m + 1, but not above v's"),
-                ("z", min(m + 0.7, 2.3 if k == 3 else 1.7), "order m + 1, but not above v's"),
-            )
-        ),
-        run=partial(_space, kind, 2, orders, 0.4, 3),
-    )
-    solid = Case(
-        name=f"manufactured-3d-{name}",
-        theme=THEME,
-        statement="The coupled system with all its terms converges in space in three dimensions.",
-        label=label,
-        setting=f"{TERMS}; unit cube, 12 tetrahedra refined once to 96, k = 2, m = 1; two steps of 0.05 "
-        f"s. k = 3 "
-        "and finer meshes are beyond this solver in the time of a report.",
-        bounds=(
-            Bound("rate of v, k = 2, m = 1", ">=", 1.2, "two coarse meshes only"),
-            Bound("rate of rho, k = 2, m = 1", ">=", 1.5, "two coarse meshes only"),
-            Bound("rate of z, k = 2, m = 1", ">=", 1.2, "two coarse meshes only"),
-        ),
-        run=partial(_space, kind, 3, ((2, 1),), 1.0, 2),
     )
     carried = Case(
         name=f"manufactured-transport-{name}",
@@ -223,12 +169,11 @@ def _cases(kind: str) -> tuple[Case, ...]:
         statement="The coupled system with all its terms converges with first order in time.",
         label=label,
         setting=f"{TERMS}; sources with the derivative in time; unit square, h = 0.3 m, until 0.4 s in "
-        f"2, 4, 8, "
-        "16 steps, each run against that of half the step.",
+        "2, 4, 8, 16 steps, each run against that of half the step.",
         bounds=tuple(Bound(f"rate of {what}", ">=", 0.8, "implicit Euler") for what in ("v", "rho", "z")),
         run=partial(_time, kind),
     )
-    return checked, carried, carried_3d, plane, solid, in_time
+    return checked, carried, carried_3d, in_time
 
 
 CASES = tuple(case for kind in NAMES for case in _cases(kind))
