@@ -216,7 +216,10 @@ BOTH_MODELS = (
     "positivity",
     "hyperviscosity",
     "manufactured-2d",
+    "manufactured-2d-k3",
     "manufactured-3d",
+    "manufactured-3d-m2",
+    "manufactured-3d-k3",
     "robustness",
     "fluid-limit",
 )
