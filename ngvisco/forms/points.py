@@ -16,7 +16,6 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 from ngsolve import (
-    CF,
     ET,
     BaseMatrix,
     BilinearForm,
@@ -95,9 +94,3 @@ class CellPoints:
     def read(self, function: GridFunction, components: int) -> np.ndarray:
         """The values of such a function, (components, points), as a view."""
         return function.vec.FV().NumPy().reshape(-1, self.count)[:components]
-
-    def interpolate(self, function: GridFunction, value: CoefficientFunction) -> None:
-        """Set such a function to a vector's values."""
-        if value.dim == 1:
-            value = CF((value[0] if value.dims else value, 0.0))
-        function.Interpolate(value)

@@ -13,11 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction
+from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued
 
-from ngvisco.errors import MeshError
-from ngvisco.forms.points import CellPoints
 from ngvisco.physics.material import Material, component_count, components_of, tensors_of
+from ngvisco.physics.pointwise import squares
 from ngvisco.physics.tensors import embed_gradient, trace_free_tensors
 
 
@@ -31,9 +30,8 @@ class RateTensors:
     """How many of the X are entries of L; the others are components of Pi."""
 
     @classmethod
-    def of(cls, material: Material, points: CellPoints) -> RateTensors:
-        """Read off from ``material.variables`` at as many points as there are components, and one."""
-        dim = points.mesh.dim
+    def of(cls, material: Material, dim: int) -> RateTensors:
+        """Read off from ``material.variables`` at z = 0 and at unit vectors of the components."""
         n, space = component_count(material, dim), trace_free_tensors(dim)
         zero = _constant(np.zeros((3, 3)))
         directions = []
@@ -41,20 +39,17 @@ class RateTensors:
             directions.append((embed_gradient(_constant(unit.reshape(dim, dim)), dim), zero))
         directions += [(zero, _constant(np.array(P))) for P in space.basis]
 
-        z, rates = points.function(n), points.function(n)
-        values = points.read(z, n)
-        if points.count <= n:
-            raise MeshError(f"the mesh has {points.mesh.ne} cells: the split solver needs more")
-        values[:, 1 : n + 1] = np.eye(n)  # z = 0 at the first point, unit vectors at the next ones
+        mesh, points = squares(1 + int(np.sqrt(n)))  # a square each for z = 0 and the unit vectors
+        z = GridFunction(VectorValued(L2(mesh, order=0), n))
+        z.vec.FV().NumPy().reshape(n, -1)[:, 1 : n + 1] = np.eye(n)
         tensors = tensors_of(material, z, dim)
         constant = np.zeros((len(directions), n))
         linear = np.zeros((len(directions), n, n))
         for x, (L, Pi) in enumerate(directions):
             of_variables = {v.name: v.rate(tensors, L, Pi) for v in material.variables}
-            points.interpolate(rates, components_of(material, of_variables, dim))
-            read = points.read(rates, n)
-            constant[x] = read[:, 0]
-            linear[x] = read[:, 1 : n + 1] - read[:, :1]
+            rates = np.asarray(components_of(material, of_variables, dim)(points)).reshape(-1, n).T
+            constant[x] = rates[:, 0]
+            linear[x] = rates[:, 1 : n + 1] - rates[:, :1]
         return cls(constant, linear, dim * dim)
 
     def columns(self, z: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from ngvisco.errors import ParameterError
 from ngvisco.forms.system import Step
 from ngvisco.solver.split.sources import source_obstacle
 
-SPLIT_FROM = {2: 400, 3: 10}
+SPLIT_FROM = {2: 60, 3: 10}
 """Cells, by dimension, from which the split solver is the faster one (tests/benchmarks)."""
 
 COUPLED_UP_TO = {2: 20_000, 3: 1_000}

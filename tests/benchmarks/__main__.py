@@ -19,9 +19,9 @@ from tests.benchmarks.table import markdown, summary
 
 SIZES = {
     "2D": [0.1, 0.055, 0.032],
-    "3D": [0.3, 0.18, 0.13, 0.112, 0.07, 0.055],
+    "3D": [0.3, 0.18, 0.13, 0.112, 0.07, 0.055, 0.0455],
     "2D coupled": [0.1, 0.055, 0.032],
-    "3D coupled": [0.4, 0.3],
+    "3D coupled": [0.5, 0.3],
 }
 QUICK = {"2D": [0.3], "3D": [0.7], "2D coupled": [0.3], "3D coupled": [0.7]}
 

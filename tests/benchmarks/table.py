@@ -8,7 +8,11 @@ PARTS = ("transport", "projections", "momentum", "hyperviscosity", "assembly", "
 
 
 def markdown(rows: list[dict]) -> str:
-    """A Markdown table: seconds a step, split into parts where the solver has them, and GB."""
+    """A Markdown table: seconds a step, split into parts where the solver has them, and GB.
+
+    "floor" is one assembly, factorisation and solve with the solver's own tangent, "direct" the same with a
+    factorisation of it as a whole.
+    """
     head = [
         "case",
         "cells",
@@ -19,6 +23,7 @@ def markdown(rows: list[dict]) -> str:
         *PARTS,
         "floor, s",
         "step/floor",
+        "step/direct",
         "GB",
         "closure",
     ]
@@ -39,6 +44,7 @@ def markdown(rows: list[dict]) -> str:
             *parts,
             f"{row['floor']:.2f}",
             f"{row['step'] / row['floor']:.1f}",
+            f"{row['step'] / row['direct']:.1f}" if "direct" in row else "",
             f"{row['memory']:.2f}",
             f"{row['closure']:.0e}",
         ]

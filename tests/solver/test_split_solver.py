@@ -13,7 +13,6 @@ from ngvisco.errors import StepError
 from ngvisco.forms.context import Integrand
 from ngvisco.geometries import box
 from ngvisco.solver.choice import SPLIT_FROM, meets_itself
-from ngvisco.solver.split.anderson import Anderson
 from ngvisco.solver.split.linear import TwoLevelSolver
 from ngvisco.solver.split.solver import Split
 
@@ -174,15 +173,6 @@ def test_failed_step_is_an_error_where_the_coupled_solver_is_too_large(monkeypat
     assert (state(run) == before).all()
 
 
-def test_steps_are_converged_in_fewer_iterations_with_acceleration(monkeypatch):
-    counts = []
-    for depth in (8, 0):
-        monkeypatch.setattr("ngvisco.solver.split.solver.DEPTH", depth)
-        run = simulation(maxh=0.1, dt=0.05)  # a long step: the sweeps see less of it
-        counts.append(sum(run.advance()["newton_iterations"] for _ in range(3)))
-    assert counts[0] < counts[1]
-
-
 def test_auto_chooses_by_dimension_and_size():
     small, large = simulation(solver="auto"), simulation(maxh=0.05, solver="auto")
     assert small.mesh.ne < SPLIT_FROM[2] <= large.mesh.ne
@@ -240,16 +230,6 @@ def test_sources_of_unknowns_and_of_derived_rows_are_for_the_coupled_solver(reas
     with pytest.raises(nv.ParameterError, match=reason):
         simulation(sources=source)
     assert not isinstance(simulation(maxh=0.05, sources=source, solver="auto").solver.newton, Split)
-
-
-def test_anderson_solves_a_linear_problem_in_as_many_steps_as_it_has_unknowns():
-    rng = np.random.default_rng(2)
-    A = np.eye(4) + 0.8 * rng.standard_normal((4, 4))
-    b, u = rng.standard_normal(4), np.zeros(4)
-    anderson = Anderson(depth=5, conditioning=1e-14)
-    for _ in range(7):
-        u = anderson.step(u, A @ u - b, np.ones(4))
-    assert np.linalg.norm(A @ u - b) <= 1e-8
 
 
 @pytest.mark.parametrize("k", [2, 3])

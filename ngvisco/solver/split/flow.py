@@ -13,6 +13,7 @@ import scipy.sparse as sp
 
 from ngvisco.solver.split.hyper_derivative import HyperDerivative
 from ngvisco.solver.split.momentum import Momentum
+from ngvisco.solver.split.reversal import Reversal
 from ngvisco.solver.split.sweep import Sweep
 from ngvisco.solver.split.tangent import PointTangent
 
@@ -25,20 +26,27 @@ class FlowOperator:
     ) -> None:
         self.m, self.p, self.sweep, self.derivative = momentum, points, sweep, derivative
         self.t, self.op, self.d = momentum.transport, points.op, momentum.dim
+        self.reversal = Reversal(self.t.facets)
         self.nv = self.t.v.size
         self.size = momentum.rows
 
-    def update(self) -> None:
-        """Linearise at the present state, whose residual has just been evaluated."""
-        self.p.update()
-        self.sweep.update()
+    def update(self, everything: bool = True) -> None:
+        """Linearise at the present state, whose residual has just been evaluated.
+
+        Without ``everything`` only hyperviscosity, upwinding and a density equation that is not linear.
+        """
+        self.sweep.linearise()
+        self.reversal.update(self.t.z, self.t.zeta, abs(self.t.v_q).max())
         if self.derivative is not None:
             self.derivative.update()
+        if not everything:
+            return
+        self.p.update()
+        self.sweep.update()
         d, count = self.d, self.op.points.count
         self.base = self._base()
         self._matrices = self.base.reshape(count, d * (1 + d), d * (1 + d))
-        tau = self.t.context.tau.Get()
-        self.inertia = self.m.op.z(0.5 / tau * (self.t.rho + self.t.rho_old))
+        self.inertia = self.m.op.z(0.5 / self.t.context.tau.Get() * (self.t.rho + self.t.rho_old))
         self.rest = self._rest()
 
     def _base(self) -> np.ndarray:
@@ -84,8 +92,9 @@ class FlowOperator:
         v_q, L = op.v(dv), op.velocity_gradient(dv)
         both = np.concatenate([v_q[:, None], L.reshape(d, d, -1)], axis=1)
         tested = at_points(self._matrices, both.reshape(d * (1 + d), -1)).reshape(d, 1 + d, -1)
-        tested[:, 1:] += self.stress(self.carried(L, v_q)).reshape(d, d, -1)
-        rows = op.v.test(tested[:, 0]) + self.tested(tested[:, 1:])
+        force, through = self.reversal(dv) if self.reversal.exists else (0.0, 0.0)
+        tested[:, 1:] += self.stress(self.carried(L, v_q, through)).reshape(d, d, -1)
+        rows = op.v.test(tested[:, 0]) + self.tested(tested[:, 1:]) + force
         rows += self.m.op.v.test(self.inertia * self.m.op.v(dv))
         of_a = None
         if self.derivative is not None and normals is not None:
@@ -100,12 +109,16 @@ class FlowOperator:
         """(1 - tau K)^{-1} dz at the points, (n, points), of coefficients dz."""
         return at_points(self.p.resolvent, self.op.z(dz))
 
-    def carried(self, X: np.ndarray, v_q: np.ndarray) -> np.ndarray:
-        """What z takes from an increment of v and Pi with these values at the points, (n, points)."""
+    def carried(self, X: np.ndarray, v_q: np.ndarray, through: np.ndarray | float) -> np.ndarray:
+        """What z takes from an increment of v and Pi, (n, points).
+
+        These have the values ``X`` = (grad v, Pi) and ``v_q`` at the points, and change the rows of z by
+        ``through`` what crosses facets.
+        """
         source = at_points(self.p.columns[:, :, : len(X)], X)
         for j, values in enumerate(v_q):
             source -= self.p.dz[:, j] * values
-        return self.resolved(self.sweep.fields(self.op.z.test(source)))
+        return self.resolved(self.sweep.fields(self.op.z.test(source) - through))
 
     def stress(self, dz: np.ndarray) -> np.ndarray:
         """The elastic stress's derivative in dz at the points, entries ij row by row, (dim^2, points)."""

@@ -95,9 +95,9 @@ class Preconditioner:
         with clock("factorisation"):
             self.solver.factorise(matrix)
 
-    def linearise(self) -> None:
-        """Let the linear operator follow the present state; what is factorised stays."""
-        self.operator.update()
+    def linearise(self, everything: bool) -> None:
+        """Let the linear operator follow the present state, or what changes suddenly; the rest stays."""
+        self.operator.update(everything)
 
     def __call__(self, r: Residual, tolerance: float) -> np.ndarray:
         """The increment, packed; ``tolerance`` is that of the flow's linear system."""
@@ -111,7 +111,8 @@ class Preconditioner:
         if t.Pi is not None:
             X = np.concatenate([X, self._creep(dflow[-t.Pi.size :].reshape(t.Pi.shape))])
         dv_q = op.v(dv)
-        dz += operator.carried(X, dv_q)
+        through = operator.reversal(dv)[1] if operator.reversal.exists else 0.0
+        dz += operator.carried(X, dv_q, through)
         drho = op.z(t.rho) * sum(X[i * (d + 1)] for i in range(d))
         drho += sum(D(t.rho) * dv_q[j] for j, D in enumerate(op.dz))
         density = r.density.copy()

@@ -46,7 +46,6 @@ class Sweep:
             self._whole.factorise((T + t.diffusion).tocsr())
         else:
             self._carried = self._between(self._cells, T)
-        self.linearise()
         if self._own is None:
             T = (t.mass / tau - convection.T + t.facets.density_matrix()).tocsr()
             self._rho_carried = self._between(self._rho_cells, T)

@@ -32,7 +32,7 @@ class Transport:
     def __init__(self, step: Step, operators: Operators, unknowns: Unknowns) -> None:
         self.step, self.op, self.context = step, operators, step.context
         self.n = n = component_count(step.model.material, step.mesh.dim)
-        self.rates = RateTensors.of(step.model.material, operators.points)
+        self.rates = RateTensors.of(step.model.material, step.mesh.dim)
         self.conjugation = Conjugation(step, operators.points)
         ranges = step.layout.ranges
         state, old = step.state.vec.FV().NumPy(), step.state_old.vec.FV().NumPy()

@@ -1,0 +1,52 @@
+"""What an increment of v does where the flow through a facet is about to turn round.
+
+There n^- = (1 - sigma(v . n))/2 changes at once, and with it the upwind trace and the elastic force, by
+[z] : [zeta] across the width of sigma; elsewhere the change is of the order of the jumps and is left out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from ngvisco.solver.split.facets import Facets
+from ngvisco.solver.split.operators import together
+
+SUDDEN = 0.1
+"""Change of n^-, for a change of v by its largest value, from which a facet counts."""
+
+
+class Reversal:
+    """The derivative by v of the elastic force and of the fields' rows, on the facets that count."""
+
+    def __init__(self, facets: Facets) -> None:
+        self.facets = facets
+
+    def update(self, z: np.ndarray, zeta: np.ndarray, largest: float) -> None:
+        """Linearise at the present state; ``largest`` is the largest |v|."""
+        f, weights = self.facets, self.facets.points.weights
+        eta, a = f.context.eta.Get(), f.normal_velocity
+        slope = -0.5 * f.inner * eta * eta / (a * a + eta * eta) ** 1.5  # of n^- by v . n
+        facet = f.trace_mass.facet
+        sudden = np.bincount(facet, abs(slope) * largest > SUDDEN) > 0
+        (where,) = np.nonzero(sudden[facet])
+        self.exists = where.size > 0
+        if not self.exists:
+            return
+        self._slope, self._weights, self._normals = slope[where], weights[where], f.points.normals[:, where]
+        self._v, self._z, hat = f.v.matrix[where], f.z.matrix[where], f.hat.matrix[where]
+        self._v_t, self._z_t = self._v.T.tocsr(), self._z.T.tocsr()
+        self._trace = (hat @ f.trace_mass.inverse() @ hat.T @ sp.diags(self._weights)).tocsr()
+        self._values, self._zeta = together(self._z, z), together(self._z, zeta)
+        self._jump, self._inflow, self._carried = f.jump[:, where], f.inflow[where], f.carried[where]
+        self._carried_slope = self._inflow + f.through[where] * self._slope
+
+    def __call__(self, dv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of v (dim, .) and of z (n, .), the latter with the sign of ``Facets.fields``."""
+        through = (self._normals * together(self._v, dv)).sum(axis=0)
+        inflow = self._slope * through
+        trace = -together(self._trace, inflow * self._values)
+        density = -((inflow * self._jump + self._inflow * trace) * self._zeta).sum(axis=0)
+        fields = self._carried_slope * through * self._jump + self._carried * trace
+        force = together(self._v_t, self._weights * density * self._normals)
+        return force, together(self._z_t, self._weights * fields)
