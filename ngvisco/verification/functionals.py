@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from ngsolve import BilinearForm, BitArray, LinearForm
+from ngsolve import BilinearForm, BitArray, Integrate, LinearForm
 
 from ngvisco.forms.context import Integrand
 from ngvisco.forms.regularisation import DensityDiffusion, FieldDiffusion
 from ngvisco.forms.system import Step
-from ngvisco.physics.tensors import inner
+from ngvisco.physics.tensors import inner, square
 
 
 class DeltaTerms:
@@ -23,7 +23,7 @@ class DeltaTerms:
     def __init__(self, step: Step) -> None:
         law = step.model.regularisation
         assert law is not None
-        self.step = step
+        self.step, self.law = step, law
         _, w = self._fields()
         now = step.now
         self._rho = _Representative(step, "rho", DensityDiffusion(law, step.context).form(now, w))
@@ -32,6 +32,13 @@ class DeltaTerms:
     def _fields(self) -> tuple[Any, Any]:
         trial, test = self.step.layout.space.TnT()
         return self.step.layout.fields(trial), self.step.layout.fields(test)
+
+    def compensating_force(self) -> float:
+        """delta |grad rho|^{r-2} (grad v) grad rho in L^{r'}, of the momentum equation."""
+        u, law = self.step.now, self.law
+        force = law.diffusivity(square(u.grad_rho)) * (u.grad_v * u.grad_rho)
+        dual = law.r / (law.r - 1)
+        return float(Integrate(square(force) ** (0.5 * dual), self.step.mesh, order=8)) ** (1 / dual)
 
     def norms(self) -> tuple[float, float]:
         """Of the density's and of the fields' term at the present state."""

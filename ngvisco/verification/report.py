@@ -108,8 +108,8 @@ def markdown(entries: Entries, images: Images, version: str) -> str:
 
 
 def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[str | float]]) -> list[str]:
-    cells = [[number(cell).replace("|", "\\|") for cell in row] for row in rows]
-    return [f"| {' | '.join(row)} |" for row in (list(head), ["---"] * len(head), *cells)]
+    cells = [[number(cell).replace("|", "\\|") for cell in row] for row in (head, *rows)]
+    return [f"| {' | '.join(row)} |" for row in (cells[0], ["---"] * len(head), *cells[1:])]
 
 
 def as_html(entries: Entries, images: Images, version: str) -> str:

@@ -27,7 +27,7 @@ def case(name, value, limit=1.0, **options):
         curve = Curve("a", [1.0, 2.0], [1.0, 4.0])
         return Outcome(
             values={"the number": measured},
-            tables=[Table("a table", ["x", "y"], [[1.0, "a|b<i>"]])],
+            tables=[Table("a table", ["x", "|y|"], [[1.0, "a|b<i>"]])],
             plots=[Plot("a plot", "x", "y", [curve], log="xy")],
             remarks=["A remark."],
         )
@@ -54,6 +54,7 @@ def test_report_of_cases_that_hold_opens_offline_and_exits_with_0(cases, tmp_pat
     # nothing from anywhere else
     assert not re.search(r"(src|href)=\"(?!data:|#)", page) and "http" not in page
     text = (tmp_path / "r" / "report.md").read_text()
+    assert "| x | \\|y\\| |" in text and "| 1 | a\\|b<i> |" in text  # a bar would make a further column
     assert "pictures/two.png" in text and (tmp_path / "r" / "pictures" / "two.png").stat().st_size > 0
     assert "2 hold, 0 do not" in capsys.readouterr().out
 
@@ -215,7 +216,10 @@ BOTH_MODELS = (
     "positivity",
     "hyperviscosity",
     "manufactured-2d",
+    "manufactured-2d-k3",
     "manufactured-3d",
+    "manufactured-3d-m2",
+    "manufactured-3d-k3",
     "robustness",
     "fluid-limit",
 )
@@ -227,6 +231,8 @@ def test_every_claim_is_on_a_linearised_and_a_finite_strain_case():
         assert {f"{name}-linearised", f"{name}-finite"} <= names
     for c in all_cases():
         assert c.statement and c.label and c.setting and all(b.reason for b in c.bounds), c.name
+        # a sentence that lost its end: a string left out of the brackets
+        assert not re.search(r"[,;:]\s*([,;:.]|$)", f"{c.statement}\n{c.setting}", re.MULTILINE), c.name
 
 
 @pytest.mark.long

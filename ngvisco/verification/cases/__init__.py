@@ -2,6 +2,7 @@
 
 from ngvisco.verification.cases import (
     comparison,
+    couette,
     dependent,
     estimates,
     flows,
@@ -32,6 +33,7 @@ MODULES = (
     waves,
     fronts,
     flows,
+    couette,
     manufactured,
     manufactured_space,
     robustness,

@@ -6,9 +6,11 @@ import math
 from functools import partial
 
 import numpy as np
+from ngsolve import Integrate
 
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import HyperViscosity
+from ngvisco.physics.tensors import square
 from ngvisco.run.simulation import Simulation
 from ngvisco.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from ngvisco.verification.functionals import DeltaTerms
@@ -25,6 +27,12 @@ SPREAD = {
     "sup stored energy": "Euler-small-est3",
 }
 
+SLOPES = {
+    "sup ‖∇rho‖ in L4": "Euler-small-est-rho",
+    "sup ‖∇z‖ in L2": "Euler-small-est-E",
+}
+"""Which the paper bounds as delta -> 0; of the cells' own gradients."""
+
 
 def run_of(kind: str, size: float) -> Simulation:
     """The block with epsilon = delta = ``size``, not run yet."""
@@ -38,7 +46,11 @@ def bounds_measured(kind: str) -> Outcome:
     closures, balances = [], []
     for size in SIZES:
         run = run_of(kind, size)
-        ledger = run.run(STEPS * TAU)
+        slopes = [0.0, 0.0]
+        for _ in range(STEPS):
+            run.advance()
+            slopes = [max(pair) for pair in zip(slopes, gradients(run), strict=True)]
+        ledger = run.ledger
         energy = ledger.column("kinetic") + ledger.column("stored")
         spent = sum(
             ledger.column(entry.name) * TAU for entry in ledger.entries if entry.kind == "dissipation"
@@ -56,9 +68,11 @@ def bounds_measured(kind: str) -> Outcome:
                 float(ledger.column("dissipation_epsilon").sum() * TAU),
                 float(ledger.column("dissipation_delta_fields").sum() * TAU),
                 float(ledger.column("density_diffusion").sum() * TAU),
+                *slopes,
             ]
         )
-    columns = ["eps = delta", *SPREAD, "eps ∫∫|v|^p", "∫∫ delta-term of z : zeta", "delta ∫∫|∇rho|^r"]
+    terms = ("eps ∫∫|v|^p", "∫∫ delta-term of z : zeta", "delta ∫∫|∇rho|^r")
+    columns = ["eps = delta", *SPREAD, *terms, *SLOPES]
     values = {
         "(energy + dissipated so far) / initial energy − 1": max(balances) - 1,
         "largest |closure|": max(closures),
@@ -66,6 +80,8 @@ def bounds_measured(kind: str) -> Outcome:
     for i, name in enumerate(SPREAD, 1):
         column = [float(row[i]) for row in rows]
         values[f"largest / smallest of {name}"] = max(column) / min(column)
+    for i, name in enumerate(SLOPES, len(columns) - len(SLOPES)):
+        values[f"growth of {name} over the last two decades"] = float(rows[-1][i]) / float(rows[-3][i])
     curves = [Curve(n, list(SIZES), [float(r[i]) for r in rows]) for i, n in enumerate(columns[1:], 1)]
     return Outcome(
         values=values,
@@ -74,26 +90,38 @@ def bounds_measured(kind: str) -> Outcome:
     )
 
 
+def gradients(run: Simulation) -> tuple[float, float]:
+    """Norms of the broken gradients of rho, in L4, and of z, in L2."""
+    u = run.rothe_step.now
+    rho = square(u.grad_rho)
+    return (
+        float(Integrate(rho * rho, run.mesh, order=8)) ** 0.25,
+        float(Integrate(square(u.grad_z), run.mesh, order=8)) ** 0.5,
+    )
+
+
 DELTAS = (1e-2, 1e-3, 1e-4, 1e-5)
 
 
 def delta_terms(kind: str) -> Outcome:
     """L2(I x Omega) norms of the delta-terms."""
-    table = RateTable("L2(I x Omega) norms of the delta-terms")
+    table = RateTable("delta-terms of rho and z in L2(I x Omega), compensating force in L4(I; L4/3(Omega))")
     for delta in DELTAS:
         run = run_of(kind, delta)
         terms = DeltaTerms(run.rothe_step)
-        squares = np.zeros(2)
+        squares, force = np.zeros(2), 0.0
         for _ in range(STEPS):
             run.advance()
             squares += TAU * np.square(terms.norms())
-        table.add(delta, rho=math.sqrt(squares[0]), z=math.sqrt(squares[1]))
-    plot = table.plot("delta", "norm in L2(I x Omega)")
+            force += TAU * terms.compensating_force() ** 4
+        table.add(delta, rho=math.sqrt(squares[0]), z=math.sqrt(squares[1]), force=force**0.25)
+    plot = table.plot("delta", "norm")
     line = slope_line(table.sizes, table.errors["z"], 0.5)
     return Outcome(
         values={
             "least rate of div(delta|∇rho|^{r-2}∇rho)": min(table.rates("rho")),
             "least rate of delta Laplace z": min(table.rates("z")),
+            "least rate of delta|∇rho|^{r-2}(∇v)∇rho": min(table.rates("force")),
         },
         tables=[table.table("delta")],
         plots=[Plot(plot.title, plot.xlabel, plot.ylabel, [*plot.curves, line], log="xy")],
@@ -101,8 +129,10 @@ def delta_terms(kind: str) -> Outcome:
     )
 
 
-_FINE = ", creep with G_m = 2 Pa s, hyperviscosity mu = 1e-4, p = 4, all regularising terms (r = 4); "
-"cells of 0.5 m"
+_FINE = (
+    ", creep with G_m = 2 Pa s, hyperviscosity mu = 1e-4, p = 4, all regularising terms (r = 4); "
+    "cells of 0.5 m"
+)
 
 
 def _cases(kind: str) -> tuple[Case, Case]:
@@ -110,7 +140,9 @@ def _cases(kind: str) -> tuple[Case, Case]:
         name=f"estimates-{kind}",
         theme=THEME,
         statement=f"The energy estimates of {KINDS[kind]} hold with one constant for all epsilon and delta.",
-        label="Euler-small-est" if kind == "linearised" else "Euler-large-est",
+        label="Euler-small-est, Euler-small-est-rho-E-"
+        if kind == "linearised"
+        else "Euler-large-est, Euler-large-est++",
         setting=f"{SETTING}{_FINE}, {STEPS} steps of {TAU} s; epsilon = delta from 0.1 to 1e-6.",
         bounds=(
             Bound(
@@ -124,6 +156,10 @@ def _cases(kind: str) -> tuple[Case, Case]:
                 Bound(f"largest / smallest of {name}", "<=", 1.5, f"{label}: one constant for five decades")
                 for name, label in SPREAD.items()
             ),
+            *(
+                Bound(f"growth of {name} over the last two decades", "<=", 1.05, f"{label}: bounded")
+                for name, label in SLOPES.items()
+            ),
         ),
         run=partial(bounds_measured, kind),
         reduced=kind == "finite",
@@ -131,12 +167,16 @@ def _cases(kind: str) -> tuple[Case, Case]:
     delta = Case(
         name=f"delta-terms-{kind}",
         theme=THEME,
-        statement=f"In {KINDS[kind]} the delta-terms vanish in L2(I x Omega) like sqrt(delta) or faster.",
-        label="Euler-small-est-rho-E" if kind == "linearised" else "Euler-large-est++F, Euler-large-est++J",
+        statement=f"In {KINDS[kind]} the delta-terms vanish in L2(I x Omega) like sqrt(delta) or faster, "
+        "and the compensating force like delta.",
+        label="Euler-small-est-rho-E"
+        if kind == "linearised"
+        else "Euler-small-est-rho-E, Euler-large-est++F, Euler-large-est++J",
         setting=f"{SETTING}{_FINE}, {STEPS} steps of {TAU} s; delta from 1e-2 to 1e-5.",
         bounds=(
             Bound("least rate of div(delta|∇rho|^{r-2}∇rho)", ">=", 0.5, "the paper's sqrt(delta)"),
             Bound("least rate of delta Laplace z", ">=", 0.5, "the paper's sqrt(delta)"),
+            Bound("least rate of delta|∇rho|^{r-2}(∇v)∇rho", ">=", 0.9, "the paper's delta"),
         ),
         run=partial(delta_terms, kind),
     )

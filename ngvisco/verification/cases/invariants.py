@@ -126,15 +126,14 @@ def cut_off(kind: str) -> Outcome:
         plots=[Plot("Largest density", "t, s", "kg/m3", curves)],
         remarks=[
             "The paper proves the bound with the delta-term, and it is needed: where it is absent or "
-            "too weak "
-            "for the mesh, the upwind flux of K(rho) rho, which falls where rho > rho_max, goes on filling "
-            "the cells that are full, and the bound is not kept (last rows)."
+            "too weak for the mesh, the upwind flux of K(rho) rho, which falls where rho > rho_max, goes on "
+            "filling the cells that are full, and the bound is not kept (last rows)."
         ],
     )
 
 
 def positivity(kind: str) -> Outcome:
-    """Smallest rho and J of a strong eddy under refinement of h and tau together."""
+    """Smallest rho and J of a strong compression and extension under refinement of h and tau together."""
     rows: list[list[str | float]] = []
     curves, lows = [], []
     runs = []
@@ -174,7 +173,7 @@ def _cases(kind: str) -> tuple[Case, ...]:
         name=f"mass-{kind}",
         theme=THEME,
         statement=f"In {KINDS[kind]} mass is conserved to rounding, with each of the scheme's "
-        f"regularisations.",
+        "regularisations.",
         label="Euler-small-est-1+",
         setting=f"{SETTING}, creep, gravity 2 m/s2, hyperviscosity; cells of 0.5 m, 6 steps of 0.02 and "
         f"0.5 s.",
@@ -186,8 +185,7 @@ def _cases(kind: str) -> tuple[Case, ...]:
         name=f"cut-off-{kind}",
         theme=THEME,
         statement=f"With the cut-off and the delta-term 0 < rho <= rho_max + 1 in {KINDS[kind]}, in a "
-        f"problem "
-        "whose density would otherwise pass it.",
+        "problem whose density would otherwise pass it.",
         label="cut-off, Euler-small-est3+++" if not finite else "cut-off, Euler-large-est",
         setting="A soft tube of 1 m x 0.125 m (K_e = 1 Pa, G_e = 0.5 Pa, K_v = G_v = 0.1 Pa s), density 1, "
         f"v = 3 sin(2 pi x) m/s, until 0.3 s; rho_max = {RHO_MAX:g}; delta = 1e-3 (r = 4), h = 1/16 m, "
@@ -203,7 +201,7 @@ def _cases(kind: str) -> tuple[Case, ...]:
         ),
         run=partial(cut_off, kind),
     )
-    low = [Bound("smallest rho", ">=", 0.3, "the eddy halves the density at most")]
+    low = [Bound("smallest rho", ">=", 0.3, "an extension by a factor of two at most")]
     low.append(Bound("fall of min rho from the coarser to the finest mesh", "<=", 0.05, "no trend to 0"))
     if finite:
         low.append(Bound("smallest J", ">=", 0.3, "as for the density"))
@@ -214,8 +212,9 @@ def _cases(kind: str) -> tuple[Case, ...]:
         statement=f"In {KINDS[kind]} min rho{' and min J stay' if finite else ' stays'} away from 0 as "
         f"h and tau are refined.",
         label="basic-est-of-v, cont-eq-inverse" if not finite else "1/J-continuity-eq, J-min",
-        setting=f"{SETTING.split(', set in')[0]} but of density 1, compressed along x by v = 4 sin(pi x) "
-        "cos(pi x) m/s; hyperviscosity mu = 1e-4, p = 4; h = 0.5 to 0.125 m with tau = 0.04 h, until 0.2 s.",
+        setting="A block of 1 m x 1 m with slip, density 1 kg/m3, compressed in its middle and extended at "
+        f"its sides by v = 2 sin(2 pi x) m/s at first; {SETTING.split('; ', 1)[1]}; hyperviscosity "
+        "mu = 1e-4, p = 4; h = 0.5 to 0.125 m with tau = 0.04 h, until 0.2 s.",
         bounds=(*low, CLOSURE),
         run=partial(positivity, kind),
     )

@@ -31,9 +31,9 @@ YOSIDA_SIZES = (1e-2, 1e-3, 1e-4, 1e-5)
 CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
 
 
-def _plot(table: RateTable, size: str, rate: float) -> Plot:
+def _plot(table: RateTable, size: str, rate: float, what: str = "distance in L2") -> Plot:
     first = next(iter(table.errors.values()))
-    plot = table.plot(size, "distance in L2")
+    plot = table.plot(size, what)
     line = slope_line(table.sizes, first, rate)
     return Plot(plot.title, plot.xlabel, plot.ylabel, [*plot.curves, line], log="xy")
 
@@ -59,7 +59,7 @@ def in_tau(kind: str) -> Outcome:
             "largest |closure|": closure(*runs),
         },
         tables=[table.table("tau, s"), losses.table("tau, s")],
-        plots=[_plot(table, "tau, s", 1.0), _plot(losses, "tau, s", 1.0)],
+        plots=[_plot(table, "tau, s", 1.0), _plot(losses, "tau, s", 1.0, "share of the energy")],
     )
 
 

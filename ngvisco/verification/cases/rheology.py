@@ -201,8 +201,8 @@ def _cases(kind: str) -> tuple[Case, Case]:
     name = KINDS[kind]
     setting = (
         f"G = {G:g} Pa, G_m = {G_M:g} Pa s, G_v = {G_V:g} Pa s, channel of 1 m x 1 m (cells of 0.5 m); 20, "
+        "40, 80 steps"
     )
-    "40, 80 steps"
     label = "Euler-small-flow-rule" if kind == "linearised" else "ED-Euler-large2, ED-Euler-large3"
     up = Case(
         name=f"jeffreys-startup-{kind}",
@@ -243,8 +243,7 @@ CASES = (
         name="upper-convected",
         theme=THEME,
         statement="A finite-strain Maxwell fluid in shear is the upper-convected Maxwell fluid in the "
-        "limit of "
-        "small Weissenberg numbers, with a deviation of second order.",
+        "limit of small Weissenberg numbers, with a deviation of second order.",
         label="ED-Euler-large2, ED-Euler-large3",
         setting=f"The same channel without G_v; lambda = {LAMBDA:g} s, Wi = 0.4 to 0.05, until 4 s, "
         f"extrapolated twice from tau = 0.1 s.",
