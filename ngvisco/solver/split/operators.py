@@ -77,10 +77,10 @@ class Conjugation:
     def __init__(self, step: Step, points: CellPoints) -> None:
         material, dim = step.model.material, step.mesh.dim
         self.n, self.points = component_count(material, dim), points
-        self.response, self.arrays = material.response(dim), array_slope(material, dim)
-        self.is_checked = False
+        self.response = material.response(dim)
         if self.response is not None:
             return
+        self.arrays, self.is_checked = array_slope(material, dim), False
         self.at, self.slope = points.function(self.n), points.function(self.n)
         tensors = tensors_of(material, self.at, dim)
         expression = components_of(material, conjugates(material, tensors), dim)
