@@ -260,3 +260,41 @@ def test_two_levels_take_as_many_iterations_on_finer_meshes(monkeypatch):
         gmres(operator, p.solver(r), rtol=1e-6, restart=100, callback=steps.append, callback_type="pr_norm")
         counts.append(len(steps))
     assert counts[2] <= 1.3 * counts[0]
+
+
+def test_a_third_step_starts_nearer_to_its_solution_than_the_old_state_is():
+    run = simulation(maxh=0.2, dt=0.01)
+    run.run(0.02)
+    step, extrapolation = run.rothe_step, run.solver.extrapolation
+    old = state(run)
+    assert not extrapolation.start(0.02)  # of another length: nothing to extrapolate from
+    assert (state(run) == old).all()
+    assert extrapolation.start(0.01)
+    guess = state(run)
+    step.state.vec.FV().NumPy()[:] = old
+    run.advance()
+    where = step.layout.ranges["z"]
+    new = state(run)[where]
+    assert np.linalg.norm(guess[where] - new) <= 0.5 * np.linalg.norm(old[where] - new)
+
+
+def test_a_failure_from_extrapolated_values_is_retried_from_the_old_state(monkeypatch):
+    run, plain = simulation(), simulation()
+    solve, calls = Split.solve, []
+
+    def fail_once(self):
+        calls.append(state(run))
+        if len(calls) == 1:
+            raise StepError("the split solver did not converge", [])
+        return solve(self)
+
+    for each in (run, plain):
+        each.run(0.04)
+    old = state(run)
+    monkeypatch.setattr(Split, "solve", fail_once)
+    run.advance()
+    monkeypatch.setattr(Split, "solve", solve)
+    plain.advance()
+    assert len(calls) == 2 and (calls[0] != old).any() and (calls[1] == old).all()
+    assert run.solver.retried == 0
+    assert np.linalg.norm(state(run) - state(plain)) <= 1e-9 * np.linalg.norm(state(plain))

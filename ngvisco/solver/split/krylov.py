@@ -1,4 +1,4 @@
-"""Newton-Krylov iteration on f(x) = P^{-1} R(x) = 0 where the accelerated iteration slows down."""
+"""Newton-Krylov iteration on f(x) = P^{-1} R(x) = 0 where the split solver's is slow."""
 
 from __future__ import annotations
 

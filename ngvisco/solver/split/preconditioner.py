@@ -45,7 +45,7 @@ class Residual:
 
 
 class Preconditioner:
-    """One sweep of the transport, the flow's tangent, and what z and rho take from the new velocity."""
+    """Sweeps of the transport, the flow's linear system, and what z and rho take from the new velocity."""
 
     def __init__(
         self,

@@ -12,14 +12,14 @@ derivative of P^{-1} R is taken by differences (``krylov``).
 What was tried, on the neo-Hookean swirl (p = 4, P2/DG1, tau = 0.02 s; sums over a step):
 
 - forms assembled by NGSolve in every iteration, one scalar product for each component: 7.6 s a step at
-  739 tetrahedra, one thread; dense blocks of cells (``LocalMatrix``) and phi' by arrays: 2.8 s with the
-  same number of iterations;
+  739 tetrahedra, one thread, 18 iterations; dense blocks of cells (``LocalMatrix``), phi' by arrays and
+  the next point: 2.8 s, 14 iterations;
 - the fields predicted inside each cell only, without what crosses facets: 18 iterations of 1/4 each;
-  with the fields carried by the transport 11 to 14 (739 tetrahedra); one sweep over the cells more than
-  two gains nothing at Courant numbers below one;
+  with the fields carried by the transport 11 to 14 (739 tetrahedra); three or four sweeps over the cells
+  take as many iterations as two (206 tetrahedra, Courant numbers below one);
 - the hyperviscosity by its coefficient c in the matrix of v alone, linearised once: 0.55 to 0.9 an
   iteration; with the penalty's derivative by means over the sides: eigenvalue 0.38 of the error on 762
-  triangles; by a rule with as many points as P_{k-1} has functions: exact to 1e-4;
+  triangles; by a rule with as many points as P_{k-1} has functions: right to 1e-3;
 - inertia by the coarse rule, which does not see all of P_2: eigenvalue 2.2 on a disc, diverges;
 - GMRES to 1/10: 28 iterations instead of 12 in the second step of 2,258 triangles, because what it leaves
   is not small in Newton's norm; to 1/100: a fifth more of its iterations and hardly fewer of Newton's;
