@@ -31,6 +31,7 @@ class Facets:
         self.trace_mass = FacetMass(self.hat)
         self.trace_mass.update(points.weights * (1 - 0.5 * self.inner))
         self.density_mass = FacetMass(self.hat)
+        self.h = np.repeat(context.h.vec.FV().NumPy(), self.z.per_cell)
 
     def set_velocity(self, v: np.ndarray, with_density: bool) -> None:
         """Evaluate v . n, the upwinding, and what depends on these alone."""
@@ -50,6 +51,10 @@ class Facets:
         z_hat[:] = self.trace_mass.solve(self.hat.test((1 - self.inflow) * values))
         self.jump = self.hat(z_hat)
         self.jump -= values
+
+    def from_mean(self, values: np.ndarray) -> np.ndarray:
+        """How far (n, points) are from the means of both sides: half the jump; all of it on the boundary."""
+        return values - self.hat(self.trace_mass.solve(self.hat.test((1 - 0.5 * self.inner) * values)))
 
     def fields(self) -> np.ndarray:
         """sum_K int_{dK} (v . n) n^- (z_hat - z) : G, rows of z."""

@@ -1,9 +1,9 @@
 """The flow's linear operator: dR/d(v, wall stress, Pi, a) with the fields carried along.
 
 An increment of v changes z by rate(z; grad dv) - (dv . grad) z, carried by the transport within the step
-(``Sweep``), and dz the elastic force: what remains of Newton's matrix when z is eliminated.  Values are
-taken at the points of a coarse rule, but for inertia: a rule that does not see all of P_k makes it
-singular.
+(``Sweep``), and dz the elastic force: what remains of Newton's matrix when z is eliminated.  Element
+matrices (``FlowElements``) are of a coarse rule, but for inertia: a rule that does not see all of P_k makes
+it singular.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from ngvisco.solver.split.elements import FlowElements
 from ngvisco.solver.split.hyper_derivative import HyperDerivative
 from ngvisco.solver.split.momentum import Momentum
 from ngvisco.solver.split.reversal import Reversal
@@ -26,6 +27,7 @@ class FlowOperator:
     ) -> None:
         self.m, self.p, self.sweep, self.derivative = momentum, points, sweep, derivative
         self.t, self.op, self.d = momentum.transport, points.op, momentum.dim
+        self.elements = FlowElements(points, momentum.op)
         self.reversal = Reversal(self.t.facets)
         self.nv = self.t.v.size
         self.size = momentum.rows
@@ -36,34 +38,32 @@ class FlowOperator:
         Without ``everything`` only hyperviscosity, upwinding and a density equation that is not linear.
         """
         self.sweep.linearise()
-        self.reversal.update(self.t.z, self.t.zeta, abs(self.t.v_q).max())
+        self.reversal.update(self.t.z, self.t.zeta, self.t.rho)
         if self.derivative is not None:
             self.derivative.update()
         if not everything:
             return
         self.p.update()
         self.sweep.update()
-        d, count = self.d, self.op.points.count
-        self.base = self._base()
-        self._matrices = self.base.reshape(count, d * (1 + d), d * (1 + d))
-        self.inertia = self.m.op.z(0.5 / self.t.context.tau.Get() * (self.t.rho + self.t.rho_old))
+        inertia = self.m.op.z(0.5 / self.t.context.tau.Get() * (self.t.rho + self.t.rho_old))
+        self.elements.update(self._base(), inertia)
         self.rest = self._rest()
 
     def _base(self) -> np.ndarray:
-        """dR/d(v, grad v) of convection and viscosity: (points, i, 0 or 1 + j, k, 0 or 1 + l)."""
+        """dR/d(v, grad v) of convection and viscosity: (points, 0 or 1 + j, i, k, 0 or 1 + l)."""
         p, d = self.p, self.d
         rho = p.op.z(self.t.rho)
         v, L = p.v, p.L
-        A = np.zeros((p.op.points.count, d, 1 + d, d, 1 + d))
+        A = np.zeros((p.op.points.count, 1 + d, d, d, 1 + d))
         for i in range(d):
             for j in range(d):
-                A[:, i, 0, j, 0] += 0.5 * L[i * d + j] * rho
-                A[:, i, 0, i, 1 + j] += 0.5 * rho * v[j]
-                A[:, i, 1 + j, i, 0] -= 0.5 * rho * v[j]
-                A[:, i, 1 + j, j, 0] -= 0.5 * rho * v[i]
-                A[:, i, 0, j, 1 + j] -= 0.5 * rho * v[i]
+                A[:, 0, i, j, 0] += 0.5 * L[i * d + j] * rho
+                A[:, 0, i, i, 1 + j] += 0.5 * rho * v[j]
+                A[:, 1 + j, i, i, 0] -= 0.5 * rho * v[j]
+                A[:, 1 + j, i, j, 0] -= 0.5 * rho * v[i]
+                A[:, 0, i, j, 1 + j] -= 0.5 * rho * v[i]
         if self.m.stokes is not None:
-            A[:, :, 1:, :, 1:] += self.m.stokes.reshape(1, d, d, d, d)
+            A[:, 1:, :, :, 1:] += self.m.stokes.reshape(d, d, d, d).swapaxes(0, 1)
         return A
 
     def _rest(self) -> sp.csr_matrix | None:
@@ -87,49 +87,48 @@ class FlowOperator:
 
     def __call__(self, flow: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
         """Rows of the flow's unknowns and of a, of an increment of these."""
-        d, op = self.d, self.op
-        dv = flow[: self.nv].reshape(d, -1)
-        v_q, L = op.v(dv), op.velocity_gradient(dv)
-        both = np.concatenate([v_q[:, None], L.reshape(d, d, -1)], axis=1)
-        tested = at_points(self._matrices, both.reshape(d * (1 + d), -1)).reshape(d, 1 + d, -1)
-        force, through = self.reversal(dv) if self.reversal.exists else (0.0, 0.0)
-        tested[:, 1:] += self.stress(self.carried(L, v_q, through)).reshape(d, d, -1)
-        rows = op.v.test(tested[:, 0]) + self.tested(tested[:, 1:]) + force
-        rows += self.m.op.v.test(self.inertia * self.m.op.v(dv))
+        e = self.elements
+        dv = flow[: self.nv].reshape(self.d, -1)
+        local = e.gathered(dv)
+        force, through = self.reversal(dv) if self.reversal.exists else (0.0, None)
+        carried = self._carried((e.to_fields @ local).reshape(-1, e.n), through)
+        rows = e.scattered(e.own @ local + e.from_fields @ carried.reshape(e.cells, -1, 1))
+        rows += force
         of_a = None
         if self.derivative is not None and normals is not None:
             of_both = self.derivative(np.concatenate([dv, normals], axis=1))
-            rows += of_both[:, : op.v.width]
-            of_a = of_both[:, op.v.width :]
+            rows += of_both[:, : dv.shape[1]]
+            of_a = of_both[:, dv.shape[1] :]
         result = np.zeros(self.size) if self.rest is None else self.rest @ flow
         result[: self.nv] += rows.ravel()
         return result, of_a
 
-    def resolved(self, dz: np.ndarray) -> np.ndarray:
-        """(1 - tau K)^{-1} dz at the points, (n, points), of coefficients dz."""
-        return at_points(self.p.resolvent, self.op.z(dz))
+    def _carried(self, rows: np.ndarray, through: np.ndarray | None) -> np.ndarray:
+        """What increments of v change z by, before rates and creep, (cells' unknowns, n).
 
-    def carried(self, X: np.ndarray, v_q: np.ndarray, through: np.ndarray | float) -> np.ndarray:
-        """What z takes from an increment of v and Pi, (n, points).
-
-        These have the values ``X`` = (grad v, Pi) and ``v_q`` at the points, and change the rows of z by
-        ``through`` what crosses facets.
+        They change the rows of z, (cells' unknowns, n), by ``rows`` and, at the facets, by ``through``.
         """
-        source = at_points(self.p.columns[:, :, : len(X)], X)
-        for j, values in enumerate(v_q):
-            source -= self.p.dz[:, j] * values
-        return self.resolved(self.sweep.fields(self.op.z.test(source) - through))
+        if through is not None:
+            rows += through.T
+        return self.sweep.fields(-rows)
 
-    def stress(self, dz: np.ndarray) -> np.ndarray:
-        """The elastic stress's derivative in dz at the points, entries ij row by row, (dim^2, points)."""
-        return at_points(self.p.force[:, : self.d**2], dz)
+    def force(self, dz: np.ndarray) -> np.ndarray:
+        """Rows of v, (dim, .), of what the sweeps make of the fields' rows, (cells' unknowns, n)."""
+        e = self.elements
+        return e.scattered(e.from_fields @ dz.reshape(e.cells, -1, 1))
 
-    def tested(self, stress: np.ndarray) -> np.ndarray:
-        """int stress : grad w, rows of v (dim, .), of stress (dim, dim, points)."""
-        rows = np.zeros((self.d, self.op.v.width))
-        for j, D in enumerate(self.op.dv):
-            rows += D.test(np.ascontiguousarray(stress[:, j]))
-        return rows
+    def carried(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
+        """What z takes from an increment of v (dim, .) and Pi, before rates and creep, as above."""
+        e = self.elements
+        rows = (e.to_fields @ e.gathered(dv)).reshape(-1, e.n)
+        if dPi is not None:
+            values = at_points(self.p.columns[:, :, self.d**2 :], dPi)
+            rows -= self.op.z.test(values).T
+        return self._carried(rows, self.reversal(dv)[1] if self.reversal.exists else None)
+
+    def resolved(self, dz: np.ndarray) -> np.ndarray:
+        """(1 - tau K)^{-1} dz at the points, (n, points), of coefficients dz (cells' unknowns, n)."""
+        return at_points(self.p.resolvent, self.op.z(np.ascontiguousarray(dz.T)))
 
 
 def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -45,8 +45,10 @@ class HyperTangent:
             own = own + L[rows].T @ weighted
             blocks = blocks + h.L_a[rows].T @ inverse @ h.L_a[rows]
             cross = cross + h.L_a[rows].T @ weighted
-        self.matrix, self.cross = own.tocsr(), cross.tocsr()
+        self.matrix = own.tocsr()
         self.a_inverse.update(blocks.tocsr())
+        # a = E v + (blocks)^{-1} (r - cross v)
+        self.E_solved = (self.E - self.a_inverse.matrix() @ cross).tocsr()
 
 
 def _scaled(matrix: sp.csr_matrix, rows: np.ndarray) -> sp.csr_matrix:

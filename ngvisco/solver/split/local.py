@@ -69,5 +69,5 @@ class LocalMatrix:
         np.matmul(by_cells, self._tests, out=local.transpose(1, 0, 2))
         flat = local.reshape(len(parts), -1)
         if not self._in_order:
-            flat = np.stack([self._scatter @ row for row in flat])
+            flat = (self._scatter @ np.ascontiguousarray(flat.T)).T
         return flat.reshape(*values.shape[:-1], self.width)

@@ -27,7 +27,7 @@ FLOW_ITERATIONS = 30
 """GMRES iterations for (v, a) with the tangent of v and facets' blocks as preconditioner."""
 
 
-DIRECT_UP_TO = {2: 100_000, 3: 3_000}
+DIRECT_UP_TO = {2: 3_000, 3: 3_000}
 """Unknowns of v, by dimension, up to which its tangent is factorised as a whole; above, two levels do.
 
 (3D, 2,639 tetrahedra: 5.4 s for a factorisation, 0.1 s for two levels, and no more GMRES iterations' time.)
@@ -102,23 +102,20 @@ class Preconditioner:
     def __call__(self, r: Residual, tolerance: float) -> np.ndarray:
         """The increment, packed; ``tolerance`` is that of the flow's linear system."""
         op, d, t, operator = self.op, self.d, self.t, self.operator
-        dz = operator.resolved(self.sweep.fields(r.z))
+        dz = self.sweep.fields(np.ascontiguousarray(r.z.T))
         flow = r.flow.copy()
-        flow[: self.nv] -= operator.tested(operator.stress(dz).reshape(d, d, -1)).ravel()
+        flow[: self.nv] -= operator.force(dz).ravel()
         dflow, da = self._flow(flow, r.normals, tolerance)
         dv = dflow[: self.nv].reshape(d, -1)
-        X = op.velocity_gradient(dv)
-        if t.Pi is not None:
-            X = np.concatenate([X, self._creep(dflow[-t.Pi.size :].reshape(t.Pi.shape))])
-        dv_q = op.v(dv)
-        through = operator.reversal(dv)[1] if operator.reversal.exists else 0.0
-        dz += operator.carried(X, dv_q, through)
-        drho = op.z(t.rho) * sum(X[i * (d + 1)] for i in range(d))
+        dPi = None if t.Pi is None else self._creep(dflow[-t.Pi.size :].reshape(t.Pi.shape))
+        dz += operator.carried(dv, dPi)
+        dv_q, L = op.v(dv), op.velocity_gradient(dv)
+        drho = op.z(t.rho) * sum(L[i * (d + 1)] for i in range(d))
         drho += sum(D(t.rho) * dv_q[j] for j, D in enumerate(op.dz))
         density = r.density.copy()
         density[: t.rho.size] -= op.z.test(drho)
         parts = [dflow, *([] if da is None else [da.ravel()]), self.sweep.density(density)]
-        return np.concatenate([*parts, self.project(op.z.test(dz)).ravel()])
+        return np.concatenate([*parts, self.project(op.z.test(operator.resolved(dz))).ravel()])
 
     def _flow(
         self, flow: np.ndarray, normals: np.ndarray | None, tolerance: float
@@ -143,7 +140,7 @@ class Preconditioner:
             rows[: self.nv] += together(h.E_t, a).ravel()
             increment = self.solver(rows)
             dv = increment[: self.nv].reshape(self.d, -1)
-            da = together(h.E, dv) + h.a_inverse(a - together(h.cross, dv))
+            da = together(h.E_solved, dv) + h.a_inverse(a)
             return np.concatenate([increment, da.ravel()])
 
         start = block(right)

@@ -1,7 +1,8 @@
 """What an increment of v does where the flow through a facet is about to turn round.
 
 There n^- = (1 - sigma(v . n))/2 changes at once, and with it the upwind trace and the elastic force, by
-[z] : [zeta] across the width of sigma; elsewhere the change is of the order of the jumps and is left out.
+[z] : [zeta] across the width of sigma, which may be more than what the facet's inertia opposes; elsewhere
+the change is of the order of the jumps and is left out.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ import scipy.sparse as sp
 from ngvisco.solver.split.facets import Facets
 from ngvisco.solver.split.operators import together
 
-SUDDEN = 0.1
-"""Change of n^-, for a change of v by its largest value, from which a facet counts."""
+SUDDEN = 2e-4
+"""Share of a cell's inertia rho h/tau, in the force by v . n, from which a facet counts."""
 
 
 class Reversal:
@@ -22,13 +23,18 @@ class Reversal:
     def __init__(self, facets: Facets) -> None:
         self.facets = facets
 
-    def update(self, z: np.ndarray, zeta: np.ndarray, largest: float) -> None:
-        """Linearise at the present state; ``largest`` is the largest |v|."""
+    def update(self, z: np.ndarray, zeta: np.ndarray, rho: np.ndarray) -> None:
+        """Linearise at the present state, given by its coefficients."""
         f, weights = self.facets, self.facets.points.weights
         eta, a = f.context.eta.Get(), f.normal_velocity
         slope = -0.5 * f.inner * eta * eta / (a * a + eta * eta) ** 1.5  # of n^- by v . n
         facet = f.trace_mass.facet
-        sudden = np.bincount(facet, abs(slope) * largest > SUDDEN) > 0
+        # the jump of z is what both sides together are away from its trace
+        z_jump = np.bincount(facet, weights * np.linalg.norm(f.jump, axis=0))
+        force = abs(slope) * z_jump[facet] * np.linalg.norm(f.from_mean(f.z(zeta)), axis=0)
+        area = np.bincount(facet, weights)
+        inertia = np.bincount(facet, weights * abs(f.z(rho)) * f.h) / f.context.tau.Get()
+        sudden = np.bincount(facet, weights * force / area[facet]) > SUDDEN * inertia
         (where,) = np.nonzero(sudden[facet])
         self.exists = where.size > 0
         if not self.exists:

@@ -44,6 +44,7 @@ class Sweep:
         T = (t.mass / tau + convection + t.facets.fields_matrix()).tocsr()
         if self._whole is not None:
             self._whole.factorise((T + t.diffusion).tocsr())
+            self._cells.update(T)
         else:
             self._carried = self._between(self._cells, T)
         if self._own is None:
@@ -63,20 +64,26 @@ class Sweep:
             self._own.factorise(self.t.density.jacobian())
 
     def fields(self, r: np.ndarray) -> np.ndarray:
-        """Increments of z, (n, cells' unknowns), before rates and creep."""
+        """Increments of z before rates and creep, of rows r: both (cells' unknowns, n)."""
         if self._whole is not None:
-            return np.stack([self._whole(row) for row in r])
+            return np.stack([self._whole(column) for column in r.T], axis=1)
         return _swept(self._carried, self._cells, r)
+
+    def in_cells(self, rows: np.ndarray) -> np.ndarray:
+        """The cells' own inverses times ``rows``, (cells' unknowns, .): no sweep, no diffusion."""
+        return self._cells.columns(rows)
 
     def density(self, r: np.ndarray) -> np.ndarray:
         """Increments of the density's unknowns."""
-        return _swept(self._rho_carried, self._rho_cells, r) if self._own is None else self._own(r)
+        if self._own is not None:
+            return self._own(r)
+        return _swept(self._rho_carried, self._rho_cells, r[:, None])[:, 0]
 
 
 def _swept(carried: sp.csr_matrix, cells: BlockInverse, r: np.ndarray) -> np.ndarray:
-    start = np.ascontiguousarray(cells(r).T)
+    start = cells.columns(r)
     x = start
     for _ in range(SWEEPS - 1):
         x = carried @ x
         x += start
-    return np.ascontiguousarray(x.T)
+    return x
