@@ -17,7 +17,7 @@ from ngvisco.errors import CheckpointError
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.passive import NAMES as PASSIVE
 from ngvisco.run.simulation import Simulation
-from ngvisco.run.threads import computing
+from ngvisco.threads import computing
 
 _ITERATIONS, _FACTORISATIONS = 6, 1.5
 """Newton iterations and factorisations of a typical step, for the estimate of time."""

@@ -25,7 +25,6 @@ from ngsolve import (
     IntegrationRule,
     LinearForm,
     Mesh,
-    TaskManager,
     dx,
     specialcf,
 )
@@ -65,8 +64,7 @@ class SidePoints:
         for q, rule in enumerate(self.rules):
             form = LinearForm(self._tests)
             form += value * self._tests.TestFunction() * self._dx(rule)
-            with TaskManager():
-                form.Assemble()
+            form.Assemble()
             result[:, q] = form.vec.FV().NumPy()
         return result
 
@@ -93,8 +91,7 @@ class SidePoints:
         for q, rule in enumerate(self.rules):
             form = BilinearForm(trialspace=space, testspace=self._tests)
             form += form_value * self._tests.TestFunction() * self._dx(rule)
-            with TaskManager():
-                form.Assemble()
+            form.Assemble()
             part = csr(form.mat).tocoo()
             data.append(part.data / self._measure[part.row, q])
             columns.append(part.col)

@@ -33,9 +33,9 @@ from ngvisco.run.fields import output_fields
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.passive import PassiveFields
 from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, RejectionObserver, make_stepper
-from ngvisco.run.threads import computing
 from ngvisco.solver.newton import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
+from ngvisco.threads import computing
 
 
 class Observer(Protocol):
@@ -85,6 +85,7 @@ class Simulation:
         For bad input, before anything is computed.
     """
 
+    @computing()
     def __init__(
         self,
         mesh: Mesh,

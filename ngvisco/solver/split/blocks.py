@@ -6,6 +6,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
+from ngvisco.threads import product
+
 
 class BlockInverse:
     """The inverse of a block-diagonal matrix, or of the block diagonal of a matrix.
@@ -60,7 +62,7 @@ class BlockInverse:
             parts = r.reshape(-1, *self.groups[0].shape).swapaxes(0, 1)
             result = np.empty(r.shape)
             out = result.reshape(-1, *self.groups[0].shape).swapaxes(0, 1)
-            np.matmul(parts, self._inverses[0].swapaxes(1, 2), out=out)
+            product(parts, self._inverses[0].swapaxes(1, 2), out=out)
             return result
         result = np.zeros_like(r)
         for group, inverse in zip(self.groups, self._inverses, strict=True):
@@ -70,7 +72,7 @@ class BlockInverse:
     def columns(self, r: np.ndarray) -> np.ndarray:
         """Inverse times each column of ``r``, (n, columns)."""
         if self._in_order:
-            return (self._inverses[0] @ r.reshape(*self.groups[0].shape, -1)).reshape(r.shape)
+            return product(self._inverses[0], r.reshape(*self.groups[0].shape, -1)).reshape(r.shape)
         result = np.zeros_like(r)
         for group, inverse in zip(self.groups, self._inverses, strict=True):
             result[group] = inverse @ r[group]

@@ -1,8 +1,9 @@
 """Element matrices of the flow's operator: of v, from v to the fields' rows, and back from the fields to v.
 
-A product of the operator is then three small dense products a cell, whatever the number of points.  In a cell, v's increment is ordered by components and functions, (dim, local),
-its rows by functions and components, (local, dim), the fields by functions and components, (q, n): orders
-in which the matrices come out of their products.
+A product of the operator is then three small dense products a cell, whatever the number of points.  In a
+cell, v's increment is ordered by components and functions, (dim, local), its rows by functions and
+components, (local, dim), the fields by functions and components, (q, n): orders in which the matrices come
+out of their products.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import scipy.sparse as sp
 from ngvisco.errors import MeshError
 from ngvisco.solver.split.operators import Operators
 from ngvisco.solver.split.tangent import PointTangent
+from ngvisco.threads import product
 
 
 class FlowElements:
@@ -36,18 +38,17 @@ class FlowElements:
         z_tests = z.data.reshape(self.cells, self.per, self.q) * op.weights.reshape(self.cells, -1, 1)
         self._z_tests = np.ascontiguousarray(z_tests.transpose(0, 2, 1))  # (cells, q, points)
         places = np.arange(self.dofs.size)
-        self._scatter = sp.csr_matrix(
-            (np.ones(places.size), (self.dofs.ravel(), places)), shape=(op.v.width, places.size)
-        )
+        ones = np.ones(places.size)
+        self._scatter = sp.csr_matrix((ones, (self.dofs.ravel(), places)), shape=(op.v.width, places.size))
 
     def update(self, base: np.ndarray, inertia: np.ndarray) -> None:
-        """``base`` is dR/d(v, grad v) at the points, (points, 0 or 1 + j, i, k, 0 or 1 + l), without the fields.
+        """``base`` is dR/d(v, grad v) without the fields, (points, 0 or 1 + j, i, k, 0 or 1 + l).
 
         ``inertia`` are the coefficients of w . dv at the points of the fine rule, (points,).
         """
         cells, d, n, local, q, p = self.cells, self.d, self.n, self.local, self.q, self.p
-        right = base.reshape(len(base), -1, 1 + d) @ self.shapes
-        own = self._tests @ right.reshape(cells, -1, d * d * local)
+        right = product(base.reshape(len(base), -1, 1 + d), self.shapes)
+        own = product(self._tests, right.reshape(cells, -1, d * d * local))
         own = own.reshape(cells, local, d, d, local)
         mass = self._inertia(inertia)
         for i in range(d):
@@ -57,12 +58,15 @@ class FlowElements:
         to_z = np.empty((len(base), n, d, 1 + d))
         to_z[..., 0] = p.dz.transpose(2, 0, 1)
         to_z[..., 1:] = -p.columns[:, :, : d * d].reshape(-1, n, d, d)
-        right = to_z.reshape(len(base), -1, 1 + d) @ self.shapes
-        self.to_fields = (self._z_tests @ right.reshape(cells, self.per, -1)).reshape(cells, q * n, d * local)
+        right = product(to_z.reshape(len(base), -1, 1 + d), self.shapes)
+        to_fields = product(self._z_tests, right.reshape(cells, self.per, -1))
+        self.to_fields = to_fields.reshape(cells, q * n, d * local)
         # v's rows from z: the elastic force of (1 - tau K)^{-1} dz
-        force = (p.force[:, : d * d] @ p.resolvent).reshape(-1, d, d, n).swapaxes(1, 2)  # (points, j, i, n)
-        left = self.shapes[:, 1:].transpose(0, 2, 1) @ force.reshape(len(base), d, d * n)
-        back = self._z_tests @ left.reshape(cells, self.per, -1)
+        force = (
+            product(p.force[:, : d * d], p.resolvent).reshape(-1, d, d, n).swapaxes(1, 2)
+        )  # (points, j, i, n)
+        left = product(self.shapes[:, 1:].transpose(0, 2, 1), force.reshape(len(base), d, d * n))
+        back = product(self._z_tests, left.reshape(cells, self.per, -1))
         back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3)
         self.from_fields = np.ascontiguousarray(back).reshape(cells, local * d, q * n)
 
@@ -70,7 +74,7 @@ class FlowElements:
         op = self.fine
         weighted = (density * op.weights).reshape(self.cells, -1, 1)
         shapes = op.v.matrix.data.reshape(*weighted.shape[:2], self.local)
-        return shapes.transpose(0, 2, 1) @ (weighted * shapes)
+        return product(shapes.transpose(0, 2, 1), weighted * shapes)
 
     def gathered(self, dv: np.ndarray) -> np.ndarray:
         """The cells' unknowns of dv (dim, .), (cells, dim local, 1)."""

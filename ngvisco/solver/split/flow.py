@@ -17,6 +17,7 @@ from ngvisco.solver.split.momentum import Momentum
 from ngvisco.solver.split.reversal import Reversal
 from ngvisco.solver.split.sweep import Sweep
 from ngvisco.solver.split.tangent import PointTangent
+from ngvisco.threads import concurrently, product
 
 
 class FlowOperator:
@@ -43,8 +44,7 @@ class FlowOperator:
             self.derivative.update()
         if not everything:
             return
-        self.p.update()
-        self.sweep.update()
+        concurrently(self.p.update, self.sweep.update, self.op.points.count * self.t.n**2)
         inertia = self.m.op.z(0.5 / self.t.context.tau.Get() * (self.t.rho + self.t.rho_old))
         self.elements.update(self._base(), inertia)
         self.rest = self._rest()
@@ -87,21 +87,28 @@ class FlowOperator:
 
     def __call__(self, flow: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
         """Rows of the flow's unknowns and of a, of an increment of these."""
-        e = self.elements
-        dv = flow[: self.nv].reshape(self.d, -1)
-        local = e.gathered(dv)
-        force, through = self.reversal(dv) if self.reversal.exists else (0.0, None)
-        carried = self._carried((e.to_fields @ local).reshape(-1, e.n), through)
-        rows = e.scattered(e.own @ local + e.from_fields @ carried.reshape(e.cells, -1, 1))
-        rows += force
-        of_a = None
-        if self.derivative is not None and normals is not None:
-            of_both = self.derivative(np.concatenate([dv, normals], axis=1))
-            rows += of_both[:, : dv.shape[1]]
-            of_a = of_both[:, dv.shape[1] :]
+        dv, of_a = flow[: self.nv].reshape(self.d, -1), None
+        if self.derivative is None or normals is None:
+            rows = self._with_fields(dv)
+        else:
+            x, hyper = np.concatenate([dv, normals], axis=1), self.derivative
+            size = self.elements.own.size
+            rows, of_x = concurrently(lambda: self._with_fields(dv), lambda: hyper(x), size)
+            rows += of_x[:, : dv.shape[1]]
+            of_a = of_x[:, dv.shape[1] :]
         result = np.zeros(self.size) if self.rest is None else self.rest @ flow
         result[: self.nv] += rows.ravel()
         return result, of_a
+
+    def _with_fields(self, dv: np.ndarray) -> np.ndarray:
+        """Rows of v, (dim, .), without hyperviscosity, with the fields carried along."""
+        e = self.elements
+        local = e.gathered(dv)
+        force, through = self.reversal(dv) if self.reversal.exists else (0.0, None)
+        carried = self._carried(product(e.to_fields, local).reshape(-1, e.n), through)
+        of_cells = product(e.own, local)
+        of_cells += product(e.from_fields, carried.reshape(e.cells, -1, 1))
+        return e.scattered(of_cells) + force
 
     def _carried(self, rows: np.ndarray, through: np.ndarray | None) -> np.ndarray:
         """What increments of v change z by, before rates and creep, (cells' unknowns, n).
@@ -115,12 +122,12 @@ class FlowOperator:
     def force(self, dz: np.ndarray) -> np.ndarray:
         """Rows of v, (dim, .), of what the sweeps make of the fields' rows, (cells' unknowns, n)."""
         e = self.elements
-        return e.scattered(e.from_fields @ dz.reshape(e.cells, -1, 1))
+        return e.scattered(product(e.from_fields, dz.reshape(e.cells, -1, 1)))
 
     def carried(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
         """What z takes from an increment of v (dim, .) and Pi, before rates and creep, as above."""
         e = self.elements
-        rows = (e.to_fields @ e.gathered(dv)).reshape(-1, e.n)
+        rows = product(e.to_fields, e.gathered(dv)).reshape(-1, e.n)
         if dPi is not None:
             values = at_points(self.p.columns[:, :, self.d**2 :], dPi)
             rows -= self.op.z.test(values).T
@@ -133,4 +140,4 @@ class FlowOperator:
 
 def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Matrices (points, i, j) times values (j, points): (i, points)."""
-    return np.ascontiguousarray((matrices @ values.T[:, :, None])[:, :, 0].T)
+    return np.ascontiguousarray(product(matrices, values.T[:, :, None])[:, :, 0].T)

@@ -20,7 +20,6 @@ from ngsolve import (
     Grad,
     NormalFacetFESpace,
     Periodic,
-    TaskManager,
     VectorValued,
     grad,
     specialcf,
@@ -100,8 +99,7 @@ class MatrixHyperviscosity:
             of_v += -(grad(phi) * _divergence(X, dim)) * self.step.quadrature.cells
         of_a = BilinearForm(trialspace=self.normal, testspace=tests)
         of_a += (X_n * n) * (b * n) * facets
-        with TaskManager():
-            self.L_v, self.L_a = pruned(csr(of_v.Assemble().mat)), pruned(csr(of_a.Assemble().mat))
+        self.L_v, self.L_a = pruned(csr(of_v.Assemble().mat)), pruned(csr(of_a.Assemble().mat))
         self.h_values = self._local(self.points.values(scalar))
         mass = mass_matrix(self.h_values.matrix, self.points.weights)
         self.h_inverse = BlockInverse(mass)

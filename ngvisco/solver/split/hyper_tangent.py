@@ -32,9 +32,9 @@ class HyperTangent:
         J_a_t = (sp.diags(sides.weights * penalty) @ J_a).T.tocsr()
         facets = (J_a_t @ J_a).tocsr()
         self.facet_inverse.update(facets)
-        self.E = -(self.facet_inverse.matrix() @ (J_a_t @ J_v)).tocsr()
-        self.E_t = self.E.T.tocsr()
-        L, J = (h.L_v + h.L_a @ self.E).tocsr(), (J_v + J_a @ self.E).tocsr()
+        E = -(self.facet_inverse.matrix() @ (J_a_t @ J_v)).tocsr()
+        self.E_t = E.T.tocsr()
+        L, J = (h.L_v + h.L_a @ E).tocsr(), (J_v + J_a @ E).tocsr()
         inverse = _scaled(h.h_inverse_matrix, cell[self.h_cell])
         own = (J.T @ sp.diags(sides.weights * penalty) @ J).tocsr()
         blocks = facets
@@ -48,7 +48,7 @@ class HyperTangent:
         self.matrix = own.tocsr()
         self.a_inverse.update(blocks.tocsr())
         # a = E v + (blocks)^{-1} (r - cross v)
-        self.E_solved = (self.E - self.a_inverse.matrix() @ cross).tocsr()
+        self.E_solved = (E - self.a_inverse.matrix() @ cross).tocsr()
 
 
 def _scaled(matrix: sp.csr_matrix, rows: np.ndarray) -> sp.csr_matrix:

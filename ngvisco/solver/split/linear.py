@@ -69,9 +69,9 @@ class TwoLevelSolver:
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
         """Raises StepError if the block of the vertices is singular."""
-        self.matrix = matrix.tocsr()
-        self.coarse.factorise(self.matrix)
-        diagonal = self.matrix.diagonal()
+        self.coarse.factorise(matrix)
+        self.matrix = matrix
+        diagonal = matrix.diagonal()
         self._smoother = np.where(self.fine & (diagonal != 0), self.DAMPING, 0.0)
         self._smoother /= np.where(diagonal != 0, diagonal, 1.0)
 

@@ -12,6 +12,8 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
+from ngvisco.threads import product, shared
+
 
 class LocalMatrix:
     """A sparse matrix by cells, and its transpose with weights of the rows."""
@@ -56,9 +58,13 @@ class LocalMatrix:
         parts = rows.reshape(-1, self.width)
         result = np.empty((len(parts), self.height)) if out is None else out
         shape = (len(parts), self.cells, self.local)
-        local = parts.reshape(shape) if self._in_order else parts[:, self.unknowns]
         by_cells = result.reshape(len(parts), self.cells, self.per_cell).transpose(1, 0, 2)
-        np.matmul(local.transpose(1, 0, 2), self._blocks, out=by_cells)
+
+        def work(s: slice) -> None:
+            local = parts.reshape(shape)[:, s] if self._in_order else parts[:, self.unknowns[s]]
+            np.matmul(local.transpose(1, 0, 2), self._blocks[s], out=by_cells[s])
+
+        shared(work, self.cells, len(parts) * self._blocks.size)
         return result.reshape(*rows.shape[:-1], self.height)
 
     def test(self, values: np.ndarray) -> np.ndarray:
@@ -66,7 +72,7 @@ class LocalMatrix:
         parts = values.reshape(-1, self.height)
         local = np.empty((len(parts), self.cells, self.local))
         by_cells = parts.reshape(len(parts), self.cells, self.per_cell).transpose(1, 0, 2)
-        np.matmul(by_cells, self._tests, out=local.transpose(1, 0, 2))
+        product(by_cells, self._tests, out=local.transpose(1, 0, 2))
         flat = local.reshape(len(parts), -1)
         if not self._in_order:
             flat = (self._scatter @ np.ascontiguousarray(flat.T)).T

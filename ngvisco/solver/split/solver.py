@@ -14,6 +14,10 @@ What was tried, on the neo-Hookean swirl (p = 4, P2/DG1, tau = 0.02 s; sums over
 - forms assembled by NGSolve in every iteration, one scalar product for each component: 7.6 s a step at
   739 tetrahedra, one thread, 18 iterations; dense blocks of cells (``LocalMatrix``), phi' by arrays and
   the next point: 2.8 s, 14 iterations;
+- the linear operator by passes over the quadrature points, a dozen: 25 ms on 2,258 triangles; by element
+  matrices (``FlowElements``) 9 ms, of which the hyperviscosity's derivative takes half;
+- the tangent of v factorised as a whole in 2D: 10 ms a solve on 2,258 triangles; two levels 4 ms for a
+  tenth more iterations, also where the fourth-order term dominates (mu a thousand times larger: a fifth);
 - the fields predicted inside each cell only, without what crosses facets: 18 iterations of 1/4 each;
   with the fields carried by the transport 11 to 14 (739 tetrahedra); three or four sweeps over the cells
   take as many iterations as two (206 tetrahedra, Courant numbers below one);
@@ -38,7 +42,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from ngsolve import BaseVector, TaskManager
+from ngsolve import BaseVector
 
 from ngvisco.errors import StepError
 from ngvisco.forms.hyperviscosity import Hyperviscosity
@@ -52,6 +56,7 @@ from ngvisco.solver.split.preconditioner import Preconditioner, Residual
 from ngvisco.solver.split.sources import KnownRows
 from ngvisco.solver.split.transport import Transport
 from ngvisco.solver.split.unknowns import Unknowns
+from ngvisco.threads import on_arrays
 
 FOLLOWED = 1e-3
 """Increment below which only what changes suddenly is linearised anew: hyperviscosity and upwinding."""
@@ -116,7 +121,7 @@ class Split:
 
     def factorise(self, state: BaseVector) -> None:
         """Make the tangent at the present state (``state`` is its vector); raises StepError."""
-        with TaskManager():
+        with on_arrays():
             self._start()
             self.residual()
             self._update()
@@ -166,7 +171,7 @@ class Split:
             When the iteration does not converge; the state is then some iterate.
         """
         history: list[NewtonIteration] = []
-        with TaskManager():
+        with on_arrays():
             self._start()
             try:
                 self._iterate(history)

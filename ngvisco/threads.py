@@ -1,0 +1,106 @@
+"""Threads of a computation: NGSolve's for assembly, ours for arrays, and one for the BLAS.
+
+NGSolve's task threads wait actively; a BLAS that starts its own threads beside them takes the cores from
+both (measured beside other work on two cores: the swirl demo in 9 min 52 s against 2 min 10 s).  Large array
+products are shared among as many threads of Python as NGSolve has, which its workers must not keep busy:
+``on_arrays`` sends these to sleep.  Results do not depend on the number of threads: every row of a product
+is the work of one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from contextvars import copy_context
+from functools import partial
+from itertools import pairwise
+from threading import Event
+from typing import Any
+
+import numpy as np
+from ngsolve import TaskManager
+from pyngcore import GetNumThreads, SuspendTaskManager
+from threadpoolctl import ThreadpoolController
+
+SMALL = 200_000
+"""Multiplications below which a product is not shared: waking a thread takes as long."""
+
+_controller: list[ThreadpoolController] = []
+_pools: dict[int, ThreadPoolExecutor] = {}
+_busy = Event()  # two pieces of work run at once: no thread is left for more
+
+
+@contextmanager
+def computing() -> Iterator[None]:
+    """Within: NGSolve's task manager runs, BLAS libraries use one thread; restored on leaving."""
+    if not _controller:  # made late, when NGSolve and NumPy have loaded their libraries
+        _controller.append(ThreadpoolController())
+    with _controller[0].limit(limits=1, user_api="blas"), TaskManager():
+        yield
+
+
+def on_arrays() -> AbstractContextManager[Any]:
+    """Within: NGSolve's workers sleep, if there are any."""
+    return SuspendTaskManager()
+
+
+def shared(work: Callable[[slice], Any], count: int, size: float) -> None:
+    """Call ``work`` with slices that make up range(count), each in a thread of its own.
+
+    Parameters
+    ----------
+    work : callable
+        Takes a slice; large products of NumPy and SciPy in it run at the same time.
+    count : int
+        What is shared out, cells or rows.
+    size : float
+        Multiplications in all: small products are not shared.
+    """
+    threads = 1 if _busy.is_set() else GetNumThreads()
+    if threads == 1 or size < SMALL or count < threads:
+        work(slice(0, count))
+        return
+    ends = np.linspace(0, count, threads + 1).astype(int)
+    slices = [slice(a, b) for a, b in pairwise(ends)]
+    others = [_submit(threads, partial(work, s)) for s in slices[1:]]
+    work(slices[0])
+    for other in others:
+        other.result()
+
+
+def concurrently(first: Callable[[], Any], second: Callable[[], Any], size: float) -> tuple[Any, Any]:
+    """Results of two pieces of work that do not touch each other's arrays, one thread each.
+
+    ``size`` is as for ``shared``; what the pieces share out among threads themselves stays in theirs.
+    """
+    if size < SMALL or _busy.is_set() or GetNumThreads() == 1:
+        return first(), second()
+    _busy.set()
+    other = _submit(GetNumThreads(), second)
+    try:
+        mine = first()
+    finally:
+        other.exception()  # waits
+        _busy.clear()
+    return mine, other.result()
+
+
+def _submit(threads: int, work: Callable[[], Any]) -> Future[Any]:
+    """Start ``work`` beside the caller, with the caller's treatment of floating-point errors."""
+    if threads not in _pools:
+        _pools[threads] = ThreadPoolExecutor(threads - 1, thread_name_prefix="ngvisco")
+    return _pools[threads].submit(copy_context().run, work)
+
+
+def product(matrices: np.ndarray, vectors: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+    """np.matmul of stacks of small matrices, (count, ., .), shared by the first index."""
+    if out is None:
+        shape = (len(matrices), matrices.shape[1], vectors.shape[2])
+        out = np.empty(shape, np.result_type(matrices, vectors))
+
+    def work(s: slice) -> None:
+        np.matmul(matrices[s], vectors[s], out=out[s])
+
+    shared(work, len(matrices), out.size * matrices.shape[2])
+    return out
