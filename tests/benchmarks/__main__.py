@@ -53,6 +53,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="tiny meshes, to see that it works")
     parser.add_argument("--series", nargs="*", choices=list(SIZES), default=list(SIZES))
     parser.add_argument("--largest", type=float, help="leave out meshes finer than this maxh")
+    parser.add_argument("--threads", type=int, default=2, choices=(1, 2), help="threads (default 2)")
     parser.add_argument("--steps", type=int, default=2, help="steps timed, after a first one (default 2)")
     parser.add_argument("--timeout", type=float, default=1800, help="seconds a row may take")
     chosen = parser.parse_args(arguments)
@@ -61,10 +62,11 @@ def main(arguments: list[str] | None = None) -> int:
         dim, method = int(series[0]), "coupled" if "coupled" in series else "split"
         sizes = [h for h in (QUICK if chosen.quick else SIZES)[series] if h >= (chosen.largest or 0)]
         for maxh in sizes:
-            rows.append(measure(dim, maxh, method, 2, chosen.steps, chosen.timeout))
+            rows.append(measure(dim, maxh, method, chosen.threads, chosen.steps, chosen.timeout))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)
         if method == "split":  # two threads over one, in the middle of the series
-            rows.append(measure(dim, float(np.median(sizes)), method, 1, chosen.steps, chosen.timeout))
+            middle, others = float(np.median(sizes)), 3 - chosen.threads
+            rows.append(measure(dim, middle, method, others, chosen.steps, chosen.timeout))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)
     text = f"{markdown(rows)}\n{summary(rows)}"
     print(f"\n{text}")

@@ -13,6 +13,7 @@ from ngvisco.errors import StepError
 from ngvisco.forms.context import Integrand
 from ngvisco.geometries import box
 from ngvisco.solver.choice import SPLIT_FROM, meets_itself
+from ngvisco.solver.split import solver as split_solver
 from ngvisco.solver.split.linear import TwoLevelSolver
 from ngvisco.solver.split.solver import Split
 
@@ -298,3 +299,34 @@ def test_a_failure_from_extrapolated_values_is_retried_from_the_old_state(monkey
     assert len(calls) == 2 and (calls[0] != old).any() and (calls[1] == old).all()
     assert run.solver.retried == 0
     assert np.linalg.norm(state(run) - state(plain)) <= 1e-9 * np.linalg.norm(state(plain))
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.3])
+def test_differences_take_over_where_the_iteration_is_slow(dt, monkeypatch):
+    """Newton-Krylov from the third iteration on ends in the same solution as the usual iteration."""
+    usual = simulation(dt=dt)
+    usual.advance()
+    monkeypatch.setattr("ngvisco.solver.split.solver.SLOW", 2)
+    taken_over = []
+    newton_krylov = split_solver.newton_krylov
+
+    def counted(split, start, history):
+        before = len(history)
+        newton_krylov(split, start, history)
+        taken_over.append(len(history) - before)
+
+    monkeypatch.setattr(split_solver, "newton_krylov", counted)
+    run = simulation(dt=dt)
+    row = run.advance()
+    assert run.solver.retried == 0
+    assert taken_over and taken_over[0] > 0
+    assert abs(row["closure_relative"]) <= 1e-10
+    assert np.abs(state(run) - state(usual)).max() <= 1e-7 * np.abs(state(usual)).max()
+
+
+def test_differences_say_when_they_fail(monkeypatch):
+    monkeypatch.setattr("ngvisco.solver.split.solver.SLOW", 0)
+    monkeypatch.setattr("ngvisco.solver.split.krylov.gmres", lambda operator, f, **_: (0 * f, 0))
+    split = simulation().solver.newton
+    with pytest.raises(StepError, match="did not converge"):
+        split.solve()
