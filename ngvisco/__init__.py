@@ -50,7 +50,7 @@ from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
-from ngvisco.solver.newton import NewtonOptions
+from ngvisco.solver.options import NewtonOptions
 
 try:
     __version__ = importlib.metadata.version("ngvisco")

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ngvisco.solver.newton import NewtonIteration
+    from ngvisco.solver.options import NewtonIteration
 
 
 class NgviscoError(Exception):

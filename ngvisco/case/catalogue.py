@@ -30,7 +30,7 @@ from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.stepping import AdaptiveSteps
-from ngvisco.solver.newton import NewtonOptions
+from ngvisco.solver.options import NewtonOptions
 
 
 def _geometries() -> dict[str, Callable[..., Any]]:

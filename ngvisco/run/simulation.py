@@ -33,7 +33,7 @@ from ngvisco.run.fields import output_fields
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.passive import PassiveFields
 from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, RejectionObserver, make_stepper
-from ngvisco.solver.newton import NewtonOptions
+from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.threads import computing
 

@@ -9,13 +9,8 @@ equations, so residuals in different units are never compared.  Both increments 
 scales, the larger of those before and after the step: a step that is far too long would otherwise
 pass the test because it makes the scale grow.
 
-Norm.  |d| = max over the blocks v, rho, z of |d_block|_2 / scale_block, in coefficients, with
-scale_v = |v|_2 + f sqrt(n) h/tau, scale_rho = |rho|_2, scale_z = |z|_2 + f sqrt(n), where n is the
-number of the block's coefficients and h the smallest cell size: a velocity counts by the strain that
-it makes in the step.  The other unknowns are functions of these three.  The floor f = 1e-9 lets small
-strains and velocities converge relatively to themselves, as the ledger needs; near a state of rest that
-is below rounding, so an iteration that a fresh Jacobian no longer advances also ends where the
-increment is below the tolerance with f = 1e-3, or below ten times the tolerance.
+Norm.  Increments are measured by ``BlockNorm``; an iteration that a fresh Jacobian no longer advances also
+ends where the increment is below the tolerance with its large floor, or below ten times the tolerance.
 
 Rounding.  The residual sums parts that cancel: near F = I those of the elastic force have the size of the
 modulus G, and their rounding leaves a force of eps G/h that the stiffness of a strain does not resist where
@@ -28,13 +23,15 @@ and at most ``NOISE_CAP`` tolerances, is accepted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
-from ngsolve import BaseVector, BilinearForm, BitArray
+from ngsolve import BaseVector, BilinearForm
 
-from ngvisco.errors import ParameterError, StepError, require_choice, require_positive
+from ngvisco.errors import StepError
+from ngvisco.solver.condensed import CondensedJacobian
+from ngvisco.solver.norm import BlockNorm
+from ngvisco.solver.options import NewtonIteration, NewtonOptions
 
 NOISE_SAMPLES = 2
 """Perturbations by rounding that are tried; the largest change of the increment counts."""
@@ -44,134 +41,6 @@ NOISE_MARGIN = 10.0
 
 NOISE_CAP = 100.0
 """The largest increment, in tolerances, that is accepted as rounding."""
-
-METHODS = ("auto", "coupled", "split")
-
-
-@dataclass(frozen=True, kw_only=True)
-class NewtonOptions:
-    """Tolerances of the iteration, in the norm of the module's docstring.
-
-    Parameters
-    ----------
-    tolerance : float
-        The iteration ends when an increment is below it; that increment is still added.
-    max_iterations : int
-        Residual evaluations a Rothe step may take, over which the typed error is raised.
-    refresh : float
-        Contraction above which the Jacobian is assembled anew, in (0, 1).
-    min_damping : float
-        Smallest step length tried.
-    inverse : str
-        NGSolve's name of a sparse direct solver for nonsymmetric matrices.
-    method : str
-        ``"coupled"``: all unknowns at once; ``"split"``: one problem for the velocity, with the fields as
-        functions of it, whose cost grows like the mesh; ``"auto"`` (default): the faster one for the
-        mesh's dimension and size.  Both solve the same equations.
-    """
-
-    tolerance: float = 1e-10
-    max_iterations: int = 60
-    refresh: float = 0.25
-    min_damping: float = 1e-3
-    inverse: str = "umfpack"
-    method: str = "auto"
-
-    def __post_init__(self) -> None:
-        require_positive(
-            self,
-            tolerance=self.tolerance,
-            refresh=self.refresh,
-            min_damping=self.min_damping,
-        )
-        if not isinstance(self.max_iterations, int) or self.max_iterations < 1:
-            raise ParameterError("NewtonOptions.max_iterations", self.max_iterations, "an integer >= 1")
-        for name, value in (("refresh", self.refresh), ("min_damping", self.min_damping)):
-            if value >= 1:
-                raise ParameterError(f"NewtonOptions.{name}", value, "a number in (0, 1)")
-        # sparsecholesky returns nonsense for nonsymmetric matrices, silently
-        require_choice(self, ("umfpack", "pardiso", "mumps"), inverse=self.inverse)
-        require_choice(self, METHODS, method=self.method)
-
-
-@dataclass(frozen=True)
-class NewtonIteration:
-    """One line of a solver's history: increment and contraction in the module's norm."""
-
-    increment: float
-    contraction: float
-    damping: float
-    fresh_jacobian: bool
-
-
-class CondensedJacobian:
-    """The factorised linearisation of a condensed form; applies its inverse to full residuals."""
-
-    def __init__(self, form: BilinearForm, inverse: str) -> None:
-        self.form, self.inverse_type = form, inverse
-        self.free: BitArray = form.space.FreeDofs(True)
-        self._inverse = None
-        self._rhs: BaseVector | None = None
-
-    @property
-    def exists(self) -> bool:
-        return self._inverse is not None
-
-    def factorise(self, state: BaseVector) -> None:
-        """Assemble and factorise at ``state``; raises StepError if the matrix is singular."""
-        try:
-            self.form.AssembleLinearization(state)
-            if self._inverse is None:
-                self._inverse = self.form.mat.Inverse(self.free, inverse=self.inverse_type)
-                self._rhs = state.CreateVector()
-            else:
-                self._inverse.Update()
-        except Exception as error:  # NGSolve raises NgException and std::exception alike
-            self._inverse = None
-            raise StepError(f"the linearised step has no factorisation: {error}") from error
-
-    def forget(self) -> None:
-        """Drop the factorisation, so that the next solve makes a new one."""
-        self._inverse = None
-
-    def solve(self, residual: BaseVector, increment: BaseVector) -> None:
-        """increment = Jacobian^{-1} residual, all blocks."""
-        form, rhs = self.form, self._rhs
-        assert rhs is not None and self._inverse is not None
-        rhs.data = residual
-        rhs.data += form.harmonic_extension_trans * residual
-        increment.data = self._inverse * rhs
-        increment.data += form.harmonic_extension * increment
-        increment.data += form.inner_solve * rhs
-
-
-class BlockNorm:
-    """The norm of the module's docstring.
-
-    Parameters
-    ----------
-    ranges : mapping of block names to slices of the coefficient vector
-    units : mapping of the counted blocks' names to the size that one unit of the floor f has there
-    """
-
-    FINE, COARSE = 1e-9, 1e-3
-
-    def __init__(self, ranges: Mapping[str, slice], units: dict[str, float]) -> None:
-        self.ranges, self.units = ranges, units
-
-    def __call__(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> float:
-        """|increment| with the scales of the largest of ``states`` in each block."""
-        d = increment.FV().NumPy()
-        floor = self.COARSE if coarse else self.FINE
-        sizes = []
-        with np.errstate(over="ignore", invalid="ignore"):  # a diverging iterate is inf or NaN here
-            for name, size in self.units.items():
-                where = self.ranges[name]
-                largest = max(np.linalg.norm(u.FV().NumPy()[where]) for u in states)
-                scale = largest + floor * size * np.sqrt(where.stop - where.start)
-                sizes.append(np.linalg.norm(d[where]) / scale if scale > 0 else 0.0)
-        # numpy's maximum passes NaN on, Python's may drop it
-        return float(np.max(sizes))
 
 
 class Newton:

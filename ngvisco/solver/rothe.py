@@ -11,8 +11,11 @@ from ngvisco.errors import StepError
 from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
 from ngvisco.solver.choice import chosen_method, is_affordable
+from ngvisco.solver.continuation import Way, follow
 from ngvisco.solver.extrapolation import Extrapolation
-from ngvisco.solver.newton import BlockNorm, Newton, NewtonIteration, NewtonOptions
+from ngvisco.solver.newton import Newton
+from ngvisco.solver.norm import BlockNorm
+from ngvisco.solver.options import NewtonIteration, NewtonOptions
 from ngvisco.solver.split.solver import Split
 
 WIDE, WIDEST = 1e2, 1e4
@@ -23,9 +26,6 @@ width: the sharp problem can have a fold between the old state and the solution,
 The widest is about the run's velocity: the upwinding is then nearly central, and steps of growing
 length lead from the old state to tau also where creep is stiff and z jumps from cell to cell.
 """
-
-MAX_CONTINUATION = 20
-"""Values of a parameter tried on the way to a start value."""
 
 FULL_STEPS = 12
 """Undamped Newton steps tried from a soft solution to the sharp one, where the way between them folds.
@@ -165,7 +165,7 @@ class RotheSolver:
             self._solve_directly(t_old, tau, history, FULL_STEPS)
 
         try:
-            self._follow(solve, first=WIDE, retreat=WIDEST / WIDE, furthest=WIDEST, ratio=0.1, leap=leap)
+            self._follow(solve, Way(first=WIDE, retreat=WIDEST / WIDE, furthest=WIDEST, ratio=0.1), leap)
         finally:
             eta.Set(width)
 
@@ -175,55 +175,12 @@ class RotheSolver:
         def solve(fraction: float) -> None:
             self._solve_directly(t_old, fraction * tau, history)
 
-        self._follow(solve, first=0.25, retreat=1 / 8, furthest=0.25 / 8**5, ratio=4.0)
+        self._follow(solve, Way(first=0.25, retreat=1 / 8, furthest=0.25 / 8**5, ratio=4.0))
 
     def _follow(
-        self,
-        solve: Callable[[float], None],
-        first: float,
-        retreat: float,
-        furthest: float,
-        ratio: float,
-        leap: Callable[[], None] | None = None,
+        self, solve: Callable[[float], None], way: Way, leap: Callable[[], None] | None = None
     ) -> None:
-        """Solve for a parameter that goes to 1 by factors of at most ``ratio``, each from the one before.
-
-        While nothing is solved, ``first`` is multiplied by ``retreat``, up to ``furthest``.  ``leap`` solves
-        for 1 at once; it is tried from each solution that damped steps do not lead on from.
-        """
-        guess = self.step.state.vec.CreateVector()
-        guess.data = self.step.state.vec
-        value, solved, power = first, 0.0, 1.0
-        failure: StepError | None = None
-        for _ in range(MAX_CONTINUATION):
-            self._restore(guess)
-            try:
-                solve(value)
-            except StepError as error:
-                failure = error
-                if not solved and value == furthest:
-                    break
-                if not solved:
-                    value *= retreat
-                    continue
-                power /= 2
-                if leap is not None:
-                    self._restore(guess)
-                    try:
-                        leap()
-                        return
-                    except StepError as fault:
-                        failure = fault
-            else:
-                if value == 1.0:
-                    return
-                guess.data = self.step.state.vec
-                solved, power = value, min(1.0, 1.5 * power)
-            value = solved * ratio**power
-            if (value < 1.0) == (ratio < 1.0):  # at or beyond the end of the way
-                value = 1.0
-        assert failure is not None
-        raise StepError(str(failure))
+        follow(solve, way, self.step.state.vec, self._restore, leap)
 
     def undo(self, t_old: float) -> None:
         """Put both grid functions into the state before the last ``advance``, at ``t_old``."""

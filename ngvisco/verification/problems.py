@@ -15,7 +15,8 @@ from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.spaces import Fields, Layout
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import square
-from ngvisco.solver.newton import BlockNorm, Newton
+from ngvisco.solver.newton import Newton
+from ngvisco.solver.norm import BlockNorm
 from ngvisco.verification.manufactured import Exact
 
 ERROR_ORDER = 12

@@ -13,7 +13,9 @@ from support import Case, random_direction, randomise, step_of, uncondensed
 from ngvisco import NewtonOptions, StepError
 from ngvisco.forms.system import Step
 from ngvisco.geometries import box
-from ngvisco.solver.newton import BlockNorm, CondensedJacobian, Newton
+from ngvisco.solver.condensed import CondensedJacobian
+from ngvisco.solver.newton import Newton
+from ngvisco.solver.norm import BlockNorm
 
 SPACE = H1(box((1, 1), 0.7), order=2)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ngsolve import CF, Id, IfPos, Integrate, OuterProduct, cos, pi, sin, x, y
+from ngsolve import CF, BaseVector, Id, IfPos, Integrate, OuterProduct, cos, pi, sin, x, y
 from support import MATERIALS
 
 from ngvisco import (
@@ -19,7 +19,7 @@ from ngvisco import (
     time,
 )
 from ngvisco.geometries import box
-from ngvisco.solver.rothe import MAX_CONTINUATION
+from ngvisco.solver.continuation import MAX_CONTINUATION, Way, follow
 
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 JUMP = Id(3) + IfPos(x - 0.4, 0.4, -0.2) * OuterProduct(CF((1, 0, 0)), CF((0.3, 1, 0)))
@@ -81,10 +81,10 @@ def test_step_after_a_failure_equals_one_without() -> None:
     assert rows[0] == rows[1] or {k for k in rows[0] if rows[0][k] != rows[1][k]} <= {"J_min", "J_defect"}
 
 
-def followed(solvable, **path) -> list[float]:
+def followed(solvable, leap=None, **path) -> list[float]:
     """The values that a continuation tries where ``solvable(value, solved)`` says what Newton would do."""
-    run = simulation()
     tried, solved = [], []
+    state = BaseVector(1)
 
     def solve(value: float) -> None:
         tried.append(value)
@@ -92,7 +92,7 @@ def followed(solvable, **path) -> list[float]:
             raise StepError("Newton did not converge")
         solved.append(value)
 
-    run.solver._follow(solve, **path)
+    follow(solve, Way(**path), state, lambda values: None, leap)
     return tried
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from ngvisco.errors import StepError
-from ngvisco.solver.newton import NewtonIteration
+from ngvisco.solver.options import NewtonIteration
 
 if TYPE_CHECKING:
     from ngvisco.solver.split.solver import Split

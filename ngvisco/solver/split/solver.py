@@ -47,7 +47,8 @@ from ngsolve import BaseVector
 from ngvisco.errors import StepError
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.system import Step
-from ngvisco.solver.newton import BlockNorm, NewtonIteration, NewtonOptions
+from ngvisco.solver.norm import BlockNorm
+from ngvisco.solver.options import NewtonIteration, NewtonOptions
 from ngvisco.solver.split.hyper import MatrixHyperviscosity
 from ngvisco.solver.split.krylov import newton_krylov
 from ngvisco.solver.split.momentum import Momentum

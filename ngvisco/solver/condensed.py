@@ -1,0 +1,48 @@
+"""The Jacobian with the cells' own unknowns eliminated, factorised."""
+
+from __future__ import annotations
+
+from ngsolve import BaseVector, BilinearForm, BitArray
+
+from ngvisco.errors import StepError
+
+
+class CondensedJacobian:
+    """The factorised linearisation of a condensed form; applies its inverse to full residuals."""
+
+    def __init__(self, form: BilinearForm, inverse: str) -> None:
+        self.form, self.inverse_type = form, inverse
+        self.free: BitArray = form.space.FreeDofs(True)
+        self._inverse = None
+        self._rhs: BaseVector | None = None
+
+    @property
+    def exists(self) -> bool:
+        return self._inverse is not None
+
+    def factorise(self, state: BaseVector) -> None:
+        """Assemble and factorise at ``state``; raises StepError if the matrix is singular."""
+        try:
+            self.form.AssembleLinearization(state)
+            if self._inverse is None:
+                self._inverse = self.form.mat.Inverse(self.free, inverse=self.inverse_type)
+                self._rhs = state.CreateVector()
+            else:
+                self._inverse.Update()
+        except Exception as error:  # NGSolve raises NgException and std::exception alike
+            self._inverse = None
+            raise StepError(f"the linearised step has no factorisation: {error}") from error
+
+    def forget(self) -> None:
+        """Drop the factorisation, so that the next solve makes a new one."""
+        self._inverse = None
+
+    def solve(self, residual: BaseVector, increment: BaseVector) -> None:
+        """increment = Jacobian^{-1} residual, all blocks."""
+        form, rhs = self.form, self._rhs
+        assert rhs is not None and self._inverse is not None
+        rhs.data = residual
+        rhs.data += form.harmonic_extension_trans * residual
+        increment.data = self._inverse * rhs
+        increment.data += form.harmonic_extension * increment
+        increment.data += form.inner_solve * rhs
