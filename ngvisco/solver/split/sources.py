@@ -15,11 +15,9 @@ from ngsolve import FESpace, LinearForm
 
 from ngvisco.errors import NgviscoError
 from ngvisco.forms.context import Integrand
-from ngvisco.forms.regularisation import penalty_weight
 from ngvisco.forms.spaces import Fields
 from ngvisco.forms.system import Step
-from ngvisco.solver.split.blocks import BlockInverse
-from ngvisco.solver.split.operators import ScalarForm, apply
+from ngvisco.solver.split.operators import apply
 from ngvisco.solver.split.preconditioner import Residual
 from ngvisco.solver.split.transport import Transport
 from ngvisco.solver.split.unknowns import Unknowns
@@ -87,20 +85,9 @@ class KnownRows:
                 self.form += part.cells.Compile() * step.quadrature.cells
             if part.facets is not None:
                 self.form += part.facets.Compile() * step.quadrature.facets
-        self._inverse = self._trace_inverse() if ELIMINATED in self.names else None
+        self._eliminates = ELIMINATED in self.names
         self.rows: dict[str, np.ndarray] = {}
         self._hats = np.zeros(0)
-
-    def _trace_inverse(self) -> BlockInverse:
-        """Of the facets' matrix of ``FieldDiffusion``, one component."""
-        step, law = self.step, self.step.model.regularisation
-        assert law is not None
-        weight = law.delta_fields * penalty_weight(law, step.now) / step.context.h
-        facet = step.layout.scalar_facet_space()
-        matrix = ScalarForm(facet, facet, lambda u, t: weight * u * t, step.quadrature.facets).matrix
-        inverse = BlockInverse(matrix)
-        inverse.update(matrix)
-        return inverse
 
     def start(self) -> None:
         """Assemble for the present step."""
@@ -108,15 +95,15 @@ class KnownRows:
         values = self.form.vec.FV().NumPy()
         ranges = [self.space.Range(i) for i in range(len(self.names))]
         self.rows = {n: values[r.start : r.stop].copy() for n, r in zip(self.names, ranges, strict=True)}
-        if self._inverse is not None:
-            n, to_trace = self.transport.n, self.transport._to_delta_trace
-            loads = self.rows.pop(ELIMINATED).reshape(n, -1)
-            self._hats = self._inverse(loads)
-            self.rows["z"] = self.rows["z"] + apply(to_trace.T.tocsr(), loads).ravel()
+        if self._eliminates:
+            t = self.transport
+            loads = self.rows.pop(ELIMINATED).reshape(t.n, -1)
+            self._hats = t.delta_hats(loads)
+            self.rows["z"] = self.rows["z"] + apply(t.to_delta_trace.T.tocsr(), loads).ravel()
 
     def correct_traces(self) -> None:
         """What the source makes of z_delta_hat, into the state."""
-        if self._inverse is not None:
+        if self._eliminates:
             self.unknowns.state[self.step.layout.ranges[ELIMINATED]] -= self._hats.ravel()
 
     def add_to(self, residual: Residual) -> None:

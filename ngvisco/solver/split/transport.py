@@ -79,7 +79,9 @@ class Transport:
         hats = ScalarForm(facet, facet, lambda u, t: weight * u * t, measure).matrix
         inverse = BlockInverse(hats)
         inverse.update(hats)
-        self._to_delta_trace = -(inverse.matrix() @ to_facet)
+        self.delta_hats = inverse
+        """Inverse of the facets' matrix of ``FieldDiffusion``, one component."""
+        self.to_delta_trace = -(inverse.matrix() @ to_facet)
         return (stiffness + own - to_facet.T @ inverse.matrix() @ to_facet).tocsr()
 
     def set_velocity(self) -> None:
@@ -96,7 +98,7 @@ class Transport:
         if self.diffusion is not None:
             ranges = self.step.layout.ranges
             hats = self.step.state.vec.FV().NumPy()[ranges["z_delta_hat"]].reshape(self.n, -1)
-            hats[:] = apply(self._to_delta_trace, self.z)
+            hats[:] = apply(self.to_delta_trace, self.z)
 
     def set_conjugates(self) -> None:
         """z and phi'(z) at the points, and zeta, the projection of the latter."""
