@@ -122,6 +122,14 @@ def test_on_a_curved_wall():
     assert_both_agree(disc(1.0, maxh=0.7), model(), initial=rotation)
 
 
+@pytest.mark.parametrize("beside", ["the stress of a curved wall", "a creep rate field", "both"])
+def test_with_two_levels_and_unknowns_beside_the_velocity(beside, monkeypatch):
+    monkeypatch.setattr("ngvisco.solver.split.preconditioner.DIRECT_UP_TO", {2: 0, 3: 0})
+    mesh = box((1, 1), maxh=0.3) if beside == "a creep rate field" else disc(1.0, maxh=0.5)
+    parts = {} if beside == "the stress of a curved wall" else PARTS["a creep rate field"]
+    assert_both_agree(mesh, model(**parts), initial=nv.Initial(velocity=(-y, x)))
+
+
 @pytest.mark.parametrize(
     ("dim", "m", "kind"),
     [

@@ -55,24 +55,28 @@ class TwoLevelSolver:
     NGSolve's functions of degree two and more vanish at vertices, so that the coefficients of vertices
     are the P_1 functions; their block is the coarse problem, factorised.  The others, of edges and faces,
     make well-conditioned blocks with inertia and with viscosity (the hierarchical splitting), and get damped
-    Jacobi sweeps before and after.  Where the fourth-order term dominates at the mesh's scale the
-    iterations that it takes grow.
+    Jacobi sweeps before and after.  Unknowns beside the velocity - stresses of walls, creep rates - belong
+    to the coarse problem, with the velocities that they are coupled to: those of the walls.  Where the
+    fourth-order term dominates at the mesh's scale the iterations that it takes grow.
     """
 
     SWEEPS, DAMPING = 2, 0.6
 
-    def __init__(self, free: np.ndarray, vertices: np.ndarray, inverse: str) -> None:
-        """``free`` and ``vertices`` are masks of unknowns."""
-        self.free = free
-        self.coarse = DirectSolver(free & vertices, inverse, symmetric=True)
-        self.fine = free & ~vertices
+    def __init__(self, free: np.ndarray, vertices: np.ndarray, others: np.ndarray, inverse: str) -> None:
+        """Masks of unknowns: ``free`` ones, velocities at ``vertices``, and ``others`` than velocities."""
+        self.free, self.vertices, self.others, self.inverse_type = free, vertices, others, inverse
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
-        """Raises StepError if the block of the vertices is singular."""
-        self.coarse.factorise(matrix)
-        self.matrix = matrix
-        diagonal = matrix.diagonal()
-        self._smoother = np.where(self.fine & (diagonal != 0), self.DAMPING, 0.0)
+        """Raises StepError if the coarse block is singular."""
+        self.matrix = matrix.tocsr()
+        is_coarse = self.vertices | self.others
+        beside = self.others.any()
+        if beside:
+            is_coarse[self.matrix[self.others].indices] = True
+        self.coarse = DirectSolver(self.free & is_coarse, self.inverse_type, symmetric=not beside)
+        self.coarse.factorise(self.matrix)
+        diagonal = self.matrix.diagonal()
+        self._smoother = np.where(self.free & ~is_coarse & (diagonal != 0), self.DAMPING, 0.0)
         self._smoother /= np.where(diagonal != 0, diagonal, 1.0)
 
     def __call__(self, r: np.ndarray) -> np.ndarray:

@@ -67,10 +67,10 @@ class Preconditioner:
         free = [np.array(list(step.layout.blocks[name].FreeDofs()), dtype=bool) for name in unknowns.flow]
         self.free = np.concatenate(free)
         self.solver: DirectSolver | TwoLevelSolver
-        if unknowns.flow == ["v"] and self.free.sum() > DIRECT_UP_TO[self.d]:
-            per_component = len(self.free) // self.d
-            vertices = np.arange(len(self.free)) % per_component < step.mesh.nv
-            self.solver = TwoLevelSolver(self.free, vertices, inverse)
+        if self.free.sum() > DIRECT_UP_TO[self.d]:
+            others = np.arange(len(self.free)) >= self.t.v.size
+            vertices = ~others & (np.arange(len(self.free)) % self.t.v.shape[1] < step.mesh.nv)
+            self.solver = TwoLevelSolver(self.free, vertices, others, inverse)
         else:
             self.solver = DirectSolver(self.free, inverse, symmetric=unknowns.flow == ["v"])
         mass = mass_matrix(self.op.z.matrix, self.op.weights)
