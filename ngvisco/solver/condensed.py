@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from ngsolve import BaseVector, BilinearForm, BitArray
+from ngsolve import BaseVector, BilinearForm, BitArray, SetHeapSize
 
 from ngvisco.errors import StepError
+
+HEAP_SIZES = (500_000_000, 2_000_000_000)
+"""NGSolve's memory for the matrix of a cell, bytes, where its own does not do: k = 3, m = 2 in 3D."""
 
 
 class CondensedJacobian:
@@ -23,7 +26,7 @@ class CondensedJacobian:
     def factorise(self, state: BaseVector) -> None:
         """Assemble and factorise at ``state``; raises StepError if the matrix is singular."""
         try:
-            self.form.AssembleLinearization(state)
+            self._assemble(state)
             if self._inverse is None:
                 self._inverse = self.form.mat.Inverse(self.free, inverse=self.inverse_type)
                 self._rhs = state.CreateVector()
@@ -32,6 +35,16 @@ class CondensedJacobian:
         except Exception as error:  # NGSolve raises NgException and std::exception alike
             self._inverse = None
             raise StepError(f"the linearised step has no factorisation: {error}") from error
+
+    def _assemble(self, state: BaseVector) -> None:
+        for size in (*HEAP_SIZES, None):
+            try:
+                self.form.AssembleLinearization(state)
+                return
+            except Exception as error:
+                if size is None or "heap overflow" not in str(error).lower():
+                    raise
+                SetHeapSize(size)
 
     def forget(self) -> None:
         """Drop the factorisation, so that the next solve makes a new one."""

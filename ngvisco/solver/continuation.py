@@ -23,12 +23,15 @@ class Way:
         While nothing is solved, ``first`` is multiplied by ``retreat``, up to ``furthest``.
     ratio : float
         The next value over the last one at most, while steps succeed.
+    tries : int
+        Values tried in all.
     """
 
     first: float
     retreat: float
     furthest: float
     ratio: float
+    tries: int = MAX_CONTINUATION
 
 
 def follow(
@@ -60,7 +63,7 @@ def follow(
     guess.data = state
     value, solved, power = way.first, 0.0, 1.0
     failure: StepError | None = None
-    for _ in range(MAX_CONTINUATION):
+    for _ in range(way.tries):
         restore(guess)
         try:
             solve(value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from ngsolve import BaseVector
@@ -26,6 +27,9 @@ width: the sharp problem can have a fold between the old state and the solution,
 The widest is about the run's velocity: the upwinding is then nearly central, and steps of growing
 length lead from the old state to tau also where creep is stiff and z jumps from cell to cell.
 """
+
+SPLIT_TRIES = 6
+"""Widths tried by the split solver before the coupled one is asked."""
 
 FULL_STEPS = 12
 """Undamped Newton steps tried from a soft solution to the sharp one, where the way between them folds.
@@ -71,8 +75,8 @@ class RotheSolver:
         ------
         StepError
             When Newton or the positivity of rho and J fails, with both continuations too; both
-            grid functions then hold the old state.  A step that the split solver fails is retried by the
-            coupled one where the mesh is small enough for that.
+            grid functions then hold the old state.  A step that the split solver fails is
+            retried with wide upwinding, then by the coupled one where the mesh is small enough for that.
         """
         step = self.step
         step.state_old.vec.data = step.state.vec
@@ -83,15 +87,11 @@ class RotheSolver:
         split = self.newton
         try:
             if isinstance(split, Split):
-                try:
-                    self._solve_split(t_old, tau, history)
+                if self._solved_split(t_old, tau, history, with_continuation):
                     return history
-                except StepError:
-                    if not with_continuation or not is_affordable(step.mesh):
-                        raise
-                    self._restore(step.state_old.vec)
-                    self.newton = self._coupled(lambda: None)
-                    self.retried += 1
+                self._restore(step.state_old.vec)
+                self.newton = self._coupled(lambda: None)
+                self.retried += 1
             for solve in (self._solve_directly, self._soften):
                 try:
                     solve(t_old, tau, history)
@@ -109,6 +109,25 @@ class RotheSolver:
             raise
         finally:
             self.newton = split
+
+    def _solved_split(
+        self, t_old: float, tau: float, history: list[NewtonIteration], with_continuation: bool
+    ) -> bool:
+        """Solve the step by the split solver; False where the coupled one is to be asked instead."""
+        try:
+            self._solve_split(t_old, tau, history)
+            return True
+        except StepError:
+            if not with_continuation:
+                raise
+        self._restore(self.step.state_old.vec)
+        try:
+            self._soften(t_old, tau, history)
+            return True
+        except StepError:
+            if not is_affordable(self.step.mesh):
+                raise
+        return False
 
     def _solve_split(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
         """Solve from extrapolated values where there are such, from the old state where that fails."""
@@ -155,7 +174,7 @@ class RotheSolver:
             try:
                 self._solve_directly(t_old, tau, history)
             except StepError:
-                if factor < WIDEST:
+                if factor < WIDEST or isinstance(self.newton, Split):
                     raise
                 self._restore(self.step.state_old.vec)
                 self._lengthen(t_old, tau, history)
@@ -164,8 +183,12 @@ class RotheSolver:
             eta.Set(width)
             self._solve_directly(t_old, tau, history, FULL_STEPS)
 
+        way = Way(first=WIDE, retreat=WIDEST / WIDE, furthest=WIDEST, ratio=0.1)
         try:
-            self._follow(solve, Way(first=WIDE, retreat=WIDEST / WIDE, furthest=WIDEST, ratio=0.1), leap)
+            if isinstance(self.newton, Split):  # it takes no full steps, and the coupled one comes after it
+                self._follow(solve, replace(way, tries=SPLIT_TRIES))
+            else:
+                self._follow(solve, way, leap)
         finally:
             eta.Set(width)
 

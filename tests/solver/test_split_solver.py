@@ -13,6 +13,7 @@ from ngvisco.errors import StepError
 from ngvisco.forms.context import Integrand
 from ngvisco.geometries import box, disc
 from ngvisco.solver.choice import SPLIT_FROM, meets_itself
+from ngvisco.solver.rothe import SPLIT_TRIES
 from ngvisco.solver.split import solver as split_solver
 from ngvisco.solver.split.linear import TwoLevelSolver
 from ngvisco.solver.split.solver import Split
@@ -353,3 +354,39 @@ def test_differences_say_when_they_fail(monkeypatch):
     split = simulation().solver.newton
     with pytest.raises(StepError, match="did not converge"):
         split.solve()
+
+
+def test_a_step_that_fails_is_solved_with_wide_upwinding_first(monkeypatch):
+    """The widths are narrowed to the scheme's by the split solver itself; the coupled one is not asked."""
+    usual = simulation()
+    usual.advance()
+    run = simulation()
+    eta = run.rothe_step.context.eta
+    width, solve, widths = eta.Get(), Split.solve, []
+
+    def from_wide_only(split):
+        widths.append(eta.Get() / width)
+        if len(widths) == 1:
+            raise StepError("a fold", [])
+        return solve(split)
+
+    monkeypatch.setattr(Split, "solve", from_wide_only)
+    run.advance()
+    assert widths == pytest.approx([1, 100, 10, 1])
+    assert eta.Get() == width
+    assert run.solver.retried == 0
+    assert np.abs(state(run) - state(usual)).max() <= 1e-8 * np.abs(state(usual)).max()
+
+
+def test_a_fold_that_wide_upwinding_does_not_pass_is_left_to_the_coupled_solver(monkeypatch):
+    run = simulation()
+    calls = []
+
+    def fails(split):
+        calls.append(1)
+        raise StepError("a fold", [])
+
+    monkeypatch.setattr(Split, "solve", fails)
+    run.advance()
+    assert run.solver.retried == 1
+    assert len(calls) <= 1 + SPLIT_TRIES
