@@ -39,11 +39,7 @@ class LocalProjection:
         self.target = target
         self.load = LinearForm(space)
         given = integrand(space.TestFunction())
-        for part in (given,) if isinstance(given, Integrand) else given:
-            if part.cells is not None:
-                self.load += part.cells.Compile() * quadrature.cells
-            if part.facets is not None:
-                self.load += part.facets.Compile() * quadrature.facets
+        quadrature.add(self.load, (given,) if isinstance(given, Integrand) else given)
         self.inverse_mass = _inverse_mass(space, quadrature)
 
     def __call__(self) -> None:

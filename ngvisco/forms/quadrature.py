@@ -6,9 +6,10 @@ thing use the same one.  ``Quadrature`` hands out both.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ngsolve import (
     ET,
@@ -18,6 +19,11 @@ from ngsolve import (
     Mesh,
     dx,
 )
+
+from ngvisco.forms.compilation import compiled
+
+if TYPE_CHECKING:
+    from ngvisco.forms.context import Integrand
 
 _FACET_BASE_ORDER = 5  # order of NGSolve's Integrate on element boundaries without a bonus
 
@@ -70,6 +76,14 @@ class Quadrature:
     def facets(self) -> Any:
         """dx over the boundary of every cell (both sides of each inner facet)."""
         return dx(element_boundary=True, intrules=self._facet_rules)
+
+    def add(self, form: Any, integrands: Iterable[Integrand]) -> None:
+        """Add the integrands to an NGSolve form, by the rules of ``cells`` and ``facets``."""
+        for integrand in integrands:
+            if integrand.cells is not None:
+                form += compiled(integrand.cells) * self.cells
+            if integrand.facets is not None:
+                form += compiled(integrand.facets) * self.facets
 
     def integrate_cells(self, integrand: CoefficientFunction) -> Any:
         """Integral over the mesh, by the rule of ``cells``; a float, or a vector of them."""

@@ -121,11 +121,7 @@ class Step:
         u, w = self.layout.fields(trial), self.layout.fields(test)
         form = BilinearForm(self.layout.space, condense=True)
         for term in self.terms:
-            for integrand in term.form(u, w):
-                if integrand.cells is not None:
-                    form += integrand.cells.Compile() * self.quadrature.cells
-                if integrand.facets is not None:
-                    form += integrand.facets.Compile() * self.quadrature.facets
+            self.quadrature.add(form, term.form(u, w))
         return form
 
     def entries(self, fields: Fields | None = None) -> list[Entry]:

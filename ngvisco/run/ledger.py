@@ -75,7 +75,9 @@ class Ledger:
         self.entries = step.entries()
         _check_names(self.entries)
         self._cells, self._cell_names = self._cell_integrands()
-        self._facets = [e for e in self.entries if e.integrand.facets is not None]
+        self._facets = [
+            (e.name, e.integrand.facets.Compile()) for e in self.entries if e.integrand.facets is not None
+        ]
         self._monitors = self._monitor_functions()
         self.rows: list[dict[str, float]] = []
         self.balance: Balance | None = None
@@ -159,9 +161,8 @@ class Ledger:
         self.step.energy.require()
         totals = quadrature.integrate_cells(self._cells)
         values = {name: float(t) for name, t in zip(self._cell_names, totals, strict=True)}
-        for entry in self._facets:
-            share = quadrature.integrate_facets(entry.integrand.facets)
-            values[entry.name] = values.get(entry.name, 0.0) + share
+        for name, integrand in self._facets:
+            values[name] = values.get(name, 0.0) + quadrature.integrate_facets(integrand)
         for entry in self.entries:
             if entry.evaluate is not None:
                 values[entry.name] = entry.evaluate()

@@ -107,11 +107,7 @@ class Problem:
         u, w = layout.with_given(trial, new), layout.fields(test)
         form = BilinearForm(layout.space, condense=True)
         for term in self.terms:
-            for part in term.form(u, w):
-                if part.cells is not None:
-                    form += part.cells.Compile() * self.quadrature.cells
-                if part.facets is not None:
-                    form += part.facets.Compile() * self.quadrature.facets
+            self.quadrature.add(form, term.form(u, w))
         eliminate = Elimination(layout, self.state, self.quadrature, self.terms)
         norm = BlockNorm(layout.ranges, dict.fromkeys(set(layout.names) & {"v", "rho", "z"}, 1.0))
         self.newton = Newton(form, self.state.vec, norm, eliminate, NewtonOptions())

@@ -7,7 +7,7 @@ import resource
 import sys
 import time
 
-from ngsolve import CF, SetNumThreads, TaskManager, cos, pi, sin, x, y, z
+from ngsolve import CF, Mesh, SetNumThreads, TaskManager, cos, pi, sin, x, y, z
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -15,6 +15,20 @@ from ngvisco.solver.split.linear import DirectSolver
 
 DIRECT_UP_TO = 5_000
 """Cells up to which the split solver's tangent is factorised as a whole too, for comparison."""
+
+
+FIFTY_THOUSAND = 0.0405
+"""Size of cells of the largest mesh, see `domain`."""
+
+
+def domain(dim: int, maxh: float) -> Mesh:
+    """The unit box.  Netgen's boxes jump from 45 to 95 thousand cells: for 50,552 of them, one a hundredth
+    taller is meshed with twice the size and refined."""
+    if (dim, maxh) != (3, FIFTY_THOUSAND):
+        return box((1,) * dim, maxh=maxh)
+    mesh = box((1, 1, 1.01), maxh=2 * maxh)
+    mesh.Refine()
+    return mesh
 
 
 def swirl(dim: int, maxh: float, method: str) -> nv.Simulation:
@@ -26,8 +40,8 @@ def swirl(dim: int, maxh: float, method: str) -> nv.Simulation:
     )
     height = (1 + z) / 2 if dim == 3 else CF(1.0)
     velocity = (height * sin(pi * x) * cos(pi * y), -height * cos(pi * x) * sin(pi * y), CF(0.0))[:dim]
-    mesh = box((1,) * dim, maxh=maxh)
-    return nv.Simulation(mesh, model, dt=0.02, initial=nv.Initial(velocity=velocity), solver=method)
+    initial = nv.Initial(velocity=velocity)
+    return nv.Simulation(domain(dim, maxh), model, dt=0.02, initial=initial, solver=method)
 
 
 def main(dim: int, maxh: float, method: str, threads: int, steps: int) -> dict:

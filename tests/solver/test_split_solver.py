@@ -254,10 +254,10 @@ def test_two_levels_take_as_many_iterations_on_finer_meshes(monkeypatch):
         run = simulation(maxh=maxh)
         run.advance()
         p = run.solver.newton.preconditioner
-        steps = []
+        matrix, steps = p.tangent.matrix(), []
         r = np.where(p.free, np.random.default_rng(0).standard_normal(len(p.free)), 0.0)
         operator = LinearOperator(
-            (len(r), len(r)), lambda x, p=p: p.solver(np.where(p.free, p.solver.matrix @ x, x))
+            (len(r), len(r)), lambda x, p=p, A=matrix: p.solver(np.where(p.free, A @ x, x))
         )
         gmres(operator, p.solver(r), rtol=1e-6, restart=100, callback=steps.append, callback_type="pr_norm")
         counts.append(len(steps))

@@ -78,8 +78,8 @@ class FlowElements:
 
     def gathered(self, dv: np.ndarray) -> np.ndarray:
         """The cells' unknowns of dv (dim, .), (cells, dim local, 1)."""
-        local = dv[:, self.dofs].swapaxes(0, 1)
-        return np.ascontiguousarray(local).reshape(self.cells, -1, 1)
+        local = np.take(np.ascontiguousarray(dv.T), self.dofs, axis=0)
+        return np.ascontiguousarray(local.swapaxes(1, 2)).reshape(self.cells, -1, 1)
 
     def scattered(self, rows: np.ndarray) -> np.ndarray:
         """Sums over the cells of their rows (cells, local dim, 1), (dim, .)."""

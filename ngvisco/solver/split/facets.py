@@ -12,7 +12,7 @@ from ngvisco.forms.side_points import SidePoints
 from ngvisco.forms.system import Step
 from ngvisco.solver.split.blocks import BlockInverse
 from ngvisco.solver.split.local import LocalMatrix
-from ngvisco.solver.split.operators import Operators
+from ngvisco.solver.split.operators import Operators, together
 
 
 class Facets:
@@ -52,9 +52,14 @@ class Facets:
         self.jump = self.hat(z_hat)
         self.jump -= values
 
-    def from_mean(self, values: np.ndarray) -> np.ndarray:
-        """How far (n, points) are from the means of both sides: half the jump; all of it on the boundary."""
-        return values - self.hat(self.trace_mass.solve(self.hat.test((1 - 0.5 * self.inner) * values)))
+    def from_mean(self, zeta: np.ndarray, where: np.ndarray) -> np.ndarray:
+        """How far zeta is from the means of both sides, on the boundary from itself, (n, points there).
+
+        ``where`` are all the sides' points of some facets.
+        """
+        values = together(self.z.matrix[where], zeta)
+        shares = self.points.weights[where] * (1 - 0.5 * self.inner[where])
+        return values - self.trace_mass.fitted(values, shares, where)
 
     def fields(self) -> np.ndarray:
         """sum_K int_{dK} (v . n) n^- (z_hat - z) : G, rows of z."""
@@ -74,22 +79,6 @@ class Facets:
         """- sum_K int_{dK} (w . n) n^- (z_hat - z) : zeta, rows of v, (dim, unknowns of a component)."""
         density = -self.inflow * np.einsum("np,np->p", self.jump, self.z(zeta))
         return self.v.test(density * self.points.normals)
-
-    def fields_matrix(self) -> sp.csr_matrix:
-        """The derivative of ``fields`` in one component of z, its trace eliminated."""
-        weights = self.points.weights
-        z, hat = self.z.matrix, self.hat.matrix
-        to_trace = hat.T @ sp.diags(weights * (1 - self.inflow)) @ z
-        from_trace = z.T @ sp.diags(weights * self.carried)
-        return (from_trace @ hat) @ (self.trace_mass.inverse() @ to_trace) - from_trace @ z
-
-    def density_matrix(self) -> sp.csr_matrix:
-        """The derivative of ``density`` in rho, its trace eliminated."""
-        weights = self.points.weights
-        z, hat = self.z.matrix, self.hat.matrix
-        own = z.T @ sp.diags(weights * self.up)
-        from_trace = z.T @ sp.diags(weights * self.down) @ hat
-        return own @ z - from_trace @ (self.density_mass.inverse() @ (own @ hat).T)
 
 
 class FacetMass:
@@ -117,13 +106,27 @@ class FacetMass:
             for j in range(i + 1):
                 blocks[:, i, j] = np.bincount(self.facet, weighted * self.shapes[j], count)
                 blocks[:, j, i] = blocks[:, i, j]
-        self._inverse = np.linalg.inv(blocks)
+        self.inverses = np.linalg.inv(blocks)
+        """(facets, functions of a facet, the same)."""
+
+    def fitted(self, values: np.ndarray, weights: np.ndarray, where: np.ndarray) -> np.ndarray:
+        """The facets' functions fitted to ``values`` (n, points), by blocks of the last ``update``.
+
+        ``where`` are the sides' points, all of some facets, ``weights`` theirs.
+        """
+        facets, facet = np.unique(self.facet[where], return_inverse=True)
+        shapes = self.shapes[:, where]
+        places = (facet, np.arange(len(where)))
+        sums = sp.csr_matrix((np.ones(len(where)), places), shape=(len(facets), len(where)))
+        loads = np.stack([sums @ (weights * shape * values).T for shape in shapes], axis=1)
+        fit = self.inverses[facets] @ loads  # (facets, functions, n)
+        return np.einsum("ip,pin->np", shapes, fit[facet])
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
         """Inverse times ``loads`` (..., unknowns)."""
         result = np.zeros_like(loads)
         local = loads[..., self.unknowns][..., None]
-        result[..., self.unknowns] = (self._inverse @ local)[..., 0]
+        result[..., self.unknowns] = (self.inverses @ local)[..., 0]
         return result
 
     def inverse(self) -> sp.csr_matrix:
@@ -132,4 +135,4 @@ class FacetMass:
         rows = np.repeat(self.unknowns, size, axis=1).ravel()
         columns = np.tile(self.unknowns, (1, size)).ravel()
         n = self._pattern.n
-        return sp.csr_matrix((self._inverse.ravel(), (rows, columns)), shape=(n, n))
+        return sp.csr_matrix((self.inverses.ravel(), (rows, columns)), shape=(n, n))

@@ -1,11 +1,19 @@
-"""The derivative of the hyperviscosity's rows in a direction of (v, a), for the flow's linear system."""
+"""The derivative of the hyperviscosity's rows in a direction of (v, a), for the flow's linear system.
+
+Of x = (v, a) a cell sees Hs at its points and the jumps at its sides' points: B x in one small dense product
+with all components of v side by side, (cells, points, dim).  The rows are B^T of what the law makes of
+these.
+"""
 
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
 
 from ngvisco.forms.side_points import SidePoints
 from ngvisco.solver.split.hyper import MatrixHyperviscosity, SideJumps
+from ngvisco.solver.split.local import LocalMatrix
+from ngvisco.threads import product
 
 
 class HyperDerivative:
@@ -20,49 +28,95 @@ class HyperDerivative:
     def __init__(self, hyper: MatrixHyperviscosity) -> None:
         step = hyper.step
         self.h = hyper
+        self.cells = cells = step.mesh.ne
         coarse = step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
         self.sides = SideJumps(hyper, SidePoints(step.mesh, 2)) if coarse else hyper.sides
+        self._values, weights = self._together()
+        self._rows = weights.shape[1]
+        self._of_hessian = self._rows - self.sides.jump.per_cell
+        self._weights = weights[:, :, None]
+        self._hessian_weights = hyper.points.weights.reshape(cells, 1, -1, 1)
+        self._side_weights = self.sides.weights.reshape(cells, -1, 1)
+
+    def _together(self) -> tuple[LocalMatrix, np.ndarray]:
+        """B, and the weights of its rows: a cell's components of Hs, points side by side, then jumps."""
+        h, jump, cells = self.h, self.sides.jump, self.cells
+        points = h.points.weights.reshape(cells, -1)
+        values = sp.block_diag([h.h_values.matrix] * h.size, format="csr")
+        # coefficients of lift stand cell by cell, components after each other: to components first
+        order = np.arange(h.size * h.h_count).reshape(cells, h.size, -1).transpose(1, 0, 2).ravel()
+        hessian = values @ h.lift.matrix[order]
+        by_cells = np.arange(hessian.shape[0]).reshape(h.size, cells, -1).transpose(1, 0, 2)
+        both = sp.vstack([hessian, jump.matrix], format="csr")
+        jumps = hessian.shape[0] + np.arange(jump.height).reshape(cells, -1)
+        rows = np.concatenate([by_cells.reshape(cells, -1), jumps], axis=1)
+        weights = [np.tile(points, (1, h.size)), self.sides.weights.reshape(cells, -1)]
+        return LocalMatrix(both[rows.ravel()], cells), np.concatenate(weights, axis=1)
 
     def update(self) -> None:
         """Linearise at the present state."""
         h, law, sides = self.h, self.h.law, self.sides
         if law.is_linear:
-            self._weight = sides.penalty * (law.mu + law.mu_1)
+            self._factor = self._weights * (law.mu + law.mu_1)
+            self._factor[:, self._of_hessian :] *= sides.penalty.reshape(self.cells, -1, 1)
             return
-        self._at = h.h_values(h.hess)
-        self._c, self._slope = h.s_values(h.c), law.slope(h.s_values(h.s))
-        self._j = sides.jump(np.concatenate([h.v, h.a], axis=1))
+        at = self._values.by_cells(np.concatenate([h.v, h.a], axis=1).T)
+        self._hessian, self._j = self._parts(at)
         q, size = self._sizes()
         slope = law.slope(size)
         bend = 0.5 * (law.p - 4) * slope / size * q  # c'' |j|^2
         squared = sides.h**2
-        self._weight = sides.penalty * (law.coefficient(size) + slope * q / squared)
-        self._weight_s = sides.penalty * (slope + bend / squared)
-        self._weight_q = sides.penalty * (2 * slope + bend / squared) / squared
-        self._own_s, self._own_q = sides.penalty * bend, sides.penalty * (slope + bend / squared)
+        factors = [
+            np.tile(h.s_values(h.c).reshape(self.cells, -1), (1, h.size)),
+            (sides.penalty * (law.coefficient(size) + slope * q / squared)).reshape(self.cells, -1),
+        ]
+        self._factor = self._weights * np.concatenate(factors, axis=1)[:, :, None]
+        by_sides = (self.cells, -1, 1)
+        weighted = self._side_weights[..., 0] * sides.penalty.reshape(self.cells, -1)
+        # second derivatives by s = P |Hs|^2 and q = |j|^2, tested with these: the same both ways
+        self._s_slope = h.points.weights.reshape(by_sides) * law.slope(h.s_values(h.s)).reshape(by_sides)
+        self._ss = weighted * bend.reshape(self.cells, -1)
+        self._sq = weighted * (slope + bend / squared).reshape(self.cells, -1)
+        self._qq = weighted * ((2 * slope + bend / squared) / squared).reshape(self.cells, -1)
+
+    def _parts(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Views of B x: Hs, (cells, components, points, dim), and jumps, (cells, sides' points, dim)."""
+        split, shape = self._of_hessian, (self.cells, self.h.size, -1, values.shape[2])
+        return values[:, :split].reshape(shape), values[:, split:]
 
     def _sizes(self) -> tuple[np.ndarray, np.ndarray]:
         """|j|^2 and s + |j|^2/h^2 + chi^2 at the sides' points."""
         h, sides = self.h, self.sides
-        q = np.einsum("ip,ip->p", self._j, self._j)
+        q = np.einsum("cpi,cpi->cp", self._j, self._j).ravel()
         return q, sides.scalar(h.s) + q / sides.h**2 + h.term.context.curvature.Get() ** 2
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """The rows' derivative in the direction x = (v, a) side by side, (dim, unknowns)."""
-        h, law, sides = self.h, self.h.law, self.sides
-        at, dj = h.h_values(h.lifted(x)), sides.jump(x)
-        if law.is_linear:
-            stress = (law.mu + law.mu_1) * at
-            return h.tested(h.h_values.test(stress)) + sides.jump.test(self._weight * dj)
-        stress, load = self._c * at, self._weight * dj
-        ds_coefficients = h.s_inverse(h.s_values.test(2 * np.einsum("bp,bp->p", self._at, at)))
-        ds = sides.scalar(ds_coefficients)
-        dq = 2 * np.einsum("ip,ip->p", self._j, dj)
-        load += (self._weight_s * ds + self._weight_q * dq) * self._j
-        dc = h.s_values.test(self._slope * h.s_values(ds_coefficients))
-        dc += sides.scalar.test(self._own_s * ds + self._own_q * dq)
-        stress += self._at * h.s_values(h.s_inverse(dc))
-        return h.tested(h.h_values.test(stress)) + sides.jump.test(load)
+        values = self._values.by_cells(x.T)
+        loads = self._factor * values
+        if not self.h.law.is_linear:
+            self._bend(*self._parts(values), *self._parts(loads))
+        return self._values.tested(loads).T
+
+    def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
+        """Add what the changes of s = P |Hs|^2 and of q = |j|^2 make, to the loads of Hs and j."""
+        h, scalar = self.h, self.sides.scalar
+        at_points, at_sides = h.s_values.blocks, scalar.blocks
+        w = h.points.weights.reshape(self.cells, -1)
+        dq = 2 * np.einsum("cpi,cpi->cp", self._j, dj)
+        tested = (2 * w) * np.einsum("cbpi,cbpi->cp", self._hessian, dH)
+        ds = self._projected(_transposed(at_points, tested))
+        ds_sides = product(at_sides, ds)[..., 0]
+        of_j += (self._sq * ds_sides + self._qq * dq)[..., None] * self._j
+        # the coefficient's change: c_s = P c(s) + facets
+        dc = _transposed(at_points, (self._s_slope * product(at_points, ds))[..., 0])
+        dc += _transposed(at_sides, self._ss * ds_sides + self._sq * dq)
+        change = product(at_points, self._projected(dc))[..., 0] * w
+        of_H += self._hessian * change[:, None, :, None]
+
+    def _projected(self, loads: np.ndarray) -> np.ndarray:
+        """Coefficients of a projection from its loads, (cells, functions, 1)."""
+        return self.h.s_inverse(loads.ravel()).reshape(loads.shape)
 
     def tangent_coefficients(self) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``."""
@@ -75,3 +129,8 @@ class HyperDerivative:
         stretch = 0.5 * law.p
         c, c_penalty = (law.mu_1 + stretch * (np.maximum(each, 0) - law.mu_1) for each in (c, c_penalty))
         return c, sides.penalty * c_penalty
+
+
+def _transposed(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Transposes of stacked matrices (cells, i, j) times values (cells, i): (cells, j, 1)."""
+    return product(matrices.transpose(0, 2, 1), values[..., None])

@@ -10,6 +10,10 @@ from ngsolve.la import SparseMatrixd
 
 from ngvisco.errors import StepError
 
+DROPPED = 1e-2
+"""Entries that a smoother does without, relative to the diagonal: two thirds of them, for one iteration of
+GMRES in a hundred (739 tetrahedra)."""
+
 
 class DirectSolver:
     """The factorised matrix on its free unknowns; the others get 0."""
@@ -68,23 +72,42 @@ class TwoLevelSolver:
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
         """Raises StepError if the coarse block is singular."""
-        self.matrix = matrix.tocsr()
+        matrix = matrix.tocsr()
         is_coarse = self.vertices | self.others
         beside = self.others.any()
         if beside:
-            is_coarse[self.matrix[self.others].indices] = True
+            is_coarse[matrix[self.others].indices] = True
         self.coarse = DirectSolver(self.free & is_coarse, self.inverse_type, symmetric=not beside)
-        self.coarse.factorise(self.matrix)
-        diagonal = self.matrix.diagonal()
-        self._smoother = np.where(self.free & ~is_coarse & (diagonal != 0), self.DAMPING, 0.0)
-        self._smoother /= np.where(diagonal != 0, diagonal, 1.0)
+        self.coarse.factorise(matrix)
+        diagonal = matrix.diagonal()
+        self._fine = np.flatnonzero(self.free & ~is_coarse & (diagonal != 0))
+        self._coarse = np.flatnonzero(self.free & is_coarse)
+        rows, columns = matrix[self._fine], matrix[:, self._fine].tocsr()
+        self._own = _without_small(rows[:, self._fine], diagonal[self._fine])
+        self._from_coarse, self._to_coarse = rows[:, self._coarse].tocsr(), columns[self._coarse].tocsr()
+        self._smoother = self.DAMPING / diagonal[self._fine]
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
-        r = np.where(self.free, r, 0.0)
+        r_fine = r[self._fine]
+        x = self._smoothed(r_fine)
+        r_fine -= self._own @ x
+        r_coarse = r.copy()
+        r_coarse[self._coarse] -= self._to_coarse @ x
+        result = self.coarse(r_coarse)
+        r_fine -= self._from_coarse @ result[self._coarse]
+        result[self._fine] = x + self._smoothed(r_fine)
+        return result
+
+    def _smoothed(self, r: np.ndarray) -> np.ndarray:
+        """Sweeps from zero with the fine functions' residual ``r``."""
         x = self._smoother * r
         for _ in range(self.SWEEPS - 1):
-            x += self._smoother * (r - self.matrix @ x)
-        x += self.coarse(r - self.matrix @ x)
-        for _ in range(self.SWEEPS):
-            x += self._smoother * (r - self.matrix @ x)
+            x += self._smoother * (r - self._own @ x)
         return x
+
+
+def _without_small(matrix: sp.csr_matrix, diagonal: np.ndarray) -> sp.csr_matrix:
+    """The matrix without entries of less than DROPPED of their diagonals' geometric mean."""
+    size, m = np.sqrt(abs(diagonal)), matrix.tocoo()
+    kept = abs(m.data) >= DROPPED * size[m.row] * size[m.col]
+    return sp.csr_matrix((m.data[kept], (m.row[kept], m.col[kept])), shape=m.shape)

@@ -40,6 +40,11 @@ class LocalMatrix:
             (self.unknowns.ravel() == np.arange(self.width)).all()
         )
 
+    @property
+    def blocks(self) -> np.ndarray:
+        """The dense blocks, (cells, rows of a cell, unknowns of a cell)."""
+        return self._blocks.transpose(0, 2, 1)
+
     @cached_property
     def _tests(self) -> np.ndarray:
         tests = self._blocks.transpose(0, 2, 1)
@@ -77,3 +82,11 @@ class LocalMatrix:
         if not self._in_order:
             flat = (self._scatter @ np.ascontiguousarray(flat.T)).T
         return flat.reshape(*values.shape[:-1], self.width)
+
+    def by_cells(self, columns: np.ndarray) -> np.ndarray:
+        """matrix @ ``columns``, (width, n), cell by cell: (cells, rows of a cell, n)."""
+        return product(self.blocks, np.take(np.ascontiguousarray(columns), self.unknowns, axis=0))
+
+    def tested(self, values: np.ndarray) -> np.ndarray:
+        """matrix^T @ ``values``, (cells, rows of a cell, n), without weights: (width, n)."""
+        return self._scatter @ product(self._blocks, values).reshape(-1, values.shape[2])

@@ -31,11 +31,18 @@ class Reversal:
         facet = f.trace_mass.facet
         # the jump of z is what both sides together are away from its trace
         z_jump = np.bincount(facet, weights * np.linalg.norm(f.jump, axis=0))
-        force = abs(slope) * z_jump[facet] * np.linalg.norm(f.from_mean(f.z(zeta)), axis=0)
         area = np.bincount(facet, weights)
         inertia = np.bincount(facet, weights * abs(f.z(rho)) * f.h) / f.context.tau.Get()
-        sudden = np.bincount(facet, weights * force / area[facet]) > SUDDEN * inertia
-        (where,) = np.nonzero(sudden[facet])
+        # of the force, slope * z_jump * the jump of zeta, the last is formed only where the others are large
+        force = abs(slope) * z_jump[facet]
+        possible = force * self._largest(zeta) > SUDDEN * inertia[facet]
+        (near,) = np.nonzero(np.bincount(facet, possible)[facet])
+        self.exists = near.size > 0
+        if not self.exists:
+            return
+        force = force[near] * np.linalg.norm(f.from_mean(zeta, near), axis=0)
+        force = np.bincount(facet[near], weights[near] * force / area[facet[near]], len(area))
+        (where,) = np.nonzero((force > SUDDEN * inertia)[facet])
         self.exists = where.size > 0
         if not self.exists:
             return
@@ -46,6 +53,12 @@ class Reversal:
         self._values, self._zeta = together(self._z, z), together(self._z, zeta)
         self._jump, self._inflow, self._carried = f.jump[:, where], f.inflow[where], f.carried[where]
         self._carried_slope = self._inflow + f.through[where] * self._slope
+
+    def _largest(self, zeta: np.ndarray) -> float:
+        """A bound of |zeta - its mean| on facets, from coefficients."""
+        z = self.facets.z
+        shapes = abs(z.blocks).max(axis=(0, 1))  # of each function at the sides' points
+        return 2 * float(np.linalg.norm(abs(zeta).reshape(len(zeta), z.cells, -1) @ shapes, axis=0).max())
 
     def __call__(self, dv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rows of v (dim, .) and of z (n, .), the latter with the sign of ``Facets.fields``."""

@@ -80,11 +80,7 @@ class KnownRows:
         self.names = receivers(step)
         self.space = joint_space(step, self.names)
         self.form = LinearForm(self.space)
-        for part in _integrands(step, self.space, self.names):
-            if part.cells is not None:
-                self.form += part.cells.Compile() * step.quadrature.cells
-            if part.facets is not None:
-                self.form += part.facets.Compile() * step.quadrature.facets
+        step.quadrature.add(self.form, _integrands(step, self.space, self.names))
         self._eliminates = ELIMINATED in self.names
         self.rows: dict[str, np.ndarray] = {}
         self._hats = np.zeros(0)

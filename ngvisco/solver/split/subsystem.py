@@ -29,11 +29,7 @@ class Subsystem:
         w = _Tests(layout, zero | dict(zip(self.names, test, strict=True)), set(self.names))
         self.form = BilinearForm(self.space, check_unused=False)
         for term in terms:
-            for part in term.form(u, w):
-                if part.cells is not None:
-                    self.form += part.cells.Compile() * step.quadrature.cells
-                if part.facets is not None:
-                    self.form += part.facets.Compile() * step.quadrature.facets
+            step.quadrature.add(self.form, term.form(u, w))
         self.at = GridFunction(self.space)
         self._rows = self.at.vec.CreateVector()
         self.state = step.state.vec.FV().NumPy()

@@ -1,10 +1,10 @@
 """Approximate solution of the transport equations for a given velocity.
 
 One component of z, and rho, have the scalar matrix T = M/tau + convection + facets with the trace
-eliminated.  Sweeps over the cells, each for itself with its neighbours' values (block Jacobi), converge
-like the Courant number; ``SWEEPS`` of them are taken always, so that the map stays linear.  With diffusion of
-z, which cells do not resolve, T is factorised.  A density equation that is not linear has a Jacobian of its
-own.
+eliminated, in dense blocks: of a cell's own values, and of those across its sides (``SideCoupling``).
+Two sweeps over the cells, each for itself with its neighbours' values (block Jacobi), converge like the
+Courant number; their number is fixed, so that the map stays linear.  With diffusion of z, which cells do not
+resolve, T is factorised.  A density equation that is not linear has a Jacobian of its own.
 """
 
 from __future__ import annotations
@@ -12,13 +12,10 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ngvisco.solver.split.blocks import BlockInverse
+from ngvisco.solver.split.coupling import SideCoupling
 from ngvisco.solver.split.linear import DirectSolver
-from ngvisco.solver.split.operators import pruned
 from ngvisco.solver.split.transport import Transport
-
-SWEEPS = 2
-"""Block Jacobi sweeps."""
+from ngvisco.threads import product
 
 
 class Sweep:
@@ -26,10 +23,12 @@ class Sweep:
 
     def __init__(self, transport: Transport, inverse: str) -> None:
         self.t = transport
-        pattern = abs(transport.op.z.matrix).T @ abs(transport.op.z.matrix)
-        for D in transport.op.dz:
-            pattern = pattern + abs(transport.op.z.matrix).T @ abs(D.matrix)
-        self._cells, self._rho_cells = BlockInverse(pattern.tocsr()), BlockInverse(pattern.tocsr())
+        self.coupling = SideCoupling(transport.facets)
+        self._neighbours = self.coupling.neighbours()
+        op = transport.op
+        shape = (self.coupling.cells, op.z.per_cell, 1)
+        self._tests = np.ascontiguousarray((op.weights.reshape(shape) * op.z.blocks).transpose(0, 2, 1))
+        self._mass = product(self._tests, op.z.blocks)
         self._whole = self._own = None
         if transport.diffusion is not None:
             self._whole = DirectSolver(np.ones(transport.mass.shape[0], dtype=bool), inverse)
@@ -38,24 +37,34 @@ class Sweep:
 
     def update(self) -> None:
         """Form the matrices and invert at the present state."""
-        t, op, tau = self.t, self.t.op, self.t.context.tau.Get()
-        z_t = op.z.matrix.T @ sp.diags(op.weights)
-        convection = sum(z_t @ sp.diags(t.v_q[j]) @ D.matrix for j, D in enumerate(op.dz))
-        T = (t.mass / tau + convection + t.facets.fields_matrix()).tocsr()
+        t, f, tau = self.t, self.t.facets, self.t.context.tau.Get()
+        convection = self._convection()
+        own, across = self.coupling.blocks(-f.carried, 1 - f.inflow, f.carried, f.trace_mass)
+        own += self._mass / tau + convection
         if self._whole is not None:
-            self._whole.factorise((T + t.diffusion).tocsr())
-            self._cells.update(T)
-        else:
-            self._carried = self._between(self._cells, T)
+            self._whole.factorise((self._sparse(own, across) + t.diffusion).tocsr())
+        self._cells, self._carried = _sweep(own, across)
         if self._own is None:
-            T = (t.mass / tau - convection.T + t.facets.density_matrix()).tocsr()
-            self._rho_carried = self._between(self._rho_cells, T)
+            own, across = self.coupling.blocks(f.up, f.up, -f.down, f.density_mass)
+            own += self._mass / tau - convection.transpose(0, 2, 1)
+            self._rho_cells, self._rho_carried = _sweep(own, across)
 
-    @staticmethod
-    def _between(cells: BlockInverse, T: sp.csr_matrix) -> sp.csr_matrix:
-        """1 - B^{-1} T with the blocks B of cells: what a sweep takes from the neighbours."""
-        cells.update(T)
-        return pruned((sp.identity(T.shape[0], format="csr") - cells.matrix() @ T).tocsr())
+    def _convection(self) -> np.ndarray:
+        """int (v . grad z) q in cells, (cells, q, q)."""
+        t, shape = self.t, (self.coupling.cells, -1, 1)
+        along = sum(v.reshape(shape) * D.blocks for v, D in zip(t.v_q, t.op.dz, strict=True))
+        return product(self._tests, along)
+
+    def _sparse(self, own: np.ndarray, across: np.ndarray) -> sp.csr_matrix:
+        """The blocks as a matrix."""
+        cells, sides, q, _ = across.shape
+        row = np.repeat(np.arange(cells), 1 + sides)
+        column = np.concatenate([np.arange(cells)[:, None], self._neighbours], axis=1).ravel()
+        blocks = np.concatenate([own[:, None], across], axis=1).reshape(-1, q, q)
+        inside = np.arange(q)
+        rows = np.broadcast_to((q * row[:, None, None] + inside[:, None]), blocks.shape)
+        columns = np.broadcast_to((q * column[:, None, None] + inside[None, :]), blocks.shape)
+        return sp.csr_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(q * cells,) * 2)
 
     def linearise(self) -> None:
         """Let a density equation that is not linear follow the present state."""
@@ -67,23 +76,28 @@ class Sweep:
         """Increments of z before rates and creep, of rows r: both (cells' unknowns, n)."""
         if self._whole is not None:
             return np.stack([self._whole(column) for column in r.T], axis=1)
-        return _swept(self._carried, self._cells, r)
+        return self._swept(self._cells, self._carried, r)
 
     def in_cells(self, rows: np.ndarray) -> np.ndarray:
         """The cells' own inverses times ``rows``, (cells' unknowns, .): no sweep, no diffusion."""
-        return self._cells.columns(rows)
+        return product(self._cells, rows.reshape(*self._cells.shape[:2], -1)).reshape(rows.shape)
 
     def density(self, r: np.ndarray) -> np.ndarray:
         """Increments of the density's unknowns."""
         if self._own is not None:
             return self._own(r)
-        return _swept(self._rho_carried, self._rho_cells, r[:, None])[:, 0]
+        return self._swept(self._rho_cells, self._rho_carried, r[:, None])[:, 0]
+
+    def _swept(self, cells: np.ndarray, carried: np.ndarray, r: np.ndarray) -> np.ndarray:
+        count, q = cells.shape[:2]
+        start = product(cells, r.reshape(count, q, -1))
+        x = start + product(carried, start[self._neighbours].reshape(count, -1, start.shape[2]))
+        return x.reshape(r.shape)
 
 
-def _swept(carried: sp.csr_matrix, cells: BlockInverse, r: np.ndarray) -> np.ndarray:
-    start = cells.columns(r)
-    x = start
-    for _ in range(SWEEPS - 1):
-        x = carried @ x
-        x += start
-    return x
+def _sweep(own: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inverses of the own blocks, and what a sweep takes from the neighbours' values side by side."""
+    count, sides, q, _ = across.shape
+    inverse = np.linalg.inv(own)
+    taken = -product(inverse, across.transpose(0, 2, 1, 3).reshape(count, q, sides * q))
+    return inverse, taken

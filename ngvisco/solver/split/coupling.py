@@ -1,0 +1,66 @@
+"""What an upwinded field takes from both sides of its facets, as dense blocks of cells.
+
+A flux through a facet sees its own cell's values and the facet's trace, which is a mean of both sides'
+values with weights of its own.  With the trace eliminated each side has a block of its own cell and one of
+the cell across.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ngvisco.solver.split.facets import FacetMass, Facets
+from ngvisco.threads import product
+
+
+class SideCoupling:
+    """Builds the blocks for weights at the sides' points; the functions there are known once."""
+
+    def __init__(self, facets: Facets) -> None:
+        z, mass, per = facets.z, facets.trace_mass, facets.points.per_side
+        self.cells, self.q = z.cells, z.local
+        self.sides = z.per_cell // per
+        self._weights = facets.points.weights.reshape(-1, per, 1)
+        self._z = z.blocks.reshape(-1, per, self.q)
+        self._z_t = np.ascontiguousarray(self._z.transpose(0, 2, 1))
+        self._hat = np.ascontiguousarray(mass.shapes.T).reshape(len(self._z), per, -1)
+        self._hat_t = np.ascontiguousarray(self._hat.transpose(0, 2, 1))
+        self._facet = mass.facet[::per]
+        self.across = self._other_sides()
+        """The side of the other cell, (sides,); itself on the boundary."""
+        self._inner = (self.across != np.arange(len(self._z)))[:, None, None]
+
+    def _other_sides(self) -> np.ndarray:
+        order = np.argsort(self._facet, kind="stable")
+        same = np.flatnonzero(np.diff(self._facet[order]) == 0)
+        across = np.arange(len(order))
+        across[order[same]], across[order[same + 1]] = order[same + 1], order[same]
+        return across
+
+    def neighbours(self) -> np.ndarray:
+        """The cell across each side, (cells, sides)."""
+        return (self.across // self.sides).reshape(self.cells, self.sides)
+
+    def blocks(
+        self, own: np.ndarray, to_trace: np.ndarray, from_trace: np.ndarray, mass: FacetMass
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of int (own z + from_trace z_hat) q, where mass z_hat = int to_trace z t of both sides.
+
+        Parameters
+        ----------
+        own, to_trace, from_trace : ndarray, shape (sides' points,)
+        mass : FacetMass
+            At its last ``update``.
+
+        Returns
+        -------
+        of the cell's own values, (cells, q, q), and of those across each side, (cells, sides, q, q)
+        """
+        shape, w = self._weights.shape, self._weights
+        to_hat = product(self._hat_t, (w * to_trace.reshape(shape)) * self._z)
+        from_hat = product(self._z_t, (w * from_trace.reshape(shape)) * self._hat)
+        from_hat = product(from_hat, mass.inverses[self._facet])
+        here = product(self._z_t, (w * own.reshape(shape)) * self._z) + product(from_hat, to_hat)
+        there = product(from_hat, to_hat[self.across]) * self._inner
+        by_cells = (self.cells, self.sides, self.q, self.q)
+        return here.reshape(by_cells).sum(axis=1), there.reshape(by_cells)
