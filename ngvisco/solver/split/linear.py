@@ -64,7 +64,12 @@ class TwoLevelSolver:
     fourth-order term dominates at the mesh's scale the iterations that it takes grow.
     """
 
-    SWEEPS, DAMPING = 2, 0.6
+    SWEEPS, DAMPING, POWERS = 2, 1.65, 15
+    """Sweeps, their damping in units of 1/(largest eigenvalue of D^{-1} A), iterations to find that one.
+
+    It is 2.7 on Netgen's tetrahedra and 3.4 on these refined, where a damping of 0.6 instead of 0.5 made
+    GMRES take 20 instead of 12 iterations.
+    """
 
     def __init__(self, free: np.ndarray, vertices: np.ndarray, others: np.ndarray, inverse: str) -> None:
         """Masks of unknowns: ``free`` ones, velocities at ``vertices``, and ``others`` than velocities."""
@@ -85,7 +90,15 @@ class TwoLevelSolver:
         rows, columns = matrix[self._fine], matrix[:, self._fine].tocsr()
         self._own = _without_small(rows[:, self._fine], diagonal[self._fine])
         self._from_coarse, self._to_coarse = rows[:, self._coarse].tocsr(), columns[self._coarse].tocsr()
-        self._smoother = self.DAMPING / diagonal[self._fine]
+        self._smoother = 1 / diagonal[self._fine]
+        self._smoother *= self.DAMPING / self._largest_eigenvalue()
+
+    def _largest_eigenvalue(self) -> float:
+        """Of the scaled fine block, by powers."""
+        x = np.random.default_rng(0).standard_normal(len(self._fine))
+        for _ in range(self.POWERS):
+            x = self._smoother * (self._own @ (x / np.linalg.norm(x)))
+        return float(np.linalg.norm(x)) or 1.0
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         r_fine = r[self._fine]
