@@ -13,8 +13,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
-
 from tests.benchmarks.case import FIFTY_THOUSAND
 from tests.benchmarks.table import markdown, summary
 
@@ -66,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
             rows.append(measure(dim, maxh, method, chosen.threads, chosen.steps, chosen.timeout))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)
         if method == "split":  # two threads over one, in the middle of the series
-            middle, others = float(np.median(sizes)), 3 - chosen.threads
+            middle, others = sizes[len(sizes) // 2], 3 - chosen.threads
             rows.append(measure(dim, middle, method, others, chosen.steps, chosen.timeout))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)
     text = f"{markdown(rows)}\n{summary(rows)}"

@@ -16,6 +16,7 @@ from ngvisco.forms.compilation import SCRIPT, VARIABLE, compiled
 
 def test_interpreted_by_default(monkeypatch):
     monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setenv("PATH", "/nowhere")  # nothing is compiled
     mesh = Mesh(unit_square.GenerateMesh(maxh=0.5))
     assert Integrate(compiled(x * y), mesh) == pytest.approx(0.25)
 
@@ -39,8 +40,9 @@ def test_another_word_is_refused(monkeypatch):
         compiled(x)
 
 
-def test_without_a_compiler_it_is_refused(monkeypatch):
+def test_without_a_compiler_it_is_refused(monkeypatch, tmp_path):
     monkeypatch.setenv(VARIABLE, "1")
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     monkeypatch.setenv("PATH", "/nowhere")
     with pytest.raises(ParameterError, match=r"c\+\+"):
         compiled(x)

@@ -255,6 +255,7 @@ def test_two_levels_take_as_many_iterations_on_finer_meshes(monkeypatch):
         run.advance()
         p = run.solver.newton.preconditioner
         matrix, steps = p.tangent.matrix(), []
+        p.solver.factorise(matrix)
         r = np.where(p.free, np.random.default_rng(0).standard_normal(len(p.free)), 0.0)
         operator = LinearOperator(
             (len(r), len(r)), lambda x, p=p, A=matrix: p.solver(np.where(p.free, A @ x, x))

@@ -69,15 +69,6 @@ class BlockInverse:
             result[..., group] = (inverse @ r[..., group][..., None])[..., 0]
         return result
 
-    def columns(self, r: np.ndarray) -> np.ndarray:
-        """Inverse times each column of ``r``, (n, columns)."""
-        if self._in_order:
-            return product(self._inverses[0], r.reshape(*self.groups[0].shape, -1)).reshape(r.shape)
-        result = np.zeros_like(r)
-        for group, inverse in zip(self.groups, self._inverses, strict=True):
-            result[group] = inverse @ r[group]
-        return result
-
 
 def _entries(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of the dense blocks' entries."""

@@ -10,6 +10,8 @@ P the cellwise L2 projections.  The penalty is formed at the sides' points, by t
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import scipy.sparse as sp
 from ngsolve import (
@@ -43,11 +45,16 @@ class SideJumps:
         self.points, self.weights = points, points.weights
         self.of_v = points.operator(hyper.velocity, lambda u: -(grad(u) * n))
         self.of_a = points.operator(hyper.normal, lambda b: b * n)
-        self.jump = LocalMatrix(sp.hstack([self.of_v, self.of_a], format="csr"), mesh.ne, self.weights)
-        self.h = np.repeat(hyper.term.context.h.vec.FV().NumPy(), self.jump.per_cell)
+        self.matrix = sp.hstack([self.of_v, self.of_a], format="csr")
+        self.h = np.repeat(hyper.term.context.h.vec.FV().NumPy(), points.count // mesh.ne)
         self.penalty = hyper.law.penalty / self.h
         if not hyper.law.is_linear:
             self.scalar = LocalMatrix(points.values(hyper.squares), mesh.ne, self.weights)
+
+    @cached_property
+    def jump(self) -> LocalMatrix:
+        """j of (v, a) side by side."""
+        return LocalMatrix(self.matrix, self.points.mesh.ne, self.weights)
 
 
 class MatrixHyperviscosity:

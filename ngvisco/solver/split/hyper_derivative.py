@@ -1,7 +1,7 @@
 """The derivative of the hyperviscosity's rows in a direction of (v, a), for the flow's linear system.
 
-Of x = (v, a) a cell sees Hs at its points and the jumps at its sides' points: B x in one small dense product
-with all components of v side by side, (cells, points, dim).  The rows are B^T of what the law makes of
+Of x = (v, a) a cell sees the coefficients of Hs and the jumps at its sides' points: B x in one small dense
+product with all components of v side by side, (cells, rows, dim).  The rows are B^T of what the law makes of
 these.
 """
 
@@ -20,7 +20,8 @@ SIDES = 4
 
 Means over the sides left an eigenvalue of 0.38 of the preconditioned error on 762 triangles, a rule of
 degree 2 one of 0.5 on Netgen's tetrahedra once refined (21 iterations instead of 11 on 1,440 of them).  For
-k = 3 the like rule leaves 0.5, and steps on curved cells failed: there the rule is that of the forms.
+k = 3 a rule with as many points as P_2 has functions leaves 0.5, and steps on curved cells failed with
+one: there the rule is that of the forms.
 """
 
 
@@ -30,35 +31,28 @@ class HyperDerivative:
     def __init__(self, hyper: MatrixHyperviscosity) -> None:
         step = hyper.step
         self.h = hyper
-        self.cells = cells = step.mesh.ne
+        self.cells = step.mesh.ne
         coarse = step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
         self.sides = SideJumps(hyper, SidePoints(step.mesh, SIDES)) if coarse else hyper.sides
-        self._values, weights = self._together()
-        self._of_hessian = weights.shape[1] - self.sides.jump.per_cell
-        self._weights = weights[:, :, None]
-        self._side_weights = self.sides.weights.reshape(cells, -1, 1)
+        self._weights = hyper.points.weights.reshape(self.cells, 1, -1, 1)
+        self._side_weights = self.sides.weights.reshape(self.cells, -1)
+        self._values = self._together()
+        self._of_hessian = hyper.lift.per_cell
 
-    def _together(self) -> tuple[LocalMatrix, np.ndarray]:
-        """B, and the weights of its rows: a cell's components of Hs, points side by side, then jumps."""
-        h, jump, cells = self.h, self.sides.jump, self.cells
-        points = h.points.weights.reshape(cells, -1)
-        values = sp.block_diag([h.h_values.matrix] * h.size, format="csr")
-        # coefficients of lift stand cell by cell, components after each other: to components first
-        order = np.arange(h.size * h.h_count).reshape(cells, h.size, -1).transpose(1, 0, 2).ravel()
-        hessian = values @ h.lift.matrix[order]
-        by_cells = np.arange(hessian.shape[0]).reshape(h.size, cells, -1).transpose(1, 0, 2)
-        both = sp.vstack([hessian, jump.matrix], format="csr")
-        jumps = hessian.shape[0] + np.arange(jump.height).reshape(cells, -1)
-        rows = np.concatenate([by_cells.reshape(cells, -1), jumps], axis=1)
-        weights = [np.tile(points, (1, h.size)), self.sides.weights.reshape(cells, -1)]
-        return LocalMatrix(both[rows.ravel()], cells), np.concatenate(weights, axis=1)
+    def _together(self) -> LocalMatrix:
+        """B: a cell's coefficients of Hs, components after each other, then its jumps."""
+        lift, jump, cells = self.h.lift.matrix, self.sides.matrix, self.cells
+        jumps = lift.shape[0] + np.arange(jump.shape[0]).reshape(cells, -1)
+        rows = np.concatenate([np.arange(lift.shape[0]).reshape(cells, -1), jumps], axis=1)
+        both = sp.vstack([lift, jump], format="csr")
+        return LocalMatrix(both[rows.ravel()], cells, keep=False)
 
     def update(self) -> None:
         """Linearise at the present state."""
-        h, law, sides = self.h, self.h.law, self.sides
+        h, law, sides, cells = self.h, self.h.law, self.sides, self.cells
         if law.is_linear:
-            self._factor = self._weights * (law.mu + law.mu_1)
-            self._factor[:, self._of_hessian :] *= sides.penalty.reshape(self.cells, -1, 1)
+            self._c = self._weights * (law.mu + law.mu_1)
+            self._penalty = self._side_weights * (sides.penalty * (law.mu + law.mu_1)).reshape(cells, -1)
             return
         at = self._values.by_cells(np.concatenate([h.v, h.a], axis=1).T)
         self._hessian, self._j = self._parts(at)
@@ -66,23 +60,20 @@ class HyperDerivative:
         slope = law.slope(size)
         bend = 0.5 * (law.p - 4) * slope / size * q  # c'' |j|^2
         squared = sides.h**2
-        factors = [
-            np.tile(h.s_values(h.c).reshape(self.cells, -1), (1, h.size)),
-            (sides.penalty * (law.coefficient(size) + slope * q / squared)).reshape(self.cells, -1),
-        ]
-        self._factor = self._weights * np.concatenate(factors, axis=1)[:, :, None]
-        by_sides = (self.cells, -1, 1)
-        weighted = self._side_weights[..., 0] * sides.penalty.reshape(self.cells, -1)
+        self._c = self._weights * h.s_values(h.c).reshape(self._weights.shape)
+        penalty = sides.penalty * (law.coefficient(size) + slope * q / squared)
+        self._penalty = self._side_weights * penalty.reshape(cells, -1)
         # second derivatives by s = P |Hs|^2 and q = |j|^2, tested with these: the same both ways
-        self._s_slope = h.points.weights.reshape(by_sides) * law.slope(h.s_values(h.s)).reshape(by_sides)
-        self._ss = weighted * bend.reshape(self.cells, -1)
-        self._sq = weighted * (slope + bend / squared).reshape(self.cells, -1)
-        self._qq = weighted * ((2 * slope + bend / squared) / squared).reshape(self.cells, -1)
+        weighted = self._side_weights * sides.penalty.reshape(cells, -1)
+        self._s_slope = self._weights[:, 0] * law.slope(h.s_values(h.s)).reshape(cells, -1, 1)
+        self._ss = weighted * bend.reshape(cells, -1)
+        self._sq = weighted * (slope + bend / squared).reshape(cells, -1)
+        self._qq = weighted * ((2 * slope + bend / squared) / squared).reshape(cells, -1)
 
     def _parts(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Views of B x: Hs, (cells, components, points, dim), and jumps, (cells, sides' points, dim)."""
+        """Of B x: Hs at the points, (cells, components, points, dim), and jumps, (cells, points, dim)."""
         split, shape = self._of_hessian, (self.cells, self.h.size, -1, values.shape[2])
-        return values[:, :split].reshape(shape), values[:, split:]
+        return _at_each(self.h.h_values.blocks, values[:, :split].reshape(shape)), values[:, split:]
 
     def _sizes(self) -> tuple[np.ndarray, np.ndarray]:
         """|j|^2 and s + |j|^2/h^2 + chi^2 at the sides' points."""
@@ -93,16 +84,21 @@ class HyperDerivative:
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """The rows' derivative in the direction x = (v, a) side by side, (dim, unknowns)."""
         values = self._values.by_cells(x.T)
-        loads = self._factor * values
+        dH, dj = self._parts(values)
+        of_H, of_j = self._c * dH, self._penalty[..., None] * dj
         if not self.h.law.is_linear:
-            self._bend(*self._parts(values), *self._parts(loads))
+            self._bend(dH, dj, of_H, of_j)
+        loads, split = np.empty_like(values), self._of_hessian
+        tested = _at_each(self.h.h_values.blocks.transpose(0, 2, 1), of_H)
+        loads[:, :split] = tested.reshape(self.cells, split, -1)
+        loads[:, split:] = of_j
         return self._values.tested(loads).T
 
     def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
         """Add what the changes of s = P |Hs|^2 and of q = |j|^2 make, to the loads of Hs and j."""
         h, scalar = self.h, self.sides.scalar
         at_points, at_sides = h.s_values.blocks, scalar.blocks
-        w = h.points.weights.reshape(self.cells, -1)
+        w = self._weights[:, 0, :, 0]
         dq = 2 * np.einsum("cpi,cpi->cp", self._j, dj)
         tested = (2 * w) * np.einsum("cbpi,cbpi->cp", self._hessian, dH)
         ds = self._projected(_transposed(at_points, tested))
@@ -134,3 +130,10 @@ class HyperDerivative:
 def _transposed(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Transposes of stacked matrices (cells, i, j) times values (cells, i): (cells, j, 1)."""
     return product(matrices.transpose(0, 2, 1), values[..., None])
+
+
+def _at_each(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Matrices (cells, i, j) times values of each component, (cells, components, j, dim)."""
+    if matrices.shape[1:] == (1, 1):
+        return matrices[..., None] * values
+    return matrices[:, None] @ values

@@ -18,9 +18,18 @@ from ngvisco.threads import product, shared
 class LocalMatrix:
     """A sparse matrix by cells, and its transpose with weights of the rows."""
 
-    def __init__(self, matrix: sp.csr_matrix, cells: int, weights: np.ndarray | None = None) -> None:
-        """``weights``, (rows,), multiply the rows of the transpose: the tests of a quadrature rule."""
-        self.matrix, self.cells, self.weights = matrix, cells, weights
+    matrix: sp.csr_matrix
+
+    def __init__(
+        self, matrix: sp.csr_matrix, cells: int, weights: np.ndarray | None = None, keep: bool = True
+    ) -> None:
+        """``weights``, (rows,), multiply the rows of the transpose: the tests of a quadrature rule.
+
+        Without ``keep`` the sparse matrix is let go, for its memory.
+        """
+        if keep:
+            self.matrix = matrix
+        self.cells, self.weights = cells, weights
         self.height, self.width = matrix.shape
         self.per_cell = self.height // cells
         entries = matrix.tocoo()

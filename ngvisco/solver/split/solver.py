@@ -18,15 +18,17 @@ What was tried, on the neo-Hookean swirl (p = 4, P2/DG1, tau = 0.02 s; sums over
   hyperviscosity's derivative in dense blocks of cells too, a smoother without the matrix' small entries, and
   the operator's blocks followed to increments of 1e-2 (1e-3 takes as many iterations, so does 1e-1);
 - the linear operator by passes over the quadrature points, a dozen: 25 ms on 2,258 triangles; by element
-  matrices (``FlowElements``) 9 ms, of which the hyperviscosity's derivative takes half;
+  matrices (``FlowElements``) 9 ms, half of them the hyperviscosity's derivative, which is in blocks of cells
+  as well now;
 - the tangent of v factorised as a whole in 2D: 10 ms a solve on 2,258 triangles; two levels 4 ms for a
-  tenth more iterations, also where the fourth-order term dominates (mu a thousand times larger: a fifth);
+  tenth more iterations, with mu a thousand times larger for a fifth more;
 - the fields predicted inside each cell only, without what crosses facets: 18 iterations of 1/4 each;
   with the fields carried by the transport 11 to 14 (739 tetrahedra); three or four sweeps over the cells
   take as many iterations as two (206 tetrahedra, Courant numbers below one);
 - the hyperviscosity by its coefficient c in the matrix of v alone, linearised once: 0.55 to 0.9 an
   iteration; with the penalty's derivative by means over the sides: eigenvalue 0.38 of the error on 762
-  triangles; by a rule with as many points as P_{k-1} has functions: right to 1e-3;
+  triangles; by a rule with as many points as P_{k-1} has functions: right to 1e-3 there, 0.5 on refined
+  tetrahedra; by one of degree 4: exact for p = 4;
 - inertia by the coarse rule, which does not see all of P_2: eigenvalue 2.2 on a disc, diverges;
 - GMRES to 1/10: 28 iterations instead of 12 in the second step of 2,258 triangles, because what it leaves
   is not small in Newton's norm; to 1/100: a fifth more of its iterations and hardly fewer of Newton's;

@@ -43,7 +43,9 @@ class Sweep:
         own += self._mass / tau + convection
         if self._whole is not None:
             self._whole.factorise((self._sparse(own, across) + t.diffusion).tocsr())
-        self._cells, self._carried = _sweep(own, across)
+            self._cells = np.linalg.inv(own)
+        else:
+            self._cells, self._carried = _sweep(own, across)
         if self._own is None:
             own, across = self.coupling.blocks(f.up, f.up, -f.down, f.density_mass)
             own += self._mass / tau - convection.transpose(0, 2, 1)

@@ -1,4 +1,4 @@
-"""The transported fields' equations for a given velocity: residuals, upwind traces, one sweep.
+"""The transported fields' equations for a given velocity: residuals, upwind traces, conjugates.
 
 For a given v the kinematic equations are linear but for creep.  What crosses facets is formed at the
 sides' points by ``Facets``, rates and creep at the cells' points by ``RateTensors``.  The upwind traces, the

@@ -1,0 +1,54 @@
+"""The smoother of the two-level solver, and the facets of which the flow's operator takes notice."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from ngsolve import cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.solver.split import reversal
+from ngvisco.solver.split.linear import MANY, largest_eigenvalue
+
+
+@pytest.mark.parametrize("size", [MANY // 2, 5 * MANY])
+def test_one_cell_s_eigenvalue_is_found_among_many(size):
+    """Powers from a random vector would take it for that of the bulk, 2."""
+    rng = np.random.default_rng(2)
+    scale = np.exp(rng.standard_normal(size))
+    A = sp.diags([np.full(size - 1, -0.5), np.ones(size), np.full(size - 1, -0.5)], [-1, 0, 1]).tolil()
+    for i in range(4):  # a block of larger coupling: its eigenvalue is 1 + 3 * 0.9
+        for j in range(4):
+            A[20 + i, 20 + j] = 1.0 if i == j else 0.9
+    A = (sp.diags(scale) @ A.tocsr() @ sp.diags(scale)).tocsr()
+    D = np.sqrt(A.diagonal())
+    exact = np.linalg.eigvalsh(A.toarray() / np.outer(D, D)).max()
+    assert exact > 3.7
+    assert largest_eigenvalue(A) == pytest.approx(exact, rel=0.03)
+
+
+def test_the_bound_misses_no_facet(monkeypatch):
+    """The facets that count are those that would without the bound which chooses where to look."""
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
+    )
+    velocity = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+    run = nv.Simulation(
+        box((1, 1), maxh=0.2), model, dt=0.05, initial=nv.Initial(velocity=velocity), solver="split"
+    )
+    run.advance()
+    operator, t = run.solver.newton.preconditioner.operator, run.solver.newton.transport
+    chosen = []
+    for sudden in (1e-8, 1e-6, 1e-4):
+        monkeypatch.setattr(reversal, "SUDDEN", sudden)
+        for bound in (None, 1e100):
+            if bound is not None:
+                monkeypatch.setattr(reversal.Reversal, "_largest", lambda self, zeta: 1e100)
+            operator.reversal.update(t.z, t.zeta, t.rho)
+            chosen.append(len(operator.reversal._slope) if operator.reversal.exists else 0)
+        monkeypatch.undo()
+    assert chosen[0::2] == chosen[1::2]
+    assert 0 < chosen[2] < chosen[0]
