@@ -107,11 +107,7 @@ def uncondensed(step: Step, integrands: list[Integrand] | None = None) -> Biline
         trial, test = step.layout.space.TnT()
         u, w = step.layout.fields(trial), step.layout.fields(test)
         integrands = [part for term in step.terms for part in term.form(u, w)]
-    for integrand in integrands:
-        if integrand.cells is not None:
-            form += integrand.cells.Compile() * step.quadrature.cells
-        if integrand.facets is not None:
-            form += integrand.facets.Compile() * step.quadrature.facets
+    step.quadrature.add(form, integrands)
     return form
 
 
