@@ -9,7 +9,7 @@ from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.solver.split import reversal
+from ngvisco.solver.split import linear, reversal
 from ngvisco.solver.split.linear import MANY, largest_eigenvalue
 
 
@@ -52,3 +52,28 @@ def test_the_bound_misses_no_facet(monkeypatch):
         monkeypatch.undo()
     assert chosen[0::2] == chosen[1::2]
     assert 0 < chosen[2] < chosen[0]
+
+
+def test_two_levels_are_sweeps_around_a_coarse_solution(monkeypatch):
+    """The same by residuals of the whole matrix, where no entry is dropped."""
+    monkeypatch.setattr(linear, "DROPPED", 0.0)
+    rng = np.random.default_rng(4)
+    n = 30
+    B = rng.standard_normal((n, n))
+    A = B @ B.T + n * np.eye(n)
+    free, vertices, others = np.ones(n, dtype=bool), np.arange(n) < 10, np.zeros(n, dtype=bool)
+    free[[3, 20]] = False
+    solver = linear.TwoLevelSolver(free, vertices, others, "umfpack")
+    solver.factorise(sp.csr_matrix(A))
+    coarse, fine = np.flatnonzero(free & vertices), np.flatnonzero(free & ~vertices)
+    own, r = A[np.ix_(fine, fine)], rng.standard_normal(n)
+    scaled = own / np.sqrt(np.outer(np.diag(own), np.diag(own)))
+    damping = solver.DAMPING / np.linalg.eigvalsh(scaled).max()
+    x = np.zeros(n)
+    for stage in ("fine", "fine", "coarse", "fine", "fine"):
+        left = r - A @ x
+        if stage == "coarse":
+            x[coarse] += np.linalg.solve(A[np.ix_(coarse, coarse)], left[coarse])
+        else:
+            x[fine] += damping * left[fine] / np.diag(own)
+    assert solver(r) == pytest.approx(x, abs=1e-12)
