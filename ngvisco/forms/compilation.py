@@ -1,8 +1,8 @@
 """Integrands as straight-line programs, interpreted by NGSolve or, where asked, compiled to machine code.
 
-Machine code takes minutes to be made (about 15 s for each of some 40 integrands) and a C++ compiler.  With
-ccache at /usr/bin, which NGSolve's compiler script then takes, it is made once: the source depends on the
-model, the order and the sequence in which integrands are made, not on the mesh nor on parameters.
+Machine code takes minutes to be made (about 15 s for each of some 40 integrands) and a C++ compiler.
+NGSolve's compiler script takes ccache where that is at /usr/bin; the source that it is given holds neither
+addresses nor values of parameters, and was the same in two processes.
 """
 
 from __future__ import annotations

@@ -22,6 +22,7 @@ def test_interpreted_by_default(monkeypatch):
 
 
 @pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.skipif(
     not (shutil.which("c++") and shutil.which(SCRIPT, path=str(Path(sys.executable).parent))),
     reason="no compiler",

@@ -1,8 +1,8 @@
 """What an upwinded field takes from both sides of its facets, as dense blocks of cells.
 
 A flux through a facet sees its own cell's values and the facet's trace, which is a mean of both sides'
-values with weights of its own.  With the trace eliminated each side has a block of its own cell and one of
-the cell across.
+values with weights of its own (``UpwindTrace``, ``Continuity``).  With the trace eliminated each side has a
+block of its own cell and one of the cell across.
 """
 
 from __future__ import annotations

@@ -1,0 +1,50 @@
+"""The Jacobian of the coupled solver asks for more of NGSolve's memory where a cell's matrix needs it."""
+
+from __future__ import annotations
+
+import pytest
+
+from ngvisco.errors import StepError
+from ngvisco.solver import condensed
+
+
+class Form:
+    """A form whose assembly fails with the messages given, then succeeds."""
+
+    def __init__(self, *messages):
+        self.messages, self.space = list(messages), self
+
+    def FreeDofs(self, coupling):
+        return None
+
+    def AssembleLinearization(self, state):
+        if self.messages:
+            raise RuntimeError(self.messages.pop(0))
+
+
+@pytest.fixture
+def sizes(monkeypatch):
+    asked = []
+    monkeypatch.setattr(condensed, "SetHeapSize", asked.append)
+    return asked
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_an_overflow_is_answered_by_a_larger_heap(sizes, count):
+    form = Form(*["Local Heap overflow"] * count)
+    condensed.CondensedJacobian(form, "umfpack")._assemble(None)
+    assert sizes == list(condensed.HEAP_SIZES[:count])
+
+
+def test_what_the_largest_heap_does_not_hold_is_a_failed_step(sizes):
+    form = Form(*["Local Heap overflow"] * 3)
+    with pytest.raises(StepError, match="Local Heap overflow"):
+        condensed.CondensedJacobian(form, "umfpack").factorise(None)
+    assert sizes == list(condensed.HEAP_SIZES)
+
+
+def test_another_failure_is_not_tried_again(sizes):
+    form = Form("division by zero")
+    with pytest.raises(StepError, match="division by zero"):
+        condensed.CondensedJacobian(form, "umfpack").factorise(None)
+    assert sizes == []
