@@ -58,25 +58,33 @@ class RateTensors:
         columns += self.constant.T[None]
         return columns
 
-    def rate(self, z: np.ndarray, X: np.ndarray, out: np.ndarray, sign: float = 1.0) -> None:
-        """Add sign * rate(z; X) to ``out`` (n, points); X is (X, points)."""
-        for x, n in np.argwhere(self.constant[: len(X)]):
-            out[n] += (sign * self.constant[x, n]) * X[x]
-        self._accumulate(lambda x, n, m: (out[n], X[x], z[m]), len(X), sign)
+    def rate(self, z: np.ndarray, X: np.ndarray, out: np.ndarray, constant: bool = True) -> None:
+        """Add rate(z; X) to ``out`` (n, points); X is (X, points).
 
-    def stress(self, z: np.ndarray, zeta: np.ndarray, out: np.ndarray, first: int = 0) -> None:
-        """Add d(zeta : rate)/dX for X = first ... first + len(out) - 1 to ``out`` (X, points)."""
+        Without ``constant`` only what is linear in z: the derivative in the direction z.
+        """
+        for x, n in np.argwhere(self.constant[: len(X)]) if constant else ():
+            out[n] += self.constant[x, n] * X[x]
+        self._accumulate(lambda x, n, m: (out[n], X[x], z[m]), len(X))
+
+    def stress(
+        self, z: np.ndarray, zeta: np.ndarray, out: np.ndarray, first: int = 0, constant: bool = True
+    ) -> None:
+        """Add d(zeta : rate)/dX for X = first ... first + len(out) - 1 to ``out`` (X, points).
+
+        Without ``constant`` only what is linear in z, as above.
+        """
         stop = first + len(out)
-        for x, n in np.argwhere(self.constant[first:stop]):
+        for x, n in np.argwhere(self.constant[first:stop]) if constant else ():
             out[x] += self.constant[first + x, n] * zeta[n]
-        self._accumulate(lambda x, n, m: (out[x - first], zeta[n], z[m]), stop, 1.0, first)
+        self._accumulate(lambda x, n, m: (out[x - first], zeta[n], z[m]), stop, first)
 
-    def _accumulate(self, arrays, stop: int, sign: float, first: int = 0) -> None:  # type: ignore[no-untyped-def]
+    def _accumulate(self, arrays, stop: int, first: int = 0) -> None:  # type: ignore[no-untyped-def]
         product: np.ndarray | None = None
         for x, n, m in np.argwhere(self.linear[first:stop]):
             target, a, b = arrays(x + first, n, m)
             product = np.multiply(a, b, out=product)
-            factor = sign * self.linear[x + first, n, m]
+            factor = self.linear[x + first, n, m]
             if factor == 1.0:
                 target += product
             elif factor == -1.0:

@@ -83,6 +83,11 @@ class Regularisation:
         """delta |grad rho|^{r-2}, m^2/s, of |grad rho|^2."""
         return self.delta_density * power_of_square(gradient_square, 0.5 * (self.r - 2), self.floor)
 
+    def diffusivity_slope(self, gradient_square: Scalar) -> Scalar:
+        """Its derivative by |grad rho|^2."""
+        power = power_of_square(gradient_square, 0.5 * (self.r - 4), self.floor)
+        return 0.5 * (self.r - 2) * self.delta_density * power
+
     def friction(self, speed_square: CoefficientFunction) -> CoefficientFunction:
         """epsilon |v|^{p-2} of |v|^2."""
         return self.epsilon * power_of_square(speed_square, 0.5 * (self.p - 2), self.floor)
@@ -105,3 +110,10 @@ class Regularisation:
             return np.ones_like(rho)
         s = np.clip((rho - self.rho_max) / self.width, 0.0, 1.0)
         return np.where(rho > 0, 1 - s * s * (3 - 2 * s), 0.0)
+
+    def cut_off_slope(self, rho: np.ndarray) -> np.ndarray:
+        """K'(rho) of an array, away from the jump at 0."""
+        if self.rho_max is None:
+            return np.zeros_like(rho)
+        s = np.clip((rho - self.rho_max) / self.width, 0.0, 1.0)
+        return -6 * s * (1 - s) / self.width

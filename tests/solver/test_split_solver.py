@@ -327,7 +327,7 @@ def test_a_failure_from_extrapolated_values_is_retried_from_the_old_state(monkey
 
 
 @pytest.mark.parametrize("dt", [0.02, 0.3])
-def test_differences_take_over_where_the_iteration_is_slow(dt, monkeypatch):
+def test_newton_krylov_takes_over_where_the_iteration_is_slow(dt, monkeypatch):
     """Newton-Krylov from the third iteration on ends in the same solution as the usual iteration."""
     usual = simulation(dt=dt)
     usual.advance()
@@ -349,7 +349,7 @@ def test_differences_take_over_where_the_iteration_is_slow(dt, monkeypatch):
     assert np.abs(state(run) - state(usual)).max() <= 1e-7 * np.abs(state(usual)).max()
 
 
-def test_differences_say_when_they_fail(monkeypatch):
+def test_newton_krylov_says_when_it_fails(monkeypatch):
     monkeypatch.setattr("ngvisco.solver.split.solver.SLOW", 0)
     monkeypatch.setattr("ngvisco.solver.split.krylov.gmres", lambda operator, f, **_: (0 * f, 0))
     split = simulation().solver.newton

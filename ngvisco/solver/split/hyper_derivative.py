@@ -28,11 +28,12 @@ one: there the rule is that of the forms.
 class HyperDerivative:
     """The derivative at the state of the last ``update``."""
 
-    def __init__(self, hyper: MatrixHyperviscosity) -> None:
+    def __init__(self, hyper: MatrixHyperviscosity, exact: bool = False) -> None:
+        """``exact`` is by the rule of the forms, whatever the exponent."""
         step = hyper.step
         self.h = hyper
         self.cells = step.mesh.ne
-        coarse = step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
+        coarse = not exact and step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
         self.sides = SideJumps(hyper, SidePoints(step.mesh, SIDES)) if coarse else hyper.sides
         self._weights = hyper.points.weights.reshape(self.cells, 1, -1, 1)
         self._side_weights = self.sides.weights.reshape(self.cells, -1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,11 @@ from ngvisco.forms.points import CellPoints, csr
 from ngvisco.forms.system import Step
 from ngvisco.physics.arrays import array_slope
 from ngvisco.physics.material import component_count, components_of, conjugates, tensors_of
+from ngvisco.physics.pointwise import respond
 from ngvisco.solver.split.local import LocalMatrix
+
+TINY = 1e-30
+"""Length of a complex increment, relative to the direction."""
 
 
 class ScalarForm:
@@ -75,7 +79,7 @@ class Conjugation:
     """phi'(z) at the points of a rule, in components."""
 
     def __init__(self, step: Step, points: CellPoints) -> None:
-        material, dim = step.model.material, step.mesh.dim
+        self.material, self.dim = material, dim = step.model.material, step.mesh.dim
         self.n, self.points = component_count(material, dim), points
         self.response = material.response(dim)
         if self.response is not None:
@@ -102,6 +106,15 @@ class Conjugation:
                 self.arrays = None  # an energy that means something else with arrays
                 return expected
         return slope
+
+    def derivative(self, z_values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """The map dz -> phi''(z) dz at the points, both (n, points), for z as above."""
+        arrays = self.arrays if self.response is None else None
+        if arrays is not None:
+            # the imaginary part of a tiny complex increment: no difference is taken, nothing cancels
+            return lambda dz: arrays(z_values + (TINY * 1j) * dz).imag / TINY
+        hessian = respond(self.material, self.dim)(z_values.T).hessian
+        return lambda dz: np.einsum("pnm,mp->np", hessian, dz)
 
     def _by_expression(self, z_values: np.ndarray) -> np.ndarray:
         self.points.read(self.at, self.n)[:] = z_values

@@ -7,7 +7,7 @@ unknowns - put in exactly, at the points of cells and sides (``Transport``, ``Mo
 into which the change of the fields is carried (``FlowOperator``), solved by GMRES to 3 per cent
 (``Preconditioner``): Newton's method but for a coarser rule and a fixed number of sweeps.  The operator
 follows the state, its preconditioner is made anew where it wears out.  Where the iteration is slow the
-derivative of P^{-1} R is taken by differences (``krylov``).
+whole derivative of R takes its place (``krylov``, ``Linearisation``).
 
 What was tried, on the neo-Hookean swirl (p = 4, P2/DG1, tau = 0.02 s; sums over a step):
 
@@ -56,6 +56,7 @@ from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonIteration, NewtonOptions
 from ngvisco.solver.split.hyper import MatrixHyperviscosity
 from ngvisco.solver.split.krylov import newton_krylov
+from ngvisco.solver.split.linearisation import Linearisation
 from ngvisco.solver.split.momentum import Momentum
 from ngvisco.solver.split.operators import Operators
 from ngvisco.solver.split.preconditioner import Preconditioner, Residual
@@ -68,7 +69,7 @@ FOLLOWED = 1e-2
 """Increment below which only what changes suddenly is linearised anew: hyperviscosity and upwinding."""
 
 SLOW = 24
-"""Iterations after which the derivative is taken by differences."""
+"""Iterations after which the whole derivative is taken."""
 
 FORCING = 0.03
 """Tolerance of the flow's linear system."""
@@ -114,6 +115,7 @@ class Split:
         self.exists = False
         self.seconds: dict[str, float] = defaultdict(float)
         """Wall time by parts of the work, s, since the solver was made."""
+        self._linearisation: Linearisation | None = None
         self._full = step.state.vec.CreateVector()
 
     @property
@@ -155,6 +157,12 @@ class Split:
         if self.sources is not None:
             self.sources.add_to(residual)
         return residual
+
+    def linearisation(self) -> Linearisation:
+        """The whole derivative of R; made where it is first needed, and kept."""
+        if self._linearisation is None:
+            self._linearisation = Linearisation(self.momentum, self.hyper, self.unknowns)
+        return self._linearisation
 
     def _start(self) -> None:
         """Evaluate what is known through the step."""

@@ -1,0 +1,109 @@
+"""The derivative of the split solver's residual, against differences of the residual itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ngsolve import CF, cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box, disc
+from ngvisco.physics.materials import examples
+
+EXAMPLES = {example.constructor: example.material for example in examples()}
+WALLS = {"top": nv.Traction(f=(1.0, 0.0), friction=0.2)}
+
+PARTS = {
+    "creep at points": {},
+    "a creep rate field": {"creep": nv.Creep(G_m=2.0, nu=1e-3, q=4)},
+    "p = 2": {"hyperviscosity": nv.HyperViscosity(mu=1e-4, p=2)},
+    "p = 3.5 and mu_1": {"hyperviscosity": nv.HyperViscosity(mu=1e-4, p=3.5, mu_1=1e-5)},
+    "no hyperviscosity": {"hyperviscosity": None},
+    "neither viscosity nor creep": {"viscosity": None, "creep": None},
+    "delta of the fields": {"regularisation": nv.Regularisation(delta_fields=1e-3)},
+    "delta of the density": {"regularisation": nv.Regularisation(delta_density=1e-3)},
+    "r = 3": {"regularisation": nv.Regularisation(delta_density=1e-3, r=3.0)},
+    "epsilon": {"regularisation": nv.Regularisation(epsilon=0.1)},
+    "cut-off": {"regularisation": nv.Regularisation(rho_max=0.9, width=0.5)},
+}
+
+
+def simulation(mesh=None, **parts):
+    settings = {
+        "material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1),
+        "hyperviscosity": nv.HyperViscosity(mu=1e-4, p=4),
+        "creep": nv.Creep(G_m=2.0),
+        "loads": [nv.Gravity((0.0, -1.0))],
+    }
+    mesh, walls = mesh or box((1, 1), maxh=0.5), WALLS if mesh is None else {}
+    swirl = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), CF(0))
+    initial = nv.Initial(velocity=swirl[: mesh.dim])
+    model = nv.Model(**(settings | parts))
+    return nv.Simulation(mesh, model, dt=0.02, initial=initial, walls=walls, solver="split")
+
+
+def packed(residual):
+    parts = [residual.flow, residual.density, residual.z.ravel()]
+    return parts if residual.normals is None else [*parts, residual.normals.ravel()]
+
+
+def assert_is_the_derivative(run, bound=1e-9):
+    """At a state away from a solution, of Richardson's differences, block of rows by block of rows."""
+    split = run.solver.newton
+    run.advance()
+    run.solver._set_context(0.02, 0.02)
+    u, rng = split.unknowns, np.random.default_rng(2)
+    at = u.pack()
+    size = 1e-2 * u.scales(at) / np.sqrt(len(at))
+    at = at + size * rng.standard_normal(len(at))
+    d = size * rng.standard_normal(len(at))
+    u.unpack(at)
+    split._start()
+    split.residual()
+    linearisation = split.linearisation()
+    linearisation.update()
+    found = packed(linearisation(d))
+
+    def quotient(length):
+        rows = []
+        for sign in (1, -1):
+            u.unpack(at + sign * length * d)
+            rows.append(packed(split.residual()))
+        return [(a - b) / (2 * length) for a, b in zip(*rows, strict=True)]
+
+    coarse, fine = quotient(2e-4), quotient(1e-4)
+    expected = [(4 * b - a) / 3 for a, b in zip(coarse, fine, strict=True)]
+    for a, b in zip(found, expected, strict=True):
+        assert np.linalg.norm(a - b) <= bound * np.linalg.norm(b)
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_of_every_mechanism(name):
+    # a power of 1/2 is far from what differences take for smooth where grad rho is small
+    assert_is_the_derivative(simulation(**PARTS[name]), bound=1e-6 if name == "r = 3" else 1e-9)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_of_every_material(name):
+    assert_is_the_derivative(simulation(material=EXAMPLES[name]))
+
+
+@pytest.mark.parametrize("kind", ["by its response", "by an expression"])
+def test_of_energies_without_arrays(kind, monkeypatch):
+    material = EXAMPLES["NeoHookean"]
+    if kind == "by its response":
+        material = nv.Yosida(material=material, eps=1e-3)
+    else:
+        monkeypatch.setattr("ngvisco.solver.split.operators.array_slope", lambda material, dim: None)
+    assert_is_the_derivative(simulation(material=material))
+
+
+def test_in_three_dimensions():
+    material = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+    model = {"material": material, "loads": [nv.Gravity((0.0, 0.0, -1.0))]}
+    assert_is_the_derivative(simulation(box((1, 1, 1), maxh=1), **model), bound=1e-8)
+
+
+def test_on_a_curved_wall():
+    assert_is_the_derivative(simulation(disc(1.0, maxh=0.7)))
