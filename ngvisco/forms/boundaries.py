@@ -9,6 +9,7 @@ from ngsolve import BND, CF, FacetFESpace, GridFunction, Integrate, Mesh, specia
 
 from ngvisco.errors import MeshError, UnknownNameError
 from ngvisco.forms.context import periodic_facets
+from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.orientation import check_orientation
 
 _PARALLEL = 1e-10
@@ -85,7 +86,7 @@ def facet_indicator(mesh: Mesh, names: Iterable[str]) -> GridFunction:
     """1 on the facets of these boundaries, 0 on all others."""
     space = FacetFESpace(mesh, order=0)
     indicator = GridFunction(space)
-    indicator.vec.FV().NumPy()[:] = list(space.GetDofs(mesh.Boundaries(pattern(names))))
+    indicator.vec.FV().NumPy()[:] = mask_of(space.GetDofs(mesh.Boundaries(pattern(names))))
     return indicator
 
 

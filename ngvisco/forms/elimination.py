@@ -11,20 +11,18 @@ from __future__ import annotations
 from typing import Any
 
 from ngsolve import (
-    ET,
-    VOL,
     BaseMatrix,
     BilinearForm,
     CoefficientFunction,
     FESpace,
     GridFunction,
     LinearForm,
-    Mesh,
 )
 
 from ngvisco.forms.context import Integrand
 from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.mesh_arrays import is_simplicial
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.transport import Conjugates
@@ -49,16 +47,12 @@ class LocalProjection:
 
 def _inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:
     """The inverse mass matrix by the rule of the forms, which ``Mass`` has on straight simplices only."""
-    if quadrature.mesh.GetCurveOrder() <= 1 and _is_simplicial(quadrature.mesh):
+    if quadrature.mesh.GetCurveOrder() <= 1 and is_simplicial(quadrature.mesh):
         return space.Mass(1).Inverse()
     trial, test = space.TnT()
     mass = BilinearForm(space, symmetric=True)
     mass += inner(trial, test) * quadrature.cells
     return mass.Assemble().mat.Inverse(inverse="sparsecholesky")
-
-
-def _is_simplicial(mesh: Mesh) -> bool:
-    return all(element.type in (ET.TRIG, ET.TET) for element in mesh.Elements(VOL))
 
 
 class Elimination:

@@ -20,6 +20,7 @@ from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError
 from ngvisco.forms.context import Integrand
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.projections import project_velocity, set_traces
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Fields
@@ -143,7 +144,7 @@ def _check_spaces(step: Step, values: Mapping[str, CoefficientFunction], sampler
 
 def remove_constrained(step: Step) -> None:
     """Zero the constrained coefficients: ``Set`` leaves a small v.n, which the ledger would show."""
-    free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
+    free = mask_of(step.layout.space.FreeDofs())
     step.state.vec.FV().NumPy()[~free] = 0.0
 
 

@@ -21,6 +21,7 @@ from ngsolve import (
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.boundaries import pattern
+from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.walls import Walls
 from ngvisco.physics.model import as_vector
@@ -56,8 +57,8 @@ class MovingWalls:
     @staticmethod
     def _constrained(layout: Layout, patterns: Sequence[str]) -> np.ndarray:
         """Coefficients of v that these boundary patterns hold, as a mask."""
-        free = np.array(list(layout.velocity_space(patterns).FreeDofs()), dtype=bool)
-        unconstrained = np.array(list(layout.velocity_space(("",) * layout.mesh.dim).FreeDofs()), dtype=bool)
+        free = mask_of(layout.velocity_space(patterns).FreeDofs())
+        unconstrained = mask_of(layout.velocity_space(("",) * layout.mesh.dim).FreeDofs())
         return unconstrained & ~free
 
     def set_values(self) -> None:

@@ -17,6 +17,7 @@ from ngsolve import (
 )
 
 from ngvisco.errors import MeshError
+from ngvisco.forms.mesh_arrays import mask_of
 
 _ORDER = 4  # degree of the points at which the determinant is looked at; curved cells vary inside
 
@@ -39,10 +40,10 @@ def _check_determinants(mesh: Mesh) -> None:
         rule = IntegrationRule(et, _ORDER)
         points = mesh.MapToAllElements({et: rule}, VOL)
         values = np.asarray(determinant(points)).reshape(-1, len(rule.points))
-        numbers = [element.nr for element in mesh.Elements(VOL) if element.type == et]
         flat = np.sign(values).min(axis=1) * np.sign(values).max(axis=1) <= 0
         if flat.any():
             row = int(np.argmax(flat))
+            numbers = [element.nr for element in mesh.Elements(VOL) if element.type == et]
             raise MeshError(
                 f"element {numbers[row]} is inverted or flat: the determinant of its map takes values from "
                 f"{values[row].min():.3e} to {values[row].max():.3e}; expected one sign and no zero"
@@ -52,7 +53,7 @@ def _check_determinants(mesh: Mesh) -> None:
 def _check_sides(mesh: Mesh) -> None:
     space = FacetFESpace(mesh, order=0)
     q = space.TestFunction()
-    on_boundary = np.array(list(space.GetDofs(mesh.Boundaries(".*"))), dtype=bool)
+    on_boundary = mask_of(space.GetDofs(mesh.Boundaries(".*")))
     n = specialcf.normal(mesh.dim)
 
     def assembled(value: CoefficientFunction) -> np.ndarray:

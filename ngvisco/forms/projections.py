@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from ngsolve import (
     CF,
-    FACET,
     BaseMatrix,
     BaseVector,
     BilinearForm,
@@ -18,13 +17,13 @@ from ngsolve import (
     FESpace,
     GridFunction,
     LinearForm,
-    NodeId,
     NormalFacetFESpace,
     Periodic,
 )
 from ngsolve.la import SparseMatrixd
 
 from ngvisco.forms.context import Context
+from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.spaces import Fields, Layout
 from ngvisco.forms.wall_terms import Impenetrability
@@ -46,10 +45,8 @@ class FacetProjection:
         self._test = test if normal is None else test * normal
         mass = BilinearForm(space)
         mass += (trial if normal is None else trial * normal) * self._test * quadrature.facets
-        dofs = (tuple(space.GetDofNrs(NodeId(FACET, nr))) for nr in range(space.mesh.nfacet))
-        free = space.FreeDofs()  # neither facets of coarser meshes nor identified copies
-        blocks = {tuple(d for d in numbers if d >= 0 and free[d]) for numbers in dofs}
-        self._inverse = mass.Assemble().mat.CreateBlockSmoother(sorted(blocks - {()}))
+        # free are neither facets of coarser meshes nor identified copies
+        self._inverse = mass.Assemble().mat.Inverse(space.FreeDofs(), inverse="sparsecholesky")
 
     def __call__(self, value: CoefficientFunction) -> BaseVector:
         """Coefficients of the projection of a scalar that may differ on the two sides of a facet."""
@@ -111,7 +108,7 @@ def project_velocity(
     array = solution.vec.FV().NumPy()
     v = state.vec.FV().NumPy()[layout.ranges["v"]]
     array[where.start : where.stop] = v
-    array[np.array(list(space.FreeDofs()), dtype=bool)] = 0.0
+    array[mask_of(space.FreeDofs())] = 0.0
     load.vec.data -= mass.mat * solution.vec
     solution.vec.data += inverse * load.vec
     v[:] = array[where.start : where.stop]
@@ -124,5 +121,5 @@ def _without_zeros(matrix: BaseMatrix) -> BaseMatrix:
     """
     rows, columns, values = (np.asarray(part) for part in matrix.COO())
     kept = np.abs(values) > 0
-    triples = (list(part[kept]) for part in (rows, columns, values))
+    triples = (part[kept] for part in (rows, columns, values))
     return SparseMatrixd.CreateFromCOO(*triples, matrix.height, matrix.width)

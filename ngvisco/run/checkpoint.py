@@ -30,9 +30,10 @@ from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
-from ngsolve import VOL, Mesh
+from ngsolve import Mesh
 
 from ngvisco.errors import CheckpointError, ParameterError
+from ngvisco.forms.mesh_arrays import coordinates, vertices
 from ngvisco.physics.material import Material
 from ngvisco.run.files import write_atomically
 from ngvisco.run.ledger import Balance, unit
@@ -256,8 +257,8 @@ def identity(simulation: Simulation) -> dict[str, Any]:
 def mesh_hash(mesh: Mesh) -> str:
     """SHA-256 of coordinates, elements and boundary names."""
     digest = hashlib.sha256()
-    digest.update(np.array([v.point for v in mesh.vertices]).tobytes())
-    digest.update(np.array([v.nr for el in mesh.Elements(VOL) for v in el.vertices]).tobytes())
+    digest.update(np.ascontiguousarray(coordinates(mesh)).tobytes())
+    digest.update(vertices(mesh).tobytes())
     digest.update("|".join(mesh.GetBoundaries()).encode())
     digest.update(str(mesh.GetCurveOrder()).encode())
     return digest.hexdigest()

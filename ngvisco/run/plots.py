@@ -12,6 +12,7 @@ import numpy as np
 from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y
 
 from ngvisco.errors import NgviscoError, ParameterError
+from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.run.files import write_atomically
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ def plot_fields(
         if value.dim != 1:
             raise ParameterError(f"plot_fields field {title!r}", value.dim, "a scalar")
     count = len(fields)
-    corners = np.array([v.point for v in mesh.vertices])
+    corners = coordinates(mesh)
     extent = corners.max(axis=0) - corners.min(axis=0)
     height = 1.2 + 3.6 * min(max(extent[1] / extent[0], 0.3), 2.0)
     fig, ((*axes,),) = figure(1, count, (5.0 * count, height))
@@ -143,7 +144,7 @@ def _draw_cells(axis: Any, mesh: Mesh, value: CoefficientFunction, subdivisions:
 
 
 def _draw_plane(axis: Any, mesh: Mesh, value: CoefficientFunction, fraction: float) -> Any:
-    corners = np.array([v.point for v in mesh.vertices])
+    corners = coordinates(mesh)
     low, high = corners.min(axis=0), corners.max(axis=0)
     inset = 1e-9 * (high - low)
     xs, ys = (np.linspace(low[i] + inset[i], high[i] - inset[i], 81) for i in range(2))

@@ -18,6 +18,7 @@ from ngsolve import CF, CoefficientFunction, Id, Mesh
 from ngvisco.errors import ParameterError, _is_number, require_type
 from ngvisco.forms.context import Term, time
 from ngvisco.forms.initial import Initial, set_initial
+from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.forms.momentum import Loading
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Discretisation
@@ -300,7 +301,7 @@ class Simulation:
 
     def _diameter(self) -> float:
         """Diagonal of the mesh's bounding box, m."""
-        points = np.array([vertex.point for vertex in self.mesh.vertices])
+        points = coordinates(self.mesh)
         return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 
 

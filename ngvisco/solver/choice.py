@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from ngsolve import ET, VERTEX, VOL, Mesh
+from ngsolve import VERTEX, Mesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ngvisco.errors import ParameterError
+from ngvisco.forms.mesh_arrays import is_simplicial, vertices
 from ngvisco.forms.system import Step
 from ngvisco.solver.split.sources import source_obstacle
 
@@ -37,7 +38,7 @@ def chosen_method(step: Step, method: str) -> str:
 
 def split_obstacle(step: Step) -> str | None:
     """Why the split solver cannot take this step, or None."""
-    if any(element.type not in (ET.TRIG, ET.TET) for element in step.mesh.Elements(VOL)):
+    if not is_simplicial(step.mesh):
         return "the split solver needs a mesh of triangles or tetrahedra only"
     if meets_itself(step.mesh):
         return "a cell of the periodic mesh meets its own image: two cells or more are needed"
@@ -51,9 +52,8 @@ def meets_itself(mesh: Mesh) -> bool:
         return False
     graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(mesh.nv, mesh.nv))
     _, label = connected_components(graph, directed=False)
-    elements = mesh.ngmesh.Elements2D() if mesh.dim == 2 else mesh.ngmesh.Elements3D()
-    vertices = np.sort(label[elements.NumPy()["nodes"][:, : mesh.dim + 1] - 1], axis=1)
-    return bool((np.diff(vertices, axis=1) == 0).any())
+    of_cells = np.sort(label[vertices(mesh)], axis=1)
+    return bool((np.diff(of_cells, axis=1) == 0).any())
 
 
 def is_affordable(mesh: Mesh) -> bool:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
+from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.system import Step
 from ngvisco.solver.split.blocks import BlockInverse
 from ngvisco.solver.split.flow import FlowOperator
@@ -64,7 +65,7 @@ class Preconditioner:
         self.operator = FlowOperator(momentum, PointTangent(self.t, self.op), self.sweep, derivative)
         self.hyper_tangent = None if derivative is None else HyperTangent(derivative)
         self.tangent = VelocityTangent(self.operator, self.hyper_tangent)
-        free = [np.array(list(step.layout.blocks[name].FreeDofs()), dtype=bool) for name in unknowns.flow]
+        free = [mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.flow]
         self.free = np.concatenate(free)
         self.solver: DirectSolver | TwoLevelSolver
         if self.free.sum() > DIRECT_UP_TO[self.d]:

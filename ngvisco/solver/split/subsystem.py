@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from ngsolve import CF, BilinearForm, FESpace, GridFunction
 
 from ngvisco.forms.context import Term
+from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.points import csr
 from ngvisco.forms.spaces import Fields
 from ngvisco.forms.system import Step
@@ -33,7 +34,7 @@ class Subsystem:
         self.at = GridFunction(self.space)
         self._rows = self.at.vec.CreateVector()
         self.state = step.state.vec.FV().NumPy()
-        self.free = np.array(list(self.space.FreeDofs()), dtype=bool)
+        self.free = mask_of(self.space.FreeDofs())
 
     def _load(self) -> None:
         self.at.vec.FV().NumPy()[:] = np.concatenate(

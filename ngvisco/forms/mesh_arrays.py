@@ -1,0 +1,40 @@
+"""What NGSolve's meshes and spaces know one by one, as arrays: no loop of Python's over cells or unknowns."""
+
+from __future__ import annotations
+
+import numpy as np
+from ngsolve import VOL, BitArray, Mesh, Projector
+from ngsolve.la import CreateVVector
+
+SIMPLICES = (10, 12, 20, 21)
+"""Netgen's numbers of triangles and tetrahedra, straight and of second order."""
+
+
+def mask_of(bits: BitArray) -> np.ndarray:
+    """A set of unknowns as an array of bool."""
+    ones = CreateVVector(len(bits))
+    ones[:] = 1.0
+    Projector(bits, True).Project(ones)
+    return ones.FV().NumPy() != 0
+
+
+def _cells(mesh: Mesh) -> np.ndarray:
+    elements = mesh.ngmesh.Elements2D() if mesh.dim == 2 else mesh.ngmesh.Elements3D()
+    return elements.NumPy()
+
+
+def is_simplicial(mesh: Mesh) -> bool:
+    """Whether all cells are triangles or tetrahedra."""
+    return bool(np.isin(_cells(mesh)["type"], SIMPLICES).all())
+
+
+def vertices(mesh: Mesh) -> np.ndarray:
+    """Vertices of the cells, cell by cell, from 0; (cells, dim + 1) where all are simplices."""
+    if is_simplicial(mesh):
+        return _cells(mesh)["nodes"][:, : mesh.dim + 1].astype(np.int64) - 1
+    return np.array([v.nr for cell in mesh.Elements(VOL) for v in cell.vertices])
+
+
+def coordinates(mesh: Mesh) -> np.ndarray:
+    """Of the vertices, (vertices, dim), m."""
+    return mesh.ngmesh.Coordinates()[: mesh.nv]
