@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ngsolve import ET, VOL, H1, Mesh
+from ngsolve import ET, H1, VOL, Mesh
 from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
 from ngvisco.forms.mesh_arrays import coordinates, is_simplicial, mask_of, vertices
