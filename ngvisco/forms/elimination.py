@@ -47,12 +47,15 @@ class LocalProjection:
 
 def _inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:
     """The inverse mass matrix by the rule of the forms, which ``Mass`` has on straight simplices only."""
-    if quadrature.mesh.GetCurveOrder() <= 1 and is_simplicial(quadrature.mesh):
+    mesh = quadrature.mesh
+    # the same on all ranks, also on those without cells
+    if mesh.comm.Max(mesh.GetCurveOrder()) <= 1 and mesh.comm.Min(is_simplicial(mesh)):
         return space.Mass(1).Inverse()
     trial, test = space.TnT()
-    mass = BilinearForm(space, symmetric=True)
+    mass = BilinearForm(space, symmetric=True, condense=True)
     mass += inner(trial, test) * quadrature.cells
-    return mass.Assemble().mat.Inverse(inverse="sparsecholesky")
+    mass.Assemble()
+    return mass.inner_solve  # all unknowns belong to cells: the inverse, cell by cell
 
 
 class Elimination:

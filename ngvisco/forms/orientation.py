@@ -57,7 +57,9 @@ def _check_sides(mesh: Mesh) -> None:
     n = specialcf.normal(mesh.dim)
 
     def assembled(value: CoefficientFunction) -> np.ndarray:
-        return LinearForm(value * q * dx(element_boundary=True)).Assemble().vec.FV().NumPy().copy()
+        sums = LinearForm(value * q * dx(element_boundary=True)).Assemble().vec
+        sums.Cumulate()  # the other side may belong to another rank
+        return sums.FV().NumPy().copy()
 
     # the mean normals of both sides, over twice the area of the facet
     sums = np.array([assembled(n[i]) for i in range(mesh.dim)])

@@ -93,4 +93,5 @@ class Quadrature:
         """Integral over all cell boundaries, by the rule of ``facets``."""
         measure = dx(element_boundary=True, bonus_intorder=self.facet_degree - _FACET_BASE_ORDER)
         total = integrand * measure
-        return float(Integrate(total, self.mesh))
+        # NGSolve sums up integrals of coefficient functions over the ranks, but not these
+        return float(self.mesh.comm.Sum(Integrate(total, self.mesh)))
