@@ -9,6 +9,8 @@ from ngsolve import CF, x, y, z
 import ngvisco as nv
 from ngvisco.geometries import box, disc
 
+pytestmark = pytest.mark.usefixtures("double_precision")
+
 
 @pytest.fixture(params=["2D", "3D", "periodic", "constants", "quadratic", "disc"])
 def split(request):

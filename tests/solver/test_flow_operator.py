@@ -12,6 +12,9 @@ from ngvisco.geometries import box
 STEP = 1e-5
 
 
+pytestmark = pytest.mark.usefixtures("double_precision")
+
+
 @pytest.fixture
 def run():
     """A box at rest in z, with v linear and density one."""

@@ -14,12 +14,13 @@ from ngvisco.forms.context import Integrand
 from ngvisco.geometries import box, disc
 from ngvisco.solver.choice import SPLIT_FROM, meets_itself
 from ngvisco.solver.rothe import SPLIT_TRIES
+from ngvisco.solver.split import precision
 from ngvisco.solver.split import solver as split_solver
 from ngvisco.solver.split.linear import TwoLevelSolver
 from ngvisco.solver.split.solver import Split
 
 
-def simulation(maxh=0.4, mesh=None, hyperviscosity=None, regularisation=None, **options):
+def simulation(maxh=0.4, mesh=None, hyperviscosity=None, regularisation=None, speed=0.0, **options):
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
@@ -28,7 +29,10 @@ def simulation(maxh=0.4, mesh=None, hyperviscosity=None, regularisation=None, **
         loads=[nv.Gravity((0.0, -1.0))],
         regularisation=regularisation,
     )
-    initial = nv.Initial(velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))
+    swirl = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+    if speed:
+        swirl = (speed + 0.3 * sin(2 * pi * y), 0.3 * sin(2 * pi * x) * sin(2 * pi * y))
+    initial = nv.Initial(velocity=swirl)
     options = {"solver": "split", "dt": 0.02} | options
     return nv.Simulation(mesh or box((1, 1), maxh=maxh), model, initial=initial, **options)
 
@@ -112,6 +116,7 @@ def test_residual_is_the_coupled_one_away_from_a_solution(options):
         assert np.abs(full[ranges[name]]).max() <= 1e-12 * size, name
 
 
+@pytest.mark.usefixtures("double_precision")
 @pytest.mark.parametrize(("k", "p"), [(2, 4.0), (3, 4.0), (2, 2.0), (2, 3.5)])
 def test_hyperviscosity_s_derivative_is_that_of_its_rows(k, p):
     """But for the rule that integrates the penalty's derivative, where that is no polynomial."""
@@ -134,6 +139,23 @@ def test_hyperviscosity_s_derivative_is_that_of_its_rows(k, p):
     quotient = (rows[0] - rows[1]) / 2e-6
     bound = 1e-4 if p == 3.5 else 1e-8  # a rule of degree 4 is right for (P_1 jumps)^4
     assert np.linalg.norm(quotient - expected) <= bound * np.linalg.norm(quotient)
+
+
+@pytest.mark.parametrize("speed", [1.0, 3e3])
+def test_single_precision_takes_as_many_iterations(speed, monkeypatch):
+    """Also of a body that moves fast as a whole: jumps and strains are small differences of its velocity."""
+
+    def iterations():
+        run = simulation(
+            maxh=0.2, mesh=box((1, 1), maxh=0.2, periodic="x"), speed=speed, dt=0.02 if speed == 1.0 else 5e-5
+        )
+        taken = [run.advance()["newton_iterations"] for _ in range(3)]
+        assert run.solver.retried == 0
+        return sum(taken)
+
+    single = iterations()
+    monkeypatch.setattr(precision, "SINGLE", np.float64)
+    assert single <= iterations() + 1
 
 
 def test_two_increments_take_away_a_perturbation():
@@ -347,6 +369,17 @@ def test_newton_krylov_takes_over_where_the_iteration_is_slow(dt, monkeypatch):
     assert taken_over and taken_over[0] > 0
     assert abs(row["closure_relative"]) <= 1e-10
     assert np.abs(state(run) - state(usual)).max() <= 1e-7 * np.abs(state(usual)).max()
+
+
+def test_above_a_courant_number_of_one_no_step_is_retried():
+    """Two sweeps of the transport no longer make Newton's increments; the whole derivative does."""
+    mesh = box((1, 1), maxh=0.2, periodic="x")
+    run = simulation(mesh=mesh, speed=300.0, dt=1e-3)
+    rows = [run.advance() for _ in range(3)]
+    assert min(row["cfl"] for row in rows) > 1.5
+    assert run.solver.retried == 0
+    assert max(row["newton_iterations"] for row in rows) <= 25
+    assert max(abs(row["closure_relative"]) for row in rows) <= 1e-12
 
 
 def test_newton_krylov_says_when_it_fails(monkeypatch):

@@ -54,6 +54,7 @@ def test_the_bound_misses_no_facet(monkeypatch):
     assert 0 < chosen[2] < chosen[0]
 
 
+@pytest.mark.usefixtures("double_precision")
 def test_two_levels_are_sweeps_around_a_coarse_solution(monkeypatch):
     """The same by residuals of the whole matrix, where no entry is dropped."""
     monkeypatch.setattr(linear, "DROPPED", 0.0)

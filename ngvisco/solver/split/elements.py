@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.errors import MeshError
+from ngvisco.solver.split import precision
 from ngvisco.solver.split.operators import Operators
 from ngvisco.solver.split.tangent import PointTangent
 from ngvisco.threads import product
@@ -39,7 +40,9 @@ class FlowElements:
         self._z_tests = np.ascontiguousarray(z_tests.transpose(0, 2, 1))  # (cells, q, points)
         places = np.arange(self.dofs.size)
         ones = np.ones(places.size)
-        self._scatter = sp.csr_matrix((ones, (self.dofs.ravel(), places)), shape=(op.v.width, places.size))
+        self._scatter = sp.csr_matrix(
+            (ones.astype(precision.SINGLE), (self.dofs.ravel(), places)), shape=(op.v.width, places.size)
+        )
 
     def update(self, base: np.ndarray, inertia: np.ndarray) -> None:
         """``base`` is dR/d(v, grad v) without the fields, (points, 0 or 1 + j, i, k, 0 or 1 + l).
@@ -53,14 +56,14 @@ class FlowElements:
         mass = self._inertia(inertia)
         for i in range(d):
             own[:, :, i, i] += mass
-        self.own = own.reshape(cells, local * d, d * local)
+        self.own = own.reshape(cells, local * d, d * local).astype(precision.SINGLE)
         # z's rows from (v, grad v): - rate(z; grad dv) + (dv . grad) z
         to_z = np.empty((len(base), n, d, 1 + d))
         to_z[..., 0] = p.dz.transpose(2, 0, 1)
         to_z[..., 1:] = -p.columns[:, :, : d * d].reshape(-1, n, d, d)
         right = product(to_z.reshape(len(base), -1, 1 + d), self.shapes)
         to_fields = product(self._z_tests, right.reshape(cells, self.per, -1))
-        self.to_fields = to_fields.reshape(cells, q * n, d * local)
+        self.to_fields = to_fields.reshape(cells, q * n, d * local).astype(precision.SINGLE)
         # v's rows from z: the elastic force of (1 - tau K)^{-1} dz
         force = (
             product(p.force[:, : d * d], p.resolvent).reshape(-1, d, d, n).swapaxes(1, 2)
@@ -68,7 +71,7 @@ class FlowElements:
         left = product(self.shapes[:, 1:].transpose(0, 2, 1), force.reshape(len(base), d, d * n))
         back = product(self._z_tests, left.reshape(cells, self.per, -1))
         back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3)
-        self.from_fields = np.ascontiguousarray(back).reshape(cells, local * d, q * n)
+        self.from_fields = np.ascontiguousarray(back, dtype=precision.SINGLE).reshape(cells, local * d, q * n)
 
     def _inertia(self, density: np.ndarray) -> np.ndarray:
         op = self.fine
@@ -78,7 +81,7 @@ class FlowElements:
 
     def gathered(self, dv: np.ndarray) -> np.ndarray:
         """The cells' unknowns of dv (dim, .), (cells, dim local, 1)."""
-        local = np.take(np.ascontiguousarray(dv.T), self.dofs, axis=0)
+        local = np.take(np.ascontiguousarray(dv.T, dtype=precision.SINGLE), self.dofs, axis=0)
         return np.ascontiguousarray(local.swapaxes(1, 2)).reshape(self.cells, -1, 1)
 
     def scattered(self, rows: np.ndarray) -> np.ndarray:

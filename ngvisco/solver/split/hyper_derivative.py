@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.forms.side_points import SidePoints
+from ngvisco.solver.split import precision
 from ngvisco.solver.split.hyper import MatrixHyperviscosity, SideJumps
 from ngvisco.solver.split.local import LocalMatrix
 from ngvisco.threads import product
@@ -37,7 +38,12 @@ class HyperDerivative:
         self.sides = SideJumps(hyper, SidePoints(step.mesh, SIDES)) if coarse else hyper.sides
         self._weights = hyper.points.weights.reshape(self.cells, 1, -1, 1)
         self._side_weights = self.sides.weights.reshape(self.cells, -1)
+        self.dtype = np.float64 if exact else precision.SINGLE
         self._values = self._together()
+        self._at_points = hyper.h_values.blocks.astype(self.dtype)
+        if not hyper.law.is_linear:
+            squares = (hyper.s_values.blocks, self.sides.scalar.blocks)
+            self._s_points, self._s_sides = (each.astype(self.dtype) for each in squares)
         self._of_hessian = hyper.lift.per_cell
 
     def _together(self) -> LocalMatrix:
@@ -46,7 +52,7 @@ class HyperDerivative:
         jumps = lift.shape[0] + np.arange(jump.shape[0]).reshape(cells, -1)
         rows = np.concatenate([np.arange(lift.shape[0]).reshape(cells, -1), jumps], axis=1)
         both = sp.vstack([lift, jump], format="csr")
-        return LocalMatrix(both[rows.ravel()], cells, keep=False)
+        return LocalMatrix(both[rows.ravel()], cells, keep=False, dtype=self.dtype)
 
     def update(self) -> None:
         """Linearise at the present state."""
@@ -54,9 +60,9 @@ class HyperDerivative:
         if law.is_linear:
             self._c = self._weights * (law.mu + law.mu_1)
             self._penalty = self._side_weights * (sides.penalty * (law.mu + law.mu_1)).reshape(cells, -1)
+            self._round("_c", "_penalty")
             return
-        at = self._values.by_cells(np.concatenate([h.v, h.a], axis=1).T)
-        self._hessian, self._j = self._parts(at)
+        self._hessian, self._j = self._state()
         q, size = self._sizes()
         slope = law.slope(size)
         bend = 0.5 * (law.p - 4) * slope / size * q  # c'' |j|^2
@@ -70,11 +76,23 @@ class HyperDerivative:
         self._ss = weighted * bend.reshape(cells, -1)
         self._sq = weighted * (slope + bend / squared).reshape(cells, -1)
         self._qq = weighted * ((2 * slope + bend / squared) / squared).reshape(cells, -1)
+        self._round("_hessian", "_j", "_c", "_penalty", "_s_slope", "_ss", "_sq", "_qq")
+
+    def _round(self, *names: str) -> None:
+        for name in names:
+            setattr(self, name, getattr(self, name).astype(self.dtype, copy=False))
+
+    def _state(self) -> tuple[np.ndarray, np.ndarray]:
+        """The present Hs and jumps as ``_parts`` has them."""
+        h, dim = self.h, self.h.dim
+        values = h.h_values(h.hess).reshape(dim, h.size, self.cells, -1)
+        jumps = h.j if self.sides is h.sides else self.sides.jump(np.concatenate([h.v, h.a], axis=1))
+        return values.transpose(2, 1, 3, 0), jumps.reshape(dim, self.cells, -1).transpose(1, 2, 0)
 
     def _parts(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of B x: Hs at the points, (cells, components, points, dim), and jumps, (cells, points, dim)."""
         split, shape = self._of_hessian, (self.cells, self.h.size, -1, values.shape[2])
-        return _at_each(self.h.h_values.blocks, values[:, :split].reshape(shape)), values[:, split:]
+        return _at_each(self._at_points, values[:, :split].reshape(shape)), values[:, split:]
 
     def _sizes(self) -> tuple[np.ndarray, np.ndarray]:
         """|j|^2 and s + |j|^2/h^2 + chi^2 at the sides' points."""
@@ -90,16 +108,15 @@ class HyperDerivative:
         if not self.h.law.is_linear:
             self._bend(dH, dj, of_H, of_j)
         loads, split = np.empty_like(values), self._of_hessian
-        tested = _at_each(self.h.h_values.blocks.transpose(0, 2, 1), of_H)
+        tested = _at_each(self._at_points.transpose(0, 2, 1), of_H)
         loads[:, :split] = tested.reshape(self.cells, split, -1)
         loads[:, split:] = of_j
         return self._values.tested(loads).T
 
     def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
         """Add what the changes of s = P |Hs|^2 and of q = |j|^2 make, to the loads of Hs and j."""
-        h, scalar = self.h, self.sides.scalar
-        at_points, at_sides = h.s_values.blocks, scalar.blocks
-        w = self._weights[:, 0, :, 0]
+        at_points, at_sides = self._s_points, self._s_sides
+        w = self._weights[:, 0, :, 0].astype(self.dtype)
         dq = 2 * np.einsum("cpi,cpi->cp", self._j, dj)
         tested = (2 * w) * np.einsum("cbpi,cbpi->cp", self._hessian, dH)
         ds = self._projected(_transposed(at_points, tested))
@@ -113,7 +130,7 @@ class HyperDerivative:
 
     def _projected(self, loads: np.ndarray) -> np.ndarray:
         """Coefficients of a projection from its loads, (cells, functions, 1)."""
-        return self.h.s_inverse(loads.ravel()).reshape(loads.shape)
+        return self.h.s_inverse(loads.ravel()).reshape(loads.shape).astype(self.dtype)
 
     def tangent_coefficients(self) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from ngvisco.solver.split import precision
 from ngvisco.solver.split.blocks import BlockInverse
 from ngvisco.solver.split.hyper_derivative import HyperDerivative
 
@@ -33,7 +34,7 @@ class HyperTangent:
         facets = (J_a_t @ J_a).tocsr()
         self.facet_inverse.update(facets)
         E = -(self.facet_inverse.matrix() @ (J_a_t @ J_v)).tocsr()
-        self.E_t = E.T.tocsr()
+        self.E_t = E.T.tocsr().astype(precision.SINGLE)
         L, J = (h.L_v + h.L_a @ E).tocsr(), (J_v + J_a @ E).tocsr()
         inverse = _scaled(h.h_inverse_matrix, cell[self.h_cell])
         own = (J.T @ sp.diags(sides.weights * penalty) @ J).tocsr()
@@ -48,7 +49,7 @@ class HyperTangent:
         self.matrix = own.tocsr()
         self.a_inverse.update(blocks.tocsr())
         # a = E v + (blocks)^{-1} (r - cross v)
-        self.E_solved = (E - self.a_inverse.matrix() @ cross).tocsr()
+        self.E_solved = (E - self.a_inverse.matrix() @ cross).tocsr().astype(precision.SINGLE)
 
 
 def _scaled(matrix: sp.csr_matrix, rows: np.ndarray) -> sp.csr_matrix:

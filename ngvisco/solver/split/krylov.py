@@ -84,6 +84,9 @@ def newton_krylov(split: Split, x: np.ndarray, history: list[NewtonIteration]) -
             split.unknowns.unpack(x - f)
             split.residual()
             return
+        split.renew()
+        f = function(x)
+        size = split._size(f)
     raise StepError(
         f"the split solver did not converge ({len(history)} iterations, last increment {size:.1e}): "
         "take a smaller step or the coupled solver",

@@ -10,6 +10,7 @@ from ngsolve.la import SparseMatrixd
 from scipy.sparse.linalg import eigsh
 
 from ngvisco.errors import StepError
+from ngvisco.solver.split import precision
 
 DROPPED = 1e-2
 """Entries that a smoother does without, relative to the diagonal: two thirds of them, for one iteration of
@@ -93,18 +94,20 @@ class TwoLevelSolver:
         self._fine = np.flatnonzero(self.free & ~is_coarse & (diagonal != 0))
         self._coarse = np.flatnonzero(self.free & is_coarse)
         rows, columns = matrix[self._fine], matrix[:, self._fine].tocsr()
-        self._own = _without_small(rows[:, self._fine], diagonal[self._fine])
-        self._from_coarse, self._to_coarse = rows[:, self._coarse].tocsr(), columns[self._coarse].tocsr()
-        self._smoother = self.DAMPING / (largest_eigenvalue(self._own) * diagonal[self._fine])
+        own = _without_small(rows[:, self._fine], diagonal[self._fine])
+        between = rows[:, self._coarse].tocsr(), columns[self._coarse].tocsr()
+        self._own, self._from_coarse, self._to_coarse = (m.astype(precision.SINGLE) for m in (own, *between))
+        smoother = self.DAMPING / (largest_eigenvalue(own) * diagonal[self._fine])
+        self._smoother = smoother.astype(precision.SINGLE)
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
-        r_fine = r[self._fine]
+        r_fine = r[self._fine].astype(precision.SINGLE)
         x = self._smoothed(r_fine)
         r_fine -= self._own @ x
         r_coarse = r.copy()
         r_coarse[self._coarse] -= self._to_coarse @ x
         result = self.coarse(r_coarse)
-        r_fine -= self._from_coarse @ result[self._coarse]
+        r_fine -= self._from_coarse @ result[self._coarse].astype(precision.SINGLE)
         result[self._fine] = x + self._smoothed(r_fine)
         return result
 

@@ -21,7 +21,12 @@ class LocalMatrix:
     matrix: sp.csr_matrix
 
     def __init__(
-        self, matrix: sp.csr_matrix, cells: int, weights: np.ndarray | None = None, keep: bool = True
+        self,
+        matrix: sp.csr_matrix,
+        cells: int,
+        weights: np.ndarray | None = None,
+        keep: bool = True,
+        dtype: type = np.float64,
     ) -> None:
         """``weights``, (rows,), multiply the rows of the transpose: the tests of a quadrature rule.
 
@@ -42,7 +47,7 @@ class LocalMatrix:
         # cells with fewer unknowns are filled up with the first one and with zeros
         self.unknowns = np.zeros((cells, self.local), dtype=np.int64)
         self.unknowns[keys // self.width, place] = keys % self.width
-        self._blocks = np.zeros((cells, self.local, self.per_cell))
+        self._blocks = np.zeros((cells, self.local, self.per_cell), dtype)
         self._blocks[cell, place[position], entries.row % self.per_cell] = entries.data
         # coefficients of a discontinuous space stand cell by cell
         self._in_order = self.width == cells * self.local and bool(
@@ -64,7 +69,7 @@ class LocalMatrix:
     @cached_property
     def _scatter(self) -> sp.csr_matrix:
         places = np.arange(self.unknowns.size)
-        ones = np.ones(self.unknowns.size)
+        ones = np.ones(self.unknowns.size, self._blocks.dtype)
         return sp.csr_matrix((ones, (self.unknowns.ravel(), places)), shape=(self.width, places.size))
 
     def __call__(self, rows: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
@@ -94,7 +99,9 @@ class LocalMatrix:
 
     def by_cells(self, columns: np.ndarray) -> np.ndarray:
         """matrix @ ``columns``, (width, n), cell by cell: (cells, rows of a cell, n)."""
-        return product(self.blocks, np.take(np.ascontiguousarray(columns), self.unknowns, axis=0))
+        return product(
+            self.blocks, np.take(np.ascontiguousarray(columns, self._blocks.dtype), self.unknowns, axis=0)
+        )
 
     def tested(self, values: np.ndarray) -> np.ndarray:
         """matrix^T @ ``values``, (cells, rows of a cell, n), without weights: (width, n)."""

@@ -72,7 +72,7 @@ def apply(matrix: sp.csr_matrix, rows: np.ndarray) -> np.ndarray:
 
 def together(matrix: sp.csr_matrix, rows: np.ndarray) -> np.ndarray:
     """The same, of few rows by one pass through the matrix."""
-    return np.ascontiguousarray((matrix @ np.ascontiguousarray(rows.T)).T)
+    return np.ascontiguousarray((matrix @ np.ascontiguousarray(rows.T, matrix.dtype)).T)
 
 
 class Conjugation:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from ngvisco.solver.split import precision
 from ngvisco.solver.split.coupling import SideCoupling
 from ngvisco.solver.split.linear import DirectSolver
 from ngvisco.solver.split.transport import Transport
@@ -43,7 +44,7 @@ class Sweep:
         own += self._mass / tau + convection
         if self._whole is not None:
             self._whole.factorise((self._sparse(own, across) + t.diffusion).tocsr())
-            self._cells = np.linalg.inv(own)
+            self._cells = np.linalg.inv(own).astype(precision.SINGLE)
         else:
             self._cells, self._carried = _sweep(own, across)
         if self._own is None:
@@ -77,7 +78,7 @@ class Sweep:
     def fields(self, r: np.ndarray) -> np.ndarray:
         """Increments of z before rates and creep, of rows r: both (cells' unknowns, n)."""
         if self._whole is not None:
-            return np.stack([self._whole(column) for column in r.T], axis=1)
+            return np.stack([self._whole(column) for column in r.T], axis=1).astype(precision.SINGLE)
         return self._swept(self._cells, self._carried, r)
 
     def in_cells(self, rows: np.ndarray) -> np.ndarray:
@@ -92,7 +93,7 @@ class Sweep:
 
     def _swept(self, cells: np.ndarray, carried: np.ndarray, r: np.ndarray) -> np.ndarray:
         count, q = cells.shape[:2]
-        start = product(cells, r.reshape(count, q, -1))
+        start = product(cells, r.astype(precision.SINGLE, copy=False).reshape(count, q, -1))
         x = start + product(carried, start[self._neighbours].reshape(count, -1, start.shape[2]))
         return x.reshape(r.shape)
 
@@ -102,4 +103,4 @@ def _sweep(own: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     count, sides, q, _ = across.shape
     inverse = np.linalg.inv(own)
     taken = -product(inverse, across.transpose(0, 2, 1, 3).reshape(count, q, sides * q))
-    return inverse, taken
+    return inverse.astype(precision.SINGLE), taken.astype(precision.SINGLE)

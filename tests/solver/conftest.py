@@ -1,0 +1,14 @@
+"""Fixtures of the solvers' tests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ngvisco.solver.split import precision
+
+
+@pytest.fixture
+def double_precision(monkeypatch):
+    """The flow's operator in double precision, so that a wrong term shows to rounding."""
+    monkeypatch.setattr(precision, "SINGLE", np.float64)
