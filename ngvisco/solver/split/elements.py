@@ -31,13 +31,12 @@ class FlowElements:
         if not (np.diff(v.indptr) == self.local).all():
             raise MeshError("a cell of a periodic mesh meets its own image: expected two cells or more")
         self.dofs = v.indices.reshape(self.cells, self.per, self.local)[:, 0]
-        self.shapes = np.stack(
-            [each.matrix.data.reshape(-1, self.local) for each in (op.v, *op.dv)], axis=1
-        )  # (points, 1 + d, local)
-        tests = (self.shapes * op.weights[:, None, None]).reshape(self.cells, -1, self.local)
-        self._tests = np.ascontiguousarray(tests.transpose(0, 2, 1))  # (cells, local, points (1 + d))
+        shapes = np.stack([each.matrix.data.reshape(-1, self.local) for each in (op.v, *op.dv)], axis=1)
+        self.shapes = shapes.astype(precision.SINGLE)  # (points, 1 + d, local)
+        tests = (shapes * op.weights[:, None, None]).reshape(self.cells, -1, self.local)
+        self._tests = _single(tests.transpose(0, 2, 1))  # (cells, local, points (1 + d))
         z_tests = z.data.reshape(self.cells, self.per, self.q) * op.weights.reshape(self.cells, -1, 1)
-        self._z_tests = np.ascontiguousarray(z_tests.transpose(0, 2, 1))  # (cells, q, points)
+        self._z_tests = _single(z_tests.transpose(0, 2, 1))  # (cells, q, points)
         places = np.arange(self.dofs.size)
         ones = np.ones(places.size)
         self._scatter = sp.csr_matrix(
@@ -50,28 +49,27 @@ class FlowElements:
         ``inertia`` are the coefficients of w . dv at the points of the fine rule, (points,).
         """
         cells, d, n, local, q, p = self.cells, self.d, self.n, self.local, self.q, self.p
-        right = product(base.reshape(len(base), -1, 1 + d), self.shapes)
+        right = product(_single(base).reshape(len(base), -1, 1 + d), self.shapes)
         own = product(self._tests, right.reshape(cells, -1, d * d * local))
         own = own.reshape(cells, local, d, d, local)
         mass = self._inertia(inertia)
         for i in range(d):
             own[:, :, i, i] += mass
-        self.own = own.reshape(cells, local * d, d * local).astype(precision.SINGLE)
+        self.own = own.reshape(cells, local * d, d * local)
         # z's rows from (v, grad v): - rate(z; grad dv) + (dv . grad) z
-        to_z = np.empty((len(base), n, d, 1 + d))
+        to_z = np.empty((len(base), n, d, 1 + d), precision.SINGLE)
         to_z[..., 0] = p.dz.transpose(2, 0, 1)
         to_z[..., 1:] = -p.columns[:, :, : d * d].reshape(-1, n, d, d)
         right = product(to_z.reshape(len(base), -1, 1 + d), self.shapes)
         to_fields = product(self._z_tests, right.reshape(cells, self.per, -1))
-        self.to_fields = to_fields.reshape(cells, q * n, d * local).astype(precision.SINGLE)
+        self.to_fields = to_fields.reshape(cells, q * n, d * local)
         # v's rows from z: the elastic force of (1 - tau K)^{-1} dz
-        force = (
-            product(p.force[:, : d * d], p.resolvent).reshape(-1, d, d, n).swapaxes(1, 2)
-        )  # (points, j, i, n)
+        force = product(_single(p.force[:, : d * d]), _single(p.resolvent))
+        force = force.reshape(-1, d, d, n).swapaxes(1, 2)  # (points, j, i, n)
         left = product(self.shapes[:, 1:].transpose(0, 2, 1), force.reshape(len(base), d, d * n))
         back = product(self._z_tests, left.reshape(cells, self.per, -1))
         back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3)
-        self.from_fields = np.ascontiguousarray(back, dtype=precision.SINGLE).reshape(cells, local * d, q * n)
+        self.from_fields = _single(back).reshape(cells, local * d, q * n)
 
     def _inertia(self, density: np.ndarray) -> np.ndarray:
         op = self.fine
@@ -81,9 +79,13 @@ class FlowElements:
 
     def gathered(self, dv: np.ndarray) -> np.ndarray:
         """The cells' unknowns of dv (dim, .), (cells, dim local, 1)."""
-        local = np.take(np.ascontiguousarray(dv.T, dtype=precision.SINGLE), self.dofs, axis=0)
+        local = np.take(_single(dv.T), self.dofs, axis=0)
         return np.ascontiguousarray(local.swapaxes(1, 2)).reshape(self.cells, -1, 1)
 
     def scattered(self, rows: np.ndarray) -> np.ndarray:
         """Sums over the cells of their rows (cells, local dim, 1), (dim, .)."""
         return (self._scatter @ rows.reshape(-1, self.d)).T
+
+
+def _single(array: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(array, dtype=precision.SINGLE)

@@ -54,15 +54,13 @@ class PointTangent:
         return self.t.context.tau.Get() * self.force @ (self.resolvent @ self.columns)
 
     def _second_derivative(self) -> np.ndarray:
-        """phi'' by central differences of phi', (points, n, n)."""
-        n, step = self.t.n, 1e-5
+        """phi'' by one-sided differences of phi', (points, n, n)."""
+        n, step = self.t.n, 1e-6
         result = np.empty((self.op.points.count, n, n))
-        shifted = self.z.copy()
+        slope, shifted = self.conjugation(self.z), self.z.copy()
         for m in range(n):
             size = step * (1 + abs(self.z[m]).max())
             shifted[m] += size
-            upper = self.conjugation(shifted)
-            shifted[m] -= 2 * size
-            result[:, :, m] = ((upper - self.conjugation(shifted)) / (2 * size)).T
+            result[:, :, m] = ((self.conjugation(shifted) - slope) / size).T
             shifted[m] = self.z[m]
         return result
