@@ -6,8 +6,9 @@ import numpy as np
 
 PARTS = ("transport", "projections", "momentum", "hyperviscosity", "assembly", "factorisation", "solves")
 
-LARGE = 700
-"""Cells from which rows count for the growth exponents, where three of them do."""
+FITTED = (700, 40_000)
+"""Cells between which rows count for the growth exponents, where three of them do: below them a step takes the
+interpreter's time, and the largest mesh, refined, is of another kind."""
 
 
 def markdown(rows: list[dict]) -> str:
@@ -82,8 +83,8 @@ def summary(rows: list[dict]) -> str:
         split = [r for r in done if r["dim"] == dim and r["method"] == "split"]
         threads = [r["threads"] for r in split]
         series = [r for r in split if r["threads"] == max(threads, key=threads.count)]
-        if len(large := [r for r in series if r["cells"] >= LARGE]) >= 3:
-            series = large  # what small meshes take is the interpreter's time
+        if len(fitted := [r for r in series if FITTED[0] <= r["cells"] <= FITTED[1]]) >= 3:
+            series = fitted
         if len(series) >= 2:
             size = np.log([row["cells"] for row in series])
             cells = f"{series[0]['cells']:,} to {series[-1]['cells']:,} cells"
