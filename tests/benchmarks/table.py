@@ -7,8 +7,8 @@ import numpy as np
 PARTS = ("transport", "projections", "momentum", "hyperviscosity", "assembly", "factorisation", "solves")
 
 FITTED = (700, 40_000)
-"""Cells between which rows count for the growth exponents, where three of them do: below them a step takes the
-interpreter's time, and the largest mesh, refined, is of another kind."""
+"""Cells between which rows count for the growth exponents, where three of them do: below them a step takes
+the interpreter's time, and the largest mesh, refined, is of another kind."""
 
 
 def markdown(rows: list[dict]) -> str:

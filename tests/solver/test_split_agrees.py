@@ -7,6 +7,7 @@ import pytest
 from ngsolve import CF, cos, pi, sin, x, y
 
 import ngvisco as nv
+from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.geometries import box, disc
 from ngvisco.physics.materials import examples
 from ngvisco.verification.manufactured import Exact
@@ -31,8 +32,23 @@ def model(material=None, dim=2, **parts):
     return nv.Model(material=material or nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), **(settings | parts))
 
 
+def residual(run):
+    """Rows of the coupled system at the state of a run, block by block."""
+    step = run.rothe_step
+    rows = step.state.vec.CreateVector()
+    step.eliminate.refresh()
+    step.residual.Apply(step.state.vec, rows)
+    free = mask_of(step.layout.space.FreeDofs())
+    values = np.where(free, rows.FV().NumPy(), 0.0)
+    return {name: values[where] for name, where in step.layout.ranges.items()}
+
+
 def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
-    """Run both; fields agree to 1e-9 and the split one's ledger closes."""
+    """Run both: rho, v and z agree to 1e-9, the split one solves the coupled residual, its ledger closes.
+
+    Traces and normal derivatives are held to the residual: where diffusion or hyperviscosity hardly acts they
+    are hardly determined (a trace of the delta-regularised rho to 1e-8, by what the coupled solver leaves).
+    """
     options.setdefault("initial", nv.Initial(velocity=swirl(mesh.dim)))
     runs = [nv.Simulation(mesh, physics, dt=dt, solver=name, **options) for name in ("coupled", "split")]
     for run in runs:
@@ -43,6 +59,8 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
         a, b = (run.rothe_step.state.vec.FV().NumPy()[values] for run in runs)
         if name in ("v", "rho", "z"):
             assert np.linalg.norm(a - b) <= 1e-9 * np.linalg.norm(a), name
+    for name, rows in residual(split).items():
+        assert np.linalg.norm(rows) <= 1e-11, name  # of equations whose terms are of the order of one
     assert np.abs(split.ledger.column("closure_relative")).max() <= 1e-10
     assert np.abs(split.ledger.column("mass_drift")).max() <= 1e-12
     for column in coupled.ledger.columns:
