@@ -58,6 +58,8 @@ class BlockInverse:
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """Inverse times ``r`` (..., n)."""
+        if self._in_order and self.groups[0].shape[1] == 1:
+            return r * self._inverses[0].ravel()
         if self._in_order:
             parts = r.reshape(-1, *self.groups[0].shape).swapaxes(0, 1)
             result = np.empty(r.shape)

@@ -22,8 +22,7 @@ class HyperTangent:
         h, sides = self.h, derivative.sides
         self.h_cell = np.arange(h.h_count) // (h.h_count // h.step.mesh.ne)
         pattern = abs(sides.of_a).T @ abs(sides.of_a)
-        self.a_inverse = BlockInverse(pattern.tocsr())
-        self.facet_inverse = BlockInverse(pattern.tocsr())
+        self._facets = BlockInverse(pattern.tocsr())
 
     def update(self) -> None:
         """Form E, the matrix of v and the facets' blocks where the derivative was last updated."""
@@ -32,8 +31,8 @@ class HyperTangent:
         J_v, J_a = sides.of_v, sides.of_a
         J_a_t = (sp.diags(sides.weights * penalty) @ J_a).T.tocsr()
         facets = (J_a_t @ J_a).tocsr()
-        self.facet_inverse.update(facets)
-        E = -(self.facet_inverse.matrix() @ (J_a_t @ J_v)).tocsr()
+        self._facets.update(facets)
+        E = -(self._facets.matrix() @ (J_a_t @ J_v)).tocsr()
         self.E_t = E.T.tocsr().astype(precision.SINGLE)
         L, J = (h.L_v + h.L_a @ E).tocsr(), (J_v + J_a @ E).tocsr()
         inverse = _scaled(h.h_inverse_matrix, cell[self.h_cell])
@@ -47,9 +46,11 @@ class HyperTangent:
             blocks = blocks + h.L_a[rows].T @ inverse @ h.L_a[rows]
             cross = cross + h.L_a[rows].T @ weighted
         self.matrix = own.tocsr()
-        self.a_inverse.update(blocks.tocsr())
-        # a = E v + (blocks)^{-1} (r - cross v)
-        self.E_solved = (E - self.a_inverse.matrix() @ cross).tocsr().astype(precision.SINGLE)
+        self._facets.update(blocks.tocsr())
+        # a = E v + (blocks)^{-1} (r - cross v), of (v, r) side by side
+        solved = self._facets.matrix()
+        of_a = sp.hstack([E - solved @ cross, solved], format="csr")
+        self.solved = of_a.astype(precision.SINGLE)
 
 
 def _scaled(matrix: sp.csr_matrix, rows: np.ndarray) -> sp.csr_matrix:

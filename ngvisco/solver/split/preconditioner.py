@@ -141,7 +141,7 @@ class Preconditioner:
             rows[: self.nv] += together(h.E_t, a).ravel()
             increment = self.solver(rows)
             dv = increment[: self.nv].reshape(self.d, -1)
-            da = together(h.E_solved, dv) + h.a_inverse(a)
+            da = together(h.solved, np.concatenate([dv, a], axis=1))
             return np.concatenate([increment, da.ravel()])
 
         start = block(right)
