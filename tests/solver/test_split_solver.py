@@ -14,8 +14,7 @@ from ngvisco.forms.context import Integrand
 from ngvisco.geometries import box, disc
 from ngvisco.solver.choice import SPLIT_FROM, meets_itself
 from ngvisco.solver.rothe import SPLIT_TRIES
-from ngvisco.solver.split import precision
-from ngvisco.solver.split import solver as split_solver
+from ngvisco.solver.split import iteration, precision
 from ngvisco.solver.split.linear import TwoLevelSolver
 from ngvisco.solver.split.solver import Split
 
@@ -353,16 +352,16 @@ def test_newton_krylov_takes_over_where_the_iteration_is_slow(dt, monkeypatch):
     """Newton-Krylov from the third iteration on ends in the same solution as the usual iteration."""
     usual = simulation(dt=dt)
     usual.advance()
-    monkeypatch.setattr("ngvisco.solver.split.solver.SLOW", 2)
+    monkeypatch.setattr("ngvisco.solver.split.iteration.SLOW", 2)
     taken_over = []
-    newton_krylov = split_solver.newton_krylov
+    newton_krylov = iteration.newton_krylov
 
     def counted(split, start, history):
         before = len(history)
         newton_krylov(split, start, history)
         taken_over.append(len(history) - before)
 
-    monkeypatch.setattr(split_solver, "newton_krylov", counted)
+    monkeypatch.setattr(iteration, "newton_krylov", counted)
     run = simulation(dt=dt)
     row = run.advance()
     assert run.solver.retried == 0
@@ -383,7 +382,7 @@ def test_above_a_courant_number_of_one_no_step_is_retried():
 
 
 def test_newton_krylov_says_when_it_fails(monkeypatch):
-    monkeypatch.setattr("ngvisco.solver.split.solver.SLOW", 0)
+    monkeypatch.setattr("ngvisco.solver.split.iteration.SLOW", 0)
     monkeypatch.setattr("ngvisco.solver.split.krylov.gmres", lambda operator, f, **_: (0 * f, 0))
     split = simulation().solver.newton
     with pytest.raises(StepError, match="did not converge"):

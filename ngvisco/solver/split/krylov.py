@@ -12,10 +12,13 @@ from scipy.sparse.linalg import LinearOperator, gmres
 
 from ngvisco.errors import StepError
 from ngvisco.solver.options import NewtonIteration
+from ngvisco.solver.split.preconditioner import FORCING, Residual
 
 if TYPE_CHECKING:
-    from ngvisco.solver.split.preconditioner import Residual
     from ngvisco.solver.split.solver import Split
+
+MARGIN = 0.1
+"""The increment wanted, in units of the tolerance: what remains is a contraction's share of it."""
 
 DIRECTIONS = 40
 """Derivatives taken for one Newton increment."""
@@ -37,8 +40,6 @@ def newton_krylov(split: Split, x: np.ndarray, history: list[NewtonIteration]) -
     StepError
         When an increment does not shorten f, or the iterations are used up.
     """
-    from ngvisco.solver.split.solver import FORCING, MARGIN
-
     wanted = MARGIN * split.options.tolerance
     scale = split.unknowns.scales(x)
 
@@ -53,7 +54,7 @@ def newton_krylov(split: Split, x: np.ndarray, history: list[NewtonIteration]) -
 
     linearisation = split.linearisation()
     f = function(x)
-    size = split._size(f)
+    size = split.size(f)
     while len(history) < 2 * split.options.max_iterations:
         linearisation.update()
         operator = LinearOperator(
@@ -64,7 +65,7 @@ def newton_krylov(split: Split, x: np.ndarray, history: list[NewtonIteration]) -
         while True:
             new_x = x - damping * scale * d
             new_f = function(new_x)
-            new_size = split._size(new_f)
+            new_size = split.size(new_f)
             if new_size <= (1 - 0.25 * damping) * size:
                 break
             damping /= 2
@@ -86,7 +87,7 @@ def newton_krylov(split: Split, x: np.ndarray, history: list[NewtonIteration]) -
             return
         split.renew()
         f = function(x)
-        size = split._size(f)
+        size = split.size(f)
     raise StepError(
         f"the split solver did not converge ({len(history)} iterations, last increment {size:.1e}): "
         "take a smaller step or the coupled solver",

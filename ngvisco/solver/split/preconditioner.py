@@ -24,6 +24,9 @@ from ngvisco.solver.split.tangent import PointTangent
 from ngvisco.solver.split.unknowns import Unknowns
 from ngvisco.solver.split.velocity_tangent import VelocityTangent
 
+FORCING = 0.03
+"""Tolerance of the flow's linear system."""
+
 FLOW_ITERATIONS = 30
 """GMRES iterations for (v, a) with the tangent of v and facets' blocks as preconditioner."""
 

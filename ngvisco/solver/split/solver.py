@@ -59,11 +59,11 @@ from ngvisco.forms.system import Step
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonIteration, NewtonOptions
 from ngvisco.solver.split.hyper import MatrixHyperviscosity
-from ngvisco.solver.split.krylov import newton_krylov
+from ngvisco.solver.split.iteration import iterate
 from ngvisco.solver.split.linearisation import Linearisation
 from ngvisco.solver.split.momentum import Momentum
 from ngvisco.solver.split.operators import Operators
-from ngvisco.solver.split.preconditioner import Preconditioner, Residual
+from ngvisco.solver.split.preconditioner import FORCING, Preconditioner, Residual
 from ngvisco.solver.split.sources import KnownRows
 from ngvisco.solver.split.transport import Transport
 from ngvisco.solver.split.unknowns import Unknowns
@@ -71,31 +71,6 @@ from ngvisco.threads import on_arrays
 
 FOLLOWED = 1e-2
 """Increment below which only what changes suddenly is linearised anew: hyperviscosity and upwinding."""
-
-SLOW = 24
-"""Iterations after which the whole derivative is taken."""
-
-STALLED, WINDOW = 0.3, 4
-"""The same where as many iterations as WINDOW shorten the increment by less than this factor: sweeps converge
-like the Courant number, so that above one the iteration does not."""
-
-FORCING = 0.03
-"""Tolerance of the flow's linear system."""
-
-TOO_MANY = {2: 8, 3: 12}
-"""Iterations for the flow's linear system after which its preconditioner is made anew, by dimension."""
-
-MARGIN = 0.1
-"""The increment wanted, in units of the tolerance: what remains is a contraction's share of it."""
-
-FAR = 0.5
-"""Increment after which the tangent is formed anew: from rest it knows nothing of the curvature of v."""
-
-ROUNDING = 1e-8
-"""Increment, relative to the smallest velocities, from which a stall may be rounding."""
-
-RESTARTS = 4
-"""New tangents within a step, after which it has failed."""
 
 
 class Split:
@@ -196,73 +171,18 @@ class Split:
         with on_arrays():
             self._start()
             try:
-                self._iterate(history)
+                iterate(self, history)
             except (FloatingPointError, np.linalg.LinAlgError) as error:
                 raise StepError(f"the split solver met a singular block: {error}", history) from error
             # an energy that is kept at the quadrature points is asked for by the ledger and the output
             self.step.eliminate.refresh()
         return history
 
-    def _iterate(self, history: list[NewtonIteration]) -> None:
-        wanted = MARGIN * self.options.tolerance
-        last = best = np.inf
-        best_x, best_f = None, None
-        since, restarts = 0, 0  # iterations since the start or a restart, and restarts
-        sizes: list[float] = []
-        while len(history) < self.options.max_iterations:
-            fresh = not self.exists
-            x, f, size = self._increment(last)
-            history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, fresh))
-            since += 1
-            if size <= wanted:
-                self.unknowns.unpack(x - f)
-                self.residual()
-                return
-            if not size <= 2 * max(best, wanted):
-                restarts += 1
-                if best_x is None or best_f is None:
-                    break
-                if restarts > RESTARTS:
-                    self._take_over(best_x, history)
-                    return
-                # from half the step of the best iterate, with a preconditioner of its own
-                self.unknowns.unpack(best_x - 0.5**restarts * best_f)
-                self.exists, since, last = False, 0, np.inf
-                continue
-            if (
-                size > 0.5 * min(last, best)
-                and since > 3
-                and size <= ROUNDING
-                and self._size(f, coarse=True) <= self.options.tolerance
-            ):
-                return
-            if size < best:
-                best, best_x, best_f = size, x, f
-            last = size
-            sizes.append(size)
-            stalled = since > 2 * WINDOW and size > max(STALLED * sizes[-1 - WINDOW], ROUNDING)
-            if since > SLOW or stalled:
-                self._take_over(x, history)
-                return
-            worn = self.preconditioner.iterations > TOO_MANY[self.step.mesh.dim] and size > 1e3 * wanted
-            if worn or size > FAR:
-                self.exists = False
-            self.unknowns.unpack(x - f)
-        raise StepError(
-            f"the split solver did not converge ({len(history)} iterations, last increment {last:.1e}, "
-            f"wanted {wanted:.0e}): take a smaller step or the coupled solver",
-            history,
-        )
+    def increment(self, last: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """The iterated unknowns, their increment and its size, infinite where R is no number.
 
-    def _take_over(self, x: np.ndarray, history: list[NewtonIteration]) -> None:
-        """Go on from ``x`` with the whole derivative."""
-        self.unknowns.unpack(x)
-        self.residual()
-        self.renew()
-        newton_krylov(self, x, history)
-
-    def _increment(self, last: float) -> tuple[np.ndarray, np.ndarray, float]:
-        """The iterated unknowns, their increment and its size, infinite where R is no number."""
+        ``last`` is the size of the one before.
+        """
         x = self.unknowns.pack()
         with np.errstate(all="ignore"):  # a diverging iterate is inf or NaN here
             r = self.residual()
@@ -275,7 +195,7 @@ class Split:
                 self.preconditioner.linearise(last > FOLLOWED)
         with self._clock("solves"):
             f = self.preconditioner(r, FORCING)
-        return x, f, self._size(f)
+        return x, f, self.size(f)
 
     def renew(self) -> None:
         """Make the tangent anew at the present state, whose residual has just been evaluated."""
@@ -283,7 +203,7 @@ class Split:
         self.exists = True
         self.on_factorise()
 
-    def _size(self, f: np.ndarray, coarse: bool = False) -> float:
+    def size(self, f: np.ndarray, coarse: bool = False) -> float:
         full = self._full.FV().NumPy()
         full[:] = 0.0
         for name in self.unknowns.names:
