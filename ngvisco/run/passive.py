@@ -34,18 +34,20 @@ from ngsolve import (
     Projector,
     VectorL2,
     VectorValued,
-    dx,
     sqrt,
     x,
     y,
     z,
 )
-from ngsolve.krylovspace import GMRes
+from ngsolve.krylovspace import GMRESSolver
 
-from ngvisco.errors import CheckpointError, UnknownNameError
+from ngvisco.errors import CheckpointError, StepError, UnknownNameError
 from ngvisco.forms.system import Step
 from ngvisco.forms.transport import Transport
 from ngvisco.physics.tensors import inner, square
+
+TOLERANCE, ENOUGH, ITERATIONS = 1e-12, 1e-9, 200
+"""Of the linear systems: what is asked for, what is accepted where rounding is in the way, and how long."""
 
 NAMES = ("F_tot", "reference_map", "creep_strain")
 
@@ -155,16 +157,20 @@ class _Carrier:
         convected = Grad(f) * v if vector else inner(Grad(f), v)
         if rate is not None:
             convected = convected - rate * f
-        inflow = c.inflow(v)
+        inflow, rules = c.inflow(v), step.quadrature
         cells = (1 / tau) * inner(f, g) + inner(convected, g)
         # the cell that v enters takes the trace, and the trace is what the other cell has
         entering = (v * c.normal) * inflow * inner(f_hat - f, g)
         trace = inner((1 - 0.5 * c.inner) * f_hat - (1 - inflow) * f, g_hat)
         self.form = BilinearForm(self.space, condense=True)
-        self.form += cells.Compile() * dx(bonus_intorder=order)
-        self.form += (entering + trace).Compile() * dx(element_boundary=True, bonus_intorder=order)
+        self.form += cells.Compile() * rules.cells
+        self.form += (entering + trace).Compile() * rules.facets
         self._preconditioner = Preconditioner(self.form, "local")
-        self._tests, self._mass = g, self.cells.Mass(1)
+        # the old value by the rule of the matrix: another one lets errors grow at rest
+        self._old = GridFunction(self.cells)
+        self._load = LinearForm(self.space)
+        self._load += inner(self._old, g) * rules.cells
+        self._tests, self._rules = g, rules
         self._traces = Projector(self.space.FreeDofs(True), True)
         self._solution = GridFunction(self.space)
 
@@ -173,27 +179,35 @@ class _Carrier:
         self.form.Assemble()
 
     def carry(self, field: GridFunction, tau: float, source: CoefficientFunction | None) -> None:
-        """Take ``field``, on ``cells``, over the step of length ``tau`` with the matrix of ``update``."""
+        """Take ``field``, on ``cells``, over the step of length ``tau`` with the matrix of ``update``.
+
+        Raises
+        ------
+        StepError
+            If the linear system is not solved.
+        """
         form, solution = self.form, self._solution
-        rhs = solution.vec.CreateVector()
-        rhs[:] = 0.0
+        self._old.vec.data = field.vec
+        rhs = ((1 / tau) * self._load.Assemble().vec).Evaluate()
         if source is not None:
-            rhs.data = LinearForm(source * self._tests * dx).Assemble().vec
-        rhs[self.space.Range(0)] += (1 / tau) * (self._mass * field.vec)
+            rhs += LinearForm(source * self._tests * self._rules.cells).Assemble().vec
         reduced = (rhs + form.harmonic_extension_trans * rhs).Evaluate()
         self._traces.Project(reduced)
-        solution.components[0].vec.data = field.vec
-        self._traces.Project(solution.vec)
-        GMRes(
-            A=form.mat,
-            b=reduced,
-            x=solution.vec,
-            pre=self._preconditioner.mat,
-            tol=1e-12 * reduced.Norm(),
-            reltol=1e-12,
-            maxsteps=200,
-            printrates=False,
-        )
+        solution.vec[:] = 0.0
+        if reduced.Norm() > 0:
+            solver = GMRESSolver(
+                mat=form.mat,
+                pre=self._preconditioner.mat,
+                tol=TOLERANCE,
+                maxiter=ITERATIONS,
+                printrates=False,
+            )
+            solution.vec.data = solver * reduced
+            if not solver.residuals[-1] <= ENOUGH * solver.residuals[0]:
+                raise StepError(
+                    f"{field.name}: its transport was not solved in {ITERATIONS} iterations: "
+                    "take a smaller step"
+                )
         solution.vec.data += form.harmonic_extension * solution.vec
         solution.vec.data += form.inner_solve * rhs
         field.vec.data = solution.components[0].vec

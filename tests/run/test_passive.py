@@ -6,7 +6,7 @@ from ngsolve import CF, Grad, Id, InnerProduct, Integrate, cos, pi, sin, sqrt, x
 
 import ngvisco as nv
 from ngvisco.forms.transport import Transport
-from ngvisco.geometries import box
+from ngvisco.geometries import box, disc
 
 ALL = ("F_tot", "reference_map", "creep_strain")
 
@@ -77,6 +77,17 @@ def test_what_leaves_a_periodic_cell_comes_in_again():
     moved = x - run.fields["reference_map"][0]
     assert Integrate(moved, run.mesh) == pytest.approx(0.4, rel=1e-3)
     assert run.sampler.extrema(moved)[1] < 0.41
+
+
+def test_nothing_grows_in_curved_cells_at_rest():
+    """The old value is tested by the rule of the matrix: by another one constants grew exponentially."""
+    model = nv.Model(material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1))
+    run = nv.Simulation(disc(1.0, maxh=0.7), model, dt=0.02, passive=("F_tot", "reference_map"))
+    for _ in range(200):
+        run.passive.advance(0.02)
+    gap = run.fields["F_tot"] - Id(3)
+    assert Integrate(InnerProduct(gap, gap), run.mesh) ** 0.5 < 1e-11
+    assert run.sampler.extrema(run.fields["reference_map"][0] - x)[1] < 1e-11
 
 
 def test_creep_strain_is_the_time_integral_of_the_rate():

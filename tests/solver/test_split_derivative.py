@@ -28,7 +28,7 @@ PARTS = {
 }
 
 
-def simulation(mesh=None, **parts):
+def simulation(mesh=None, discretisation=None, **parts):
     settings = {
         "material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
         "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1),
@@ -40,7 +40,9 @@ def simulation(mesh=None, **parts):
     swirl = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), CF(0))
     initial = nv.Initial(velocity=swirl[: mesh.dim])
     model = nv.Model(**(settings | parts))
-    return nv.Simulation(mesh, model, dt=0.02, initial=initial, walls=walls, solver="split")
+    return nv.Simulation(
+        mesh, model, dt=0.02, initial=initial, walls=walls, discretisation=discretisation, solver="split"
+    )
 
 
 def packed(residual):
@@ -103,6 +105,15 @@ def test_in_three_dimensions():
     material = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
     model = {"material": material, "loads": [nv.Gravity((0.0, 0.0, -1.0))]}
     assert_is_the_derivative(simulation(box((1, 1, 1), maxh=1), **model), bound=1e-8)
+
+
+@pytest.mark.parametrize(("k", "m"), [(2, 0), (3, 1), (2, 2)])
+def test_of_other_orders(k, m):
+    assert_is_the_derivative(simulation(discretisation=nv.Discretisation(k=k, m=m)))
+
+
+def test_on_a_periodic_cell():
+    assert_is_the_derivative(simulation(box((1, 1), maxh=0.4, periodic="x")))
 
 
 def test_on_a_curved_wall():

@@ -157,6 +157,38 @@ def test_single_precision_takes_as_many_iterations(speed, monkeypatch):
     assert single <= iterations() + 1
 
 
+def in_units_of(length, density, seconds):
+    """The swirl with these units, of a box of 1 in them."""
+    modulus = density * (length / seconds) ** 2
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10.0 * modulus, G_e=5.0 * modulus, epsilon=0.1 * modulus),
+        viscosity=nv.StokesViscosity(K_v=0.1 * modulus * seconds, G_v=0.1 * modulus * seconds),
+        hyperviscosity=nv.HyperViscosity(mu=1e-4 * modulus * length**4 * seconds**3, p=4),
+        creep=nv.Creep(G_m=2.0 * modulus * seconds),
+        loads=[nv.Gravity((0.0, -length / seconds**2))],
+    )
+    X, Y = pi * x / length, pi * y / length
+    speed = length / seconds
+    swirl = nv.Initial(velocity=(speed * sin(X) * cos(Y), -speed * cos(X) * sin(Y)), density=density)
+    mesh = MakeStructured2DMesh(quads=False, nx=4, ny=4, mapping=lambda X, Y: (length * X, length * Y))
+    return nv.Simulation(mesh, model, dt=0.02 * seconds, initial=swirl, solver="split")
+
+
+@pytest.mark.parametrize("units", [(1e5, 9e20, 3e10), (1e-6, 1e3, 1e-9), (1e-8, 1e3, 1e-11)])
+def test_single_precision_does_not_depend_on_the_units(units):
+    """Of 1e10 Pa, 100 km and a thousand years mu is 1e57, which has no number in single precision."""
+    one, other = in_units_of(1.0, 1.0, 1.0), in_units_of(*units)
+    for run in (one, other):
+        run.run(0.06 * (1.0 if run is one else units[2]))
+        assert run.solver.retried == 0
+    assert np.abs(other.ledger.column("closure_relative")).max() <= 1e-12
+    iterations = [run.ledger.column("newton_iterations") for run in (one, other)]
+    assert np.abs(iterations[0] - iterations[1]).max() <= 1
+    where = one.rothe_step.layout.ranges["v"]
+    here, there = state(one)[where], state(other)[where] * units[2] / units[0]
+    assert np.linalg.norm(here - there) <= 1e-8 * np.linalg.norm(here)
+
+
 def test_two_increments_take_away_a_perturbation():
     """They are Newton's but for the coarse rule and the sweeps: the first mends z, the second v."""
     run = simulation(maxh=0.15)

@@ -37,6 +37,7 @@ class HyperDerivative:
         coarse = not exact and step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
         self.sides = SideJumps(hyper, SidePoints(step.mesh, SIDES)) if coarse else hyper.sides
         self._weights = hyper.points.weights.reshape(self.cells, 1, -1, 1)
+        self._volume = hyper.points.weights.max()
         self._side_weights = self.sides.weights.reshape(self.cells, -1)
         self.dtype = np.float64 if exact else precision.SINGLE
         self._values = self._together()
@@ -60,10 +61,11 @@ class HyperDerivative:
         if law.is_linear:
             self._c = self._weights * (law.mu + law.mu_1)
             self._penalty = self._side_weights * (sides.penalty * (law.mu + law.mu_1)).reshape(cells, -1)
-            self._round("_c", "_penalty")
+            self._normalise()
             return
         self._hessian, self._j = self._state()
-        q, size = self._sizes()
+        q = np.einsum("cpi,cpi->cp", self._j, self._j).ravel()
+        self._size = size = sides.scalar(h.s) + q / sides.h**2 + h.term.context.curvature.Get() ** 2
         slope = law.slope(size)
         bend = 0.5 * (law.p - 4) * slope / size * q  # c'' |j|^2
         squared = sides.h**2
@@ -76,11 +78,18 @@ class HyperDerivative:
         self._ss = weighted * bend.reshape(cells, -1)
         self._sq = weighted * (slope + bend / squared).reshape(cells, -1)
         self._qq = weighted * ((2 * slope + bend / squared) / squared).reshape(cells, -1)
-        self._round("_hessian", "_j", "_c", "_penalty", "_s_slope", "_ss", "_sq", "_qq")
+        self._normalise()
 
-    def _round(self, *names: str) -> None:
-        for name in names:
-            setattr(self, name, getattr(self, name).astype(self.dtype, copy=False))
+    def _normalise(self) -> None:
+        """Measure all in units of its own and round it: in SI units numbers may leave single precision."""
+        self._unit = unit = _largest(self._c)
+        units = {"_c": unit, "_penalty": unit}
+        if not self.h.law.is_linear:
+            H, j = _largest(self._hessian), _largest(self._j)
+            units |= {"_hessian": H, "_j": j}
+            units |= {"_s_slope": unit / H**2, "_ss": unit / H**2, "_sq": unit / (H * j), "_qq": unit / j**2}
+        for name, size in units.items():
+            setattr(self, name, (getattr(self, name) / size).astype(self.dtype))
 
     def _state(self) -> tuple[np.ndarray, np.ndarray]:
         """The present Hs and jumps as ``_parts`` has them."""
@@ -94,15 +103,10 @@ class HyperDerivative:
         split, shape = self._of_hessian, (self.cells, self.h.size, -1, values.shape[2])
         return _at_each(self._at_points, values[:, :split].reshape(shape)), values[:, split:]
 
-    def _sizes(self) -> tuple[np.ndarray, np.ndarray]:
-        """|j|^2 and s + |j|^2/h^2 + chi^2 at the sides' points."""
-        h, sides = self.h, self.sides
-        q = np.einsum("cpi,cpi->cp", self._j, self._j).ravel()
-        return q, sides.scalar(h.s) + q / sides.h**2 + h.term.context.curvature.Get() ** 2
-
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """The rows' derivative in the direction x = (v, a) side by side, (dim, unknowns)."""
-        values = self._values.by_cells(x.T)
+        length = _largest(x)
+        values = self._values.by_cells(x.T / length)
         dH, dj = self._parts(values)
         of_H, of_j = self._c * dH, self._penalty[..., None] * dj
         if not self.h.law.is_linear:
@@ -111,12 +115,12 @@ class HyperDerivative:
         tested = _at_each(self._at_points.transpose(0, 2, 1), of_H)
         loads[:, :split] = tested.reshape(self.cells, split, -1)
         loads[:, split:] = of_j
-        return self._values.tested(loads).T
+        return np.float64(self._unit * length) * self._values.tested(loads).T
 
     def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
         """Add what the changes of s = P |Hs|^2 and of q = |j|^2 make, to the loads of Hs and j."""
         at_points, at_sides = self._s_points, self._s_sides
-        w = self._weights[:, 0, :, 0].astype(self.dtype)
+        w = (self._weights[:, 0, :, 0] / self._volume).astype(self.dtype)
         dq = 2 * np.einsum("cpi,cpi->cp", self._j, dj)
         tested = (2 * w) * np.einsum("cbpi,cbpi->cp", self._hessian, dH)
         ds = self._projected(_transposed(at_points, tested))
@@ -129,8 +133,8 @@ class HyperDerivative:
         of_H += self._hessian * change[:, None, :, None]
 
     def _projected(self, loads: np.ndarray) -> np.ndarray:
-        """Coefficients of a projection from its loads, (cells, functions, 1)."""
-        return self.h.s_inverse(loads.ravel()).reshape(loads.shape).astype(self.dtype)
+        """Coefficients of a projection from its loads, (cells, functions, 1), over the largest weight."""
+        return (self.h.s_inverse(loads.ravel()) * self._volume).reshape(loads.shape).astype(self.dtype)
 
     def tangent_coefficients(self) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``."""
@@ -139,10 +143,15 @@ class HyperDerivative:
             return np.full(h.step.mesh.ne, law.mu + law.mu_1), sides.penalty * (law.mu + law.mu_1)
         weights = h.points.weights.reshape(h.step.mesh.ne, -1)
         c = (h.s_values(h.c).reshape(weights.shape) * weights).sum(axis=1) / weights.sum(axis=1)
-        c_penalty = law.coefficient(np.maximum(self._sizes()[1], 0))
+        c_penalty = law.coefficient(np.maximum(self._size, 0))
         stretch = 0.5 * law.p
         c, c_penalty = (law.mu_1 + stretch * (np.maximum(each, 0) - law.mu_1) for each in (c, c_penalty))
         return c, sides.penalty * c_penalty
+
+
+def _largest(values: np.ndarray) -> float:
+    """The largest modulus, 1 where all are zero."""
+    return float(abs(values).max(initial=0.0)) or 1.0
 
 
 def _transposed(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -55,7 +55,7 @@ def newton_krylov(split: Split, x: np.ndarray, history: list[NewtonIteration]) -
     linearisation = split.linearisation()
     f = function(x)
     size = split.size(f)
-    while len(history) < 2 * split.options.max_iterations:
+    while len(history) < split.options.max_iterations:
         linearisation.update()
         operator = LinearOperator(
             (len(x), len(x)), lambda d: solved(linearisation(scale * d)) / scale, dtype=float
@@ -79,7 +79,7 @@ def newton_krylov(split: Split, x: np.ndarray, history: list[NewtonIteration]) -
                     "take a smaller step or the coupled solver",
                     history,
                 )
-        history.append(NewtonIteration(new_size, new_size / size, damping, False))
+        history.append(NewtonIteration(new_size, new_size / size, damping, True))
         x, f, size = new_x, new_f, new_size
         if size <= wanted:
             split.unknowns.unpack(x - f)

@@ -16,7 +16,7 @@ from ngvisco.physics.model import CentralGravity, Gravity
 from ngvisco.solver.split.facet_changes import FacetChanges
 from ngvisco.solver.split.hyper import MatrixHyperviscosity
 from ngvisco.solver.split.hyper_derivative import HyperDerivative
-from ngvisco.solver.split.momentum import BY_FORMS, Momentum
+from ngvisco.solver.split.momentum import Momentum
 from ngvisco.solver.split.operators import apply
 from ngvisco.solver.split.preconditioner import Residual
 from ngvisco.solver.split.subsystem import Subsystem
@@ -31,11 +31,7 @@ class Linearisation:
         self.facets = FacetChanges(self.t.facets)
         self.hyper = None if hyper is None else HyperDerivative(hyper, exact=True)
         step = momentum.step
-        self._flow = self._density = None
-        if momentum.by_forms is not None:
-            # the creep rate's equation takes the Mandel stress of z and zeta
-            names = [*unknowns.flow, *(["z", "zeta"] if self.t.Pi is not None else [])]
-            self._flow = Subsystem(step, names, [t for t in step.terms if isinstance(t, BY_FORMS)])
+        self._density = None
         if self.t.density is not None:
             terms = [t for t in step.terms if isinstance(t, (Continuity, DensityDiffusion))]
             self._density = Subsystem(step, ["v", *unknowns.density], terms)
@@ -48,8 +44,8 @@ class Linearisation:
         self.facets.update(t.z)
         if self.hyper is not None:
             self.hyper.update()
-        if self._flow is not None:
-            self._flow_rows = self._flow.jacobian()[: self.m.rows]
+        self._flow_rows = None if self.m.by_forms is None else self.m.by_forms.jacobian()
+        self._flux, self._Pi = self.m.mass_flux(self._rho, t.v_q, op), t.creep()
         if self._density is not None:
             self._density_rows = self._density.jacobian()[t.v.size :]
 
@@ -63,10 +59,9 @@ class Linearisation:
         zeta = t.inverse_mass(op.z.test(self._curvature(self._z)))
         self._zeta = op.z(zeta)
         density = self._of_density(d, dv, drho)
-        flow = np.zeros(self.m.rows)
-        if self._flow is not None:
-            beside = [dz.ravel(), zeta.ravel()] if t.Pi is not None else []
-            flow += self._flow_rows @ np.concatenate([d[u.flow_slice], *beside])
+        flow = np.zeros(self.m.rows) if self._flow_rows is None else self._flow_rows @ d[u.flow_slice]
+        if t.Pi is not None:  # its equation takes the Mandel stress of z and zeta
+            flow[-t.Pi.size :] += t.creep_values.test(self._against_creep()).ravel()
         of_v = flow[: dv.size].reshape(dv.shape)
         of_v += self._of_momentum(op.z(drho), np.stack([D(drho) for D in op.dz]))
         of_v += self.facets.elastic_force(t.zeta, zeta)
@@ -91,7 +86,7 @@ class Linearisation:
     def _of_fields(self, d: np.ndarray, dz: np.ndarray) -> np.ndarray:
         t, op, rates = self.t, self.op, self.t.rates
         r = self._z * (-1 / t.context.tau.Get())
-        X, change, Pi = t.L_q, self._L, t.creep()
+        X, change, Pi = t.L_q, self._L, self._Pi
         if Pi is not None:
             X, change = np.concatenate([X, Pi]), np.concatenate([change, self._creep(d)])
         rates.rate(t.z_q, change, r)
@@ -102,21 +97,26 @@ class Linearisation:
         return rows if t.diffusion is None else rows + apply(t.diffusion, dz)
 
     def _creep(self, d: np.ndarray) -> np.ndarray:
-        t, rates, creep = self.t, self.t.rates, self.t.step.model.creep
+        t, creep = self.t, self.t.step.model.creep
         if t.Pi is not None:
             return t.creep_values(d[self.u.slices["Pi"]].reshape(t.Pi.shape))
         assert creep is not None
+        return -creep.R * self._against_creep()
+
+    def _against_creep(self) -> np.ndarray:
+        """Of d(zeta : rate)/dPi, the negative Mandel stress, (components of Pi, points)."""
+        t, rates = self.t, self.t.rates
         M = np.zeros((len(rates.constant) - rates.gradients, self.op.points.count))
         rates.stress(t.z_q, self._zeta, M, first=rates.gradients)
         rates.stress(self._z, t.zeta_q, M, first=rates.gradients, constant=False)
-        return -creep.R * M
+        return M
 
     def _of_momentum(self, drho: np.ndarray, dgrad_rho: np.ndarray) -> np.ndarray:
         """Rows of v of what acts at the cells' points, (dim, .)."""
         m, t, op, tau = self.m, self.t, self.op, self.t.context.tau.Get()
         d, v, L, dv, dL, rho = m.dim, t.v_q, t.L_q, self._v, self._L, self._rho
         value = (0.5 * drho * v + (rho - 0.5 * (rho - m.rho_old_q)) * dv) / tau
-        flux, change = m.mass_flux(rho, v, op), self._of_mass_flux(drho, dgrad_rho)
+        flux, change = self._flux, self._of_mass_flux(drho, dgrad_rho)
         gradient = np.zeros((d * d, op.points.count))
         for i in range(d):
             for j in range(d):

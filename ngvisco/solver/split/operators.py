@@ -81,7 +81,7 @@ class Conjugation:
     def __init__(self, step: Step, points: CellPoints) -> None:
         self.material, self.dim = material, dim = step.model.material, step.mesh.dim
         self.n, self.points = component_count(material, dim), points
-        self.response = material.response(dim)
+        self.response = self._curvature = material.response(dim)
         if self.response is not None:
             return
         self.arrays, self.is_checked = array_slope(material, dim), False
@@ -113,7 +113,9 @@ class Conjugation:
         if arrays is not None:
             # the imaginary part of a tiny complex increment: no difference is taken, nothing cancels
             return lambda dz: arrays(z_values + (TINY * 1j) * dz).imag / TINY
-        hessian = respond(self.material, self.dim)(z_values.T).hessian
+        if self._curvature is None:
+            self._curvature = respond(self.material, self.dim)
+        hessian = self._curvature(z_values.T).hessian
         return lambda dz: np.einsum("pnm,mp->np", hessian, dz)
 
     def _by_expression(self, z_values: np.ndarray) -> np.ndarray:

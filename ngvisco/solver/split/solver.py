@@ -35,8 +35,8 @@ What was tried, on the neo-Hookean swirl (p = 4, P2/DG1, tau = 0.02 s; sums over
 - Anderson acceleration: no fewer iterations once the operator is Newton's (it had helped before);
 - the operator in single precision: the same iterations, GMRES's at 2,639 tetrahedra in 42 instead of 66 ms;
 - above a Courant number of one (0.99 and 1.98, a fast body on 65 triangles) no fewer than 24 iterations and
-  Newton-Krylov after these, or none that converged: 14 to 21 where it takes over as soon as four iterations
-  shorten the increment by less than 0.3, with a tangent made anew for each of its increments;
+  Newton-Krylov after these, or none that converged: 14 to 21 where it takes over when four iterations, after
+  the first eight, shorten the increment by less than 0.3, with a tangent made anew for each of its own;
 - without the derivative of the upwinding in v: 13 instead of 11 iterations on 206 tetrahedra;
 - the preconditioner kept from rest: 268 GMRES iterations in the first step of 739 tetrahedra, made anew
   after more than 12: 106;
