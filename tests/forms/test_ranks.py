@@ -42,7 +42,7 @@ def found(name: str, command: list[str]) -> dict:
 
 @pytest.mark.parametrize("name", ["a periodic square", "a disc", "a cube"])
 def test_two_ranks_with_cells_find_what_one_finds(name):
-    """Residual and Jacobian of every block of rows, every entry of the ledger, the passive fields' matrix."""
+    """Residual and Jacobian of every block of rows, entries of the ledger, passive fields after a step."""
     assert MPIEXEC is not None
     one = found(name, [])
     several = found(name, [MPIEXEC, "--oversubscribe", "-n", "3"])
