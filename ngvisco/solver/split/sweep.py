@@ -2,7 +2,7 @@
 
 One component of z, and rho, have the scalar matrix T = M/tau + convection + facets with the trace
 eliminated, in dense blocks: of a cell's own values, and of those across its sides (``SideCoupling``).
-Two sweeps over the cells, each for itself with its neighbours' values (block Jacobi), converge like the
+Sweeps over the cells, each for itself with its neighbours' values (block Jacobi), converge like the
 Courant number; their number is fixed, so that the map stays linear.  With diffusion of z, which cells do not
 resolve, T is factorised.  A density equation that is not linear has a Jacobian of its own.
 """
@@ -17,6 +17,10 @@ from ngvisco.solver.split.coupling import SideCoupling
 from ngvisco.solver.split.linear import DirectSolver
 from ngvisco.solver.split.transport import Transport
 from ngvisco.threads import product
+
+SWEEPS = 3
+"""Two take 12 instead of 9 iterations of the solver in a step of 2,258 triangles (Courant number 0.55), and
+11 instead of 10 on 739 tetrahedra; four take as many as three."""
 
 
 class Sweep:
@@ -93,8 +97,9 @@ class Sweep:
 
     def _swept(self, cells: np.ndarray, carried: np.ndarray, r: np.ndarray) -> np.ndarray:
         count, q = cells.shape[:2]
-        start = product(cells, r.astype(precision.SINGLE, copy=False).reshape(count, q, -1))
-        x = start + product(carried, start[self._neighbours].reshape(count, -1, start.shape[2]))
+        x = start = product(cells, r.astype(precision.SINGLE, copy=False).reshape(count, q, -1))
+        for _ in range(SWEEPS - 1):
+            x = start + product(carried, x[self._neighbours].reshape(count, -1, start.shape[2]))
         return x.reshape(r.shape)
 
 
