@@ -84,7 +84,7 @@ class Regularisation:
         return self.delta_density * power_of_square(gradient_square, 0.5 * (self.r - 2), self.floor)
 
     def diffusivity_slope(self, gradient_square: Scalar) -> Scalar:
-        """Its derivative by |grad rho|^2."""
+        """Its derivative by |grad rho|^2, (m^2/s)/(kg/m^4)^2."""
         power = power_of_square(gradient_square, 0.5 * (self.r - 4), self.floor)
         return 0.5 * (self.r - 2) * self.delta_density * power
 
@@ -112,7 +112,7 @@ class Regularisation:
         return np.where(rho > 0, 1 - s * s * (3 - 2 * s), 0.0)
 
     def cut_off_slope(self, rho: np.ndarray) -> np.ndarray:
-        """K'(rho) of an array, away from the jump at 0."""
+        """K'(rho) of an array, m^3/kg, away from the jump at 0 (paper: cut-off)."""
         if self.rho_max is None:
             return np.zeros_like(rho)
         s = np.clip((rho - self.rho_max) / self.width, 0.0, 1.0)

@@ -174,9 +174,12 @@ def in_units_of(length, density, seconds):
     return nv.Simulation(mesh, model, dt=0.02 * seconds, initial=swirl, solver="split")
 
 
+@pytest.mark.parametrize("levels", [1, 2])
 @pytest.mark.parametrize("units", [(1e5, 9e20, 3e10), (1e-6, 1e3, 1e-9), (1e-8, 1e3, 1e-11)])
-def test_single_precision_does_not_depend_on_the_units(units):
+def test_single_precision_does_not_depend_on_the_units(units, levels, monkeypatch):
     """Of 1e10 Pa, 100 km and a thousand years mu is 1e57, which has no number in single precision."""
+    if levels == 2:
+        monkeypatch.setattr("ngvisco.solver.split.preconditioner.DIRECT_UP_TO", {2: 0, 3: 0})
     one, other = in_units_of(1.0, 1.0, 1.0), in_units_of(*units)
     for run in (one, other):
         run.run(0.06 * (1.0 if run is one else units[2]))

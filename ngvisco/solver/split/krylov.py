@@ -49,8 +49,9 @@ def newton_krylov(split: Split, x: np.ndarray, history: list[NewtonIteration]) -
 
     def function(at: np.ndarray) -> np.ndarray:
         split.unknowns.unpack(at)
-        with np.errstate(all="ignore"):
-            return solved(split.residual())
+        with np.errstate(all="ignore"):  # a step too long may leave the energy's domain
+            r = split.residual()
+        return solved(r)
 
     linearisation = split.linearisation()
     f = function(x)
