@@ -52,7 +52,7 @@ def check(options: argparse.Namespace) -> int:
 def _measure(run: Simulation) -> tuple[float, float]:
     """Seconds of a residual and of a factorised Jacobian, at the initial state."""
     step, newton = run.rothe_step, run.solver.newton
-    step.context.tau.Set(run.dt)
+    step.context.set_step(run.dt, run.t + run.dt, run.t, run.dt)
     residual = step.state.vec.CreateVector()
     with computing():
         began = clock.perf_counter()

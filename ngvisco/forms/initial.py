@@ -21,11 +21,11 @@ from ngvisco.forms.context import Integrand
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.mesh_arrays import mask_of
-from ngvisco.forms.projections import project_velocity, set_traces
+from ngvisco.forms.projections import set_traces
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Fields
 from ngvisco.forms.system import Step
-from ngvisco.forms.wall_terms import Impenetrability
+from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.material import components_of, conjugates
 from ngvisco.physics.model import VectorLike, as_vector
 from ngvisco.physics.tensors import inner, square, tensor_space
@@ -99,6 +99,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
             raise InitialDataError("stored energy", "not finite somewhere", "finite values")
         complete(step)
     step.state_old.vec.data = step.state.vec
+    step.start_from_old()
 
 
 def _initial_values(step: Step, initial: Initial, F: CoefficientFunction) -> dict[str, CoefficientFunction]:
@@ -158,7 +159,7 @@ def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
     for name, (_, mask) in step.moving_walls.moving.items():
         n = specialcf.normal(step.mesh.dim)
         v[mask] = step.moving_walls.interpolate(name, v_0 - (v_0 * n) * n)[mask]
-    term = next((term for term in step.terms if isinstance(term, Impenetrability)), None)
+    term = step.impenetrability
     # on a periodic mesh ``Set`` counts a vertex twice in a cell that meets its own image
     if term is not None or step.layout.periodic:
         project_velocity(step.layout, step.state, v_0, term, step.quadrature)

@@ -75,7 +75,7 @@ class Kinematics(Transport):
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
         c, G, G_tensors = self.context, w.z, w.z_tensors
-        storage = Integrand(inner(u.z - c.old.z, G) / c.tau)
+        storage = Integrand(c.rate(inner(u.z - c.old.z, G)))
         transport = self.operator(u, u, G, G_tensors, u)
         return [storage, *negative(transport), *negative(self._creep(u, G_tensors))]
 
@@ -91,16 +91,18 @@ class Kinematics(Transport):
         ]
 
     def entries(self, u: Fields) -> list[Entry]:
-        """Creep's dissipation and the Bregman distance phi(z_old) - phi(z) - phi'(z):(z_old - z)."""
-        phi, phi_old = self.energy.density(u), self.energy.density(self.context.old)
-        slope = self.energy.slope(u)
-        bregman = phi_old - phi - inner(slope, self.context.old.z - u.z)
-        entries = [Entry("bregman", "numerical", Integrand(bregman))]
+        """Creep's dissipation, where it has no equation of its own."""
+        entries = []
         if self.model.creep is not None and self.model.creep.is_local and self.model.creep.R > 0:
             R = self.model.creep.R
             creep = Integrand(R * square(self.mandel(u)))
             entries.append(Entry("dissipation_creep", "dissipation", creep))
         return entries
+
+    def distance(self, a: Fields, b: Fields) -> Entry:
+        """phi(z_a) - phi(z_b) - phi'(z_b):(z_a - z_b)."""
+        bregman = self.energy.density(a) - self.energy.density(b) - inner(self.energy.slope(b), a.z - b.z)
+        return Entry("bregman", "numerical", Integrand(bregman))
 
 
 class UpwindTrace(Transport):

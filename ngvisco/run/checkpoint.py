@@ -2,13 +2,14 @@
 
 Layout::
 
-    /                               attributes: format, ngvisco, mesh, spaces, material and any that the
+    /                               attributes: format, ngvisco, mesh, spaces, material, scheme and any that the
                                     caller adds (``case``, the hash of a case file's physics)
     /ledger/<column>                one value a step, attribute ``unit``
     /checkpoints/<step>/state       all coefficients of the step's space; attributes time (s), step,
                                     energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s)
-    /checkpoints/<step>/solver      where the Jacobian was factorised (attributes t_old, tau, last_tau;
-                                    data sets state, state_old), empty if there is none
+    /checkpoints/<step>/solver      where the Jacobian was factorised (attributes tau, end, loads_from,
+                                    loads_over, last_tau; data sets state, state_old), and the last two
+                                    solutions, which start values are extrapolated from; empty if there is none
     /checkpoints/<step>/stepping    what the choice of the next step depends on, empty for fixed steps
     /checkpoints/<step>/passive     coefficients of the run's passive fields, if any
 
@@ -41,8 +42,8 @@ from ngvisco.run.ledger import Balance, unit
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
-FORMAT = 2
-UNITS = "time, tau, dt, t_old: s; energy: J; mass: kg; velocity_scale: m/s (per metre in plane strain)"
+FORMAT = 3
+UNITS = "time, tau, dt, end, loads_from, loads_over, *_time: s; energy: J; mass: kg; velocity_scale: m/s (per metre in plane strain)"
 """Of the checkpoints' attributes, as the file says itself; those of the ledger stand at its columns."""
 _WHOLE = ("step", "newton_iterations", "rejections")
 """Ledger columns of whole numbers."""
@@ -190,10 +191,11 @@ def restore(
     simulation.passive.load(one.arrays["passive"])
     vector.FV().NumPy()[:] = state
     simulation.rothe_step.state_old.vec.data = vector
+    simulation.rothe_step.start_from_old()
     simulation.set_time(numbers["time"], number)
     simulation.set_velocity_scale(numbers["velocity_scale"])
     simulation.solver.recall(one.numbers["solver"], one.arrays["solver"])
-    simulation.stepper.recall(one.numbers["stepping"], one.arrays["stepping"])
+    simulation.stepper.recall(simulation, one.numbers["stepping"], one.arrays["stepping"])
     balance = {f.name: numbers[f.name] for f in dataclasses.fields(Balance)}
     simulation.ledger.resume(Balance(**balance), rows)
 
@@ -251,6 +253,7 @@ def identity(simulation: Simulation) -> dict[str, Any]:
         "mesh": mesh_hash(simulation.mesh),
         "spaces": spaces,
         "material": material_signature(simulation.model.material),
+        "scheme": scheme_signature(simulation),
     }
 
 
@@ -275,6 +278,16 @@ def material_signature(material: object) -> str:
             text = getattr(value, "__qualname__", None) or repr(value)
         values.append(f"{field.name}={text}")
     return f"{type(material).__name__}({', '.join(values)})"
+
+
+def scheme_signature(simulation: Simulation) -> str:
+    """Name and tableau of the time scheme, and its startup and relaxation where there are such."""
+    integrator = simulation.integrator
+    scheme = integrator.scheme
+    text = f"{scheme.name}, A = {scheme.A}, b = {scheme.b}"
+    if integrator.startup:
+        text += f", startup = {integrator.startup}"
+    return text + (", relaxed" if integrator.relaxed else "")
 
 
 def _version() -> str:

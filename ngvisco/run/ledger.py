@@ -3,9 +3,11 @@
     E - E_old + tau (sum of dissipations - sum of powers) + inertial + bregman = closure
 
 is zero for the exact solution of a step (paper: Euler-ED-basic-energy-balance-disc and
-Euler-large-energy-balance-disc, with their inequalities' remainders written out).  ``inertial`` =
-1/2 int rho_old |v - v_old|^2 and ``bregman`` = int phi(z_old) - phi(z) - phi'(z):(z_old - z) are what
-the implicit step dissipates numerically; bregman >= 0 where the energy is convex.
+Euler-large-energy-balance-disc, with their inequalities' remainders written out).  Dissipations and powers are
+weighted as the time scheme does.  ``inertial`` and ``bregman`` are the kinetic and the stored part of what it
+dissipates numerically, sums of Bregman distances (``ngvisco.timestepping.scheme``): for the implicit Euler step
+1/2 int rho_old |v - v_old|^2 and int phi(z_old) - phi(z) - phi'(z):(z_old - z), the latter >= 0 where the
+energy is convex; of either sign for schemes of second order.
 """
 
 from __future__ import annotations
@@ -17,11 +19,18 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, sqrt
 
 from ngvisco.errors import UnknownNameError
-from ngvisco.forms.context import Entry
+from ngvisco.forms.context import Entry, Integrand
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
+from ngvisco.timestepping.integrator import StepTaken
+
+NUMERICAL = ("inertial", "bregman")
+"""Columns of the scheme's own dissipation, J a step: its kinetic and its stored part."""
+
+RATES = ("dissipation", "power")
+"""Kinds of entries that enter the balance times the step's length."""
 
 UNITS = {
     "step": "1",
@@ -38,6 +47,7 @@ UNITS = {
     "newton_iterations": "1",
     "rejections": "1",
     "cfl": "1",
+    "error_estimate": "1",
     "density_diffusion": "kg^2/m^3/s",
     "cutoff_volume": "m^3",
 }
@@ -72,12 +82,10 @@ class Ledger:
 
     def __init__(self, step: Step, sampler: Sampler) -> None:
         self.step, self.sampler = step, sampler
-        self.entries = step.entries()
+        self.entries = [*step.entries(), *(Entry(name, "numerical", Integrand()) for name in NUMERICAL)]
         _check_names(self.entries)
-        self._cells, self._cell_names = self._cell_integrands()
-        self._facets = [
-            (e.name, e.integrand.facets.Compile()) for e in self.entries if e.integrand.facets is not None
-        ]
+        self._state = _Integrals(step, self._state_integrands())
+        self._rates = _Integrals(step, {e.name: e for e in self.entries if e.kind in RATES})
         self._monitors = self._monitor_functions()
         self.rows: list[dict[str, float]] = []
         self.balance: Balance | None = None
@@ -90,7 +98,7 @@ class Ledger:
             *(entry.name for entry in self.entries),
             *("closure", "closure_relative", "mass", "mass_drift"),
             *("rho_min", "rho_max", "J_min", "J_defect", "v_max", "newton_iterations", "rejections"),
-            "cfl",
+            *("cfl", "error_estimate"),
         ]
 
     def column(self, name: str) -> np.ndarray:
@@ -101,23 +109,40 @@ class Ledger:
 
     def start(self, time: float) -> dict[str, float]:
         """Row 0: the initial state, with no exchange."""
-        values = self._integrals()
+        self.step.energy.require()
+        values = self._state()
         energy = values["kinetic"] + values["stored"]
         self.balance = Balance(energy, values["mass"], values["mass"])
         idle = dict.fromkeys((entry.name for entry in self.entries), 0.0)
-        row = {"step": 0, "time": time, "dt": 0.0, **values, **idle, "closure": 0.0}
-        return self._append(row | {"closure_relative": 0.0, "mass_drift": 0.0}, 0, 0, 0.0)
+        row = {"step": 0, "time": time, "dt": 0.0, **idle, **values, "closure": 0.0}
+        row |= {"closure_relative": 0.0, "mass_drift": 0.0, "error_estimate": math.nan}
+        return self._append(row, 0, 0, 0.0)
 
     def resume(self, balance: Balance, rows: list[dict[str, float]]) -> None:
         """Go on from a checkpoint's balance and the rows up to its step."""
         self.balance, self.rows = balance, rows
 
+    def rates(self) -> dict[str, float]:
+        """Dissipations and powers at the present state, W, by columns."""
+        self.step.energy.require()
+        return self._rates()
+
     def record(
-        self, number: int, time: float, tau: float, iterations: int, rejections: int = 0
+        self,
+        number: int,
+        time: float,
+        taken: StepTaken,
+        rejections: int = 0,
+        error: float | None = None,
     ) -> dict[str, float]:
-        """The row of the step that has just been solved, from ``time - tau`` to ``time``."""
+        """The row of the step ``taken`` to the present state, which is that of ``time``, s.
+
+        ``error`` is the estimate of the step's relative error, None where there is none.
+        """
         assert self.balance is not None
-        values = self._integrals()
+        tau, iterations = taken.tau, len(taken.history)
+        self.step.energy.require()
+        values = self._state() | taken.rates | taken.numerical
         energy = values["kinetic"] + values["stored"]
         dissipated, worked = self._sum(values, "dissipation"), self._sum(values, "power")
         remainder = self._sum(values, "numerical")
@@ -130,7 +155,7 @@ class Ledger:
         row = {
             **{"step": number, "time": time, "dt": tau, **values},
             **{"closure": closure, "closure_relative": closure / scale if scale else closure},
-            "mass_drift": drift,
+            **{"mass_drift": drift, "error_estimate": math.nan if error is None else error},
         }
         return self._append(row, iterations, rejections, tau)
 
@@ -144,29 +169,16 @@ class Ledger:
         self.rows.append({name: row[name] for name in self.columns})
         return self.rows[-1]
 
-    def _cell_integrands(self) -> tuple[CoefficientFunction, list[str]]:
+    def _state_integrands(self) -> dict[str, Entry]:
+        """What is integrated of a state: energies, mass, and what is for information."""
         u = self.step.now
         named = {
             "kinetic": 0.5 * u.rho * square(u.v),
             "stored": self.step.energy.density(u),
             "mass": u.rho,
         }
-        for entry in self.entries:
-            if entry.integrand.cells is not None:
-                named[entry.name] = entry.integrand.cells
-        return CF(tuple(named.values())).Compile(), list(named)
-
-    def _integrals(self) -> dict[str, float]:
-        quadrature = self.step.quadrature
-        self.step.energy.require()
-        totals = quadrature.integrate_cells(self._cells)
-        values = {name: float(t) for name, t in zip(self._cell_names, totals, strict=True)}
-        for name, integrand in self._facets:
-            values[name] = values.get(name, 0.0) + quadrature.integrate_facets(integrand)
-        for entry in self.entries:
-            if entry.evaluate is not None:
-                values[entry.name] = entry.evaluate()
-        return values
+        entries = {name: Entry(name, "monitor", Integrand(value)) for name, value in named.items()}
+        return entries | {e.name: e for e in self.entries if e.kind == "monitor"}
 
     def _monitor_functions(self) -> CoefficientFunction:
         """rho, J (NaN where the material has none), (J - det F)^2, |v|, |v|/h."""
@@ -201,6 +213,27 @@ class Ledger:
             "v_max": float(values[:, 2].max()),
             "cfl": tau * float(values[:, 3].max()),
         }
+
+
+class _Integrals:
+    """Integrals of entries at the present state of a step, compiled together."""
+
+    def __init__(self, step: Step, entries: dict[str, Entry]) -> None:
+        self.step = step
+        cells = {name: e.integrand.cells for name, e in entries.items() if e.integrand.cells is not None}
+        self._cell_names = list(cells)
+        self._cells = CF((*cells.values(), 0.0, 0.0)).Compile()  # a vector, however few there are
+        facets = {name: e.integrand.facets for name, e in entries.items() if e.integrand.facets is not None}
+        self._facets = {name: integrand.Compile() for name, integrand in facets.items()}
+        self._evaluated = {name: e.evaluate for name, e in entries.items() if e.evaluate is not None}
+
+    def __call__(self) -> dict[str, float]:
+        quadrature = self.step.quadrature
+        totals = quadrature.integrate_cells(self._cells)
+        values = {name: float(t) for name, t in zip(self._cell_names, totals, strict=False)}
+        for name, integrand in self._facets.items():
+            values[name] = values.get(name, 0.0) + quadrature.integrate_facets(integrand)
+        return values | {name: evaluate() for name, evaluate in self._evaluated.items()}
 
 
 def _check_names(entries: list[Entry]) -> None:

@@ -37,6 +37,8 @@ from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, Reje
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.threads import computing
+from ngvisco.timestepping.integrator import Integrator
+from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
 
 
 class Observer(Protocol):
@@ -67,6 +69,15 @@ class Simulation:
         Length tau of the Rothe steps, s, > 0; with ``stepping`` that of the first one.
     stepping : AdaptiveSteps, optional
         Chooses the steps' lengths; default None is steps of the one length ``dt``.
+    scheme : str or TimeScheme
+        ``"backward-euler"`` (default, the paper's), ``"midpoint"``, ``"theta"`` or ``"sdirk2"``; see
+        ``ngvisco.timestepping.scheme``.
+    theta : float, optional
+        Of the scheme ``"theta"``, in [1/2, 1].
+    startup : int
+        So many first steps of the run are of the backward Euler scheme, which damps rough initial data.
+    relaxation : bool
+        With ``"midpoint"`` and ``stepping``: end each step where the scheme's own dissipation is zero.
     discretisation : Discretisation, optional
     newton : NewtonOptions, optional
     solver : str, optional
@@ -94,6 +105,10 @@ class Simulation:
         *,
         dt: float,
         stepping: AdaptiveSteps | None = None,
+        scheme: str | TimeScheme = "backward-euler",
+        theta: float | None = None,
+        startup: int = 0,
+        relaxation: bool = False,
         initial: Initial | None = None,
         walls: Conditions | None = None,
         discretisation: Discretisation | None = None,
@@ -116,6 +131,7 @@ class Simulation:
             raise ParameterError("Simulation.dt", dt, "a finite number > 0")
         if velocity_scale is not None and not (_is_number(velocity_scale) and velocity_scale > 0):
             raise ParameterError("Simulation.velocity_scale", velocity_scale, "a number > 0")
+        chosen = _checked_scheme(scheme, theta, startup, relaxation, stepping)
         if isinstance(_innermost(model.material), (CustomMaterial, IsotropicStrainEnergy)):
             check_convexity(model.material, dim=mesh.dim)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
@@ -141,6 +157,9 @@ class Simulation:
         self._positive_names = ("rho", *positive)
         self._positive_values = CF((u.rho, *positive.values()))
         self.passive = PassiveFields(self.rothe_step, passive)
+        self.integrator = Integrator(
+            self.solver, chosen, self.ledger.rates, [self.passive], startup, relaxation
+        )
         self.wall_time = 0.0
         self.stop_requested = False
 
@@ -154,6 +173,11 @@ class Simulation:
         """Say that the present state is that of step ``number`` at ``t`` (s), as a restart does."""
         self.t, self.number = t, number
         time.Set(t)
+
+    @property
+    def scheme(self) -> TimeScheme:
+        """The time scheme of the run (after its startup)."""
+        return self.integrator.scheme
 
     @property
     def is_adaptive(self) -> bool:
@@ -189,7 +213,7 @@ class Simulation:
         return {**output_fields(self.rothe_step), **self.passive.fields}
 
     def advance(self, stop: float = math.inf) -> dict[str, float]:
-        """One accepted Rothe step, which with adaptive lengths ends at ``stop`` (s) at the latest.
+        """One accepted step of the scheme, which with adaptive lengths ends at ``stop`` (s) at the latest.
 
         Returns
         -------
@@ -207,9 +231,9 @@ class Simulation:
             self._start_ledger()
             began = clock.perf_counter()
             step = self.stepper.advance(self, stop)
-            row = self.ledger.record(self.number + 1, step.time, step.tau, step.iterations, step.rejections)
-            self.passive.advance(step.tau)
+            self.integrator.accept()
             self.set_time(step.time, self.number + 1)
+            row = self.ledger.record(self.number, step.time, step.taken, step.rejections, step.error)
             self.wall_time += clock.perf_counter() - began
             return row
 
@@ -303,6 +327,31 @@ class Simulation:
         """Diagonal of the mesh's bounding box, m."""
         points = coordinates(self.mesh)
         return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
+
+
+def _checked_scheme(
+    scheme: str | TimeScheme,
+    theta: float | None,
+    startup: int,
+    relaxation: bool,
+    stepping: AdaptiveSteps | None,
+) -> TimeScheme:
+    """The scheme; raises ParameterError for what does not fit it."""
+    try:
+        chosen = scheme_of(scheme, theta)
+    except ParameterError as error:
+        field = error.field if "." in error.field else f"Simulation.{error.field}"
+        raise ParameterError(field, error.value, error.expected) from error
+    if isinstance(startup, bool) or not isinstance(startup, int) or startup < 0:
+        raise ParameterError("Simulation.startup", startup, "a whole number of backward Euler steps, >= 0")
+    require_type("Simulation.relaxation", relaxation, bool)
+    if relaxation and stepping is None:
+        expected = "False with steps of one length: a relaxed step ends where it is without dissipation"
+        raise ParameterError("Simulation.relaxation", relaxation, expected)
+    if relaxation and chosen.A != midpoint().A:
+        expected = f"False with the scheme {chosen.name!r}: only the midpoint rule is relaxed"
+        raise ParameterError("Simulation.relaxation", relaxation, expected)
+    return chosen
 
 
 def _innermost(material: Material) -> Material:

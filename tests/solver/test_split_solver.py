@@ -91,9 +91,10 @@ DELTA = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1)
 @pytest.mark.parametrize("options", [{}, {"sources": EveryRow(), "regularisation": DELTA}])
 def test_residual_is_the_coupled_one_away_from_a_solution(options):
     run = simulation(**options)
-    run.solver._set_context(0.0, 0.02)
+    run.rothe_step.context.set_step(0.02, 0.02, 0.0, 0.02)
     step, split = run.rothe_step, run.solver.newton
     step.state_old.vec.data = step.state.vec
+    step.start_from_old()
     noise = np.random.default_rng(0).standard_normal(split.unknowns.size)
     free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
     split.unknowns.unpack(split.unknowns.pack() + 1e-3 * noise)

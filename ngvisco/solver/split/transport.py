@@ -123,8 +123,8 @@ class Transport:
 
     def residual(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows of the density's unknowns and of z, the latter (n, cells' unknowns)."""
-        op, tau = self.op, self.context.tau.Get()
-        r = op.z((self.z_old - self.z) / tau)
+        op, rate = self.op, self.context.rate
+        r = op.z(rate(self.z_old - self.z))
         Pi = self.creep()
         self.rates.rate(self.z_q, self.L_q if Pi is None else np.concatenate([self.L_q, Pi]), r)
         for j, v_j in enumerate(self.v_q):
@@ -135,7 +135,7 @@ class Transport:
             rows += apply(self.diffusion, self.z)
         if self.density is not None:
             return self.density.residual(), rows
-        rho = self.mass @ ((self.rho - self.rho_old) / tau)
+        rho = self.mass @ rate(self.rho - self.rho_old)
         rho_q = op.z(self.rho)
         for D, v_j in zip(op.dz, self.v_q, strict=True):
             rho -= D.test(rho_q * v_j)

@@ -55,14 +55,14 @@ class FirstTry(FixedStepper):
         self.directly = self.helped = 0
 
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
-        solver = simulation.solver
+        integrator = simulation.integrator
         try:
-            history = solver.advance(simulation.t, self.dt, with_continuation=False)
+            taken = integrator.advance(simulation.t, self.dt, with_continuation=False)
             self.directly += 1
         except StepError:
-            history = solver.advance(simulation.t, self.dt)
+            taken = integrator.advance(simulation.t, self.dt)
             self.helped += 1
-        return Accepted((simulation.number + 1) * self.dt, self.dt, len(history), 0)
+        return Accepted((simulation.number + 1) * self.dt, taken)
 
 
 @dataclass
