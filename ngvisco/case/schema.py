@@ -24,6 +24,7 @@ from ngvisco.case import catalogue
 from ngvisco.case.expressions import parse
 from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.physics.material import Material as MaterialObject
+from ngvisco.timestepping.scheme import SCHEMES, scheme_of
 
 _MAX_OUTPUT_TIMES = 100_000
 
@@ -212,10 +213,14 @@ Adaptive, Discretisation, Initial, Solver = (
 
 
 class Time(Section):
-    """Step length, end, and what belongs to them."""
+    """Step length, end, scheme, and what belongs to them."""
 
     dt: float
     until: float
+    scheme: Literal[tuple(SCHEMES)] = "backward-euler"  # type: ignore[valid-type]
+    theta: float | None = None
+    startup: int = Field(default=0, ge=0)
+    relaxation: bool = False
     velocity_scale: float | None = None
     adaptive: Adaptive | None = None  # type: ignore[valid-type]
 
@@ -225,6 +230,13 @@ class Time(Section):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ParameterError(f"Time.{name}", value, "a finite number > 0")
+        try:
+            scheme_of(self.scheme, self.theta)
+        except ParameterError as error:
+            raise ParameterError("Time.theta", error.value, error.expected) from error
+        if self.relaxation and (self.scheme != "midpoint" or self.adaptive is None):
+            expected = "false, or the scheme 'midpoint' with [time.adaptive]"
+            raise ParameterError("Time.relaxation", self.relaxation, expected)
         if self.adaptive is None:
             number = round(self.until / self.dt)
             if not math.isclose(number * self.dt, self.until, rel_tol=1e-9):

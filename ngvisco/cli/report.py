@@ -18,6 +18,7 @@ from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.passive import NAMES as PASSIVE
 from ngvisco.run.simulation import Simulation
 from ngvisco.threads import computing
+from ngvisco.timestepping.scheme import SCHEMES
 
 _ITERATIONS, _FACTORISATIONS = 6, 1.5
 """Newton iterations and factorisations of a typical step, for the estimate of time."""
@@ -127,6 +128,11 @@ def listing(options: argparse.Namespace) -> int:
             keys = section(target, (tag, name) if tag else None).model_fields
             shown = [key if f.is_required() else f"[{key}]" for key, f in keys.items() if key != tag]
             print(f"  {name}: {', '.join(shown)}" if shown else f"  {name}")
+    print("time schemes: [time] scheme =")
+    for name, make in SCHEMES.items():
+        note = "; takes theta in [1/2, 1]" if name == "theta" else ""
+        text = (make.__doc__ or "").splitlines()[0].rstrip(".")
+        print(f"  {name}: {text}{note}")
     print("outputs: [output.vtk] fields =")
     print(
         "  velocity, density, cauchy_stress, pressure, von_mises, and the material's variables (F, J, E, ...)"

@@ -16,6 +16,7 @@ from ngsolve import SetNumThreads
 from ngvisco import case as cases
 from ngvisco.case.directory import RunDirectory
 from ngvisco.errors import ParameterError
+from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.observers import Progress
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import Rejection
@@ -68,7 +69,8 @@ class ProgressBar:
         sys.stdout.write(f"\r\x1b[Krejected dt {rejection.tau:.4g} s at t {rejection.time:.4g} s\n")
 
     def finish(self, simulation: Simulation) -> None:
-        sys.stdout.write("\n")
+        advice = dissipation_advice(simulation)
+        sys.stdout.write("\n" if advice is None else f"\n{advice}\n")
         sys.stdout.flush()
 
     def _draw(self, simulation: Simulation, row: dict[str, float]) -> None:

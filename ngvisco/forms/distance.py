@@ -2,8 +2,8 @@
 
     B(a, b) = E(a) - E(b) - E'(b)[a - b] >= 0,    E(rho, m, z) = max_w <m, w> - 1/2 int rho |w|^2 + int phi(z)
 
-(paper: Euler-ED-basic-convexity-calculus): what an implicit step from a to b dissipates, and what the numerical
-dissipation of every time scheme is summed of (``ngvisco.timestepping.integrator``).
+(paper: Euler-ED-basic-convexity-calculus): what an implicit step from a to b dissipates, and what the
+numerical dissipation of every time scheme is summed of (``ngvisco.timestepping.integrator``).
 """
 
 from __future__ import annotations

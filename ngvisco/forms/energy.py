@@ -7,10 +7,10 @@ approximation) they are computed at the quadrature points and kept there: with t
 
 which at z = z_k is the slope and has its exact derivative, all that a residual and its Jacobian need.
 ``refresh`` makes them those of the present state, and is asked for before every use.  They depend on z
-alone, so that checkpoints need not have them.  Further states (``follow``) have values of their own.  The minimisers as unknowns at the points, condensed cell by
-cell, are the alternative: with F and J 72 of them in a triangle and 240 in a tetrahedron.  Measured, of the
-two equations z -> zeta on 6 triangles (12 tetrahedra): 6 (124) ms for a linearisation against 0.5 (12) ms
-here and 7 (22) ms for the minimisers.
+alone, so that checkpoints need not have them.  Further states (``follow``) have values of their own.  The
+minimisers as unknowns at the points, condensed cell by cell, are the alternative: with F and J 72 of them
+in a triangle and 240 in a tetrahedron.  Measured, of the two equations z -> zeta on 6 triangles (12
+tetrahedra): 6 (124) ms for a linearisation against 0.5 (12) ms here and 7 (22) ms for the minimisers.
 """
 
 from __future__ import annotations

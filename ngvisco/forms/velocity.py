@@ -1,10 +1,10 @@
 """The velocity of a momentum functional: int rho v . w = <m, w> for all admissible w.
 
-v attains the maximum in E(rho, m) = max_w <m, w> - 1/2 int rho |w|^2 over the velocities that the walls admit:
-prescribed coefficients are kept, and on oblique and curved walls (v . n, mu) = 0 for all multipliers mu (paper:
-Euler-small-BC-hyper).  The mass matrix is that of one scalar component; conjugate gradients with its diagonal take
-30 to 60 iterations whatever the mesh.  With multipliers C v = 0 they run in the null space of C, by the
-projection I - D^-1 C^T (C D^-1 C^T)^-1 C with the mass matrix' diagonal D.
+v attains the maximum in E(rho, m) = max_w <m, w> - 1/2 int rho |w|^2 over the velocities that the walls
+admit: prescribed coefficients are kept, and on oblique and curved walls (v . n, mu) = 0 for all multipliers
+mu (paper: Euler-small-BC-hyper).  The mass matrix is that of one scalar component; conjugate gradients with
+its diagonal take 30 to 60 iterations whatever the mesh.  With multipliers C v = 0 they run in the null
+space of C, by the projection I - D^-1 C^T (C D^-1 C^T)^-1 C with the mass matrix' diagonal D.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ngvisco.physics.tensors import inner
 
 _REDUCTION, _CORRECTIONS, _ITERATIONS = 1e-9, 4, 1000
 _ROUNDING, _ENOUGH = 3e-16, 1e-13
-"""Residual of a solution, relative to <m, .>, that is aimed at and accepted; it enters the energy's closure."""
+"""Residual that is aimed at and accepted, relative to <m, .>; it enters the energy's closure."""
 
 
 class VelocityOfMomentum:
@@ -87,7 +87,7 @@ class VelocityOfMomentum:
         size = np.linalg.norm(momentum) or 1.0
         left = np.inf
         for _ in range(_CORRECTIONS):
-            # twice: next to the walls' share of the rows a small rest is rounding, in no range of the operator
+            # twice: beside the walls' share of the rows a small rest is rounding, not in the operator's range
             residual = project_back(project_back((momentum - mass @ v)[free]))
             last, left = left, float(np.linalg.norm(residual))
             if left <= _ROUNDING * size or not left < 0.5 * last:

@@ -2,14 +2,14 @@
 
 Layout::
 
-    /                               attributes: format, ngvisco, mesh, spaces, material, scheme and any that the
-                                    caller adds (``case``, the hash of a case file's physics)
+    /                               attributes: format, ngvisco, mesh, spaces, material, scheme and any that
+                                    the caller adds (``case``, the hash of a case file's physics)
     /ledger/<column>                one value a step, attribute ``unit``
     /checkpoints/<step>/state       all coefficients of the step's space; attributes time (s), step,
                                     energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s)
     /checkpoints/<step>/solver      where the Jacobian was factorised (attributes tau, end, loads_from,
                                     loads_over, last_tau; data sets state, state_old), and the last two
-                                    solutions, which start values are extrapolated from; empty if there is none
+                                    solutions, which start values are extrapolated from; empty if there are none
     /checkpoints/<step>/stepping    what the choice of the next step depends on, empty for fixed steps
     /checkpoints/<step>/passive     coefficients of the run's passive fields, if any
 
@@ -43,7 +43,10 @@ if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
 FORMAT = 3
-UNITS = "time, tau, dt, end, loads_from, loads_over, *_time: s; energy: J; mass: kg; velocity_scale: m/s (per metre in plane strain)"
+UNITS = (
+    "time, tau, dt, end, loads_from, loads_over, *_time, known_*: s; energy: J; mass: kg; "
+    "velocity_scale: m/s (per metre in plane strain)"
+)
 """Of the checkpoints' attributes, as the file says itself; those of the ledger stand at its columns."""
 _WHOLE = ("step", "newton_iterations", "rejections")
 """Ledger columns of whole numbers."""

@@ -3,11 +3,11 @@
     E - E_old + tau (sum of dissipations - sum of powers) + inertial + bregman = closure
 
 is zero for the exact solution of a step (paper: Euler-ED-basic-energy-balance-disc and
-Euler-large-energy-balance-disc, with their inequalities' remainders written out).  Dissipations and powers are
-weighted as the time scheme does.  ``inertial`` and ``bregman`` are the kinetic and the stored part of what it
-dissipates numerically, sums of Bregman distances (``ngvisco.timestepping.scheme``): for the implicit Euler step
-1/2 int rho_old |v - v_old|^2 and int phi(z_old) - phi(z) - phi'(z):(z_old - z), the latter >= 0 where the
-energy is convex; of either sign for schemes of second order.
+Euler-large-energy-balance-disc, with their inequalities' remainders written out).  Dissipations and powers
+are weighted as the time scheme does.  ``inertial`` and ``bregman`` are the kinetic and the stored part of
+what it dissipates numerically, sums of Bregman distances (``ngvisco.timestepping.scheme``): for the
+implicit Euler step 1/2 int rho_old |v - v_old|^2 and int phi(z_old) - phi(z) - phi'(z):(z_old - z), the
+latter >= 0 where the energy is convex; of either sign for schemes of second order.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, TextIO
 from ngsolve import CF, CoefficientFunction, VTKOutput
 
 from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.files import append, write_atomically
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class Progress:
         steps = (
             "adaptive steps" if simulation.is_adaptive else f"{self._total[1:]} steps of {simulation.dt:g} s"
         )
-        self._print(f"{cells} cells, {unknowns} unknowns, {steps}")
+        self._print(f"{cells} cells, {unknowns} unknowns, {steps}, {simulation.scheme}")
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
         number = simulation.number
@@ -75,6 +76,9 @@ class Progress:
 
     def finish(self, simulation: Simulation) -> None:
         self._print(f"stopped at t = {simulation.t:g} s after {simulation.number} steps")
+        advice = dissipation_advice(simulation)
+        if advice is not None:
+            self._print(advice)
 
     def _print(self, line: str) -> None:
         print(line, file=self.stream or sys.stdout, flush=True)

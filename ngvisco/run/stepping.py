@@ -1,8 +1,9 @@
 """How the time loop chooses its steps: fixed, as in the paper, or adaptive.
 
-Adaptive.  A step is rejected, and its length halved, when Newton fails, or when rho, J (or A) is not positive at a
-sampling point.  With a tolerance, the estimated relative error e of each step (``ngvisco.timestepping.error``) is
-held below it: a step above it is rejected and tried again with the length
+Adaptive.  A step is rejected, and its length halved, when Newton fails, or when rho, J (or A) is not
+positive at a sampling point.  With a tolerance, the estimated relative error e of each step
+(``ngvisco.timestepping.error``) is held below it: a step above it is rejected and tried again with the
+length
 
     tau (0.9 tolerance/e)^(1/(p+1)),
 
@@ -10,9 +11,10 @@ p the scheme's order, and an accepted one is followed by the length of a PI cont
 
     tau (0.9 tolerance/e)^(0.7/(p+1)) (e_old/(0.9 tolerance))^(0.4/(p+1)),
 
-within a factor of 2, and kept where that is within 10 %, since another length costs a new factorisation.  After a
-rejection no length grows at once.  Without a tolerance, or while there is no estimate (the first p steps), the length
-is doubled after ``patience`` accepted steps.  The energy identity holds for any sequence of lengths.
+within a factor of 2, and kept where that is within 10 %, since another length costs a new factorisation.
+After a rejection no length grows at once.  Without a tolerance, or while there is no estimate (the first p
+steps), the length is doubled after ``patience`` accepted steps.  The energy identity holds for any sequence
+of lengths.
 """
 
 from __future__ import annotations
@@ -53,7 +55,8 @@ class AdaptiveSteps:
         an output time.
     tolerance : float, optional
         Relative error of one step, e.g. 1e-3: of velocity, density and elastic variables in L2, as estimated
-        by the scheme (the ledger's ``error_estimate``); None (default) rejects only steps that cannot be solved.
+        by the scheme (the ledger's ``error_estimate``); None (default) rejects only steps that cannot be
+        solved.
     patience : int
         Accepted steps in a row before the length is doubled, where no error is estimated.
     """

@@ -89,7 +89,7 @@ class RotheSolver:
         self.extrapolation = Extrapolation(step)
 
     def solve(self, interval: Interval, with_continuation: bool = True) -> list[NewtonIteration]:
-        """Solve the step that starts from ``step.old``; ``step.state``, the start value, becomes its solution.
+        """Solve the step from ``step.old``; ``step.state``, the start value, becomes its solution.
 
         ``with_continuation`` False gives up where Newton fails from the start value, as is cheaper for
         a caller that tries a shorter step.

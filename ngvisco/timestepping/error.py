@@ -1,7 +1,8 @@
 """The local error of a step, from the extrapolation of the states before it.
 
-A scheme of order p leaves u_n - u(t_n) = C tau^(p+1) u^(p+1) in a step from the exact state, C its error constant.
-The polynomial through the last p + 1 states misses u(t_n) by -P u^(p+1)/(p+1)!, P = prod_j (t_n - t_{n-1-j}).  So
+A scheme of order p leaves u_n - u(t_n) = C tau^(p+1) u^(p+1) in a step from the exact state, C its error
+constant. The polynomial through the last p + 1 states misses u(t_n) by -P u^(p+1)/(p+1)!, P = prod_j (t_n -
+t_{n-1-j}).  So
 
     error = C tau^(p+1) / (C tau^(p+1) + P/(p+1)!) |u_n - u_extrapolated|,
 
@@ -68,7 +69,7 @@ class ErrorEstimate:
         del self._times[: -self._enough], self._states[: -self._enough]
 
     def __call__(self, time: float, scheme: TimeScheme) -> float | None:
-        """The relative error of the step of ``scheme`` to the present state, at ``time``, s; None if unknown."""
+        """The relative error of the step to the present state at ``time``, s; None if unknown."""
         p = scheme.order
         if len(self._times) < p + 1:
             return None

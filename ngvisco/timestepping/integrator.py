@@ -7,8 +7,8 @@ moving walls at the end's time, and the unknowns that have no time derivative (t
 rate field) stay those of the last stage.
 
 Moving walls.  In the rows of v that are prescribed, m_1 = int rho_1 v_1 . w is not the combination of the
-stages' momenta: the difference is an impulse of the wall, which works on the last stage's velocity.  It is added to
-the wall's power.
+stages' momenta: the difference is an impulse of the wall, which works on the last stage's velocity.  It is
+added to the wall's power.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _RELAXED = (1.5, 2.5)
 _RELAXATION_TOLERANCE = 1e-12
 """Of that number: R changes by this share of the distance B(u_0, U) itself, which is of order tau^2."""
 
-_MEETINGS = 6
-"""Rothe steps tried until a relaxed step ends at a given time."""
+_MEETINGS, _MEETING = 6, 1e-13
+"""Rothe steps tried until a relaxed step ends at a given time, and what of it may be missed."""
 
 
 class Carried(Protocol):
@@ -57,8 +57,8 @@ class Carried(Protocol):
 class StepTaken:
     """What a step exchanged, besides the state that it left.
 
-    ``tau`` is its length, s; ``rates`` are dissipations and powers, W, weighted as the scheme does; ``numerical``
-    is R by ledger columns, J.
+    ``tau`` is its length, s; ``rates`` are dissipations and powers, W, weighted as the scheme does;
+    ``numerical`` is R by ledger columns, J.
     """
 
     tau: float
@@ -78,7 +78,8 @@ class Integrator:
         Gives dissipations and powers at the present state, W, by ledger columns.
     carried : sequence of Carried
     startup : int
-        So many first steps of the run are of the backward Euler scheme, which damps rough initial data (Rannacher).
+        So many first steps of the run are of the backward Euler scheme, which damps rough initial data
+        (Rannacher).
     relaxed : bool
         Whether the midpoint rule's end is where the numerical remainder R is zero; steps have other lengths
         than asked for then.
@@ -119,8 +120,8 @@ class Integrator:
         Raises
         ------
         StepError
-            When a stage is not solved, or the end's density or Jacobian is not positive; the state is then that
-            before the step.
+            When a stage is not solved, or the end's density or Jacobian is not positive; the state is then
+            that before the step.
         """
         self._before.data = self.step.state.vec
         self._t = t
@@ -237,7 +238,7 @@ class Integrator:
         return step.evolved()
 
     def _complete(self) -> None:
-        """Make the local unknowns those of the combined state; raises StepError outside the energy's domain."""
+        """Make the local unknowns those of the combined state; raises StepError where it has no energy."""
         self.step.eliminate()
         if self.step.energy.failure is not None:
             raise StepError(self.step.energy.failure)
@@ -257,44 +258,49 @@ class Integrator:
         with_continuation: bool,
         meets: bool,
     ) -> StepTaken:
-        """A midpoint step whose end u_0 + omega (U - u_0) has R = 0; omega is near 2, the length omega a tau."""
+        """A midpoint step that ends at u_0 + omega (U - u_0), omega near 2, where R = 0."""
         own = scheme.A[0][0] * tau
         for _ in range(_MEETINGS):
             # of a step of two Rothe steps' length, over which loads are averaged
             states, rates = self._stages(scheme, t, own / scheme.A[0][0], history, with_continuation)
-            from_start = self.distance(*states)
-            lost = sum(from_start.values())
-
-            def remainder(omega: float) -> tuple[float, dict[str, float], dict[str, float]]:
-                of_end, reached = dict(rates), omega * own
-                end = self._combined(np.array([1 - omega, omega]), states, t + reached, reached, of_end)
-                numerical = dict(from_start)
-                _add(numerical, -1.0, self.distance(end, states[-1]))
-                return sum(numerical.values()), numerical, of_end
-
-            omega = 2.0
-            if lost > 0:
-                try:
-                    found = root_scalar(
-                        lambda o: remainder(o)[0] / lost,
-                        bracket=_RELAXED,
-                        method="brentq",
-                        xtol=_RELAXATION_TOLERANCE,
-                    )
-                except ValueError as error:
-                    raise StepError(
-                        "no end of the relaxed step is without numerical dissipation: take a smaller step"
-                    ) from error
-                omega = float(found.root)
-            _, numerical, of_end = remainder(omega)
-            length = omega * own
-            if not meets or abs(length - tau) <= 1e-12 * tau:
+            omega, numerical, rates = self._relaxed_end(states, t, own, rates)
+            if not meets or abs(omega * own - tau) <= _MEETING * tau:
                 self._complete()
                 self._end = np.array([1 - omega, omega])
-                return StepTaken(length, history, of_end, numerical)
-            own *= tau / length
+                return StepTaken(omega * own, history, rates, numerical)
+            own = tau / omega
             self.rothe.return_to(self._before)
         raise StepError("the relaxed step does not meet its end: take a smaller step", history)
+
+    def _relaxed_end(
+        self, states: Sequence[Evolved], t: float, own: float, rates: dict[str, float]
+    ) -> tuple[float, dict[str, float], dict[str, float]]:
+        """omega with R = 0, R's parts and the rates there; the state is then u_0 + omega (U - u_0)."""
+        from_start = self.distance(*states)
+        lost = sum(from_start.values())
+
+        def end_at(omega: float) -> tuple[dict[str, float], dict[str, float]]:
+            of_end, length = dict(rates), omega * own
+            end = self._combined(np.array([1 - omega, omega]), states, t + length, length, of_end)
+            numerical = dict(from_start)
+            _add(numerical, -1.0, self.distance(end, states[-1]))
+            return numerical, of_end
+
+        omega = 2.0
+        if lost > 0:
+            try:
+                found = root_scalar(
+                    lambda omega: sum(end_at(omega)[0].values()) / lost,
+                    bracket=_RELAXED,
+                    method="brentq",
+                    xtol=_RELAXATION_TOLERANCE,
+                )
+            except ValueError as error:
+                message = "no end of the relaxed step is without numerical dissipation: take a smaller step"
+                raise StepError(message) from error
+            omega = float(found.root)
+        numerical, of_end = end_at(omega)
+        return omega, numerical, of_end
 
 
 def _add(total: dict[str, float], weight: float, values: dict[str, float]) -> None:

@@ -7,15 +7,18 @@ With u = (rho, m, z), m the momentum functional, f = du/dt and a_ii > 0, a step 
 
 All of these are affine combinations of the states y_0 = u_0, y_i = U_i, with weights that sum up to one:
 
-    u_i* = sum_{k<i} w_ik y_k,     u_1 = sum_k omega_k y_k,     w_i, omega = e_0 + sum_j (a_ij, b_j)/a_jj (e_j - w_j).
+    u_i* = sum_{k<i} w_ik y_k,     u_1 = sum_k omega_k y_k,     w_i, omega = e_0 + sum_j (a_ij, b_j)/a_jj
+    (e_j - w_j).
 
-A Rothe step from u_i* to U_i satisfies E'(U_i)[U_i - u_i*] = -a_ii tau (D_i - P_i) exactly, D the dissipations, P the
-powers.  Summed up with b_i/a_ii, and with the Bregman distances B(a, b) = E(a) - E(b) - E'(b)[a - b], that is
+A Rothe step from u_i* to U_i satisfies E'(U_i)[U_i - u_i*] = -a_ii tau (D_i - P_i) exactly, D the
+dissipations, P the powers.  Summed up with b_i/a_ii, and with the Bregman distances B(a, b) = E(a) - E(b) -
+E'(b)[a - b], that is
 
     E_1 - E_0 + tau sum_i b_i (D_i - P_i) + R = 0,     R = sum_i sum_k c_ik B(y_k, U_i) - [B(u_1, U_s)]:
 
-no difference of energies is taken, so that nothing cancels.  The last term is there where u_1 is not U_s.  For
-the paper's scheme, a = b = 1, R is B(u_0, U) (Euler-ED-basic-energy-balance-disc, with the inequality's remainder).
+no difference of energies is taken, so that nothing cancels.  The last term is there where u_1 is not U_s.
+For the paper's scheme, a = b = 1, R is B(u_0, U) (Euler-ED-basic-energy-balance-disc, with the inequality's
+remainder).
 """
 
 from __future__ import annotations
