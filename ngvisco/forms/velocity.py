@@ -102,10 +102,11 @@ class VelocityOfMomentum:
         """The projection onto the velocities that the walls admit, and its transpose."""
         if self._constraint is None:
             return (lambda x: x), (lambda x: x)
-        C = self._constraint[:, self.free]
+        constraint, free = self._constraint, self.free
+        C = constraint[:, free]
         scaled = (C @ sp.diags(1 / diagonal)).tocsr()
         factors = splu((scaled @ C.T).tocsc())
-        self._lift = lambda v: scaled.T @ factors.solve(self._constraint[:, ~self.free] @ v[~self.free])
+        self._lift = lambda v: scaled.T @ factors.solve(constraint[:, ~free] @ v[~free])
 
         def project(x: np.ndarray) -> np.ndarray:
             return x - scaled.T @ factors.solve(C @ x)

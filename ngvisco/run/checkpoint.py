@@ -9,7 +9,7 @@ Layout::
                                     energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s)
     /checkpoints/<step>/solver      where the Jacobian was factorised (attributes tau, end, loads_from,
                                     loads_over, last_tau; data sets state, state_old), and the last two
-                                    solutions, which start values are extrapolated from; empty if there are none
+                                    solutions, which start values are extrapolated from; empty for none
     /checkpoints/<step>/stepping    what the choice of the next step depends on, empty for fixed steps
     /checkpoints/<step>/passive     coefficients of the run's passive fields, if any
 

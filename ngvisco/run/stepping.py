@@ -202,7 +202,7 @@ class AdaptiveStepper:
                 error = None if estimate is None else estimate(new_time, scheme)
                 if error is None or tolerance is None or error <= tolerance:
                     break
-                reason, iterations = f"estimated error {error:.2e} is above {tolerance:.2e}", []
+                reason, iterations = f"estimated error {error:.2e} is above {tolerance:.2e}", ()
                 fraction = (SAFETY * tolerance / error) ** (1 / (scheme.order + 1))
                 shorter = tau * max(1 / LARGEST_CHANGE, fraction)
                 integrator.undo()

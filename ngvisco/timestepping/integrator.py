@@ -178,7 +178,8 @@ class Integrator:
         with_continuation: bool,
     ) -> tuple[list[Evolved], dict[str, float]]:
         """y_0 ... y_s and the weighted rates of the stages; the state is that of the last one."""
-        states, rates = [self.step.evolved()], defaultdict(float)
+        states = [self.step.evolved()]
+        rates: dict[str, float] = defaultdict(float)
         for one in self.carried:
             one.begin()
         begin = t

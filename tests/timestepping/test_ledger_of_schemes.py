@@ -1,4 +1,4 @@
-"""The energy identity of every scheme: to rounding, with every wall, mechanism and material, in both solvers."""
+"""The energy identity of every scheme, to rounding: all walls, mechanisms, materials, both solvers."""
 
 import numpy as np
 import pytest
