@@ -51,6 +51,7 @@ from ngvisco.run.plots import plot_energies, plot_fields
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
 from ngvisco.solver.options import NewtonOptions
+from ngvisco.timestepping.scheme import SCHEMES, TimeScheme
 
 try:
     __version__ = importlib.metadata.version("ngvisco")
@@ -80,6 +81,7 @@ _find_geometries()
 from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
 
 __all__ = [
+    "SCHEMES",
     "AdaptiveSteps",
     "BarotropicFluid",
     "BodyForce",
@@ -125,6 +127,7 @@ __all__ = [
     "Slip",
     "StepError",
     "StokesViscosity",
+    "TimeScheme",
     "Traction",
     "UnknownNameError",
     "VTKSeries",

@@ -16,6 +16,7 @@ from ngvisco.verification.cases import (
     pulse,
     rheology,
     robustness,
+    schemes,
     shear,
     stability,
     waves,
@@ -38,6 +39,7 @@ MODULES = (
     couette,
     manufactured,
     manufactured_space,
+    schemes,
     robustness,
     comparison,
 )

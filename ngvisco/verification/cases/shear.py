@@ -43,6 +43,7 @@ def sheared(
     viscosity: float = 0.0,
     density: float = 1.0,
     mesh: Mesh | None = None,
+    scheme: str = "backward-euler",
 ) -> tuple[Simulation, np.ndarray]:
     """A channel of 1 m x 1 m between a resting wall and one that slides at ``rate``.
 
@@ -56,7 +57,9 @@ def sheared(
     )
     walls: Conditions = {"top": PrescribedTangential((rate, 0.0)), "bottom": NoSlip()}
     initial = Initial(velocity=(rate * y, 0), density=density)
-    run = Simulation(mesh or channel(1, 1, maxh=0.5), model, dt=dt, walls=walls, initial=initial)
+    run = Simulation(
+        mesh or channel(1, 1, maxh=0.5), model, dt=dt, walls=walls, initial=initial, scheme=scheme
+    )
     rows = [(0.0, 0.0, 0.0, 0.0)]
     while run.t < until - dt / 2:
         run.advance()

@@ -42,7 +42,14 @@ def dispersion(k: float, wave: str, mu: float, viscous: bool = True) -> complex:
 
 
 def standing_wave(
-    kind: str, wave: str, k: float, dt: float, steps: int, mu: float = MU, viscous: bool = True
+    kind: str,
+    wave: str,
+    k: float,
+    dt: float,
+    steps: int,
+    mu: float = MU,
+    viscous: bool = True,
+    scheme: str = "backward-euler",
 ) -> tuple[Simulation, np.ndarray]:
     """Amplitudes of the velocity in a strip of one wave length, periodic in x and y, after every step."""
     length = 2 * math.pi / k
@@ -61,6 +68,7 @@ def standing_wave(
         initial=Initial(velocity=CF(velocity)),
         discretisation=Discretisation(k=3, m=2),
         velocity_scale=1.0,
+        scheme=scheme,
     )
     component, values = 1 if wave == "shear" else 0, [1.0]
     for _ in range(steps):
