@@ -25,8 +25,10 @@ from ngvisco.forms.context import time
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
+from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import (
+    FENEP,
     BarotropicFluid,
     CustomMaterial,
     HardeningElastic,
@@ -36,6 +38,7 @@ from ngvisco.physics.materials import (
     LogarithmicNeoHookean,
     MooneyRivlin,
     NeoHookean,
+    OldroydB,
     ReferentialMooneyRivlin,
     ReferentialNeoHookean,
     WithQuadratic,
@@ -80,6 +83,7 @@ _find_geometries()
 from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
 
 __all__ = [
+    "FENEP",
     "AdaptiveSteps",
     "BarotropicFluid",
     "BodyForce",
@@ -100,6 +104,7 @@ __all__ = [
     "InitialDataError",
     "IsochoricNeoHookean",
     "IsotropicStrainEnergy",
+    "IsotropyReport",
     "LedgerCSV",
     "LinearElastic",
     "LogarithmicNeoHookean",
@@ -113,6 +118,7 @@ __all__ = [
     "NgviscoError",
     "NoSlip",
     "Observer",
+    "OldroydB",
     "ParameterError",
     "PrescribedTangential",
     "Progress",
@@ -131,6 +137,7 @@ __all__ = [
     "WithQuadratic",
     "Yosida",
     "check_convexity",
+    "check_isotropy",
     "load",
     "load_case",
     "plot_energies",

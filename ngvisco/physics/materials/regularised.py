@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
+from typing import Literal
 
 import numpy as np
 from ngsolve import CoefficientFunction
@@ -46,10 +47,22 @@ class WithQuadratic(Material):
         if not isinstance(self.material, Material):
             raise ParameterError("WithQuadratic.material", self.material, "a Material")
         require_positive(self, delta=self.delta)
-        names = [v.name for v in self.material.variables]
+        known = {v.name for form in self._forms() for v in form.variables}
+        for name in self.only or ():
+            if name not in known:
+                raise UnknownNameError("material variable", name, known)
+
+    def _forms(self) -> list[Material]:
+        """The material in the forms that it may still take."""
+        return [self.material.with_elastic_state("F"), self.material.with_elastic_state("B")]
+
+    def with_elastic_state(self, state: Literal["F", "B"]) -> WithQuadratic:
+        material = self.material.with_elastic_state(state)
+        names = [v.name for v in material.variables]
         for name in self.only or ():
             if name not in names:
-                raise UnknownNameError("material variable", name, names)
+                raise UnknownNameError(f"material variable for elastic_state = {state!r}", name, names)
+        return replace(self, material=material)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id
@@ -60,6 +61,13 @@ class Yosida(Material):
     def variables(self) -> tuple[Variable, ...]:
         return self.material.variables
 
+    def with_elastic_state(self, state: Literal["F", "B"]) -> Yosida:
+        return replace(self, material=self.material.with_elastic_state(state))
+
+    @property
+    def conformation(self) -> str | None:
+        return self.material.conformation
+
     def energy(self, z: Values) -> CoefficientFunction:
         raise NgviscoError(
             "a Yosida approximation has no expression: use ngvisco.physics.pointwise.respond(material, dim), "
@@ -84,7 +92,7 @@ class _Approximation:
 
     def _is_bounded(self, variable: Variable, slices: dict[str, slice]) -> bool:
         """Whether y must be kept positive: J or A in an energy that is singular at 0 or undefined below."""
-        if variable.kind != "scalar" or variable.positive(CF(1.0)) is None:
+        if variable.kind != "scalar" or not variable.positive(CF(1.0)):
             return False
         states = np.tile(self.rest, (3, 1))
         states[:, slices[variable.name].start] = (0.0, -0.01, -1.0)
