@@ -16,7 +16,7 @@ the variables z; this is the "generalised polyconvexity" of the paper's Section 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction
@@ -37,6 +37,9 @@ if TYPE_CHECKING:
     from ngvisco.physics.pointwise import Respond
 
 
+ElasticState: TypeAlias = Literal["F", "B"]
+
+
 class Material(ABC):
     """What a constitutive law supplies: ``variables`` and ``energy``."""
 
@@ -49,7 +52,7 @@ class Material(ABC):
     def energy(self, z: Values) -> CoefficientFunction:
         """Stored energy per actual volume, Pa, from the variables' values by name."""
 
-    def with_elastic_state(self, state: Literal["F", "B"]) -> Material:
+    def with_elastic_state(self, state: ElasticState) -> Material:
         """The same material by F or by B = F F^T where it has the choice and left it open; else itself."""
         return self
 

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 
 from ngvisco.errors import ParameterError, _is_number, require_positive
-from ngvisco.physics.material import Material, check_material
+from ngvisco.physics.material import ElasticState, Material, check_material
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 
@@ -146,12 +146,13 @@ class Model:
         law = "mandel" if self.creep is None else self.creep.law
         if law != "mandel" and self.material.conformation is None:
             raise ParameterError("Model.creep", f"law = {law!r}", "a material with a conformation tensor")
-        object.__setattr__(self, "material", self.material.with_elastic_state("B" if self.creeps else "F"))
+        state = default_elastic_state(self.creep)
+        object.__setattr__(self, "material", self.material.with_elastic_state(state))
 
-    @property
-    def creeps(self) -> bool:
-        """Whether there is creep at all: a Creep with a finite modulus."""
-        return self.creep is not None and self.creep.R > 0
+
+def default_elastic_state(creep: Creep | None) -> ElasticState:
+    """How a material that leaves it open knows of its elastic state: by B where there is creep, else by F."""
+    return "B" if creep is not None and creep.R > 0 else "F"
 
 
 def as_vector(value: VectorLike, dim: int, field_name: str) -> CoefficientFunction:

@@ -257,7 +257,10 @@ def test_materials_are_wrapped():
     text = CASE.replace("[material]\n", WRAPPED)
     run = simulation(text)
     assert run.model.material == nv.WithQuadratic(
-        material=nv.Yosida(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), eps=1e-3), delta=1e-6
+        material=nv.Yosida(
+            material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B"), eps=1e-3
+        ),
+        delta=1e-6,
     )
     assert abs(run.run(0.02).column("closure_relative")[-1]) < 1e-13
     loaded = case(text)
@@ -277,7 +280,7 @@ def test_materials_are_wrapped():
         ("material.material.material.kind='WithQuadratic'", "'WithQuadratic': expected one of BarotropicFl"),
         ("material.material.material.G_e=0", "material.material.material.G_e .*: 0.*: expected a finite"),
         ("material.material.material.Ge=1", r"unknown key; did you mean 'G_e'\?"),
-        ("material.only=['Q']", r"unknown material variable 'Q' \(known: F, J\)"),
+        ("material.only=['Q']", r"unknown material variable 'Q' \(known: B, F, J\)"),
         ("material.material=1", "expected a table"),
     ],
 )

@@ -29,7 +29,10 @@ def model(material=None, dim=2, **parts):
         "creep": nv.Creep(G_m=2.0),
         "loads": [nv.Gravity((0.0,) * (dim - 1) + (-1.0,))],
     }
-    return nv.Model(material=material or nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), **(settings | parts))
+    return nv.Model(
+        material=material or nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
+        **(settings | parts),
+    )
 
 
 def residual(run):

@@ -9,12 +9,10 @@ still closes.  B has no Q, and isotropic energies need nothing else.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, Self, TypeAlias
+from typing import Self
 
 from ngvisco.errors import require_choice
-from ngvisco.physics.material import Material
-
-ElasticState: TypeAlias = Literal["F", "B"]
+from ngvisco.physics.material import ElasticState, Material
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
-from typing import Literal
 
 import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, UnknownNameError, require_positive
-from ngvisco.physics.material import Material, component_count, component_slices
+from ngvisco.physics.material import ElasticState, Material, component_count, component_slices
 from ngvisco.physics.pointwise import Respond, Response
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values, Variable
@@ -56,7 +55,7 @@ class WithQuadratic(Material):
         """The material in the forms that it may still take."""
         return [self.material.with_elastic_state("F"), self.material.with_elastic_state("B")]
 
-    def with_elastic_state(self, state: Literal["F", "B"]) -> WithQuadratic:
+    def with_elastic_state(self, state: ElasticState) -> WithQuadratic:
         material = self.material.with_elastic_state(state)
         names = [v.name for v in material.variables]
         for name in self.only or ():

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id
 
 from ngvisco.errors import NgviscoError, ParameterError, require_positive
-from ngvisco.physics.material import Material, component_slices, components_of
+from ngvisco.physics.material import ElasticState, Material, component_slices, components_of
 from ngvisco.physics.pointwise import Respond, Response, respond, squares
 from ngvisco.physics.variables import Values, Variable
 
@@ -61,7 +60,7 @@ class Yosida(Material):
     def variables(self) -> tuple[Variable, ...]:
         return self.material.variables
 
-    def with_elastic_state(self, state: Literal["F", "B"]) -> Yosida:
+    def with_elastic_state(self, state: ElasticState) -> Yosida:
         return replace(self, material=self.material.with_elastic_state(state))
 
     @property
