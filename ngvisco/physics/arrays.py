@@ -129,7 +129,7 @@ class Array:
         self._require_tensor()
 
         def pull(g: np.ndarray) -> np.ndarray:
-            result = np.zeros((3, 3, g.shape[-1]))
+            result = np.zeros((3, 3, g.shape[-1]), g.dtype)
             result[i, j] = g
             return result
 
