@@ -49,6 +49,7 @@ from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
+from ngvisco.run.ledger import DefectWarning
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields
 from ngvisco.run.simulation import Observer, Simulation
@@ -96,6 +97,7 @@ __all__ = [
     "ConvexityWarning",
     "Creep",
     "CustomMaterial",
+    "DefectWarning",
     "Discretisation",
     "Gravity",
     "HardeningElastic",

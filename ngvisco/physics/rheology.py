@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 from ngsolve import CoefficientFunction
 
@@ -94,6 +94,8 @@ class HyperViscosity:
         return 0.5 * (self.p - 2) * self.mu * power_of_square(s, 0.5 * (self.p - 4), self.floor)
 
 
+CreepLaw: TypeAlias = Literal["mandel", "conformation", "leonov"]
+
 _LAWS = {"mandel": (1.0, 0.0), "conformation": (0.0, 2.0), "leonov": (0.5, 1.0)}
 """Weights of M and of zeta (its deviator where Pi is trace-free) in G_m Pi."""
 
@@ -134,7 +136,7 @@ class Creep:
     nu: float = 0.0
     q: float = 4.0
     floor: float = 1e-10
-    law: Literal["mandel", "conformation", "leonov"] = "mandel"
+    law: CreepLaw = "mandel"
 
     def __post_init__(self) -> None:
         require_choice(self, tuple(_LAWS), law=self.law)

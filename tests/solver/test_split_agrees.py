@@ -80,6 +80,24 @@ def test_for_every_material_with_creep(name, dim):
     assert_both_agree(mesh, model(EXAMPLES[name], dim))
 
 
+@pytest.mark.parametrize("law", ["conformation", "leonov"])
+@pytest.mark.parametrize("name", ["OldroydB", "FENEP"])
+def test_for_laws_of_creep(name, law):
+    creep = nv.Creep(G_m=2.0, law=law)
+    assert_both_agree(box((1, 1), maxh=0.4), model(EXAMPLES[name], creep=creep))
+
+
+BY_B = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B")
+
+
+def test_by_left_cauchy_green_in_three_dimensions():
+    assert_both_agree(box((1, 1, 1), maxh=1), model(BY_B, dim=3))
+
+
+def test_by_left_cauchy_green_with_a_creep_rate_field():
+    assert_both_agree(box((1, 1), maxh=0.4), model(BY_B, creep=nv.Creep(G_m=2.0, nu=1e-3, q=4)))
+
+
 def test_in_three_dimensions():
     assert_both_agree(box((1, 1, 1), maxh=1), model(dim=3))
 

@@ -91,6 +91,12 @@ def test_of_every_material(name):
     assert_is_the_derivative(simulation(material=EXAMPLES[name]))
 
 
+@pytest.mark.parametrize("law", ["conformation", "leonov"])
+def test_of_laws_of_creep(law):
+    creep = nv.Creep(G_m=2.0, law=law)
+    assert_is_the_derivative(simulation(material=EXAMPLES["FENEP"], creep=creep))
+
+
 @pytest.mark.parametrize("kind", ["by its response", "by an expression"])
 def test_of_energies_without_arrays(kind, monkeypatch):
     material = EXAMPLES["NeoHookean"]

@@ -2,6 +2,7 @@
 
 from ngvisco.verification.cases import (
     comparison,
+    conformation,
     couette,
     dependent,
     estimates,
@@ -19,6 +20,7 @@ from ngvisco.verification.cases import (
     shear,
     stability,
     waves,
+    winding,
 )
 
 MODULES = (
@@ -31,6 +33,8 @@ MODULES = (
     maxwell,
     shear,
     rheology,
+    conformation,
+    winding,
     waves,
     fronts,
     pulse,
