@@ -88,20 +88,23 @@ def test_bad_input_is_refused_with_what_would_be_right():
 # --- the two forms agree -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", TWO_FORMED)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[] if name == "NeoHookean" else pytest.mark.long) for name in TWO_FORMED],
+)
 def test_creep_in_homogeneous_shear_is_the_same_in_the_limit_of_dt(name):
-    """Start-up of shear to 0.5, Maxwell time 0.5 s, extrapolated three times from dt = 0.1 s."""
+    """Start-up of shear to 0.3, Maxwell time 0.5 s, extrapolated three times from dt = 0.2 s."""
 
     def limit(state):
         material = TWO_FORMED[name](elastic_state=state)
-        runs = [sheared(material, 0.1 / n, 1.0, rate=0.5, G_m=10.0, viscosity=0.1) for n in (1, 2, 4, 8)]
+        runs = [sheared(material, 0.2 / n, 0.6, rate=0.5, G_m=10.0, viscosity=0.1) for n in (1, 2, 4, 8)]
         for run, _ in runs:
             assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
         a, b, c, d = (rows[-1, 1:] for _, rows in runs)
         return (64 * d - 56 * c + 14 * b - a) / 21, a
 
     (by_F, coarse_F), (by_B, coarse_B) = limit("F"), limit("B")
-    assert by_B == pytest.approx(by_F, rel=1e-4)
+    assert by_B == pytest.approx(by_F, rel=1e-3)
     assert np.abs(coarse_B / coarse_F - 1).max() > 1e-3  # each step has its own error of time
 
 
@@ -186,10 +189,10 @@ def test_jeffreys_start_up_by_B_follows_its_ode():
 @pytest.mark.parametrize("name", FLUIDS)
 def test_conformation_fluids_have_their_steady_shear_stresses(name):
     material, law, exact, _ = FLUIDS[name]
-    _, rows = sheared(material, 0.5, 25.0, rate=2.0, G_m=G_M, law=law)
+    _, rows = sheared(material, 1.0, 25.0, rate=2.0, G_m=G_M, law=law)
     assert rows[-1, 1:3] == pytest.approx(exact(2.0), rel=1e-5)
     # by another law of creep it is another fluid
-    _, other = sheared(material, 0.5, 25.0, rate=2.0, G_m=G_M)
+    _, other = sheared(material, 1.0, 25.0, rate=2.0, G_m=G_M)
     assert abs(other[-1, 2] / exact(2.0)[1] - 1) > 0.1
 
 
@@ -217,7 +220,7 @@ def test_run_that_winds_up_warns_once_and_names_the_remedy():
     messages = [str(w.message) for w in caught if w.category is nv.DefectWarning]
     assert len(messages) == 1 and 'elastic_state="B"' in messages[0] and "det H and J" in messages[0]
     ledger = run.ledger
-    assert ledger.column("defect_rms")[-1] > 0.1 and ledger.column("defect_max")[-1] > 0.3
+    assert ledger.column("defect_rms")[-1] > 0.05 and ledger.column("defect_max")[-1] > 0.2
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10  # which does not see it
 
 
