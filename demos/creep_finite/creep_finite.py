@@ -12,7 +12,7 @@ import ngvisco as nv
 from ngvisco.geometries import box
 
 
-def simulation(maxh: float = 0.08, dt: float = 0.1, gravity: float = 2.0, **options) -> nv.Simulation:
+def simulation(maxh: float = 0.1, dt: float = 0.2, gravity: float = 2.0, **options) -> nv.Simulation:
     """1 m x 1 m; a heavy blob in a lighter body of the same Jeffreys material, Maxwell time 0.1 s."""
     model = nv.Model(
         material=nv.ReferentialNeoHookean(K_e=40.0, G_e=5.0),
@@ -33,8 +33,8 @@ def main(directory: str = "results/creep_finite", until: float = 20.0, **options
     observers = [
         nv.Progress(until),
         nv.LedgerCSV(out / "ledger.csv"),
-        nv.VTKSeries(out / "vtk", every=20),
-        nv.Checkpoints(out / "run.h5", every=50),
+        nv.VTKSeries(out / "vtk", every=10),
+        nv.Checkpoints(out / "run.h5", every=25),
     ]
     run = simulation(observers=observers, **options)
     ledger = run.run(until)
