@@ -25,8 +25,10 @@ from ngvisco.forms.context import time
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
+from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import (
+    FENEP,
     BarotropicFluid,
     CustomMaterial,
     HardeningElastic,
@@ -36,6 +38,7 @@ from ngvisco.physics.materials import (
     LogarithmicNeoHookean,
     MooneyRivlin,
     NeoHookean,
+    OldroydB,
     ReferentialMooneyRivlin,
     ReferentialNeoHookean,
     WithQuadratic,
@@ -46,6 +49,7 @@ from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
+from ngvisco.run.ledger import DefectWarning
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields
 from ngvisco.run.simulation import Observer, Simulation
@@ -81,6 +85,7 @@ _find_geometries()
 from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
 
 __all__ = [
+    "FENEP",
     "SCHEMES",
     "AdaptiveSteps",
     "BarotropicFluid",
@@ -94,6 +99,7 @@ __all__ = [
     "ConvexityWarning",
     "Creep",
     "CustomMaterial",
+    "DefectWarning",
     "Discretisation",
     "Gravity",
     "HardeningElastic",
@@ -102,6 +108,7 @@ __all__ = [
     "InitialDataError",
     "IsochoricNeoHookean",
     "IsotropicStrainEnergy",
+    "IsotropyReport",
     "LedgerCSV",
     "LinearElastic",
     "LogarithmicNeoHookean",
@@ -115,6 +122,7 @@ __all__ = [
     "NgviscoError",
     "NoSlip",
     "Observer",
+    "OldroydB",
     "ParameterError",
     "PrescribedTangential",
     "Progress",
@@ -134,6 +142,7 @@ __all__ = [
     "WithQuadratic",
     "Yosida",
     "check_convexity",
+    "check_isotropy",
     "load",
     "load_case",
     "plot_energies",

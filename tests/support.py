@@ -144,7 +144,7 @@ LINEAR = LinearElastic(K_e=3.0, G_e=1.3)
 HARDENING = IsotropicStrainEnergy(
     strain_energy=lambda E: 0.7 * Trace(E) * Trace(E) + square(dev(E)) + 2 * square(dev(E)) * square(E)
 )
-NEO_HOOKEAN = NeoHookean(K_e=3.0, G_e=1.3, epsilon=0.4)
+NEO_HOOKEAN = NeoHookean(K_e=3.0, G_e=1.3, epsilon=0.4, elastic_state="F")
 MATERIALS: dict[str, Material] = {"linear": LINEAR, "hardening": HARDENING, "neo_hookean": NEO_HOOKEAN}
 
 

@@ -28,7 +28,7 @@ from ngvisco.errors import (
 )
 from ngvisco.forms.boundaries import check_boundary_names
 from ngvisco.forms.context import time
-from ngvisco.physics.model import Model
+from ngvisco.physics.model import Model, default_elastic_state
 from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.observers import LedgerCSV, VTKSeries
@@ -122,6 +122,7 @@ class Case:
     def resolved(self) -> str:
         """The case as TOML with every default written out and paths made absolute."""
         data = self.sections.model_dump(exclude_none=True)
+        self._settle_elastic_state(data)
         if data["domain"]["geometry"] == "file":
             data["domain"]["path"] = str(self._mesh_path)
         return toml.write(data)
@@ -130,10 +131,26 @@ class Case:
     def hash(self) -> str:
         """SHA-256 of all that the solution depends on: not of title, end time and output."""
         data = self.sections.model_dump()
+        self._settle_elastic_state(data)
         for name in ("title", "output", "domain"):  # the mesh has a hash of its own
             del data[name]
         del data["time"]["until"]
         return hashlib.sha256(toml.write(data).encode()).hexdigest()
+
+    def _settle_elastic_state(self, data: dict[str, Any]) -> None:
+        """Write into a dump whether its material is by F or by B where the case left it to the model."""
+        creep = self.sections.rheology.creep
+        part: Section = self.sections.material
+        values = data["material"]
+        while "material" in type(part).model_fields:
+            part, values = part.material, values["material"]  # type: ignore[attr-defined]
+        if "elastic_state" in type(part).model_fields and values.get("elastic_state") is None:
+            values["elastic_state"] = default_elastic_state(
+                None if creep is None else catalogue.MECHANISMS["creep"](**parameters(creep))
+            )
+            in_order = {name: values[name] for name in type(part).model_fields if name in values}
+            values.clear()
+            values.update(in_order)
 
     @property
     def _mesh_path(self) -> Path:
@@ -164,6 +181,8 @@ class Case:
             self._made(load, catalogue.LOADS, ("loads", str(i)), dim)
             for i, load in enumerate(self.sections.loads)
         ]
+        with self._located("material"):
+            material = material.with_elastic_state(default_elastic_state(mechanisms.get("creep")))
         with self._located("loads"):
             return Model(material=material, loads=tuple(loads), **mechanisms)
 

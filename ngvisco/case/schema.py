@@ -103,9 +103,8 @@ def section(
     wrapped : type
         The schema's type of a parameter that is a material.
     """
-    hints = get_type_hints(target.__init__ if inspect.isclass(target) else target)
-    if inspect.isclass(target):
-        hints |= get_type_hints(target)
+    # of a dataclass its fields', each with the names that its own class's module knows
+    hints = get_type_hints(target)
     fields: dict[str, Any] = {}
     if tag is not None:
         fields[tag[0]] = (Literal[tag[1]], ...)

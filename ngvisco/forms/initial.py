@@ -91,9 +91,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
         sampler.require(inner(step.now.z, step.now.z), "material variables")
         sampler.require(step.now.rho, "projected density rho_0", minimum=0.0)
         for variable in step.model.material.variables:
-            value = variable.positive(step.now.z_tensors[variable.name])
-            if value is not None:
-                name = variable.name if variable.kind == "scalar" else f"det {variable.name}"
+            for name, value in variable.positive(step.now.z_tensors[variable.name]).items():
                 sampler.require(value, f"projected {name}_0", minimum=0.0)
         if not np.isfinite(step.energy.samples(step.now.z_tensors, sampler)).all():
             raise InitialDataError("stored energy", "not finite somewhere", "finite values")

@@ -10,6 +10,7 @@ and farther, and at another random state; it reports the worst negative one.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,8 +62,8 @@ class ConvexityReport:
     def __str__(self) -> str:
         if self.point is None or self.direction is None:
             return f"no violation of convexity in {self.samples} samples"
-        at = ", ".join(f"{name} = {_text(value)}" for name, value in self.point.items())
-        along = ", ".join(f"{name}: {_text(value)}" for name, value in self.direction.items())
+        at = ", ".join(f"{name} = {array_text(value)}" for name, value in self.point.items())
+        along = ", ".join(f"{name}: {array_text(value)}" for name, value in self.direction.items())
         return f"not convex at {at} in the direction {along}"
 
 
@@ -89,7 +90,7 @@ def check_convexity(
     """
     require_positive(check_convexity, spread=spread)
     rng = np.random.default_rng(seed)
-    sampling = _Sampling(material, dim)
+    sampling = StateSampling(material, dim)
     a = sampling.random_states(rng, spread)
     phi_a, slope = sampling.energy_and_slope(a)
     weakest = spread * sampling.weakest_directions(a)
@@ -121,7 +122,7 @@ def check_convexity(
     return report
 
 
-class _Sampling:
+class StateSampling:
     """Evaluates a material at many states at once, as cellwise constants on a mesh of squares."""
 
     def __init__(self, material: Material, dim: int) -> None:
@@ -166,6 +167,17 @@ class _Sampling:
         values = self._evaluate(self.outputs)
         return values[:, 0], values[:, 1:]
 
+    def energies(self, states: np.ndarray) -> np.ndarray:
+        """phi at states, Pa; NaN outside its domain."""
+        return self.energy_and_slope(states)[0]
+
+    def mapped(
+        self, states: np.ndarray, f: Callable[[CoefficientFunction], CoefficientFunction]
+    ) -> np.ndarray:
+        """The components f(z) for the components z of states."""
+        _set(self.state, states)
+        return self._evaluate(f(self.state))
+
     def weakest_directions(self, states: np.ndarray) -> np.ndarray:
         """Unit eigenvectors of the smallest eigenvalue of the Hessian (central differences of the slope)."""
         hessian = np.empty((len(states), self.size, self.size))
@@ -193,5 +205,6 @@ def _set(gf: GridFunction, values: np.ndarray) -> None:
         component.vec.FV().NumPy()[:] = values[:, i]
 
 
-def _text(value: np.ndarray) -> str:
+def array_text(value: np.ndarray) -> str:
+    """An array for messages, in one line."""
     return np.array2string(np.asarray(value), precision=3, suppress_small=True).replace("\n", "")

@@ -13,6 +13,7 @@ latter >= 0 where the energy is convex; of either sign for schemes of second ord
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,8 @@ from ngvisco.errors import UnknownNameError
 from ngvisco.forms.context import Entry, Integrand
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.physics.defects import relative_defects
+from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
 from ngvisco.timestepping.integrator import StepTaken
@@ -43,6 +46,8 @@ UNITS = {
     "rho_max": "kg/m^3",
     "J_min": "1",
     "J_defect": "m^(d/2)",
+    "defect_rms": "1",
+    "defect_max": "1",
     "v_max": "m/s",
     "newton_iterations": "1",
     "rejections": "1",
@@ -70,6 +75,14 @@ class Balance:
     initial_mass: float
 
 
+WARNING_DEFECT = 0.01
+"""Relative root mean square of a defect from which on a run warns."""
+
+
+class DefectWarning(UserWarning):
+    """Variables that stand for one thing have parted: the solution is wrong though the ledger closes."""
+
+
 class Ledger:
     """Evaluates a row after every step.
 
@@ -87,6 +100,7 @@ class Ledger:
         self._state = _Integrals(step, self._state_integrands())
         self._rates = _Integrals(step, {e.name: e for e in self.entries if e.kind in RATES})
         self._monitors = self._monitor_functions()
+        self._has_warned = False
         self.rows: list[dict[str, float]] = []
         self.balance: Balance | None = None
 
@@ -97,7 +111,8 @@ class Ledger:
             *("step", "time", "dt", "kinetic", "stored"),
             *(entry.name for entry in self.entries),
             *("closure", "closure_relative", "mass", "mass_drift"),
-            *("rho_min", "rho_max", "J_min", "J_defect", "v_max", "newton_iterations", "rejections"),
+            *("rho_min", "rho_max", "J_min", "J_defect", "defect_rms", "defect_max"),
+            *("v_max", "newton_iterations", "rejections"),
             *("cfl", "error_estimate"),
         ]
 
@@ -195,6 +210,10 @@ class Ledger:
                 F = value
         has_both = F is not None and J is not nan
         self._defect = ((J - Det(F)) * (J - Det(F))).Compile() if has_both else None
+        defects = relative_defects(self.step.model.material, z, self.step.model.creep)
+        self._defects = CF(tuple(defects.values())).Compile() if defects else None
+        self._defect_squares = CF((1.0, *(d * d for d in defects.values()))).Compile()
+        self._defect_names = list(defects)
         if F is not None and J is nan:
             J = Det(F)
         speed = sqrt(square(u.v))
@@ -205,14 +224,50 @@ class Ledger:
         defect = math.nan
         if self._defect is not None:
             defect = math.sqrt(self.step.quadrature.integrate_cells(self._defect))
+        rms, largest = self._relative_defects()
         return {
             "rho_min": float(values[:, 0].min()),
             "rho_max": float(values[:, 0].max()),
             "J_min": float(values[:, 1].min()),
             "J_defect": defect,
+            "defect_rms": rms,
+            "defect_max": largest,
             "v_max": float(values[:, 2].max()),
             "cfl": tau * float(values[:, 3].max()),
         }
+
+    def _relative_defects(self) -> tuple[float, float]:
+        """Largest root mean square and largest value of the relative defects; warns once from 1 % on."""
+        if self._defects is None:
+            return math.nan, math.nan
+        values = self.sampler.values(self._defects)
+        largest = np.abs(values.reshape(len(values), -1)).max(axis=0)
+        volume, *squares = self.step.quadrature.integrate_cells(self._defect_squares)
+        rms = np.sqrt(np.array(squares) / volume)
+        worst = int(np.argmax(rms))
+        if rms[worst] >= WARNING_DEFECT and not self._has_warned:
+            self._has_warned = True
+            warnings.warn(
+                _winding_message(self._defect_names[worst], rms[worst], largest[worst], self.step),
+                DefectWarning,
+                stacklevel=2,
+            )
+        return float(rms.max()), float(largest.max())
+
+
+def _winding_message(pair: str, rms: float, largest: float, step: Step) -> str:
+    material = step.model.material
+    winds = any(v.frame == "relaxed" for v in material.variables)
+    remedy = "shorter steps and a finer mesh"
+    if winds and isinstance(material, IsotropicElastic):
+        remedy = f'elastic_state="B" where the body flows, in which nothing winds up, or {remedy}'
+    elif winds:
+        remedy = f"variables by B = F F^T where the body flows and the energy is isotropic, or {remedy}"
+    return (
+        f"{pair} differ by {rms:.1%} in the mean square, {largest:.1%} at most: the variables no longer "
+        "belong to one distortion, and the stress is wrong by as much, though the ledger closes; the remedy "
+        f"is {remedy}"
+    )
 
 
 class _Integrals:

@@ -148,12 +148,9 @@ class Simulation:
         self.solver = RotheSolver(self.rothe_step, options, self._defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         u, variables = self.rothe_step.now, model.material.variables
-        scalars = {v: v.positive(u.z_tensors[v.name]) for v in variables}
-        positive = {
-            v.name if v.kind == "scalar" else f"det {v.name}": value
-            for v, value in scalars.items()
-            if value is not None
-        }
+        positive: dict[str, CoefficientFunction] = {}
+        for variable in variables:
+            positive |= variable.positive(u.z_tensors[variable.name])
         self._positive_names = ("rho", *positive)
         self._positive_values = CF((u.rho, *positive.values()))
         self.passive = PassiveFields(self.rothe_step, passive)

@@ -60,7 +60,7 @@ def mesh_of(name: str) -> Mesh:
 
 def model(dim: int) -> nv.Model:
     return nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
         hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
         creep=nv.Creep(G_m=2.0, nu=1e-3, q=4),

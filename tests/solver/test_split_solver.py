@@ -21,7 +21,7 @@ from ngvisco.solver.split.solver import Split
 
 def simulation(maxh=0.4, mesh=None, hyperviscosity=None, regularisation=None, speed=0.0, **options):
     model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
         hyperviscosity=hyperviscosity or nv.HyperViscosity(mu=1e-4, p=4),
         creep=nv.Creep(G_m=2.0),
@@ -162,7 +162,9 @@ def in_units_of(length, density, seconds):
     """The swirl with these units, of a box of 1 in them."""
     modulus = density * (length / seconds) ** 2
     model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0 * modulus, G_e=5.0 * modulus, epsilon=0.1 * modulus),
+        material=nv.NeoHookean(
+            K_e=10.0 * modulus, G_e=5.0 * modulus, epsilon=0.1 * modulus, elastic_state="F"
+        ),
         viscosity=nv.StokesViscosity(K_v=0.1 * modulus * seconds, G_v=0.1 * modulus * seconds),
         hyperviscosity=nv.HyperViscosity(mu=1e-4 * modulus * length**4 * seconds**3, p=4),
         creep=nv.Creep(G_m=2.0 * modulus * seconds),

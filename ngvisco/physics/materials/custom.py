@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError
+from ngvisco.physics.isotropy import require_isotropy
 from ngvisco.physics.material import Material, check_material
 from ngvisco.physics.variables import Values, Variable
 
@@ -42,6 +43,12 @@ class CustomMaterial(Material):
         Takes the variables' values by name and returns the energy per actual volume, Pa, e.g.
         ``lambda F, J: 5 * square(F) / J ** (2/3) + 10 * (J - 1) ** 2``.  Convex jointly in all of
         them if the ledger's Bregman column is to be >= 0.
+
+    Raises
+    ------
+    ParameterError
+        If the energy is no function, the list of variables makes no sense, or the energy of a spatial tensor
+        (E, B = F F^T) is not isotropic; the message then has the rotation that shows it.
     """
 
     transported: tuple[Variable, ...]
@@ -54,6 +61,8 @@ class CustomMaterial(Material):
                 "CustomMaterial.stored_energy", self.stored_energy, "a function of the variables"
             )
         check_material(self)
+        if any(v.frame == "actual" for v in self.transported):
+            require_isotropy(self, "CustomMaterial.stored_energy", self.stored_energy)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -97,11 +97,11 @@ class Linearisation:
         return rows if t.diffusion is None else rows + apply(t.diffusion, dz)
 
     def _creep(self, d: np.ndarray) -> np.ndarray:
-        t, creep = self.t, self.t.step.model.creep
+        t = self.t
         if t.Pi is not None:
             return t.creep_values(d[self.u.slices["Pi"]].reshape(t.Pi.shape))
-        assert creep is not None
-        return -creep.R * self._against_creep()
+        assert t.mobility is not None
+        return t.mobility(self._against_creep(), self._zeta)
 
     def _against_creep(self) -> np.ndarray:
         """Of d(zeta : rate)/dPi, the negative Mandel stress, (components of Pi, points)."""

@@ -2,6 +2,7 @@
 
 from ngvisco.verification.cases import (
     comparison,
+    conformation,
     couette,
     dependent,
     estimates,
@@ -20,6 +21,7 @@ from ngvisco.verification.cases import (
     shear,
     stability,
     waves,
+    winding,
 )
 
 MODULES = (
@@ -32,6 +34,8 @@ MODULES = (
     maxwell,
     shear,
     rheology,
+    conformation,
+    winding,
     waves,
     fronts,
     pulse,

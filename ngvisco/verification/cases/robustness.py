@@ -94,7 +94,7 @@ def material(kind: str, stiffness: float, ratio: float) -> Material:
     """Shear modulus ``stiffness``, bulk modulus ``ratio`` times that."""
     if kind == "linearised":
         return LinearElastic(K_e=ratio * stiffness, G_e=stiffness)
-    return ReferentialNeoHookean(K_e=ratio * stiffness, G_e=stiffness / 2)
+    return ReferentialNeoHookean(K_e=ratio * stiffness, G_e=stiffness / 2, elastic_state="F")
 
 
 def attempt(kind: str, stiffness: float, ratio: float, viscosity: float, tau: float) -> tuple[Tally, str]:

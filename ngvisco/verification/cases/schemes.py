@@ -294,7 +294,8 @@ def swirl(scheme: str, dt: float) -> Simulation:
 
 
 def _swirl() -> Outcome:
-    rows, runs, error = [], [], {}
+    rows: list[list[str | float]] = []
+    runs, error = [], {}
     for scheme, steps in (
         ("backward-euler", (0.02, 0.0025, 0.000625)),
         ("midpoint", (0.04, 0.02, 0.01, 0.005, 0.0025)),

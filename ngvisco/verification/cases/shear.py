@@ -13,7 +13,7 @@ from ngvisco.geometries import channel
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, NeoHookean
 from ngvisco.physics.model import Model
-from ngvisco.physics.rheology import Creep, StokesViscosity
+from ngvisco.physics.rheology import Creep, CreepLaw, StokesViscosity
 from ngvisco.physics.walls import NoSlip, PrescribedTangential
 from ngvisco.run.simulation import Simulation
 from ngvisco.verification.case import Bound, Case, Curve, Outcome, Plot, Table
@@ -44,6 +44,7 @@ def sheared(
     density: float = 1.0,
     mesh: Mesh | None = None,
     scheme: str = "backward-euler",
+    law: CreepLaw = "mandel",
 ) -> tuple[Simulation, np.ndarray]:
     """A channel of 1 m x 1 m between a resting wall and one that slides at ``rate``.
 
@@ -52,7 +53,7 @@ def sheared(
     """
     model = Model(
         material=material,
-        creep=None if G_m is None else Creep(G_m=G_m),
+        creep=None if G_m is None else Creep(G_m=G_m, law=law),
         viscosity=StokesViscosity(K_v=viscosity, G_v=viscosity) if viscosity else None,
     )
     walls: Conditions = {"top": PrescribedTangential((rate, 0.0)), "bottom": NoSlip()}

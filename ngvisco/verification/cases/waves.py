@@ -31,7 +31,7 @@ def material(kind: str) -> Material:
     """Bulk modulus K_E and shear modulus G_E in both models (the neo-Hookean G_e is half of it)."""
     if kind == "linearised":
         return LinearElastic(K_e=K_E, G_e=G_E)
-    return ReferentialNeoHookean(K_e=K_E, G_e=G_E / 2)
+    return ReferentialNeoHookean(K_e=K_E, G_e=G_E / 2, elastic_state="F")
 
 
 def dispersion(k: float, wave: str, mu: float, viscous: bool = True) -> complex:
