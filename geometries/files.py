@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from netgen.meshing import Mesh as NetgenMesh
-from netgen.occ import OCCGeometry
+from netgen.occ import OCCGeometry, Pnt
 from netgen.read_gmsh import ReadGmsh
 from ngsolve import Mesh
 
 from ngvisco.errors import MeshError, ParameterError
-from ngvisco.geometries.meshing import CURVE_ORDER, check_lengths
+from ngvisco.geometries.meshing import CURVE_ORDER, is_delicate, mesh_of, unit_of
 
 _FLAT = 1e-6  # of a sheet's width, above and below z = 0; OCC's bounding boxes have a margin
 
@@ -86,15 +86,20 @@ def _read(path: Path, kind: str, maxh: float | None) -> Any:
             return Mesh(ReadGmsh(str(path)))
     if maxh is None:
         raise ParameterError("load.maxh", maxh, "a cell size, since the file holds a geometry")
-    check_lengths("load", maxh=maxh)
-    geometry = OCCGeometry(str(path))
-    if len(geometry.shape.solids) == 0:
-        geometry = _sheet(path, geometry.shape)
-    return Mesh(geometry.GenerateMesh(maxh=maxh))
+    shape = OCCGeometry(str(path)).shape
+    dim = 3 if len(shape.solids) else 2
+    if dim == 2:
+        _require_sheet(path, shape)
+    low, high = shape.bounding_box
+    extents = [high.x - low.x, high.y - low.y, high.z - low.z][:dim]
+    unit = unit_of("load", dim, [("maxh", max(extents))])
+    if unit != 1.0:
+        shape = shape.Scale(Pnt(0, 0, 0), 1 / unit)
+    return mesh_of("load", shape, dim, maxh, 1, unit=unit, is_delicate=is_delicate(extents))
 
 
-def _sheet(path: Path, shape: Any) -> OCCGeometry:
-    """The two-dimensional geometry of faces in the plane z = 0."""
+def _require_sheet(path: Path, shape: Any) -> None:
+    """Raise MeshError unless the shape consists of faces in the plane z = 0."""
     low, high = shape.bounding_box
     width = max(high.x - low.x, high.y - low.y)
     if len(shape.faces) == 0 or max(abs(low.z), abs(high.z)) > _FLAT * width:
@@ -102,4 +107,3 @@ def _sheet(path: Path, shape: Any) -> OCCGeometry:
             f"{path}: the geometry has no solid, so that its mesh has no volume elements; expected a solid, "
             "or faces in the plane z = 0 for a two-dimensional mesh"
         )
-    return OCCGeometry(shape, dim=2)

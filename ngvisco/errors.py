@@ -5,10 +5,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import math
-from collections.abc import Iterable, Sequence
+import numbers
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 if TYPE_CHECKING:
     from ngvisco.solver.options import NewtonIteration
@@ -80,25 +84,82 @@ class CheckpointError(NgviscoError, RuntimeError):
     """A checkpoint cannot be read, or belongs to another mesh, discretisation or model."""
 
 
+def as_number(value: object) -> float | None:
+    """The finite real number that ``value`` is, or None.
+
+    Numbers of Python and NumPy are taken, and arrays without dimensions; not bool, texts or functions.
+    """
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, numbers.Real):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:  # an int beyond 1.8e308
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _is_number(value: object) -> bool:
+    return as_number(value) is not None
+
+
+def as_integer(value: object) -> int | None:
+    """The integer that ``value`` is, of Python's or NumPy's types, or None; 2.0 is none."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        return None
+    return int(value)
+
+
 def require_positive(owner: object, **values: float) -> None:
     """Raise ParameterError unless every value is a finite number > 0."""
-    for name, value in values.items():
-        if not (_is_number(value) and value > 0):
-            raise ParameterError(f"{type(owner).__name__}.{name}", value, "a finite number > 0")
+    _require(owner, values, lambda number: number > 0, "a finite number > 0")
 
 
 def require_nonnegative(owner: object, **values: float) -> None:
     """Raise ParameterError unless every value is a finite number >= 0."""
-    for name, value in values.items():
-        if not (_is_number(value) and value >= 0):
-            raise ParameterError(f"{type(owner).__name__}.{name}", value, "a finite number >= 0")
+    _require(owner, values, lambda number: number >= 0, "a finite number >= 0")
 
 
 def require_above(owner: object, bound: float, **values: float) -> None:
     """Raise ParameterError unless every value is a finite number > ``bound``."""
+    _require(owner, values, lambda number: number > bound, f"a finite number > {bound:g}")
+
+
+def require_number(owner: object, **values: float) -> None:
+    """Raise ParameterError unless every value is a finite number."""
+    _require(owner, values, lambda number: True, "a finite number")
+
+
+def require_count(owner: object, **values: int) -> None:
+    """Raise ParameterError unless every value is an integer >= 1."""
     for name, value in values.items():
-        if not (_is_number(value) and value > bound):
-            raise ParameterError(f"{type(owner).__name__}.{name}", value, f"a finite number > {bound:g}")
+        count = as_integer(value)
+        if count is None or count < 1:
+            raise ParameterError(_field(owner, name), value, "an integer >= 1")
+        _keep(owner, name, count)
+
+
+def _require(
+    owner: object, values: Mapping[str, object], holds: Callable[[float], bool], expected: str
+) -> None:
+    for name, value in values.items():
+        number = as_number(value)
+        if number is None or not holds(number):
+            raise ParameterError(_field(owner, name), value, expected)
+        _keep(owner, name, value if isinstance(value, (int, float)) else number)
+
+
+def _field(owner: object, name: str) -> str:
+    return f"{owner if isinstance(owner, str) else type(owner).__name__}.{name}"
+
+
+def _keep(owner: object, name: str, value: object) -> None:
+    """Make a dataclass's parameter a number of Python: NGSolve knows no others."""
+    if dataclasses.is_dataclass(owner) and name in {f.name for f in dataclasses.fields(owner)}:
+        object.__setattr__(owner, name, value)
 
 
 def require_type(field: str, value: object, kind: type) -> None:
@@ -110,11 +171,9 @@ def require_type(field: str, value: object, kind: type) -> None:
 def require_choice(owner: object, choices: Sequence[object], **values: object) -> None:
     """Raise ParameterError unless every value is one of ``choices``."""
     for name, value in values.items():
-        if value not in choices or isinstance(value, (bool, float)):
+        key = value if value is None or isinstance(value, str) else as_integer(value)
+        if key not in choices or (key is None and value is not None):
             raise ParameterError(
                 f"{type(owner).__name__}.{name}", value, f"one of {', '.join(map(str, choices))}"
             )
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        _keep(owner, name, key)
