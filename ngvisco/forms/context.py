@@ -21,7 +21,7 @@ from ngsolve import (
 )
 
 from ngvisco.forms.energy import StoredEnergy
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.facets import boundary_facets, facets_with_two_sides
 from ngvisco.forms.spaces import Fields
 
 time = Parameter(0.0)
@@ -122,10 +122,12 @@ def periodic_facets(mesh: Mesh) -> set[int]:
 
 
 def inner_facets(mesh: Mesh) -> GridFunction:
-    """1 on facets between two cells, also identified ones, 0 on walls: nothing is carried through a wall."""
-    space = FacetFESpace(mesh, order=0)
-    indicator = GridFunction(space)
-    wall = mask_of(space.GetDofs(mesh.Boundaries(".*")))
+    """1 on facets between two cells, also identified ones and interfaces, 0 on walls.
+
+    Nothing is carried through a wall.
+    """
+    indicator = GridFunction(FacetFESpace(mesh, order=0))
+    wall = boundary_facets(mesh) & ~facets_with_two_sides(mesh)
     wall[list(periodic_facets(mesh))] = False
     indicator.vec.FV().NumPy()[:] = ~wall
     return indicator
