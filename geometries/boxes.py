@@ -159,9 +159,7 @@ def block_with_hole(
         hole = Cylinder(Pnt(scaled[0] / 2, 0, scaled[2] / 2), Y, r=r, h=scaled[1])
         hole.faces.name = "hole"
     delicate = is_delicate(length for _, length in parts)
-    return mesh_of(
-        "block_with_hole", shape - hole, dim, maxh, order, refine, unit=unit, is_delicate=delicate
-    )
+    return mesh_of("block_with_hole", shape - hole, dim, maxh, order, refine, unit=unit, is_delicate=delicate)
 
 
 def _lengths(owner: str, size: Sequence[float]) -> tuple[float, ...]:

@@ -53,7 +53,7 @@ def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = C
         raise ParameterError("load.path", str(path), f"a name that ends in {', '.join(_ENDS)}")
     if not path.is_file():
         raise MeshError(f"{path}: no such file")
-    text = path.read_text(errors="replace")
+    text = path.read_text(encoding="utf-8", errors="replace")
     if _ENDS[kind] not in text or (kind == ".brep" and not _is_whole_brep(text)):
         raise MeshError(f"{path}: the file is cut short (no end of {_ENDS[kind]!r} in it)")
     try:

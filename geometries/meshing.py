@@ -18,7 +18,7 @@ from typing import Any
 
 from netgen.meshing import NetgenGeometry
 from netgen.occ import OCCGeometry, Pnt
-from ngsolve import BND, VOL, Mesh
+from ngsolve import BND, CF, VOL, Integrate, Mesh
 
 from ngvisco.errors import MeshError, ParameterError, UnknownNameError, as_number
 
@@ -144,8 +144,7 @@ def mesh_of(
     if is_delicate:
         _try_apart(owner, shape, dim, size)
     mesh = _generated(owner, shape, dim, size)
-    if mesh.ne == 0:
-        raise MeshError(f"{owner}: Netgen made no cells of it; expected another shape or maxh")
+    _require_all(owner, shape, mesh, known, is_round)
     if unit != 1.0:
         mesh.ngmesh.Scale(unit)
         # what the mesh is refined and curved by; planes need no geometry
@@ -170,14 +169,10 @@ _CELLS_PER = {2: 1 / 0.43, 3: 5.9}
 _GRADING = 0.3
 
 
-def _check_count(
-    field: str, value: float, measure: float, h: float, dim: int, of: int, unit: float
-) -> None:
+def _check_count(field: str, value: float, measure: float, h: float, dim: int, of: int, unit: float) -> None:
     """Raise ParameterError for a cell size of the domain (of = dim) or a wall that gives too many cells."""
-    if of == dim:
-        factor = _CELLS_PER[dim] * measure
-    else:  # the layers in which the size grows: int measure c / (h + 0.3 s)^dim ds
-        factor = _CELLS_PER[dim] * measure / (_GRADING * (dim - 1))
+    # at a wall there are layers in which the size grows: int measure c / (h + 0.3 s)^dim ds
+    factor = _CELLS_PER[dim] * measure / (1.0 if of == dim else _GRADING * (dim - 1))
     if not factor <= MAX_CELLS * h**of:
         least = (factor / MAX_CELLS) ** (1 / of) * unit
         count = math.exp(min(math.log(factor) - of * math.log(h), 700))
@@ -189,6 +184,26 @@ def _generated(owner: str, shape: Any, dim: int, maxh: float) -> Mesh:
         return Mesh(OCCGeometry(shape, dim=dim).GenerateMesh(maxh=maxh))
     except Exception as error:  # OpenCASCADE and Netgen raise their own
         raise MeshError(f"{owner}: Netgen cannot mesh it ({error})") from error
+
+
+def _require_all(owner: str, shape: Any, mesh: Mesh, walls: Iterable[str], is_round: bool) -> None:
+    """Raise MeshError unless the mesh fills the shape and has its walls: Netgen only prints that it failed."""
+    whole = sum(part.mass for part in _interior(shape, mesh.dim))
+    filled = Integrate(CF(1.0), mesh) if mesh.ne else 0.0
+    if abs(filled - whole) > (_POLYGON if is_round else _FLAT) * whole:
+        raise MeshError(
+            f"{owner}: Netgen's mesh fills {filled / whole:.3g} of the shape; expected another maxh, or lengths "
+            "that differ less"
+        )
+    missing = sorted(set(walls) - set(mesh.GetBoundaries()))
+    if missing:
+        raise MeshError(
+            f"{owner}: Netgen's mesh lacks the walls {', '.join(missing)}; expected a smaller maxh"
+        )
+
+
+_FLAT = 1e-6
+_POLYGON = 0.4  # a coarse polygon fills so much less than its circle, or more than the ring about it
 
 
 _TRIAL = """

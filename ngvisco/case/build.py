@@ -53,7 +53,8 @@ def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Cas
     """
     source = Path(path)
     try:
-        raw = source.read_bytes()
+        with source.open("rb") as file:
+            raw = file.read(MAX_FILE_SIZE + 1)
     except OSError as error:
         raise CaseError(str(source), [Fault("", f"cannot be read: {error.strerror}")]) from error
     if len(raw) > MAX_FILE_SIZE:

@@ -17,7 +17,7 @@ _PARALLEL = 1e-10
 
 
 def check_mesh(mesh: Mesh) -> None:
-    """Raise MeshError unless the mesh is 2D or 3D, has cells of the types known here, and none is inverted."""
+    """Raise MeshError unless the mesh is 2D or 3D, has cells, all of known types, and none is inverted."""
     if mesh.dim not in (2, 3):
         raise MeshError(f"the mesh has dimension {mesh.dim}: expected 2 (plane strain) or 3")
     if mesh.comm.Sum(mesh.ne) == 0:

@@ -6,6 +6,7 @@ names only when they are complete (written beside and renamed).
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import errno
 import io
@@ -74,10 +75,14 @@ class Progress:
         )
 
     def finish(self, simulation: Simulation) -> None:
-        self._print(f"stopped at t = {simulation.t:g} s after {simulation.number} steps")
+        finished = simulation.t >= self.until * (1 - 1e-9)
+        word = "finished" if finished else "stopped"
+        self._print(f"{word} at t = {simulation.t:g} s after {simulation.number} steps")
 
     def _print(self, line: str) -> None:
-        print(line, file=self.stream or sys.stdout, flush=True)
+        # a reader that has gone, or a terminal that cannot take it, does not end a run
+        with contextlib.suppress(OSError, ValueError):
+            print(line, file=self.stream or sys.stdout, flush=True)
 
 
 class LedgerCSV:
@@ -215,7 +220,7 @@ def read_pvd(path: Path) -> list[tuple[float, str]]:
     """(time, file) of every data set that a .pvd of ours lists; empty if there is none."""
     if not path.exists():
         return []
-    found = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text())
+    found = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text(encoding="utf-8"))
     return [(float(time), name) for time, name in found]
 
 

@@ -30,6 +30,7 @@ from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, Wit
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
+from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.fields import output_fields
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.passive import PassiveFields
@@ -131,6 +132,7 @@ class Simulation:
             options = replace(options, method=solver)
         self.solver = RotheSolver(self.rothe_step, options, self._defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
+        self.closure_check = ClosureCheck(options.tolerance)
         u, variables = self.rothe_step.now, model.material.variables
         scalars = {v: v.positive(u.z_tensors[v.name]) for v in variables}
         positive = {
@@ -208,6 +210,7 @@ class Simulation:
             began = clock.perf_counter()
             step = self.stepper.advance(self, stop)
             row = self.ledger.record(self.number + 1, step.time, step.tau, step.iterations, step.rejections)
+            self.closure_check.step(self, row)
             self.passive.advance(step.tau)
             self.set_time(step.time, self.number + 1)
             self.wall_time += clock.perf_counter() - began

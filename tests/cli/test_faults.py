@@ -127,7 +127,7 @@ def test_a_damaged_or_foreign_checkpoint_is_refused_with_the_reason(damage, half
     elif damage == "version":
         with h5py.File(path, "a") as file:
             file.attrs["format"] = 1
-        reason = "its format is 1, this run's is 2"
+        reason = "its format is 1, this run's is 3"
     elif damage == "case":
         text = (half / "case.toml").read_text()
         (half / "case.toml").write_text(text.replace("G_v = 0.01", "G_v = 0.02"))
@@ -140,6 +140,19 @@ def test_a_damaged_or_foreign_checkpoint_is_refused_with_the_reason(damage, half
     code, _, err = command("resume", half, "--until", 0.08)
     assert code == BAD_FILE and reason in err
     assert path.read_bytes() == before
+
+
+def test_only_the_checksummed_is_read_of_a_run_file_without_parts(half):
+    for group in ("checkpoints", "ledger/kinetic"):
+        path = half / "run.h5"
+        whole = path.read_bytes()
+        with h5py.File(path, "a") as file:
+            del file[group]
+            if group == "checkpoints":
+                file.create_group(group)
+        code, _, err = command("resume", half, "--until", 0.08)
+        assert code == BAD_FILE and ("holds no checkpoint" in err or "ledger is damaged" in err)
+        path.write_bytes(whole)
 
 
 def test_two_runs_in_one_directory_do_not_meet(tmp_path, case_file):
