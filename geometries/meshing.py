@@ -128,7 +128,7 @@ def mesh_of(
     if isinstance(order, bool) or as_number(order) is None or int(order) != order or not 1 <= order <= 10:
         raise ParameterError(f"{owner}.order", order, "an integer from 1 to 10")
     walls = shape.edges if dim == 2 else shape.faces
-    known = {str(wall.name) for wall in walls}
+    known = {str(wall.name) for wall in walls if wall.name}
     cells = {f"{owner}.maxh": (maxh, sum(part.mass for part in _interior(shape, dim)), size, dim)}
     for name, value in (refine or {}).items():
         field = f"{owner}.refine[{name!r}]"
@@ -187,13 +187,13 @@ def _generated(owner: str, shape: Any, dim: int, maxh: float) -> Mesh:
 
 
 def _require_all(owner: str, shape: Any, mesh: Mesh, walls: Iterable[str], is_round: bool) -> None:
-    """Raise MeshError unless the mesh fills the shape and has its walls: Netgen only prints that it failed."""
+    """Raise MeshError unless the mesh fills the shape and has its walls: Netgen only prints failures."""
     whole = sum(part.mass for part in _interior(shape, mesh.dim))
     filled = Integrate(CF(1.0), mesh) if mesh.ne else 0.0
     if abs(filled - whole) > (_POLYGON if is_round else _FLAT) * whole:
         raise MeshError(
-            f"{owner}: Netgen's mesh fills {filled / whole:.3g} of the shape; expected another maxh, or lengths "
-            "that differ less"
+            f"{owner}: Netgen's mesh fills {filled / whole:.3g} of the shape; expected another maxh, or "
+            "lengths that differ less"
         )
     missing = sorted(set(walls) - set(mesh.GetBoundaries()))
     if missing:
