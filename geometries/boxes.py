@@ -168,6 +168,8 @@ def _lengths(owner: str, size: Sequence[float]) -> tuple[float, ...]:
         lengths = tuple(as_length(f"{owner}.size", length) for length in size)
     except TypeError:
         lengths = ()
+    except ParameterError as error:
+        raise ParameterError(error.field, size, f"two or three lengths, each {error.expected}") from None
     if len(lengths) not in (2, 3):
         raise ParameterError(f"{owner}.size", size, "two or three finite numbers > 0")
     return lengths

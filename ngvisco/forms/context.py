@@ -23,9 +23,9 @@ from ngsolve import (
 from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.facets import boundary_facets, facets_with_two_sides
 from ngvisco.forms.spaces import Fields
+from ngvisco.physics.time import time
 
-time = Parameter(0.0)
-"""Time in seconds, to be used in loads that depend on it; its value is the end of the last step."""
+__all__ = ["Context", "Entry", "Integrand", "Kind", "Term", "cell_size", "inner_facets", "negative", "time"]
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from ngvisco.errors import ParameterError, _is_number, require_positive
 from ngvisco.physics.material import Material, check_material
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.physics.state_function import check_energy
 
 VectorLike: TypeAlias = CoefficientFunction | Sequence[float | CoefficientFunction]
 
@@ -139,6 +140,7 @@ class Model:
         if len(set(names)) < len(names):
             raise ParameterError("Model.loads", names, "distinct names")
         check_material(self.material)
+        check_energy(self.material)
 
 
 def as_vector(value: VectorLike, dim: int, field_name: str) -> CoefficientFunction:
