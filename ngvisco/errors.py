@@ -84,6 +84,10 @@ class CheckpointError(NgviscoError, RuntimeError):
     """A checkpoint cannot be read, or belongs to another mesh, discretisation or model."""
 
 
+class InputWarning(UserWarning):
+    """Input of which the model can use a part only; the message says what was done with the rest."""
+
+
 def as_number(value: object) -> float | None:
     """The finite real number that ``value`` is, or None.
 

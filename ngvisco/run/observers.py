@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from ngsolve import CF, CoefficientFunction, VTKOutput
 
-from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.errors import ParameterError, UnknownNameError, as_integer, require_count, require_positive
 from ngvisco.run.files import append, write_atomically
 
 if TYPE_CHECKING:
@@ -42,8 +42,9 @@ class Progress:
     """
 
     def __init__(self, until: float, every: int = 1, stream: TextIO | None = None) -> None:
-        _require_count("Progress.every", every)
-        self.until, self.every, self.stream = until, every, stream
+        require_count("Progress", every=every)
+        require_positive("Progress", until=until)
+        self.until, self.every, self.stream = float(until), int(every), stream
 
     def start(self, simulation: Simulation) -> None:
         self._began, self._from = clock.perf_counter(), simulation.t
@@ -142,9 +143,11 @@ class VTKSeries:
         times: Sequence[float] = (),
     ) -> None:
         if every is not None:
-            _require_count("VTKSeries.every", every)
+            require_count("VTKSeries", every=every)
+        if as_integer(subdivision) is None or subdivision < 0:
+            raise ParameterError("VTKSeries.subdivision", subdivision, "an integer >= 0")
         self.directory, self.every, self.times = Path(directory), every, tuple(times)
-        self.names, self.subdivision = fields, subdivision
+        self.names, self.subdivision = fields, int(subdivision)
         self.written: list[tuple[float, str]] = []
 
     def start(self, simulation: Simulation) -> None:
@@ -238,8 +241,3 @@ def _label_components(path: Path, fields: dict[str, CoefficientFunction]) -> Non
         attributes = "".join(f' ComponentName{i}="{label}"' for i, label in enumerate(labels))
         text = text.replace(f'Name="{name}" ', f'Name="{name}"{attributes} ')
     path.write_bytes(text.encode() + mark + tail)
-
-
-def _require_count(field: str, value: object) -> None:
-    if not (isinstance(value, int) and not isinstance(value, bool) and value >= 1):
-        raise ParameterError(field, value, "an integer >= 1")

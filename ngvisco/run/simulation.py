@@ -15,8 +15,9 @@ from typing import Protocol
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, Mesh
 
-from ngvisco.errors import ParameterError, _is_number, require_type
+from ngvisco.errors import ParameterError, as_number, require_positive, require_type
 from ngvisco.forms.context import Term, time
+from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
 from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.forms.momentum import Loading
@@ -27,11 +28,12 @@ from ngvisco.forms.walls import Conditions
 from ngvisco.physics.convexity import check_convexity
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, WithQuadratic, Yosida
-from ngvisco.physics.model import Model
+from ngvisco.physics.model import Model, as_vector
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.fields import output_fields
+from ngvisco.run.inputs import as_times, check_arguments, check_observer, times_of
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.passive import PassiveFields
 from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, RejectionObserver, make_stepper
@@ -113,20 +115,23 @@ class Simulation:
             ("newton", newton, NewtonOptions),
         ):
             require_type(f"Simulation.{name}", kind() if value is None else value, kind)
-        if not (_is_number(dt) and dt > 0):
-            raise ParameterError("Simulation.dt", dt, "a finite number > 0")
-        if velocity_scale is not None and not (_is_number(velocity_scale) and velocity_scale > 0):
-            raise ParameterError("Simulation.velocity_scale", velocity_scale, "a number > 0")
+        require_positive("Simulation", dt=dt)
+        if velocity_scale is not None:
+            require_positive("Simulation", velocity_scale=velocity_scale)
+        check_arguments(observers, walls, stepping, passive, sources)
         if isinstance(_innermost(model.material), (CustomMaterial, IsotropicStrainEnergy)):
             check_convexity(model.material, dim=mesh.dim)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
+        self.check_data([0.0])
         self.observers = list(observers)
         self.t, self.number = 0.0, 0
         set_initial(self.rothe_step, initial or Initial(), self.sampler)
-        self.set_velocity_scale(velocity_scale or self._typical_velocity())
+        v_0 = None if initial is None or initial.velocity is None else initial.velocity
+        warn_of_normal_parts(self.rothe_step, None if v_0 is None else as_vector(v_0, mesh.dim, "velocity"))
+        self.set_velocity_scale(float(velocity_scale or self._typical_velocity()))
         options = newton or NewtonOptions()
         if solver is not None:
             options = replace(options, method=solver)
@@ -231,8 +236,13 @@ class Simulation:
         StepError
             As ``advance``; observers are finished first.
         """
-        if not (_is_number(until) and until >= self.t):
+        end = as_number(until)
+        if end is None or end < self.t:
             raise ParameterError("until", until, f"a finite number >= {self.t:g}")
+        until, stops = end, as_times("stops", stops)
+        for observer in self.observers:
+            check_observer(observer)
+        self.check_data(times_of(self.t, until))
         for name, value in [("until", until), *(("stops", stop) for stop in stops)]:
             self.stepper.check(name, value)
         targets = sorted({*(stop for stop in stops if self.t < stop < until), until})
@@ -248,6 +258,14 @@ class Simulation:
         if failure is not None:
             raise failure
         return self.ledger
+
+    def check_data(self, times: Sequence[float]) -> None:
+        """Raise ParameterError for loads and walls that are not what they must be at one of the times, s.
+
+        ``run`` does so before its first step.
+        """
+        check_loads(self.rothe_step, self.sampler, times)
+        check_walls(self.rothe_step, times)
 
     def request_stop(self) -> None:
         """Let ``run`` end after the present step, with its observers finished."""
