@@ -48,14 +48,8 @@ def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = C
         If its name has another ending, or maxh is missing.
     """
     path = Path(path)
+    check_file(path)
     kind = path.suffix.lower()
-    if kind not in _ENDS:
-        raise ParameterError("load.path", str(path), f"a name that ends in {', '.join(_ENDS)}")
-    if not path.is_file():
-        raise MeshError(f"{path}: no such file")
-    text = path.read_text(encoding="utf-8", errors="replace")
-    if _ENDS[kind] not in text or (kind == ".brep" and not _is_whole_brep(text)):
-        raise MeshError(f"{path}: the file is cut short (no end of {_ENDS[kind]!r} in it)")
     try:
         mesh = _read(path, kind, maxh)
     except (MeshError, ParameterError):
@@ -65,6 +59,18 @@ def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = C
     if mesh.dim not in (2, 3) or mesh.ne == 0:
         raise MeshError(f"{path}: the mesh has no volume elements")
     return mesh.Curve(order) if order > 1 and kind not in (".vol", ".msh") else mesh
+
+
+def check_file(path: Path) -> None:
+    """Raise MeshError or ParameterError for a file that is no mesh or geometry at the first look."""
+    kind = path.suffix.lower()
+    if kind not in _ENDS:
+        raise ParameterError("load.path", str(path), f"a name that ends in {', '.join(_ENDS)}")
+    if not path.is_file():
+        raise MeshError(f"{path}: no such file")
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if _ENDS[kind] not in text or (kind == ".brep" and not _is_whole_brep(text)):
+        raise MeshError(f"{path}: the file is cut short (no end of {_ENDS[kind]!r} in it)")
 
 
 def _is_whole_brep(text: str) -> bool:

@@ -234,10 +234,11 @@ class Case:
             if name in fields:
                 self._check_names(value, (*path, name), dim)
                 self._check_length(value, (*path, name), dim)
-                if isinstance(value, dict):
-                    values[name] = {key: _as_function(field) for key, field in value.items()}
-                else:
-                    values[name] = value if isinstance(value, (int, float)) else _as_function(value)
+                with self._located(*path, name):
+                    if isinstance(value, dict):
+                        values[name] = {key: _as_function(field) for key, field in value.items()}
+                    else:
+                        values[name] = value if isinstance(value, (int, float)) else _as_function(value)
         return values
 
     def _check_names(self, value: Any, path: tuple[str, ...], dim: int) -> None:
@@ -271,14 +272,24 @@ class Case:
             where = _SECTION_OF_NAME.get(error.kind, path)
             raise self._error((*where, error.name), str(error)) from error
         except InitialDataError as error:
+            if error.field == "stored energy" and self._starts_at_rest:
+                names = ", ".join(parameters(self.sections.material))
+                message = f"its energy at rest is not finite: expected other values of {names}"
+                raise self._error(("material",), message) from error
             keys = [key for word, key in _INITIAL_KEYS.items() if word in error.field]
             raise self._error(("initial", *keys[:1]), str(error)) from error
         except MeshError as error:
-            raise self._error(("domain",), str(error)) from error
+            of_file = self.sections.domain.geometry == "file"  # type: ignore[attr-defined]
+            raise self._error(("domain", "path") if of_file else ("domain",), str(error)) from error
         except NgviscoError as error:
             raise self._error(path, str(error)) from error
         except Exception as error:  # NGSolve and Netgen raise bare exceptions for what they refuse
             raise self._error(path, f"{type(error).__name__}: {error}") from error
+
+    @property
+    def _starts_at_rest(self) -> bool:
+        initial: Any = self.sections.initial
+        return initial.F is None and not initial.values
 
     def _key_of(self, field: str, path: tuple[str, ...]) -> tuple[str, ...]:
         """The key of a parameter that is named as in ``Gravity.g`` or ``walls['top'].f``."""
@@ -290,6 +301,8 @@ class Case:
             return (owner, str(names.index(rest[0])), *rest[1:])
         if owner in ("until", "stops"):
             return ("time", "until")
+        if owner == "array":
+            return path
         return (*_SECTION_OF.get(owner, path), *rest)
 
     def _given(self, key: tuple[str, ...]) -> Any:
@@ -307,6 +320,7 @@ _SECTION_OF_NAME = {
     "material variable": ("initial", "values"),
     "passive field": ("output", "passive"),
     "boundary": ("walls",),
+    "wall": ("domain", "refine"),
 }
 _INITIAL_KEYS = {"rho_0": "density", "F_0": "F", "v_0": "velocity", "material variables": "values"}
 _SECTION_OF = {

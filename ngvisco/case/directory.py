@@ -156,21 +156,22 @@ class Log(Progress):
         stamp = clock.strftime("%Y-%m-%d %H:%M:%S")
         append(self.path, f"{stamp}  {line}\n")
 
-    @contextlib.contextmanager
-    def recording_warnings(self) -> Iterator[None]:
-        """Within: warnings are lines of the log too."""
-        shown = warnings.showwarning
-
-        def show(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
-            self.write(f"{category.__name__}: {message}")
-            shown(message, category, *where, **options)
-
-        with warnings.catch_warnings():
-            warnings.showwarning = show
-            yield
-
     def _print(self, line: str) -> None:
         self.write(line)
+
+
+@contextlib.contextmanager
+def noting_warnings(note: Callable[[str], None]) -> Iterator[None]:
+    """Within: warnings are given to ``note`` too, each as a line."""
+    shown = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
+        note(f"{category.__name__}: {message}")
+        shown(message, category, *where, **options)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield
 
 
 def run(
@@ -199,14 +200,16 @@ def run(
     if not force:
         place.refuse_results()
     # all that can be wrong with the case is found here, before anything is written or removed
-    image = _mesh_image(case.mesh())
-    simulation = case.simulation(_mesh_of(image))
+    notes = [f"run: {case.sections.title or case.source}"]
+    with noting_warnings(notes.append):
+        image = _mesh_image(case.mesh())
+        simulation = case.simulation(_mesh_of(image))
     with place.locked():
         if not force:
             place.refuse_results()
         place.clear()
         place.prepare(case, image)
-        return _go(place, case, simulation, None, observers, "run")
+        return _go(place, case, simulation, None, observers, notes)
 
 
 def resume(
@@ -224,8 +227,10 @@ def resume(
     with place.locked():
         if not place.is_prepared:  # killed while it was
             place.prepare(case, _mesh_image(case.mesh()))
-        simulation = case.simulation(place.mesh())
-        return _go(place, case, simulation, until, observers, "resume")
+        notes = [f"resume: {case.sections.title or case.source}"]
+        with noting_warnings(notes.append):
+            simulation = case.simulation(place.mesh())
+        return _go(place, case, simulation, until, observers, notes)
 
 
 def _go(
@@ -234,7 +239,7 @@ def _go(
     simulation: Simulation,
     until: float | None,
     observers: Sequence[Observer],
-    what: str,
+    notes: Sequence[str],
 ) -> Simulation:
     end = case.until if until is None else until
     if place.run_file.exists():
@@ -246,11 +251,12 @@ def _go(
     log = Log(place.log_file, end, case.sections.output.log_every)
     # an end time given to resume is an output time of its own
     simulation.observers += [*case.observers(place.path, end), log, *observers]
-    log.write(f"{what}: {case.sections.title or case.source}")
+    for note in notes:
+        log.write(note)
     if simulation.number:
         log.write(f"from the checkpoint of step {simulation.number}, t = {simulation.t:g} s")
     try:
-        with log.recording_warnings():
+        with noting_warnings(log.write):
             simulation.run(max(end, simulation.t), case.output_times(end))
     except BaseException as error:
         with contextlib.suppress(OSError):  # a full disk is what may have ended the run

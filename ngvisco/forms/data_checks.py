@@ -41,6 +41,9 @@ def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
         for t in _at(times):
             if not np.isfinite(sampler.values(vector)).all():
                 expected = f"finite values; at t = {t:g} s it is not finite somewhere"
+                if isinstance(load, CentralGravity):
+                    expected = f"centre, strength, radius and exponent that give {expected}"
+                    raise ParameterError(f"loads[{load.name!r}]", load, expected)
                 raise ParameterError(f"loads[{load.name!r}].{name}", value, expected)
 
 

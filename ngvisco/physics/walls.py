@@ -93,6 +93,11 @@ class NavierFriction(Wall):
 
     def __post_init__(self) -> None:
         if isinstance(self.coefficient, CoefficientFunction):
+            if self.coefficient.dim != 1:
+                shape = f"a function of shape {tuple(self.coefficient.dims)}"
+                raise ParameterError(
+                    "NavierFriction.coefficient", shape, "a number >= 0 or a scalar function"
+                )
             return
         number = as_number(self.coefficient)
         if number is None or number < 0:
