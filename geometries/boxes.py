@@ -21,7 +21,7 @@ from netgen.occ import (
 )
 from ngsolve import Mesh
 
-from ngvisco.errors import ParameterError, as_number
+from ngvisco.errors import ParameterError, as_number, require_names
 from ngvisco.geometries.meshing import CURVE_ORDER, as_length, is_delicate, mesh_of, unit_of
 
 _WALLS = {
@@ -227,7 +227,7 @@ def _middle(wall: Any) -> tuple[float, ...]:
 def _identify(shape: Any, dim: int, lengths: Sequence[float], periodic: str | Sequence[str]) -> None:
     walls = shape.edges if dim == 2 else shape.faces
     axes = dict(zip("xyz", (X, Y, Z)[:dim], strict=False))
-    for name in periodic:
+    for name in periodic if isinstance(periodic, str) else require_names("box.periodic", periodic):
         if name not in axes:
             raise ParameterError("box.periodic", periodic, f"some of {', '.join(axes)}")
         shift = [0.0, 0.0, 0.0]

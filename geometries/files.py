@@ -12,7 +12,7 @@ from netgen.occ import OCCGeometry, Pnt
 from netgen.read_gmsh import ReadGmsh
 from ngsolve import Mesh
 
-from ngvisco.errors import MeshError, ParameterError
+from ngvisco.errors import MeshError, ParameterError, require_path
 from ngvisco.geometries.meshing import CURVE_ORDER, is_delicate, mesh_of, unit_of
 
 _FLAT = 1e-6  # of a sheet's width, above and below z = 0; OCC's bounding boxes have a margin
@@ -47,7 +47,7 @@ def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = C
     ParameterError
         If its name has another ending, or maxh is missing.
     """
-    path = Path(path)
+    path = require_path("load.path", path)
     check_file(path)
     kind = path.suffix.lower()
     try:

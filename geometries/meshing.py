@@ -20,7 +20,7 @@ from netgen.meshing import NetgenGeometry
 from netgen.occ import OCCGeometry, Pnt
 from ngsolve import BND, CF, VOL, Integrate, Mesh
 
-from ngvisco.errors import MeshError, ParameterError, UnknownNameError, as_number
+from ngvisco.errors import MeshError, ParameterError, UnknownNameError, as_number, require_names
 
 CURVE_ORDER = 3
 """Order of curved cells: one above the default velocity, so that the geometry's error is not the largest."""
@@ -130,6 +130,8 @@ def mesh_of(
     walls = shape.edges if dim == 2 else shape.faces
     known = {str(wall.name) for wall in walls if wall.name}
     cells = {f"{owner}.maxh": (maxh, sum(part.mass for part in _interior(shape, dim)), size, dim)}
+    if not isinstance(refine, Mapping | None):
+        raise ParameterError(f"{owner}.refine", refine, "a mapping of walls to cell sizes")
     for name, value in (refine or {}).items():
         field = f"{owner}.refine[{name!r}]"
         local = as_length(field, value) / unit
@@ -247,7 +249,7 @@ def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
     number = as_number(times)
     if number is None or number != int(number) or number < 0:
         raise ParameterError("refine_walls.times", times, "an integer >= 0")
-    names = [names] if isinstance(names, str) else list(names)
+    names = [names] if isinstance(names, str) else require_names("refine_walls.names", names)
     known = set(mesh.GetBoundaries())
     for name in names:
         if name not in known:

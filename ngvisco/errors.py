@@ -10,7 +10,8 @@ import difflib
 import math
 import numbers
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class UnknownNameError(NgviscoError, KeyError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
         self.kind, self.name, self.known = kind, name, sorted(set(known))
-        close = difflib.get_close_matches(name, self.known, n=1)
+        close = difflib.get_close_matches(str(name), self.known, n=1)
         hint = f"; did you mean {close[0]!r}?" if close else ""
         self.message = f"unknown {kind} {name!r}{hint} (known: {', '.join(self.known) or 'none'})"
         super().__init__(self.message)
@@ -170,6 +171,38 @@ def require_type(field: str, value: object, kind: type) -> None:
     """Raise ParameterError unless the value is a ``kind``."""
     if not isinstance(value, kind):
         raise ParameterError(field, value, f"a {kind.__module__.split('.')[0]}.{kind.__name__}")
+
+
+def require_path(field: str, value: object) -> Path:
+    """The path; raises ParameterError for what is none."""
+    try:
+        return Path(value)  # type: ignore[arg-type]
+    except TypeError:
+        raise ParameterError(field, value, "a path") from None
+
+
+def require_collection(field: str, value: object, expected: str) -> list[Any]:
+    """The members of a sequence, set or array; raises ParameterError for others, a text and a mapping."""
+    is_whole = hasattr(value, "__iter__") and hasattr(value, "__len__")
+    if isinstance(value, (str, bytes, Mapping)) or not is_whole:
+        raise ParameterError(field, value, expected)
+    return list(value)  # type: ignore[call-overload]
+
+
+def require_names(field: str, value: object) -> list[str]:
+    """The names in a sequence of texts; raises ParameterError for anything else, and for one text."""
+    names = require_collection(field, value, "a sequence of names")
+    if not all(isinstance(name, str) for name in names):
+        raise ParameterError(field, value, "a sequence of names")
+    return names
+
+
+def as_times(field: str, value: object) -> list[float]:
+    """The times, s, in a sequence; raises ParameterError for anything that is no finite number."""
+    times = [as_number(time) for time in require_collection(field, value, "a sequence of times, s")]
+    if any(time is None for time in times):
+        raise ParameterError(field, value, "a sequence of finite numbers, s")
+    return [time for time in times if time is not None]
 
 
 def require_choice(owner: object, choices: Sequence[object], **values: object) -> None:

@@ -26,6 +26,7 @@ from ngvisco.errors import (
     NgviscoError,
     ParameterError,
     UnknownNameError,
+    require_path,
 )
 from ngvisco.forms.boundaries import check_boundary_names
 from ngvisco.forms.context import time
@@ -53,7 +54,7 @@ def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Cas
     CaseError
         With every fault found: its line, key path, value, what is allowed and the nearest match.
     """
-    source = Path(path)
+    source = require_path("load_case.path", path)
     try:
         with source.open("rb") as file:
             raw = file.read(MAX_FILE_SIZE + 1)

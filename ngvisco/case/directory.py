@@ -39,7 +39,7 @@ from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.case.build import Case, load_case
 from ngvisco.case.meshfile import require_whole
-from ngvisco.errors import CheckpointError, MeshError, NgviscoError
+from ngvisco.errors import CheckpointError, MeshError, NgviscoError, require_path
 from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.files import append, write_atomically
@@ -55,7 +55,7 @@ class RunDirectory:
     """Names and files of a run directory."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
+        self.path = require_path("directory", path)
         self.case_file = self.path / "case.toml"
         self.versions_file = self.path / "versions.json"
         self.mesh_file = self.path / "mesh.vol"

@@ -36,7 +36,7 @@ import h5py
 import numpy as np
 from ngsolve import Mesh
 
-from ngvisco.errors import CheckpointError, require_count
+from ngvisco.errors import CheckpointError, require_count, require_path
 from ngvisco.forms.mesh_arrays import coordinates, vertices
 from ngvisco.physics.material import Material
 from ngvisco.physics.pointwise import sampled_energies
@@ -94,7 +94,8 @@ class Checkpoints:
     ) -> None:
         for name, value in (("every", every), ("keep", keep)):
             require_count("Checkpoints", **{name: value})
-        self.path, self.every, self.keep = Path(path), int(every), int(keep)
+        self.path = require_path("Checkpoints.path", path)
+        self.every, self.keep = int(every), int(keep)
         self.attributes = dict(attributes or {})
         self._kept: dict[int, Snapshot] = {}
 
@@ -219,14 +220,15 @@ def restore(
         If the file is missing or damaged, has no such checkpoint, or belongs to another mesh,
         discretisation or material, or other ``attributes``; the message says which.
     """
+    path = require_path("restore.path", path)
     expected = identity(simulation) | dict(attributes or {})
-    one = _read_checkpoint(Path(path), expected, step)
+    one = _read_checkpoint(path, expected, step)
     vector, state = simulation.rothe_step.state.vec, one.arrays[""]["state"]
     if state.shape != (len(vector),):
         raise CheckpointError(f"{path}: the state has {state.size} coefficients, not {len(vector)}")
     numbers = one.numbers[""]
     number = int(numbers["step"])
-    rows = [row for row in read_ledger_rows(Path(path), simulation.ledger.columns) if row["step"] <= number]
+    rows = [row for row in read_ledger_rows(path, simulation.ledger.columns) if row["step"] <= number]
     if [row["step"] for row in rows] != list(range(number + 1)):
         raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
     simulation.passive.load(one.arrays["passive"])
@@ -278,12 +280,13 @@ def read_ledger(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     CheckpointError
         If the file cannot be read, or its ledger is not as it was written.
     """
-    if not Path(path).exists():
+    path = require_path("read_ledger.path", path)
+    if not path.exists():
         raise CheckpointError(f"{path}: no such file")
     try:
         with h5py.File(path, "r") as file:
             columns = {name: np.array(data) for name, data in file["ledger"].items()}
-            _verify(Path(path), file["ledger"], _digest({}, columns))
+            _verify(path, file["ledger"], _digest({}, columns))
             return columns
     except CheckpointError:
         raise

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ngvisco.errors import ParameterError, as_number, require_type
+from ngvisco.errors import ParameterError, require_collection, require_names, require_type
 from ngvisco.physics.walls import Wall
 from ngvisco.run.stepping import AdaptiveSteps
 
@@ -16,10 +16,10 @@ def check_arguments(
     """Raise ParameterError for an argument of ``Simulation`` of the wrong type."""
     if stepping is not None:
         require_type("Simulation.stepping", stepping, AdaptiveSteps)
-    _require_sequence("Simulation.observers", observers, "a sequence of observers")
+    require_collection("Simulation.observers", observers, "a sequence of observers")
     for observer in observers:  # type: ignore[attr-defined]
         check_observer(observer)
-    _require_sequence("Simulation.passive", passive, "a sequence of names of fields")
+    require_names("Simulation.passive", passive)
     if walls is not None:
         _check_walls(walls)
     if sources is not None and not _has_methods(sources, ("form", "entries")):
@@ -32,15 +32,6 @@ def check_observer(observer: object) -> None:
         raise ParameterError(
             "Simulation.observers", observer, "objects with the methods start, step and finish"
         )
-
-
-def as_times(name: str, values: object) -> list[float]:
-    """A sequence of times, s; raises ParameterError for anything that is no finite number."""
-    _require_sequence(name, values, "a sequence of times, s")
-    times = [as_number(value) for value in values]  # type: ignore[attr-defined]
-    if None in times:
-        raise ParameterError(name, values, "a sequence of finite numbers, s")
-    return [time for time in times if time is not None]
 
 
 def times_of(start: float, end: float) -> list[float]:
@@ -68,10 +59,3 @@ def _check_walls(walls: Any) -> None:
 
 def _has_methods(value: object, names: Sequence[str]) -> bool:
     return all(callable(getattr(value, name, None)) for name in names)
-
-
-def _require_sequence(field: str, value: object, expected: str) -> None:
-    """Any iterable that can be gone through again, but no text."""
-    is_whole = hasattr(value, "__iter__") and hasattr(value, "__len__")
-    if isinstance(value, (str, bytes, Mapping)) or not is_whole:
-        raise ParameterError(field, value, expected)

@@ -20,7 +20,16 @@ from typing import TYPE_CHECKING, TextIO
 
 from ngsolve import CF, CoefficientFunction, VTKOutput
 
-from ngvisco.errors import ParameterError, UnknownNameError, as_integer, require_count, require_positive
+from ngvisco.errors import (
+    ParameterError,
+    UnknownNameError,
+    as_integer,
+    as_times,
+    require_count,
+    require_names,
+    require_path,
+    require_positive,
+)
 from ngvisco.run.files import append, write_atomically
 
 if TYPE_CHECKING:
@@ -93,7 +102,7 @@ class LedgerCSV:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
+        self.path = require_path("LedgerCSV.path", path)
 
     def start(self, simulation: Simulation) -> None:
         columns = simulation.ledger.columns
@@ -146,7 +155,10 @@ class VTKSeries:
             require_count("VTKSeries", every=every)
         if as_integer(subdivision) is None or subdivision < 0:
             raise ParameterError("VTKSeries.subdivision", subdivision, "an integer >= 0")
-        self.directory, self.every, self.times = Path(directory), every, tuple(times)
+        self.directory, self.every = require_path("VTKSeries.directory", directory), every
+        self.times = tuple(as_times("VTKSeries.times", times))
+        if fields is not None:
+            require_names("VTKSeries.fields", fields)
         self.names, self.subdivision = fields, int(subdivision)
         self.written: list[tuple[float, str]] = []
 

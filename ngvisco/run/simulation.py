@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, Mesh
 
-from ngvisco.errors import ParameterError, as_number, require_positive, require_type
+from ngvisco.errors import ParameterError, as_number, as_times, require_positive, require_type
 from ngvisco.forms.context import Term, time
 from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
@@ -28,12 +28,12 @@ from ngvisco.forms.walls import Conditions
 from ngvisco.physics.convexity import check_convexity
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, WithQuadratic, Yosida
-from ngvisco.physics.model import Model, as_vector
+from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.fields import output_fields
-from ngvisco.run.inputs import as_times, check_arguments, check_observer, times_of
+from ngvisco.run.inputs import check_arguments, check_observer, times_of
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.passive import PassiveFields
 from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, RejectionObserver, make_stepper
@@ -129,8 +129,7 @@ class Simulation:
         self.observers = list(observers)
         self.t, self.number = 0.0, 0
         set_initial(self.rothe_step, initial or Initial(), self.sampler)
-        v_0 = None if initial is None or initial.velocity is None else initial.velocity
-        warn_of_normal_parts(self.rothe_step, None if v_0 is None else as_vector(v_0, mesh.dim, "velocity"))
+        warn_of_normal_parts(self.rothe_step, None if initial is None else initial.velocity)
         self.set_velocity_scale(float(velocity_scale or self._typical_velocity()))
         options = newton or NewtonOptions()
         if solver is not None:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 from ngsolve import CF, GridFunction
 
-from ngvisco.errors import ParameterError, StepError, require_above, require_positive
+from ngvisco.errors import ParameterError, StepError, require_count, require_positive
 from ngvisco.physics.tensors import square
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class AdaptiveSteps:
             raise ParameterError("AdaptiveSteps.dt_max", self.dt_max, f"at least dt_min = {self.dt_min:g}")
         if self.tolerance is not None:
             require_positive(self, tolerance=self.tolerance)
-        require_above(self, 0, patience=self.patience)
+        require_count(self, patience=self.patience)
 
 
 @dataclass(frozen=True)

@@ -200,7 +200,6 @@ def swept(name, both):
 NAMES = sorted({name_of(path, table) for path, table, _ in keys()})
 
 
-@pytest.mark.filterwarnings("ignore::ngvisco.InputWarning")
 @pytest.mark.parametrize("name", NAMES)
 def test_a_wrong_value_is_refused_under_its_key_or_runs(name, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
@@ -209,7 +208,6 @@ def test_a_wrong_value_is_refused_under_its_key_or_runs(name, monkeypatch, tmp_p
 
 
 @pytest.mark.long
-@pytest.mark.filterwarnings("ignore::ngvisco.InputWarning")
 @pytest.mark.parametrize("name", NAMES)
 def test_both_extremes_of_every_number(name, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)

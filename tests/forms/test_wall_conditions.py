@@ -91,7 +91,6 @@ CASES = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::ngvisco.InputWarning")  # normal parts that are left out
 @pytest.mark.parametrize("name", CASES)
 def test_ledger_closes_and_mass_stays_with_every_wall(name):
     mesh, walls, initial, loads = CASES[name]
@@ -196,7 +195,6 @@ def test_velocity_rate_on_a_disc_is_k_plus_a_half(order):
     assert np.log2(errors[1] / errors[2]) > order + 0.4
 
 
-@pytest.mark.filterwarnings("ignore::ngvisco.InputWarning")  # tangential to the disc, not to the polygon
 @pytest.mark.parametrize(("order", "rate"), [(2, 2.4), (3, 1.7)])
 def test_velocity_is_worse_on_polygons(order, rate):
     """Polygons that approach the disc, for k = 3 (Babuska); with k = 2 only means of v.n are held."""

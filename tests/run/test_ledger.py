@@ -201,10 +201,6 @@ def run_of(
     return Simulation(mesh, model, dt=tau, initial=initial, newton=NewtonOptions(tolerance=tolerance))
 
 
-THROUGH_WALLS = pytest.mark.filterwarnings("ignore::ngvisco.InputWarning")
-"""The start velocity in 3D has normal parts on walls, which the projection takes away."""
-
-
 @pytest.mark.parametrize(
     "dim, material, creep",
     [
@@ -217,7 +213,6 @@ THROUGH_WALLS = pytest.mark.filterwarnings("ignore::ngvisco.InputWarning")
         (3, "neo_hookean", True),
     ],
 )
-@THROUGH_WALLS
 def test_ledger_closes_to_rounding(dim: int, material: str, creep: bool) -> None:
     """With gravity that changes in time; every entry at work."""
     run = run_of(dim, material, creep=creep)
@@ -243,7 +238,6 @@ def test_ledger_closes_to_rounding(dim: int, material: str, creep: bool) -> None
         *((3, material, factor) for material in ("linear", "neo_hookean") for factor in (1, 100)),
     ],
 )
-@THROUGH_WALLS
 def test_energy_never_rises_without_load(dim: int, material: str, factor: int) -> None:
     """Whatever the step (the paper's unconditional stability)."""
     run = run_of(dim, material, tau=0.05 * factor, loaded=False)

@@ -9,7 +9,7 @@ from operator import add
 import numpy as np
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, UnknownNameError, require_positive
+from ngvisco.errors import ParameterError, UnknownNameError, require_names, require_positive
 from ngvisco.physics.material import Material, component_count, component_slices
 from ngvisco.physics.pointwise import Respond, Response
 from ngvisco.physics.tensors import inner
@@ -47,6 +47,8 @@ class WithQuadratic(Material):
             raise ParameterError("WithQuadratic.material", self.material, "a Material")
         require_positive(self, delta=self.delta)
         names = [v.name for v in self.material.variables]
+        if self.only is not None:
+            require_names("WithQuadratic.only", self.only)
         for name in self.only or ():
             if name not in names:
                 raise UnknownNameError("material variable", name, names)
