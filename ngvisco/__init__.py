@@ -15,6 +15,7 @@ from pathlib import Path
 from ngvisco.errors import (
     CheckpointError,
     InitialDataError,
+    InputWarning,
     MeshError,
     NgviscoError,
     ParameterError,
@@ -49,6 +50,7 @@ from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
+from ngvisco.run.closure import ClosureWarning
 from ngvisco.run.ledger import DefectWarning
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields
@@ -95,6 +97,7 @@ __all__ = [
     "CentralGravity",
     "CheckpointError",
     "Checkpoints",
+    "ClosureWarning",
     "ConvexityReport",
     "ConvexityWarning",
     "Creep",
@@ -106,6 +109,7 @@ __all__ = [
     "HyperViscosity",
     "Initial",
     "InitialDataError",
+    "InputWarning",
     "IsochoricNeoHookean",
     "IsotropicStrainEnergy",
     "IsotropyReport",

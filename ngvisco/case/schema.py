@@ -22,7 +22,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model,
 
 from ngvisco.case import catalogue
 from ngvisco.case.expressions import parse
-from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.errors import ParameterError, UnknownNameError, as_number
 from ngvisco.physics.material import Material as MaterialObject
 from ngvisco.timestepping.scheme import SCHEMES, scheme_of
 
@@ -46,7 +46,7 @@ def _check_field(value: Any) -> Any:
         parse(value)
     elif isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError("expected a number, an expression in quotes, or an array of them")
-    elif not math.isfinite(value):
+    elif as_number(value) is None:
         raise ValueError("expected a finite number")
     return value
 

@@ -21,11 +21,11 @@ from ngsolve import (
 )
 
 from ngvisco.forms.energy import StoredEnergy
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.facets import boundary_facets, facets_with_two_sides
 from ngvisco.forms.spaces import Fields
+from ngvisco.physics.time import time
 
-time = Parameter(0.0)
-"""Time in seconds, to be used in loads that depend on it; its value is the end of the last step."""
+__all__ = ["Context", "Entry", "Integrand", "Kind", "Term", "cell_size", "inner_facets", "negative", "time"]
 
 Value = TypeVar("Value")
 
@@ -171,10 +171,12 @@ def periodic_facets(mesh: Mesh) -> set[int]:
 
 
 def inner_facets(mesh: Mesh) -> GridFunction:
-    """1 on facets between two cells, also identified ones, 0 on walls: nothing is carried through a wall."""
-    space = FacetFESpace(mesh, order=0)
-    indicator = GridFunction(space)
-    wall = mask_of(space.GetDofs(mesh.Boundaries(".*")))
+    """1 on facets between two cells, also identified ones and interfaces, 0 on walls.
+
+    Nothing is carried through a wall.
+    """
+    indicator = GridFunction(FacetFESpace(mesh, order=0))
+    wall = boundary_facets(mesh) & ~facets_with_two_sides(mesh)
     wall[list(periodic_facets(mesh))] = False
     indicator.vec.FV().NumPy()[:] = ~wall
     return indicator

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued
 
-from ngvisco.errors import require_positive
+from ngvisco.errors import ParameterError, as_integer, require_positive, require_type
 from ngvisco.physics.material import (
     Material,
     component_count,
@@ -88,8 +88,14 @@ def check_convexity(
     -------
     ConvexityReport
     """
-    require_positive(check_convexity, spread=spread)
-    rng = np.random.default_rng(seed)
+    require_type("check_convexity.material", material, Material)
+    require_positive("check_convexity", spread=spread)
+    dim, number = as_integer(dim) or 0, as_integer(seed)
+    if dim not in (2, 3):
+        raise ParameterError("check_convexity.dim", dim, "2 or 3")
+    if number is None or number < 0:
+        raise ParameterError("check_convexity.seed", seed, "an integer >= 0")
+    rng = np.random.default_rng(number)
     sampling = StateSampling(material, dim)
     a = sampling.random_states(rng, spread)
     phi_a, slope = sampling.energy_and_slope(a)

@@ -41,7 +41,15 @@ ElasticState: TypeAlias = Literal["F", "B"]
 
 
 class Material(ABC):
-    """What a constitutive law supplies: ``variables`` and ``energy``."""
+    """What a constitutive law supplies: ``variables`` and ``energy``.
+
+    Attributes
+    ----------
+    energy_parameter : str
+        The parameter that the energy is given by, for messages; ``"energy"`` where it is the method itself.
+    """
+
+    energy_parameter = "energy"
 
     @property
     @abstractmethod
@@ -71,8 +79,11 @@ class Material(ABC):
 
 def check_material(material: Material) -> None:
     """Raise ParameterError when a material's list of variables does not make sense."""
-    names = [v.name for v in material.variables]
     owner = type(material).__name__
+    for variable in material.variables:
+        if not isinstance(variable, Variable):
+            raise ParameterError(f"{owner}.variables", variable, "Variable objects, e.g. Distortion()")
+    names = [v.name for v in material.variables]
     if not names:
         raise ParameterError(f"{owner}.variables", names, "at least one variable")
     if len(set(names)) < len(names):

@@ -2,8 +2,9 @@
 
 Layout::
 
-    /                               attributes: format, ngvisco, mesh, spaces, material, scheme and any that
-                                    the caller adds (``case``, the hash of a case file's physics)
+    /                               attributes: format, ngvisco, mesh, spaces, material, energies (Pa, at
+                                    fixed states, by which an energy is known again), scheme and any that the
+                                    caller adds (``case``, the hash of a case file's physics)
     /ledger/<column>                one value a step, attribute ``unit``
     /checkpoints/<step>/state       all coefficients of the step's space; attributes time (s), step,
                                     energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s)
@@ -12,6 +13,9 @@ Layout::
                                     solutions, which start values are extrapolated from; empty for none
     /checkpoints/<step>/stepping    what the choice of the next step depends on, empty for fixed steps
     /checkpoints/<step>/passive     coefficients of the run's passive fields, if any
+
+The ledger and each checkpoint have the attribute ``checksum``, the SHA-256 of all their numbers: a file in
+which a bit has changed is refused.
 
 The file is made in memory, written beside and renamed, so that a kill or a full disk at any moment
 leaves the last one readable.  A restart factorises the Jacobian where the run had done so, and goes
@@ -25,7 +29,7 @@ import hashlib
 import importlib.metadata
 import io
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,9 +37,10 @@ import h5py
 import numpy as np
 from ngsolve import Mesh
 
-from ngvisco.errors import CheckpointError, ParameterError
+from ngvisco.errors import CheckpointError, require_count, require_path
 from ngvisco.forms.mesh_arrays import coordinates, vertices
 from ngvisco.physics.material import Material
+from ngvisco.physics.pointwise import sampled_energies
 from ngvisco.run.files import write_atomically
 from ngvisco.run.ledger import Balance, unit
 
@@ -50,6 +55,7 @@ UNITS = (
 """Of the checkpoints' attributes, as the file says itself; those of the ledger stand at its columns."""
 _WHOLE = ("step", "newton_iterations", "rejections")
 """Ledger columns of whole numbers."""
+_CHECKSUM = "checksum"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +64,14 @@ class Snapshot:
 
     numbers: dict[str, dict[str, float]]
     arrays: dict[str, dict[str, np.ndarray]]
+
+    @property
+    def checksum(self) -> str:
+        """SHA-256 of all of it."""
+        return _digest(
+            {f"{part}/{k}": v for part, named in self.numbers.items() for k, v in named.items()},
+            {f"{part}/{k}": v for part, named in self.arrays.items() for k, v in named.items()},
+        )
 
 
 class Checkpoints:
@@ -83,9 +97,9 @@ class Checkpoints:
         attributes: Mapping[str, str] | None = None,
     ) -> None:
         for name, value in (("every", every), ("keep", keep)):
-            if not (isinstance(value, int) and value >= 1):
-                raise ParameterError(f"Checkpoints.{name}", value, "an integer >= 1")
-        self.path, self.every, self.keep = Path(path), every, keep
+            require_count("Checkpoints", **{name: value})
+        self.path = require_path("Checkpoints.path", path)
+        self.every, self.keep = int(every), int(keep)
         self.attributes = dict(attributes or {})
         self._kept: dict[int, Snapshot] = {}
 
@@ -114,6 +128,7 @@ class Checkpoints:
             for column in simulation.ledger.columns:
                 data = group.create_dataset(column, data=simulation.ledger.column(column))
                 data.attrs["unit"] = unit(column)
+            group.attrs[_CHECKSUM] = _digest({}, {name: np.array(data) for name, data in group.items()})
             for number, one in kept.items():
                 _store(file.create_group(f"checkpoints/{number:08d}"), one)
         write_atomically(self.path, image.getvalue())
@@ -121,6 +136,7 @@ class Checkpoints:
 
 
 def _store(group: h5py.Group, one: Snapshot) -> None:
+    group.attrs[_CHECKSUM] = one.checksum
     for name, numbers in one.numbers.items():
         part = group.require_group(name) if name else group
         part.attrs.update(numbers)
@@ -128,20 +144,45 @@ def _store(group: h5py.Group, one: Snapshot) -> None:
             part.create_dataset(key, data=array)
 
 
-def _load(group: h5py.Group) -> Snapshot:
+def _load(path: Path, group: h5py.Group) -> Snapshot:
     parts = {"": group} | {name: group[name] for name in ("solver", "stepping", "passive")}
-    numbers = {name: {k: float(v) for k, v in part.attrs.items()} for name, part in parts.items()}
+    numbers = {
+        name: {k: float(v) for k, v in part.attrs.items() if k != _CHECKSUM} for name, part in parts.items()
+    }
     arrays = {
         name: {key: np.array(data) for key, data in part.items() if isinstance(data, h5py.Dataset)}
         for name, part in parts.items()
     }
-    return Snapshot(numbers, arrays)
+    one = Snapshot(numbers, arrays)
+    _verify(path, group, one.checksum)
+    return one
+
+
+def _digest(numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 of named numbers and arrays."""
+    digest = hashlib.sha256()
+    for name, value in sorted(numbers.items()):
+        digest.update(f"{name}={float(value).hex()};".encode())
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name}:{array.dtype.str}{array.shape};".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _verify(path: Path, group: h5py.Group, checksum: str) -> None:
+    """Raise CheckpointError unless the group's checksum is this one."""
+    found = group.attrs.get(_CHECKSUM)
+    if found != checksum:
+        what = "has no checksum" if found is None else "is damaged (its checksum differs)"
+        raise CheckpointError(f"{path}: {group.name.lstrip('/')} {what}; go on from another copy of the file")
 
 
 def _read_snapshots(path: Path) -> dict[int, Snapshot]:
     try:
         with h5py.File(path, "r") as file:
-            return {int(name): _load(group) for name, group in file["checkpoints"].items()}
+            return {int(name): _load(path, group) for name, group in file["checkpoints"].items()}
+    except CheckpointError:
+        raise
     except _UNREADABLE as error:
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
 
@@ -183,14 +224,17 @@ def restore(
         If the file is missing or damaged, has no such checkpoint, or belongs to another mesh,
         discretisation or material, or other ``attributes``; the message says which.
     """
+    path = require_path("restore.path", path)
     expected = identity(simulation) | dict(attributes or {})
-    one = _read_checkpoint(Path(path), expected, step)
+    one = _read_checkpoint(path, expected, step)
     vector, state = simulation.rothe_step.state.vec, one.arrays[""]["state"]
     if state.shape != (len(vector),):
         raise CheckpointError(f"{path}: the state has {state.size} coefficients, not {len(vector)}")
     numbers = one.numbers[""]
     number = int(numbers["step"])
-    rows = [row for row in read_ledger_rows(Path(path)) if row["step"] <= number]
+    rows = [row for row in read_ledger_rows(path, simulation.ledger.columns) if row["step"] <= number]
+    if [row["step"] for row in rows] != list(range(number + 1)):
+        raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
     simulation.passive.load(one.arrays["passive"])
     vector.FV().NumPy()[:] = state
     simulation.rothe_step.state_old.vec.data = vector
@@ -216,13 +260,17 @@ def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> 
                 found = file.attrs.get(name)
                 if name != "ngvisco" and found != value:
                     found = found.item() if isinstance(found, np.generic) else found
-                    raise CheckpointError(f"{path}: its {name} is {found!r}, this run's is {value!r}")
+                    verb = "are" if name == "energies" else "is"
+                    message = f"its {name} {verb} {found!r}, this run's {verb} {value!r}"
+                    raise CheckpointError(f"{path}: {message}")
             names = sorted(file["checkpoints"])
+            if not names:
+                raise CheckpointError(f"{path}: it holds no checkpoint: start the run anew")
             name = names[-1] if step is None else f"{step:08d}"
             if name not in names:
                 steps = ", ".join(str(int(n)) for n in names)
                 raise CheckpointError(f"{path}: no checkpoint of step {step} (there are {steps})")
-            return _load(file["checkpoints"][name])
+            return _load(path, file["checkpoints"][name])
     except CheckpointError:
         raise
     except _UNREADABLE as error:
@@ -230,24 +278,43 @@ def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> 
 
 
 def read_ledger(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """The ledger of a run's HDF5 file, an array a column."""
+    """The ledger of a run's HDF5 file, an array a column.
+
+    Raises
+    ------
+    CheckpointError
+        If the file cannot be read, or its ledger is not as it was written.
+    """
+    path = require_path("read_ledger.path", path)
+    if not path.exists():
+        raise CheckpointError(f"{path}: no such file")
     try:
         with h5py.File(path, "r") as file:
-            return {name: np.array(data) for name, data in file["ledger"].items()}
+            columns = {name: np.array(data) for name, data in file["ledger"].items()}
+            _verify(path, file["ledger"], _digest({}, columns))
+            return columns
+    except CheckpointError:
+        raise
     except _UNREADABLE as error:
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
 
 
-def read_ledger_rows(path: Path) -> list[dict[str, float]]:
-    """The same as rows."""
-    columns = read_ledger(path)
-    count = len(next(iter(columns.values()), ()))
+def read_ledger_rows(path: Path, columns: Sequence[str]) -> list[dict[str, float]]:
+    """The same as rows of the given columns; CheckpointError for one that is missing or too short."""
+    found = read_ledger(path)
+    if missing := [name for name in columns if name not in found]:
+        raise CheckpointError(f"{path}: its ledger has no column {', '.join(missing)}")
+    if len({found[name].shape for name in columns}) != 1 or found[columns[0]].ndim != 1:
+        raise CheckpointError(f"{path}: the columns of its ledger have different lengths")
     kinds = {name: int if name in _WHOLE else float for name in columns}
-    return [{name: kinds[name](data[i]) for name, data in columns.items()} for i in range(count)]
+    return [{name: kinds[name](found[name][i]) for name in columns} for i in range(len(found[columns[0]]))]
 
 
 def identity(simulation: Simulation) -> dict[str, Any]:
-    """What must be equal for a checkpoint to fit: format, mesh, spaces and material."""
+    """What must be equal for a checkpoint to fit: format, mesh, spaces and material.
+
+    A material is its parameters and energies at some states: functions of one name are different energies.
+    """
     layout = simulation.rothe_step.layout
     spaces = ", ".join(f"{name} {layout.blocks[name].ndof}" for name in layout.names)
     return {
@@ -257,6 +324,7 @@ def identity(simulation: Simulation) -> dict[str, Any]:
         "spaces": spaces,
         "material": material_signature(simulation.model.material),
         "scheme": scheme_signature(simulation),
+        "energies": sampled_energies(simulation.model.material, simulation.mesh.dim),
     }
 
 

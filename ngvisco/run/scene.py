@@ -73,7 +73,9 @@ def write_scene(
     }
     # "</" would end the script element wherever it stands
     text = json.dumps(data).replace("</", "<\\/")
-    page = _VIEWER.read_text().replace("__TITLE__", html.escape(title)).replace("__DATA__", text)
+    page = (
+        _VIEWER.read_text(encoding="utf-8").replace("__TITLE__", html.escape(title)).replace("__DATA__", text)
+    )
     write_atomically(Path(path), page.encode())
 
 

@@ -15,8 +15,9 @@ from typing import Protocol
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, Mesh
 
-from ngvisco.errors import ParameterError, _is_number, require_type
+from ngvisco.errors import ParameterError, as_number, as_times, require_positive, require_type
 from ngvisco.forms.context import Term, time
+from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
 from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.forms.momentum import Loading
@@ -30,7 +31,9 @@ from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, Wit
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
+from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.fields import output_fields
+from ngvisco.run.inputs import check_arguments, check_observer, times_of
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.passive import PassiveFields
 from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, RejectionObserver, make_stepper
@@ -127,10 +130,10 @@ class Simulation:
             ("newton", newton, NewtonOptions),
         ):
             require_type(f"Simulation.{name}", kind() if value is None else value, kind)
-        if not (_is_number(dt) and dt > 0):
-            raise ParameterError("Simulation.dt", dt, "a finite number > 0")
-        if velocity_scale is not None and not (_is_number(velocity_scale) and velocity_scale > 0):
-            raise ParameterError("Simulation.velocity_scale", velocity_scale, "a number > 0")
+        require_positive("Simulation", dt=dt)
+        if velocity_scale is not None:
+            require_positive("Simulation", velocity_scale=velocity_scale)
+        check_arguments(observers, walls, stepping, passive, sources)
         chosen = _checked_scheme(scheme, theta, startup, relaxation, stepping)
         if isinstance(_innermost(model.material), (CustomMaterial, IsotropicStrainEnergy)):
             check_convexity(model.material, dim=mesh.dim)
@@ -138,15 +141,18 @@ class Simulation:
         self.stepper = make_stepper(self.dt, stepping)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
+        self.check_data([0.0])
         self.observers = list(observers)
         self.t, self.number = 0.0, 0
         set_initial(self.rothe_step, initial or Initial(), self.sampler)
-        self.set_velocity_scale(velocity_scale or self._typical_velocity())
+        warn_of_normal_parts(self.rothe_step, None if initial is None else initial.velocity)
+        self.set_velocity_scale(float(velocity_scale or self._typical_velocity()))
         options = newton or NewtonOptions()
         if solver is not None:
             options = replace(options, method=solver)
         self.solver = RotheSolver(self.rothe_step, options, self._defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
+        self.closure_check = ClosureCheck(options.tolerance)
         u, variables = self.rothe_step.now, model.material.variables
         positive: dict[str, CoefficientFunction] = {}
         for variable in variables:
@@ -231,6 +237,7 @@ class Simulation:
             self.integrator.accept()
             self.set_time(step.time, self.number + 1)
             row = self.ledger.record(self.number, step.time, step.taken, step.rejections, step.error)
+            self.closure_check.step(self, row)
             self.wall_time += clock.perf_counter() - began
             return row
 
@@ -249,8 +256,13 @@ class Simulation:
         StepError
             As ``advance``; observers are finished first.
         """
-        if not (_is_number(until) and until >= self.t):
+        end = as_number(until)
+        if end is None or end < self.t:
             raise ParameterError("until", until, f"a finite number >= {self.t:g}")
+        until, stops = end, as_times("stops", stops)
+        for observer in self.observers:
+            check_observer(observer)
+        self.check_data(times_of(self.t, until))
         for name, value in [("until", until), *(("stops", stop) for stop in stops)]:
             self.stepper.check(name, value)
         targets = sorted({*(stop for stop in stops if self.t < stop < until), until})
@@ -266,6 +278,14 @@ class Simulation:
         if failure is not None:
             raise failure
         return self.ledger
+
+    def check_data(self, times: Sequence[float]) -> None:
+        """Raise ParameterError for loads and walls that are not what they must be at one of the times, s.
+
+        ``run`` does so before its first step.
+        """
+        check_loads(self.rothe_step, self.sampler, times)
+        check_walls(self.rothe_step, times)
 
     def request_stop(self) -> None:
         """Let ``run`` end after the present step, with its observers finished."""

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, StepError, require_above, require_positive
+from ngvisco.errors import ParameterError, StepError, require_count, require_positive
 from ngvisco.timestepping.error import ErrorEstimate
 from ngvisco.timestepping.integrator import StepTaken
 
@@ -72,7 +72,7 @@ class AdaptiveSteps:
             raise ParameterError("AdaptiveSteps.dt_max", self.dt_max, f"at least dt_min = {self.dt_min:g}")
         if self.tolerance is not None:
             require_positive(self, tolerance=self.tolerance)
-        require_above(self, 0, patience=self.patience)
+        require_count(self, patience=self.patience)
 
 
 @dataclass(frozen=True)

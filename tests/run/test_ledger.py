@@ -10,10 +10,12 @@ from ngsolve import CF, Id, OuterProduct, cos, pi, sin, x, y
 from support import Case, parts_of, randomise, residual, small_box, step_of, uncondensed
 
 from ngvisco import (
+    ClosureWarning,
     Creep,
     Gravity,
     HyperViscosity,
     Initial,
+    InputWarning,
     Model,
     NewtonOptions,
     Simulation,
@@ -28,6 +30,7 @@ from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
 from ngvisco.forms.transport import ElasticForce, Kinematics
 from ngvisco.geometries import box
+from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.ledger import NUMERICAL, unit
 from ngvisco.solver.options import NewtonIteration
 from ngvisco.timestepping.integrator import StepTaken
@@ -287,7 +290,8 @@ def test_a_wrong_entry_opens_the_ledger(name: str, monkeypatch: pytest.MonkeyPat
     term, factor = BROKEN[name]
     method = "distance" if name in NUMERICAL else "entries"
     monkeypatch.setattr(term, method, scaled(getattr(term, method), name, factor))
-    row = run_of(2, "neo_hookean").advance()
+    with pytest.warns(ClosureWarning, match="THE LEDGER DOES NOT CLOSE in 1 step: "):
+        row = run_of(2, "neo_hookean").advance()
     assert abs(row["closure_relative"]) > 1e-8
 
 
@@ -303,7 +307,26 @@ def test_a_gravity_frozen_in_the_form_opens_the_ledger(monkeypatch: pytest.Monke
         return entries
 
     monkeypatch.setattr(Loading, "entries", at_the_end)
-    assert abs(run_of(2, "linear").advance()["closure_relative"]) > 1e-6
+    with pytest.warns(ClosureWarning):
+        assert abs(run_of(2, "linear").advance()["closure_relative"]) > 1e-6
+
+
+def test_an_open_ledger_is_said_once_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The limit is 1e-8, or 100 times the solver's tolerance where that is more."""
+    assert ClosureCheck(1e-12).limit == 1e-8 and ClosureCheck(1e-6).limit == pytest.approx(1e-4)
+    monkeypatch.setattr(Inertia, "entries", scaled(Inertia.entries, "inertial", 1.01))
+    run = run_of(2, "linear")
+    with pytest.warns(ClosureWarning) as caught:
+        run.run(3 * run.dt)
+    assert len(caught) == 1 and run.closure_check.failures == 3
+    worst = abs(run.ledger.column("closure_relative")).max()
+    assert run.closure_check.worst == worst
+    assert "in 3 steps" in run.closure_check.message and f"{worst:.1e}" in run.closure_check.message
+    lenient = ClosureCheck(1.0)
+    lenient.step(run, run.ledger.rows[-1])
+    assert not lenient.failures and not lenient.message
+    with pytest.warns(ClosureWarning, match="is inf"):
+        lenient.step(run, {"closure_relative": float("nan"), "step": 1})
 
 
 # --- the other columns ---------------------------------------------------------------------------------
@@ -323,7 +346,8 @@ def test_extrema_of_density_and_jacobian_are_those_of_the_fields() -> None:
 
 def test_jacobian_defect_is_the_norm_of_j_minus_det_f() -> None:
     initial = Initial(F=1.1 * Id(3), values={"J": 1.1**3 + 0.2})
-    run = Simulation(box((1, 2), 0.7), Model(material=Case().model.material), dt=0.1, initial=initial)
+    with pytest.warns(InputWarning, match=r"J is not that of F \(they differ by up to 0.2\)"):
+        run = Simulation(box((1, 2), 0.7), Model(material=Case().model.material), dt=0.1, initial=initial)
     row = run.ledger.start(0.0)
     assert row["J_defect"] == pytest.approx(0.2 * 2**0.5)
     assert row["J_min"] == pytest.approx(1.1**3 + 0.2)

@@ -10,6 +10,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import ParameterError
 from ngvisco.physics.isotropy import require_isotropy
 from ngvisco.physics.material import Material, check_material
+from ngvisco.physics.state_function import check_energy
 from ngvisco.physics.variables import Values, Variable
 
 
@@ -47,20 +48,29 @@ class CustomMaterial(Material):
     Raises
     ------
     ParameterError
-        If the energy is no function, the list of variables makes no sense, or the energy of a spatial tensor
-        (E, B = F F^T) is not isotropic; the message then has the rotation that shows it.
+        If ``transported`` is no list of variables, or the energy raises, returns anything but a real scalar,
+        or reads anything but the variables (the position, the time, a grid function, ...); or if the energy
+        of a spatial tensor (E, B = F F^T) is not isotropic: the message then has the rotation that shows it.
     """
+
+    energy_parameter = "stored_energy"
 
     transported: tuple[Variable, ...]
     stored_energy: Callable[..., CoefficientFunction]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "transported", tuple(self.transported))
+        try:
+            object.__setattr__(self, "transported", tuple(self.transported))
+        except TypeError:
+            raise ParameterError(
+                "CustomMaterial.transported", self.transported, "a sequence of Variable objects"
+            ) from None
         if not callable(self.stored_energy):
             raise ParameterError(
                 "CustomMaterial.stored_energy", self.stored_energy, "a function of the variables"
             )
         check_material(self)
+        check_energy(self)
         if any(v.frame == "actual" for v in self.transported):
             require_isotropy(self, "CustomMaterial.stored_energy", self.stored_energy)
 

@@ -9,7 +9,7 @@ from operator import add
 import numpy as np
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, UnknownNameError, require_positive
+from ngvisco.errors import ParameterError, UnknownNameError, require_names, require_positive
 from ngvisco.physics.material import ElasticState, Material, component_count, component_slices
 from ngvisco.physics.pointwise import Respond, Response
 from ngvisco.physics.tensors import inner
@@ -46,6 +46,8 @@ class WithQuadratic(Material):
         if not isinstance(self.material, Material):
             raise ParameterError("WithQuadratic.material", self.material, "a Material")
         require_positive(self, delta=self.delta)
+        if self.only is not None:
+            require_names("WithQuadratic.only", self.only)
         known = {v.name for form in self._forms() for v in form.variables}
         for name in self.only or ():
             if name not in known:
