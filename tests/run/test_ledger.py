@@ -314,7 +314,7 @@ def test_a_gravity_frozen_in_the_form_opens_the_ledger(monkeypatch: pytest.Monke
 def test_an_open_ledger_is_said_once_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """The limit is 1e-8, or 100 times the solver's tolerance where that is more."""
     assert ClosureCheck(1e-12).limit == 1e-8 and ClosureCheck(1e-6).limit == pytest.approx(1e-4)
-    monkeypatch.setattr(Inertia, "entries", scaled(Inertia.entries, "inertial", 1.01))
+    monkeypatch.setattr(Inertia, "distance", scaled(Inertia.distance, "inertial", 1.01))
     run = run_of(2, "linear")
     with pytest.warns(ClosureWarning) as caught:
         run.run(3 * run.dt)
