@@ -18,7 +18,15 @@ from collections.abc import Callable
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from ngsolve import CoefficientFunction
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    WithJsonSchema,
+    create_model,
+    model_validator,
+)
 
 from ngvisco.case import catalogue
 from ngvisco.case.expressions import parse
@@ -50,7 +58,9 @@ def _check_field(value: Any) -> Any:
     return value
 
 
-FieldValue = Annotated[Any, AfterValidator(_check_field)]
+FieldValue = Annotated[
+    Any, AfterValidator(_check_field), WithJsonSchema({"type": ["number", "string", "array"]})
+]
 """A scalar, vector or tensor field as it stands in a case file."""
 
 

@@ -19,6 +19,8 @@ _EPILOG = """exit codes: 0 done; 1 a step could not be solved; 2 wrong input; 3 
 or written; 130 or 143 stopped by a signal (a checkpoint was written: resume).
 
 examples:
+  ngvisco new swirl > case.toml
+  ngvisco explain material.G_e
   ngvisco check demos/swirl/swirl.toml
   ngvisco run demos/swirl/swirl.toml -o results/swirl --set time.until=0.5 --set domain.maxh=0.2
   ngvisco resume results/swirl --until 1.0
@@ -70,9 +72,22 @@ def parser() -> argparse.ArgumentParser:
             command.add_argument(
                 "--step", type=int, metavar="N", help="checkpoint's step (default: the last)"
             )
-    commands.add_parser(
+    listing = commands.add_parser(
         "list", help="materials, mechanisms, loads, walls, geometries and outputs of case files"
     )
+    forms = listing.add_mutually_exclusive_group()
+    for option, text in (
+        ("keys", "every key with its type, unit, default and meaning"),
+        ("markdown", "the same as a page with examples"),
+        ("schema", "the JSON Schema of case files, with which editors complete and check them"),
+    ):
+        forms.add_argument(f"--{option}", dest="form", action="store_const", const=option, help=text)
+
+    explain = commands.add_parser("explain", help="what a key of a case file means, e.g. time.dt")
+    explain.add_argument("key", metavar="KEY", help="a key, a table or a kind: time.dt, material, NeoHookean")
+
+    new = commands.add_parser("new", help="print an annotated case file to start from")
+    new.add_argument("name", metavar="NAME", nargs="?", help="a demo, e.g. swirl; without it their names")
     return top
 
 
@@ -145,14 +160,16 @@ def _code(error: Exception) -> int:
 
 def _command(name: str) -> Callable[[argparse.Namespace], int]:
     # imported late: NGSolve takes a second, and --help needs none of it
-    from ngvisco.cli import pictures, report, run
+    from ngvisco.cli import pictures, reference, report, run
 
     table: dict[str, Callable[[argparse.Namespace], int]] = {
         "run": run.run,
         "resume": run.resume,
         "check": report.check,
         "info": report.info,
-        "list": report.listing,
+        "list": reference.listing,
+        "explain": reference.explain,
+        "new": reference.new,
         "plot": pictures.plot,
         "scene": pictures.scene,
     }

@@ -1,4 +1,4 @@
-"""``ngvisco check``, ``info`` and ``list``: what a case would need, what a run has, what there is."""
+"""``ngvisco check`` and ``info``: what a case would need, what a run has."""
 
 from __future__ import annotations
 
@@ -10,12 +10,9 @@ import numpy as np
 from ngsolve import SetNumThreads
 
 from ngvisco import case as cases
-from ngvisco.case import catalogue
 from ngvisco.case.directory import RunDirectory
-from ngvisco.case.schema import CaseSections, section
 from ngvisco.errors import CheckpointError
 from ngvisco.run.checkpoint import read_ledger
-from ngvisco.run.passive import NAMES as PASSIVE
 from ngvisco.run.simulation import Simulation
 from ngvisco.threads import computing
 
@@ -107,35 +104,4 @@ def info(options: argparse.Namespace) -> int:
     )
     for path in place.results:
         print(f"  {path.stat().st_size:12d} bytes  {path.relative_to(place.path)}")
-    return 0
-
-
-def listing(options: argparse.Namespace) -> int:
-    """Say what a case file can name."""
-    del options
-    groups = (
-        ("geometries: [domain] geometry =", "geometry", catalogue.GEOMETRIES),
-        ("materials: [material] kind =", "kind", catalogue.MATERIALS),
-        ("materials of another one, [material.material]: [material] kind =", "kind", catalogue.WRAPPERS),
-        ("mechanisms: [rheology.NAME]", None, catalogue.MECHANISMS),
-        ("loads: [[loads]] kind =", "kind", catalogue.LOADS),
-        ("walls: [walls.NAME] kind =", "kind", catalogue.WALLS),
-    )
-    for title, tag, table in groups:
-        print(title)
-        for name, target in table.items():
-            keys = section(target, (tag, name) if tag else None).model_fields
-            shown = [key if f.is_required() else f"[{key}]" for key, f in keys.items() if key != tag]
-            print(f"  {name}: {', '.join(shown)}" if shown else f"  {name}")
-    print("outputs: [output.vtk] fields =")
-    print(
-        "  velocity, density, cauchy_stress, pressure, von_mises, and the material's variables (F, J, E, ...)"
-    )
-    print("  also ledger.csv, run.h5, log.txt; ngvisco plot and ngvisco scene make PNG and HTML of them")
-    print("passive: [output] passive =")
-    print(f"  {', '.join(PASSIVE)}")
-    others = ", ".join(
-        name for name in CaseSections.model_fields if name not in ("domain", "material", "loads")
-    )
-    print(f"other sections: {others}")
     return 0

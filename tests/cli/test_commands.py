@@ -64,6 +64,23 @@ def test_plot_and_info_and_list(finished, capsys):
         assert word in printed
 
 
+def test_a_new_case_is_explained_and_valid(capsys, tmp_path):
+    assert ended("new") == 0
+    assert "swirl " in capsys.readouterr().out
+    assert ended("new", "swirl") == 0
+    (tmp_path / "case.toml").write_text(capsys.readouterr().out)
+    assert nv.load_case(tmp_path / "case.toml").until == 1
+    assert ended("explain", "time.dt") == 0
+    assert "length of a step" in capsys.readouterr().out
+    assert ended("list", "--keys") == 0
+    assert "  time.dt: number, s; required; length of a step" in capsys.readouterr().out
+    assert ended("list", "--schema") == 0
+    assert json.loads(capsys.readouterr().out)["title"] == "ngvisco case file"
+    for words in (("new", "swril"), ("explain", "tim.dt"), ("list", "--keys", "--schema")):
+        assert ended(*words) == 2
+        assert "swirl" in (said := capsys.readouterr().err) or "time.dt" in said or "not allowed" in said
+
+
 def test_check_reports_without_running(case_file, capsys, monkeypatch):
     monkeypatch.setattr(nv.Simulation, "advance", None)
     assert ended("check", case_file) == 0
@@ -78,9 +95,9 @@ def test_version_and_help(capsys):
     assert capsys.readouterr().out == f"ngvisco {nv.__version__}\n"
     assert ended("--help") == 0
     printed = capsys.readouterr().out
-    for word in ("run", "resume", "check", "info", "plot", "scene", "list", "exit codes"):
+    for word in ("run", "resume", "check", "info", "plot", "scene", "list", "explain", "new", "exit codes"):
         assert word in printed
-    for name in ("run", "resume", "check", "info", "plot", "scene", "list"):
+    for name in ("run", "resume", "check", "info", "plot", "scene", "list", "explain", "new"):
         assert ended(name, "--help") == 0
     assert parser().prog == "ngvisco"
 
