@@ -264,8 +264,8 @@ _HEAD = """\
 Written by `ngvisco list --markdown`; `ngvisco explain KEY` says the same of one key, and `ngvisco new NAME`
 prints a case to start from. NAME stands for a name of one's own (a wall's, a variable's), N for the index of
 an array of tables. A key with kinds in italics belongs to these only. An expression is a text of `x`, `y`,
-`z` (m), `t` (s), `pi`, numbers, `+ - * / **`, `sin cos tan asin acos atan atan2 exp log sqrt abs sinh cosh tanh
-min max` and `a if x < 1 else b`.
+`z` (m), `t` (s), `pi`, numbers, `+ - * / **`, `sin cos tan asin acos atan atan2 exp log sqrt abs sinh cosh
+tanh min max` and `a if x < 1 else b`.
 """
 
 
