@@ -48,6 +48,7 @@ from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, 
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields
+from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
 from ngvisco.solver.options import NewtonOptions
@@ -98,9 +99,11 @@ __all__ = [
     "HyperViscosity",
     "Initial",
     "InitialDataError",
+    "Integrals",
     "IsochoricNeoHookean",
     "IsotropicStrainEnergy",
     "LedgerCSV",
+    "LineSamples",
     "LinearElastic",
     "LogarithmicNeoHookean",
     "Material",
@@ -115,6 +118,7 @@ __all__ = [
     "Observer",
     "ParameterError",
     "PrescribedTangential",
+    "Probes",
     "Progress",
     "ReferentialMooneyRivlin",
     "ReferentialNeoHookean",
@@ -128,6 +132,7 @@ __all__ = [
     "Traction",
     "UnknownNameError",
     "VTKSeries",
+    "WallForces",
     "WithQuadratic",
     "Yosida",
     "check_convexity",

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from ngvisco.case import catalogue, toml
 from ngvisco.case.errors import CaseError, Fault
-from ngvisco.case.expressions import parse
+from ngvisco.case.expressions import ExpressionError, parse
 from ngvisco.case.faults import Locator, faults_of
 from ngvisco.case.schema import CaseSections, Section, field_names, parameters
 from ngvisco.errors import (
@@ -32,6 +32,8 @@ from ngvisco.physics.model import Model
 from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.observers import LedgerCSV, VTKSeries
+from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
+from ngvisco.run.series import Series
 from ngvisco.run.simulation import Observer, Simulation
 
 MAX_FILE_SIZE = 1_000_000
@@ -210,15 +212,48 @@ class Case:
             times = self.output_times(self.until if until is None else until)
             every = None if vtk.interval else vtk.every
             chosen.append(VTKSeries(out / "vtk", every, vtk.fields, vtk.subdivision, times))
+        chosen += self.samples(out / "samples").values()
         attributes = {"case": self.hash}
         chosen.append(Checkpoints(out / "run.h5", checkpoint.every, checkpoint.keep, attributes))
         return chosen
+
+    def samples(self, directory: Path) -> dict[tuple[str, ...], Series]:
+        """Probes, lines, forces and integrals by the key that describes them, writing into ``directory``."""
+        output, found = self.sections.output, dict[tuple[str, ...], Series]()
+        for i, p in enumerate(output.probes):
+            path = directory / f"{p.name}.csv"
+            found["output", "probes", str(i)] = Probes({p.name: p.point}, p.fields, path, p.every)
+        for i, line in enumerate(output.lines):
+            path = directory / f"{line.name}.csv"
+            found["output", "lines", str(i)] = LineSamples(
+                line.start, line.end, line.points, line.fields, path, line.every
+            )
+        if output.forces is not None:
+            f, path = output.forces, directory / "forces.csv"
+            found["output", "forces"] = WallForces(f.walls, f.about, path, f.every)
+        for i, integral in enumerate(output.integrals):
+            path = directory / f"{integral.name}.csv"
+            found["output", "integrals", str(i)] = Integrals(
+                {integral.name: integral.of}, path, integral.every
+            )
+        return found
 
     def _check_output(self, run: Simulation) -> None:
         for name in self.sections.output.vtk.fields or ():
             if name not in run.fields:
                 error = UnknownNameError("field", name, run.fields)
                 raise self._error(("output", "vtk", "fields"), str(error))
+        for path, series in self.samples(Path()).items():
+            try:
+                series.prepare(run)
+            except ParameterError as error:
+                key = error.field.partition(".")[2].partition("[")[0]
+                key = {"points": "point"}.get(key, key) if path[1] == "probes" else key
+                raise self._error((*path, key), f"{error.value!r:.60}: expected {error.expected}") from error
+            except UnknownNameError as error:
+                raise self._error((*path, {"wall": "walls"}.get(error.kind, "fields")), str(error)) from error
+            except ExpressionError as error:
+                raise self._error((*path, "of"), str(error)) from error
 
     def _check_loads(self, run: Simulation) -> None:
         """Loads must be finite at the start, half way and at the end."""

@@ -8,6 +8,7 @@
 | ledger.csv    | the energy ledger, a row a step                                           |
 | run.h5        | ledger and checkpoints (ngvisco.run.checkpoint)                           |
 | vtk/          | the VTK series                                                            |
+| samples/      | probes, lines, forces on walls, integrals over the domain, as CSV         |
 | log.txt       | what was done when                                                        |
 | lock          | held by the running process; released by the system even when it is killed |
 
@@ -67,6 +68,7 @@ class RunDirectory:
         own = [self.case_file, self.versions_file, self.mesh_file, self.ledger_file, self.run_file]
         pictures = [self.path / name for name in ("energies.png", "history.png", "fields.png", "scene.html")]
         series = [*self.vtk.glob("fields*.vtu"), *self.vtk.glob("fields*.pvd")]
+        series += self.path.glob("samples/*.csv")
         return [path for path in [*own, self.log_file, *pictures, *series] if path.exists()]
 
     @contextlib.contextmanager

@@ -49,6 +49,10 @@ KEYS: dict[str, Key] = {
     "Rheology.regularisation": Key("", "the paper's regularising terms", None),
     "Output.vtk": Key("", "the VTK series, for ParaView", None),
     "Output.checkpoint": Key("", "checkpoints in run.h5", None),
+    "Output.probes": Key("", "fields at points over time, each a file samples/NAME.csv", None),
+    "Output.lines": Key("", "fields along lines over time, each a file samples/NAME.csv", None),
+    "Output.forces": Key("", "forces and torques on walls over time, in samples/forces.csv", None),
+    "Output.integrals": Key("", "integrals over the domain over time, each a file samples/NAME.csv", None),
     # domain
     "geometry": Key("", "which domain", "box"),
     "size": Key("m", "edge lengths, two (plane strain) or three", [1.0, 1.0]),
@@ -218,6 +222,22 @@ KEYS: dict[str, Key] = {
     "VTK.subdivision": Key("1", "bisections of cells, 0 to 4: fields are linear in the pieces", 1),
     "Checkpoint.every": Key("1", "a checkpoint every so many steps, and at the end", 10),
     "Checkpoint.keep": Key("1", "how many checkpoints run.h5 holds", 2),
+    "Probe.name": Key("", "letters, digits, _ and -; the file is samples/NAME.csv", "tip"),
+    "Probe.point": Key("m", "where, a coordinate for each dimension", [0.5, 0.5]),
+    "Probe.fields": Key("", "fields or components of them; all without this key", ["velocity", "F_12"]),
+    "Probe.every": Key("1", "a row every so many steps, and at the end", 1),
+    "Line.name": Key("", "letters, digits, _ and -; the file is samples/NAME.csv", "middle"),
+    "Line.start": Key("m", "one end, a coordinate for each dimension", [0.0, 0.5]),
+    "Line.end": Key("m", "the other end", [1.0, 0.5]),
+    "Line.points": Key("1", "how many points, equally spaced, the ends among them", 101),
+    "Line.fields": Key("", "fields or components of them; all without this key", ["density"]),
+    "Line.every": Key("1", "rows every so many steps, and at the end", 10),
+    "Forces.walls": Key("", "names of walls; all without this key", ["left"]),
+    "Forces.about": Key("m", "the point that torques refer to; the origin without this key", [0.5, 0.5]),
+    "Forces.every": Key("1", "a row every so many steps, and at the end", 1),
+    "DomainIntegral.name": Key("", "letters, digits, _ and -; the file is samples/NAME.csv", "momentum"),
+    "DomainIntegral.of": Key("", "an expression of x, y, z, t and fields' components", "density*velocity_1"),
+    "DomainIntegral.every": Key("1", "a row every so many steps, and at the end", 1),
 }
 
 

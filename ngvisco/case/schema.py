@@ -13,8 +13,9 @@ import functools
 import inspect
 import math
 import operator
+import re
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from ngsolve import CoefficientFunction
@@ -261,13 +262,79 @@ class Checkpoint(Section):
     keep: int = Field(default=2, ge=1)
 
 
+def _check_name(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):
+        raise ValueError("expected at most 60 letters, digits, _ and -")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_check_name)]
+"""A name that becomes that of a file and of its columns."""
+
+
+class Probe(Section):
+    """Fields at a point over time."""
+
+    name: Name
+    point: list[float]
+    fields: list[str] | None = None
+    every: int = Field(default=1, ge=1)
+
+
+class Line(Section):
+    """Fields along a line over time."""
+
+    name: Name
+    start: list[float]
+    end: list[float]
+    points: int = Field(default=101, ge=2, le=100_000)
+    fields: list[str] | None = None
+    every: int = Field(default=10, ge=1)
+
+
+class Forces(Section):
+    """Forces and torques on walls over time."""
+
+    walls: list[str] | None = None
+    about: list[float] | None = None
+    every: int = Field(default=1, ge=1)
+
+
+class DomainIntegral(Section):
+    """The integral of an expression of the fields over the domain, over time."""
+
+    name: Name
+    of: str
+    every: int = Field(default=1, ge=1)
+
+
 class Output(Section):
     """What is written into the run directory."""
 
     vtk: VTK = VTK()
     checkpoint: Checkpoint = Checkpoint()
+    probes: list[Probe] = []
+    lines: list[Line] = []
+    forces: Forces | None = None
+    integrals: list[DomainIntegral] = []
     log_every: int = Field(default=1, ge=1)
     passive: list[str] = []
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Output:
+        taken = {"forces"} if self.forces is not None else set()
+        tables: dict[str, Sequence[Any]] = {
+            "probes": self.probes,
+            "lines": self.lines,
+            "integrals": self.integrals,
+        }
+        for key, members in tables.items():
+            for i, name in enumerate(member.name for member in members):
+                if name in taken:
+                    expected = f"a name that no other of the tables has: both would write {name}.csv"
+                    raise ParameterError(f"Output.{key}.{i}.name", name, expected)
+                taken.add(name)
+        return self
 
 
 class CaseSections(Section):

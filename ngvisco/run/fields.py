@@ -29,7 +29,7 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
 def scalar_fields(
     fields: Mapping[str, CoefficientFunction], names: Sequence[str] | None = None
 ) -> dict[str, CoefficientFunction]:
-    """Scalars to be drawn: of a vector its modulus, of a tensor the component ``NAME_ij``.
+    """Scalars to be drawn: of a vector its modulus or ``NAME_i``, of a tensor the component ``NAME_ij``.
 
     Parameters
     ----------
@@ -40,12 +40,9 @@ def scalar_fields(
     """
     known = {}
     for name, value in fields.items():
-        if value.dim == 1:
-            known[name] = value
-        elif value.dim <= 3:
+        if 1 < value.dim <= 3:
             known[name] = sqrt(square(value))
-        else:
-            known |= {f"{name}_{i + 1}{j + 1}": value[i, j] for i in range(3) for j in range(3)}
+    known |= components(fields)
     if names is None:
         usual = ("density", "J", "velocity", "pressure", "von_mises")
         return {name: known[name] for name in usual if name in known}
@@ -53,6 +50,41 @@ def scalar_fields(
         if name not in known:
             raise UnknownNameError("field", name, known)
     return {name: known[name] for name in names}
+
+
+def components(fields: Mapping[str, CoefficientFunction]) -> dict[str, CoefficientFunction]:
+    """Every component of every field as a scalar: ``J``, ``velocity_1``, ``F_12``."""
+    return {part: value for name, field in fields.items() for part, value in _parts(name, field).items()}
+
+
+def component_fields(
+    fields: Mapping[str, CoefficientFunction], names: Sequence[str] | None = None
+) -> dict[str, CoefficientFunction]:
+    """The components of the named fields, or single components by their names; default all.
+
+    Raises
+    ------
+    UnknownNameError
+        For a name that is neither.
+    """
+    every = components(fields)
+    chosen: dict[str, CoefficientFunction] = {}
+    for name in fields if names is None else names:
+        if name in fields:
+            chosen |= _parts(name, fields[name])
+        elif name in every:
+            chosen[name] = every[name]
+        else:
+            raise UnknownNameError("field", name, [*fields, *every])
+    return chosen
+
+
+def _parts(name: str, value: CoefficientFunction) -> dict[str, CoefficientFunction]:
+    if value.dim == 1:
+        return {name: value}
+    if value.dim <= 3:
+        return {f"{name}_{i + 1}": value[i] for i in range(value.dim)}
+    return {f"{name}_{i + 1}{j + 1}": value[i, j] for i in range(3) for j in range(3)}
 
 
 def field_unit(name: str) -> str:

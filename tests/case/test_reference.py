@@ -79,20 +79,19 @@ def placed(entry, kind):
         needed["geometry" if section == ("domain",) else "kind"] = kind
     if kind in ("Yosida", "WithQuadratic"):
         needed["material"] = data["material"]
+    node = data
+    for depth, part in enumerate(section):
+        last = depth == len(section) - 1
+        if part == "N":
+            node = node[0]
+        elif entry.path[depth + 1] == "N":
+            node = node.setdefault(part, [{}])
+        else:
+            fresh = last and kind is not None
+            node[{"NAME": "left"}.get(part, part)] = {} if fresh else node.get(part, {})
+            node = node[{"NAME": "left"}.get(part, part)]
     if section:
-        if "N" in section:
-            data["loads"] = [{}]
-        node = data
-        for part in path[:-2]:
-            node = node[int(part)] if isinstance(node, list) else node.setdefault(part, {})
-        last = path[-2]
-        if kind is not None or last not in node or not isinstance(node[last], dict):
-            if isinstance(node, list):
-                node[int(last)] = {}
-            else:
-                node[last] = {}
-        part = node[int(last)] if isinstance(node, list) else node[last]
-        part.update(needed)
+        node.update(needed)
     toml.override(data, tuple(path), entry.example)
     return data
 
