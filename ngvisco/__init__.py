@@ -22,6 +22,7 @@ from ngvisco.errors import (
     UnknownNameError,
 )
 from ngvisco.forms.context import time
+from ngvisco.forms.given import function_field, grid_field
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
@@ -51,6 +52,7 @@ from ngvisco.run.plots import plot_energies, plot_fields
 from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
+from ngvisco.run.transfer import Transfer, resume_changed, transfer
 from ngvisco.solver.options import NewtonOptions
 
 try:
@@ -130,16 +132,21 @@ __all__ = [
     "StepError",
     "StokesViscosity",
     "Traction",
+    "Transfer",
     "UnknownNameError",
     "VTKSeries",
     "WallForces",
     "WithQuadratic",
     "Yosida",
     "check_convexity",
+    "function_field",
+    "grid_field",
     "load",
     "load_case",
     "plot_energies",
     "plot_fields",
     "read_ledger",
+    "resume_changed",
     "time",
+    "transfer",
 ]

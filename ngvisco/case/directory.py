@@ -35,6 +35,7 @@ from typing import Any, TextIO
 import numpy as np
 from ngsolve import CoefficientFunction, Mesh
 
+from ngvisco.case import changes
 from ngvisco.case.build import Case, load_case
 from ngvisco.case.meshfile import require_whole
 from ngvisco.errors import CheckpointError, MeshError, NgviscoError
@@ -42,6 +43,7 @@ from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.files import append, write_atomically
 from ngvisco.run.observers import Progress
 from ngvisco.run.simulation import Observer, Simulation
+from ngvisco.run.transfer import resume_changed, transfer
 
 
 class RunDirectoryError(NgviscoError, RuntimeError):
@@ -68,7 +70,7 @@ class RunDirectory:
         own = [self.case_file, self.versions_file, self.mesh_file, self.ledger_file, self.run_file]
         pictures = [self.path / name for name in ("energies.png", "history.png", "fields.png", "scene.html")]
         series = [*self.vtk.glob("fields*.vtu"), *self.vtk.glob("fields*.pvd")]
-        series += self.path.glob("samples/*.csv")
+        series += [*self.path.glob("samples/*.csv"), *self.path.glob("case.until-step-*.toml")]
         return [path for path in [*own, self.log_file, *pictures, *series] if path.exists()]
 
     @contextlib.contextmanager
@@ -91,13 +93,16 @@ class RunDirectory:
         for path in self.results:
             path.unlink()
 
-    def prepare(self, case: Case) -> None:
-        """Write case, mesh and versions of a new run."""
+    def prepare(self, case: Case, source: str | os.PathLike[str] | None = None) -> None:
+        """Write case, mesh and versions of a new run, and the run directory that it starts from."""
         mesh = case.mesh()
         write_atomically(self.case_file, case.resolved.encode())
         image = _mesh_image(mesh)
         write_atomically(self.mesh_file, image)
         record = versions() | {"mesh_sha256": hashlib.sha256(image).hexdigest()}
+        if source is not None:
+            step = load(source).simulation.number
+            record["from"] = {"directory": str(Path(source).resolve()), "step": step}
         write_atomically(self.versions_file, (json.dumps(record, indent=2) + "\n").encode())
 
     def read_versions(self) -> dict[str, Any]:
@@ -152,6 +157,7 @@ def run(
     *,
     force: bool = False,
     observers: Sequence[Observer] = (),
+    source: str | os.PathLike[str] | None = None,
 ) -> Simulation:
     """Run a case into a new run directory.
 
@@ -163,6 +169,9 @@ def run(
         Remove the results of an earlier run first, rather than refuse.
     observers : sequence of Observer
         Besides those that write the directory.
+    source : path, optional
+        A run directory whose last state is taken over in place of the case's initial one, time included
+        (``ngvisco.run.transfer``).
 
     Raises
     ------
@@ -176,8 +185,10 @@ def run(
                 f"{place.path}: holds results of an earlier run ({found}, ...); resume it, choose another "
                 "directory, or replace it with --force"
             )
+        if source is not None:  # before anything is written
+            transfer(load(source).simulation, case.simulation(case.mesh()))
         place.clear()
-        place.prepare(case)
+        place.prepare(case, source)
         return _go(place, case.until, observers, "run")
 
 
@@ -186,10 +197,12 @@ def resume(
     until: float | None = None,
     *,
     observers: Sequence[Observer] = (),
+    settings: Sequence[str] = (),
 ) -> Simulation:
     """Go on with the run in a directory, from its last checkpoint (or its start, if it has none).
 
-    ``until`` (s) replaces the case's end time.
+    ``until`` (s) replaces the case's end time.  ``settings`` change the case from here on
+    (``ngvisco.case.changes`` says what may change); the directory keeps the case as it was too.
     """
     place = RunDirectory(directory)
     if not place.case_file.exists():
@@ -197,6 +210,12 @@ def resume(
     with place.locked():
         if not place.is_prepared:
             place.prepare(place.case())
+        if settings:
+            case = place.case()
+            new = changes.changed(place, case, settings)
+            if new.resolved != case.resolved:
+                changes.check_change(place, case, new)  # before anything is written
+                changes.write_change(place, case, new, settings)
         return _go(place, until, observers, "resume")
 
 
@@ -208,8 +227,19 @@ def _go(place: RunDirectory, until: float | None, observers: Sequence[Observer],
     try:
         simulation = case.simulation(place.mesh())
         if place.run_file.exists():
-            simulation.restore(place.run_file, attributes={"case": case.hash})
+            before = changes.pending_change(place, case)
+            if before is None:
+                simulation.restore(place.run_file, attributes={"case": case.hash})
+            else:
+                resume_changed(simulation, place.run_file, {"case": before})
+                log.write(f"changed: {', '.join(place.read_versions()['changes'][-1]['settings'])}")
             log.write(f"from the checkpoint of step {simulation.number}, t = {simulation.t:g} s")
+        elif (source := place.read_versions().get("from")) is not None:
+            done = transfer(load(source["directory"], source["step"]).simulation, simulation)
+            log.write(
+                f"from step {source['step']} of {source['directory']}, t = {simulation.t:g} s: density times "
+                f"1 {done.scaled - 1:+.2e}, energy lost {done.lost:.6e} J of {done.energy_before:.6e} J"
+            )
         if simulation.t > end * (1 + 1e-12):
             message = f"the run has already reached t = {simulation.t:g} s: expected an end time above that"
             raise RunDirectoryError(f"{place.path}: {message}")

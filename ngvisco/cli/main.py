@@ -24,7 +24,13 @@ examples:
   ngvisco check demos/swirl/swirl.toml
   ngvisco run demos/swirl/swirl.toml -o results/swirl --set time.until=0.5 --set domain.maxh=0.2
   ngvisco resume results/swirl --until 1.0
+  ngvisco resume results/swirl --set time.dt=0.01 --set 'loads=[]'
+  ngvisco run finer.toml -o results/finer --from results/swirl
   ngvisco plot results/swirl && ngvisco scene results/swirl"""
+
+_RESUME = """Go on from a directory's last checkpoint, bit for bit, or with --set with other parameters: of
+title, time, loads, walls, solver, output and the numbers of the material and the mechanisms.  For another
+mesh, other orders or unknowns see ngvisco run CASE -o NEW --from DIR."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -47,10 +53,21 @@ def parser() -> argparse.ArgumentParser:
     )
     _add_set(run)
     run.add_argument("--force", action="store_true", help="replace the results of an earlier run in DIR")
+    run.add_argument(
+        "--from",
+        dest="source",
+        metavar="OLD",
+        help="start from the last state of the run directory OLD, also on another mesh or in other spaces",
+    )
     _add_run_options(run)
 
-    resume = commands.add_parser("resume", help="go on from a directory's last checkpoint")
+    resume = commands.add_parser(
+        "resume",
+        help="go on from a directory's last checkpoint",
+        description=_RESUME,
+    )
     resume.add_argument("directory", metavar="DIR", help="run directory")
+    _add_set(resume)
     resume.add_argument("--until", metavar="T", type=float, help="end time in s (default: the case's)")
     _add_run_options(resume)
 

@@ -11,13 +11,14 @@ the implicit step dissipates numerically; bregman >= 0 where the energy is conve
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, sqrt
 
 from ngvisco.errors import UnknownNameError
-from ngvisco.forms.context import Entry
+from ngvisco.forms.context import Entry, Integrand, Kind
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.physics.tensors import square
@@ -42,6 +43,10 @@ UNITS = {
     "cutoff_volume": "m^3",
 }
 """Units of the columns that are neither energies (J) nor powers (W)."""
+
+
+TRANSFER = "transfer"
+"""Energy lost where a state was carried over to another mesh or other parameters, J."""
 
 
 def unit(column: str) -> str:
@@ -111,6 +116,19 @@ class Ledger:
     def resume(self, balance: Balance, rows: list[dict[str, float]]) -> None:
         """Go on from a checkpoint's balance and the rows up to its step."""
         self.balance, self.rows = balance, rows
+
+    def energy(self) -> float:
+        """Kinetic plus stored energy at the present state, J."""
+        values = self._integrals()
+        return values["kinetic"] + values["stored"]
+
+    def keep(self, row: Mapping[str, float]) -> None:
+        """Have entries of value 0 for what an earlier part of the run exchanged and this one does not."""
+        for name in row:
+            if name not in self.columns and name.startswith(("dissipation_", "power_", TRANSFER)):
+                kind: Kind = "numerical" if name == TRANSFER else "dissipation"
+                kind = "power" if name.startswith("power_") else kind
+                self.entries.append(Entry(name, kind, Integrand(), lambda: 0.0))
 
     def record(
         self, number: int, time: float, tau: float, iterations: int, rejections: int = 0

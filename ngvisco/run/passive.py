@@ -100,6 +100,11 @@ class PassiveFields:
             self._solvers[key] = carrier
 
     @property
+    def parts(self) -> Mapping[str, GridFunction]:
+        """The grid functions that are carried, by their own names."""
+        return self._parts
+
+    @property
     def fields(self) -> dict[str, CoefficientFunction]:
         """Passive fields by name: F_tot 3x3 (plane strain in 2D), reference_map a vector, creep_strain."""
         dim, parts, result = self.step.mesh.dim, self._parts, {}

@@ -129,7 +129,7 @@ class Simulation:
         options = newton or NewtonOptions()
         if solver is not None:
             options = replace(options, method=solver)
-        self.solver = RotheSolver(self.rothe_step, options, self._defect)
+        self.solver = RotheSolver(self.rothe_step, options, self.defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         u, variables = self.rothe_step.now, model.material.variables
         scalars = {v: v.positive(u.z_tensors[v.name]) for v in variables}
@@ -151,7 +151,10 @@ class Simulation:
         self.rothe_step.context.curvature.Set(0.1 * scale / self._diameter() ** 2)
 
     def set_time(self, t: float, number: int) -> None:
-        """Say that the present state is that of step ``number`` at ``t`` (s), as a restart does."""
+        """Say that the present state is that of step ``number`` at ``t`` (s), as a restart does.
+
+        For a state that belongs to other times than multiples of dt, see ``stepper.begin``.
+        """
         self.t, self.number = t, number
         time.Set(t)
 
@@ -274,7 +277,7 @@ class Simulation:
         if not self.ledger.rows and self.ledger.balance is None:
             self.ledger.start(self.t)
 
-    def _defect(self) -> str | None:
+    def defect(self) -> str | None:
         """The first of rho, J (A) that is not positive at a sampling point, in words."""
         values = self.sampler.values(self._positive_values)
         minima = values.reshape(len(values), -1).min(axis=0)
