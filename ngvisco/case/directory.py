@@ -42,6 +42,7 @@ from ngvisco.errors import CheckpointError, MeshError, NgviscoError
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.files import append, write_atomically
 from ngvisco.run.observers import Progress
+from ngvisco.run.plots import FORMATS
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.transfer import resume_changed, transfer
 
@@ -68,7 +69,8 @@ class RunDirectory:
     def results(self) -> list[Path]:
         """Files of an earlier run."""
         own = [self.case_file, self.versions_file, self.mesh_file, self.ledger_file, self.run_file]
-        pictures = [self.path / name for name in ("energies.png", "history.png", "fields.png", "scene.html")]
+        names = [f"{stem}.{kind}" for stem in ("energies", "history", "fields") for kind in FORMATS]
+        pictures = [self.path / name for name in (*names, "scene.html", "movie.gif", "movie.mp4")]
         series = [*self.vtk.glob("fields*.vtu"), *self.vtk.glob("fields*.pvd")]
         series += [*self.path.glob("samples/*.csv"), *self.path.glob("case.until-step-*.toml")]
         return [path for path in [*own, self.log_file, *pictures, *series] if path.exists()]

@@ -79,8 +79,8 @@ def parser() -> argparse.ArgumentParser:
 
     for name, text in (
         ("info", "what a run directory holds, and how far the run got"),
-        ("plot", "energies, dissipations, closure, extrema, iterations and fields as PNG"),
-        ("scene", "the last state as one HTML file that opens offline"),
+        ("plot", "energies, dissipations, closure, extrema, iterations and fields as pictures; animations"),
+        ("scene", "the states of the VTK series as one HTML file that opens offline, with time and cuts"),
     ):
         command = commands.add_parser(name, help=text, description=text)
         command.add_argument("directory", metavar="DIR", help="run directory")
@@ -89,6 +89,8 @@ def parser() -> argparse.ArgumentParser:
             command.add_argument(
                 "--step", type=int, metavar="N", help="checkpoint's step (default: the last)"
             )
+        if name == "plot":
+            _add_plot_options(command)
     listing = commands.add_parser(
         "list", help="materials, mechanisms, loads, walls, geometries and outputs of case files"
     )
@@ -106,6 +108,23 @@ def parser() -> argparse.ArgumentParser:
     new = commands.add_parser("new", help="print an annotated case file to start from")
     new.add_argument("name", metavar="NAME", nargs="?", help="a demo, e.g. swirl; without it their names")
     return top
+
+
+def _add_plot_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--format", choices=("png", "pdf", "svg"), default="png", help="of the pictures (default png)"
+    )
+    command.add_argument("--section", metavar="PLANE", help="in 3D, e.g. z=0.5 or x (default: z, the middle)")
+    command.add_argument(
+        "--movie",
+        metavar="FILE",
+        nargs="?",
+        const="",
+        help="animate the VTK series instead, as .gif or .mp4 (needs ffmpeg; default DIR/movie.gif)",
+    )
+    command.add_argument(
+        "--fps", type=float, default=10.0, metavar="N", help="frames a second of the animation (default 10)"
+    )
 
 
 def _add_set(command: argparse.ArgumentParser) -> None:

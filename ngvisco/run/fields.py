@@ -4,16 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ngsolve import CoefficientFunction, sqrt
+import numpy as np
+from ngsolve import CF, CoefficientFunction, Id, sqrt
 
 from ngvisco.errors import UnknownNameError
 from ngvisco.forms.system import Step
-from ngvisco.physics.material import cauchy_stress
+from ngvisco.physics.material import Material, cauchy_stress, components_of, tensors_of
+from ngvisco.physics.pointwise import squares
 from ngvisco.physics.tensors import dev, square, tr
+
+USUAL = ("density", "J", "velocity", "pressure", "von_mises")
+"""What is drawn where nothing is said, as far as a run has it."""
 
 
 def output_fields(step: Step) -> dict[str, CoefficientFunction]:
-    """Velocity, density, variables, Cauchy stress, pressure and von Mises stress at the new state."""
+    """Velocity, density, variables, Cauchy stress, pressure and von Mises stress at the new state.
+
+    ``pressure_from_rest`` is the pressure less that of the material at rest, F = I, whose stress phi(I) I
+    a body of a fixed shape does not feel.
+    """
     u, material = step.now, step.model.material
     T = cauchy_stress(material, u.z_tensors, u.zeta_tensors, step.energy.anywhere(u))
     return {
@@ -22,8 +31,25 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
         **u.z_tensors,
         "cauchy_stress": T,
         "pressure": (-1 / 3) * tr(T),
+        "pressure_from_rest": (-1 / 3) * tr(T) - rest_pressure(material, step.mesh.dim),
         "von_mises": sqrt(1.5 * square(dev(T))),
     }
+
+
+def rest_pressure(material: Material, dim: int) -> float:
+    """-tr T/3 of the material at F = I, Pa."""
+    identity = {v.name: v.from_distortion(Id(3)) for v in material.variables}
+    at = squares(1)[1]
+    # constants of their own: derivatives by one variable must not see it within another
+    state = np.asarray(CF(components_of(material, identity, dim))(at)).reshape(1, -1)
+    z = tensors_of(material, CF(tuple(float(c) for c in state[0])), dim)
+    respond, phi, zeta = material.response(dim), None, None
+    if respond is not None:
+        found = respond(state)
+        phi = CF(float(found.energy[0]))
+        zeta = tensors_of(material, CF(tuple(float(c) for c in found.slope[0])), dim)
+    T = cauchy_stress(material, z, zeta, phi)
+    return float(np.asarray(CF((-1 / 3) * tr(T))(at)).reshape(-1)[0])
 
 
 def scalar_fields(
@@ -44,8 +70,7 @@ def scalar_fields(
             known[name] = sqrt(square(value))
     known |= components(fields)
     if names is None:
-        usual = ("density", "J", "velocity", "pressure", "von_mises")
-        return {name: known[name] for name in usual if name in known}
+        return {name: known[name] for name in USUAL if name in known}
     for name in names:
         if name not in known:
             raise UnknownNameError("field", name, known)
@@ -89,5 +114,15 @@ def _parts(name: str, value: CoefficientFunction) -> dict[str, CoefficientFuncti
 
 def field_unit(name: str) -> str:
     """The SI unit of a field that is drawn, empty for a pure number."""
-    units = {"velocity": "m/s", "density": "kg/m³", "pressure": "Pa", "von_mises": "Pa"}
-    return "Pa" if name.startswith("cauchy_stress") else units.get(name, "")
+    units = {
+        "velocity": "m/s",
+        "density": "kg/m³",
+        "pressure": "Pa",
+        "pressure_from_rest": "Pa",
+        "von_mises": "Pa",
+        "cauchy_stress": "Pa",
+        "displacement": "m",
+        "reference_map": "m",
+    }
+    whole = name.rpartition("_")[0] if name.rpartition("_")[2].isdigit() else name
+    return units.get(whole, "")

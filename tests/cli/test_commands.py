@@ -55,6 +55,12 @@ def test_plot_and_info_and_list(finished, capsys):
     assert ended("plot", finished, "--fields", "J,velocity,cauchy_stress_12") == 0
     for name in ("energies.png", "history.png", "fields.png"):
         assert (finished / name).read_bytes().startswith(b"\x89PNG")
+    assert ended("plot", finished, "--format", "svg", "--fields", "pressure_from_rest") == 0
+    text = (finished / "fields.svg").read_text()
+    assert text.startswith("<?xml")
+    assert ended("plot", finished, "--movie", "--fields", "J") == 0
+    assert (finished / "movie.gif").read_bytes().startswith(b"GIF8")
+    assert ended("plot", finished, "--movie", finished / "movie.avi") == 2
     assert ended("info", finished) == 0
     printed = capsys.readouterr().out
     assert "t = 0.08 of 0.08 s, step 4; finished" in printed and "largest |closure|" in printed
