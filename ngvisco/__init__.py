@@ -47,6 +47,7 @@ from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
+from ngvisco.run.notebook import NotebookProgress, draw
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields
 from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
@@ -117,6 +118,7 @@ __all__ = [
     "NewtonOptions",
     "NgviscoError",
     "NoSlip",
+    "NotebookProgress",
     "Observer",
     "ParameterError",
     "PrescribedTangential",
@@ -139,6 +141,7 @@ __all__ = [
     "WithQuadratic",
     "Yosida",
     "check_convexity",
+    "draw",
     "function_field",
     "grid_field",
     "load",

@@ -41,6 +41,7 @@ from ngvisco.case.meshfile import require_whole
 from ngvisco.errors import CheckpointError, MeshError, NgviscoError
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.files import append, write_atomically
+from ngvisco.run.notebook import data_frame, results_html
 from ngvisco.run.observers import Progress
 from ngvisco.run.plots import FORMATS
 from ngvisco.run.simulation import Observer, Simulation
@@ -272,6 +273,13 @@ class Results:
     case: Case
     ledger: dict[str, np.ndarray]
     simulation: Simulation
+
+    def frame(self) -> Any:
+        """The ledger as a pandas frame, with the step as index; NotebookError where pandas is missing."""
+        return data_frame(self.ledger)
+
+    def _repr_html_(self) -> str:
+        return results_html(self.case.sections.title, self.time, self.ledger)
 
     @property
     def mesh(self) -> Mesh:

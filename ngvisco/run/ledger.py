@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, sqrt
@@ -23,6 +24,7 @@ from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
+from ngvisco.run.notebook import data_frame, ledger_html
 
 UNITS = {
     "step": "1",
@@ -103,6 +105,13 @@ class Ledger:
         if name not in self.columns:
             raise UnknownNameError("ledger column", name, self.columns)
         return np.array([row[name] for row in self.rows])
+
+    def frame(self) -> Any:
+        """All rows as a pandas frame, with the step as index; NotebookError where pandas is missing."""
+        return data_frame({name: self.column(name) for name in self.columns})
+
+    def _repr_html_(self) -> str:
+        return ledger_html(self.rows)
 
     def start(self, time: float) -> dict[str, float]:
         """Row 0: the initial state, with no exchange."""

@@ -32,6 +32,7 @@ from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
 from ngvisco.run.fields import output_fields
 from ngvisco.run.ledger import Ledger
+from ngvisco.run.notebook import simulation_html
 from ngvisco.run.passive import PassiveFields
 from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, RejectionObserver, make_stepper
 from ngvisco.solver.options import NewtonOptions
@@ -157,6 +158,9 @@ class Simulation:
         """
         self.t, self.number = t, number
         time.Set(t)
+
+    def _repr_html_(self) -> str:
+        return simulation_html(self)
 
     @property
     def is_adaptive(self) -> bool:
