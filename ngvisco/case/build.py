@@ -19,6 +19,7 @@ from ngvisco.case.errors import CaseError, Fault
 from ngvisco.case.expressions import ExpressionError, parse
 from ngvisco.case.faults import Locator, faults_of
 from ngvisco.case.schema import CaseSections, Section, field_names, parameters
+from ngvisco.case.units import to_si
 from ngvisco.errors import (
     InitialDataError,
     MeshError,
@@ -86,6 +87,9 @@ def parse_case(text: str, source: str, directory: Path, settings: Sequence[str] 
         overridden.append(path)
     locator = Locator(toml.key_lines(text), overridden)
     try:
+        data, faults = to_si(data, CaseSections, locator)
+        if faults:
+            raise CaseError(source, faults)
         sections = CaseSections.model_validate(data)
     except ValidationError as error:
         raise CaseError(source, faults_of(error, CaseSections, locator)) from error
@@ -132,7 +136,7 @@ class Case:
     def hash(self) -> str:
         """SHA-256 of all that the solution depends on: not of title, end time and output."""
         data = self.sections.model_dump()
-        for name in ("title", "output", "domain"):  # the mesh has a hash of its own
+        for name in ("title", "units", "output", "domain"):  # the mesh has a hash of its own
             del data[name]
         del data["time"]["until"]
         return hashlib.sha256(toml.write(data).encode()).hexdigest()

@@ -32,6 +32,14 @@ class Key:
 KEYS: dict[str, Key] = {
     # the case
     "CaseSections.title": Key("", "what the case is, for logs and pictures", "A block under gravity"),
+    "CaseSections.units": Key("", "units of plain numbers; SI where nothing is said", None),
+    "Units.length": Key("", "of lengths, and of x, y, z in expressions", "km"),
+    "Units.time": Key("", "of times, and of t in expressions", "kyr"),
+    "Units.velocity": Key("", "of velocities", "cm/yr"),
+    "Units.acceleration": Key("", "of accelerations", "m/s^2"),
+    "Units.density": Key("", "of densities", "kg/m^3"),
+    "Units.pressure": Key("", "of stresses and elastic moduli", "GPa"),
+    "Units.viscosity": Key("", "of viscosities and the creep modulus", "Pa s"),
     "CaseSections.domain": Key("", "the domain and its mesh", None),
     "CaseSections.material": Key("", "the material: its variables and its stored energy", None),
     "CaseSections.time": Key("", "step length and end", None),

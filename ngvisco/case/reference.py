@@ -18,7 +18,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from ngvisco.case import toml
-from ngvisco.case.faults import _models_in
+from ngvisco.case.faults import models_in
 from ngvisco.case.keys import key
 from ngvisco.case.schema import _TARGETS, CaseSections, FieldValue
 from ngvisco.errors import ParameterError
@@ -86,7 +86,7 @@ def entries() -> list[Entry]:
 
 def _walk(model: type[BaseModel], path: tuple[str, ...], kinds: tuple[str, ...]) -> Iterator[Entry]:
     for name, field in model.model_fields.items():
-        here, inner = (*path, name), _models_in(field.annotation)
+        here, inner = (*path, name), models_in(field.annotation)
         if name in _TAGS:
             continue
         meant = key(owner_name(model), name)
@@ -144,7 +144,7 @@ def type_text(annotation: Any) -> str:
         return "number, expression, or array of them"
     if origin is Literal:
         return f"one of {', '.join(json.dumps(value) for value in arguments)}"
-    if _models_in(annotation):
+    if models_in(annotation):
         return {dict: "tables by name", list: "array of tables"}.get(origin, "table")
     if origin in (Union, types.UnionType):
         parts = dict.fromkeys(type_text(part) for part in arguments if part is not type(None))
@@ -265,7 +265,8 @@ Written by `ngvisco list --markdown`; `ngvisco explain KEY` says the same of one
 prints a case to start from. NAME stands for a name of one's own (a wall's, a variable's), N for the index of
 an array of tables. A key with kinds in italics belongs to these only. An expression is a text of `x`, `y`,
 `z` (m), `t` (s), `pi`, numbers, `+ - * / **`, `sin cos tan asin acos atan atan2 exp log sqrt abs sinh cosh
-tanh min max` and `a if x < 1 else b`.
+tanh min max` and `a if x < 1 else b`. A text with a number and its unit, `"5 km"`, may stand for any number
+that has a unit; `[units]` chooses those of plain numbers.
 """
 
 
@@ -287,7 +288,7 @@ def _collect(model: type[BaseModel], into: dict[str, type[BaseModel]]) -> None:
     if into.setdefault(model.__name__, model) is not model:
         raise TypeError(f"two sections of a case file are called {model.__name__}")
     for field in model.model_fields.values():
-        for inner in _models_in(field.annotation):
+        for inner in models_in(field.annotation):
             if inner.__name__ not in into:
                 _collect(inner, into)
 

@@ -337,10 +337,24 @@ class Output(Section):
         return self
 
 
+class Units(Section):
+    """The units of plain numbers; they are converted before the case is validated
+    (``ngvisco.case.units``)."""
+
+    length: str = "m"
+    time: str = "s"
+    velocity: str = "m/s"
+    acceleration: str = "m/s^2"
+    density: str = "kg/m^3"
+    pressure: str = "Pa"
+    viscosity: str = "Pa s"
+
+
 class CaseSections(Section):
     """A whole case file."""
 
     title: str = ""
+    units: Units = Units()
     domain: Domain  # type: ignore[valid-type]
     material: Material  # type: ignore[valid-type]
     time: Time

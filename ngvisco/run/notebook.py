@@ -4,6 +4,7 @@ viewer."""
 from __future__ import annotations
 
 import html
+import re
 import time as clock
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -203,7 +204,7 @@ def _table(rows: Mapping[str, str]) -> str:
 
 
 def _short(thing: object) -> str:
-    text = repr(thing)
+    text = re.sub(r"<[^<>]* at 0x[0-9a-f]+>", "a function", repr(thing))
     return text if len(text) <= 160 else text[:157] + "..."
 
 
