@@ -72,7 +72,8 @@ def parser() -> argparse.ArgumentParser:
     _add_run_options(resume)
 
     check = commands.add_parser(
-        "check", help="validate and mesh a case; report sizes, memory and time, without running"
+        "check",
+        help="validate and mesh a case; report sizes, scales and advice, memory and time; writes nothing",
     )
     check.add_argument("case", metavar="CASE", help="case file, TOML")
     _add_set(check)

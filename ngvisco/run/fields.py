@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-from ngsolve import CF, CoefficientFunction, Id, sqrt
+from ngsolve import CoefficientFunction, sqrt
 
 from ngvisco.errors import UnknownNameError
 from ngvisco.forms.system import Step
-from ngvisco.physics.material import Material, cauchy_stress, components_of, tensors_of
-from ngvisco.physics.pointwise import squares
+from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import dev, square, tr
+from ngvisco.run.scales import rest_pressure
 
 USUAL = ("density", "J", "velocity", "pressure", "von_mises")
 """What is drawn where nothing is said, as far as a run has it."""
@@ -34,22 +33,6 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
         "pressure_from_rest": (-1 / 3) * tr(T) - rest_pressure(material, step.mesh.dim),
         "von_mises": sqrt(1.5 * square(dev(T))),
     }
-
-
-def rest_pressure(material: Material, dim: int) -> float:
-    """-tr T/3 of the material at F = I, Pa."""
-    identity = {v.name: v.from_distortion(Id(3)) for v in material.variables}
-    at = squares(1)[1]
-    # constants of their own: derivatives by one variable must not see it within another
-    state = np.asarray(CF(components_of(material, identity, dim))(at)).reshape(1, -1)
-    z = tensors_of(material, CF(tuple(float(c) for c in state[0])), dim)
-    respond, phi, zeta = material.response(dim), None, None
-    if respond is not None:
-        found = respond(state)
-        phi = CF(float(found.energy[0]))
-        zeta = tensors_of(material, CF(tuple(float(c) for c in found.slope[0])), dim)
-    T = cauchy_stress(material, z, zeta, phi)
-    return float(np.asarray(CF((-1 / 3) * tr(T))(at)).reshape(-1)[0])
 
 
 def scalar_fields(

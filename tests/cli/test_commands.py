@@ -2,6 +2,7 @@
 
 import json
 import re
+import time
 import tomllib
 
 import h5py
@@ -87,13 +88,32 @@ def test_a_new_case_is_explained_and_valid(capsys, tmp_path):
         assert "swirl" in (said := capsys.readouterr().err) or "time.dt" in said or "not allowed" in said
 
 
-def test_check_reports_without_running(case_file, capsys, monkeypatch):
-    monkeypatch.setattr(nv.Simulation, "advance", None)
+def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
+    monkeypatch.chdir(case_file.parent)
     assert ended("check", case_file) == 0
     printed = capsys.readouterr().out
-    for pattern in (r"\d+ cells", r"unknowns +\d+", r"4 steps of 0.02 s", r"memory +\d+ MB", r"s a step"):
+    for pattern in (
+        r"\d+ cells",
+        r"unknowns +\d+",
+        r"4 steps of 0.02 s",
+        r"scales +L 1 m, h 0\.\d+ m, v [\d.]+ m/s, waves 4.84 and 3.16 m/s",
+        r"Reynolds, rho v L/G_v +\d+",
+        r"advice +shear waves cross the body in 0.32 s, 16 steps",
+        r"memory +\d+ MB",
+        r"s a step, .* \(by its first 4\)",
+    ):
         assert re.search(pattern, printed), pattern
-    assert not list(case_file.parent.glob("results*"))
+    assert list(case_file.parent.iterdir()) == [case_file]
+
+
+@pytest.mark.long
+def test_the_estimate_of_time_is_right_within_a_factor(case_file, capsys, tmp_path):
+    settings = ("--set", "time.until=2", "--set", "domain.maxh=0.2", "--set", "output.vtk.enabled=false")
+    assert ended("check", case_file, *settings) == 0
+    each = float(re.search(r"estimate +(\S+) s a step", capsys.readouterr().out)[1])
+    began = time.perf_counter()
+    assert ended("run", case_file, "-o", tmp_path / "out", "--quiet", *settings) == 0
+    assert 1 / 1.5 < 100 * each / (time.perf_counter() - began) < 1.5
 
 
 def test_version_and_help(capsys):

@@ -9,9 +9,9 @@ from test_scene import data_of, unpacked
 
 import ngvisco as nv
 from ngvisco.geometries import box, disc
-from ngvisco.run.fields import rest_pressure
 from ngvisco.run.movie import write_movie
 from ngvisco.run.plots import PlotError, Section, plot_fields
+from ngvisco.run.scales import rest_pressure
 from ngvisco.run.scene import write_scene_of_series
 from ngvisco.run.vtu import cut, read_frame, read_series_files
 
