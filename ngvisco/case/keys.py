@@ -87,20 +87,26 @@ KEYS: dict[str, Key] = {
     "file.path": Key("", "a .vol, .msh (gmsh), STEP or BREP file; relative to the case file", "part.step"),
     # materials
     "material.kind": Key("", "which material", "NeoHookean"),
-    "K_e": Key("Pa", "elastic bulk modulus, > 0", 10.0),
+    "K_e": Key("Pa", "bulk modulus, > 0; the usual one is K_e + kappa (kappa + 1) epsilon", 10.0),
+    "LinearElastic.K_e": Key("Pa", "elastic bulk modulus, > 0: the usual one", 10.0),
+    "LogarithmicNeoHookean.K_e": Key("Pa", "bulk modulus, > 0; the usual one is K_e + epsilon", 10.0),
     "G_e": Key("Pa", "elastic modulus of shear, > 0: half the usual shear modulus", 5.0),
     "LinearElastic.G_e": Key("Pa", "elastic shear modulus, > 0: the usual one", 5.0),
-    "HardeningElastic.K_e": Key("Pa", "elastic bulk modulus at zero strain, > 0", 10.0),
+    "HardeningElastic.K_e": Key("Pa", "elastic bulk modulus at zero strain, > 0: the usual one", 10.0),
     "HardeningElastic.G_e": Key("Pa", "elastic shear modulus at zero strain, > 0: the usual one", 5.0),
     "K_h": Key("Pa", "bulk hardening modulus, >= 0", 10.0),
     "G_h": Key("Pa", "shear hardening modulus, >= 0", 5.0),
     "s": Key("1", "exponent of the hardening, > 2", 4.0),
     "HardeningElastic.floor": Key("1", "strain below which |E|^s is smoothed, > 0", 1e-8),
     "NeoHookean.K_e": Key(
-        "Pa", "bulk modulus of the quadratic term, > 0; the usual one is K_e + epsilon", 10.0
+        "Pa",
+        "bulk modulus, > 0; the usual one is K_e + epsilon, with kappa K_e + kappa (kappa + 1) epsilon",
+        10.0,
     ),
     "MooneyRivlin.K_e": Key(
-        "Pa", "bulk modulus of the quadratic term, > 0; the usual one is K_e + epsilon", 10.0
+        "Pa",
+        "bulk modulus, > 0; the usual one is K_e + epsilon, with kappa K_e + kappa (kappa + 1) epsilon",
+        10.0,
     ),
     "epsilon": Key("Pa", "weight of the term that is singular at J = 0", 0.1),
     "kappa": Key(

@@ -278,8 +278,10 @@ def json_schema() -> dict[str, Any]:
     for name, model in models.items():
         node = schema if model is CaseSections else schema["$defs"][name]
         node["title"] = name
-        for field_name, prop in node["properties"].items():
+        for field_name, prop in list(node["properties"].items()):
             if field_name not in _TAGS:
+                if key(owner_name(model), field_name).unit not in ("", "1"):
+                    node["properties"][field_name] = prop = _with_quantities(prop)
                 prop.update(_annotations(model, field_name, model.model_fields[field_name]))
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "ngvisco case file"}
 
@@ -300,3 +302,13 @@ def _annotations(model: type[BaseModel], name: str, field: FieldInfo) -> dict[st
     if meant.example is not None:
         found["examples"] = [meant.example]
     return found
+
+
+def _with_quantities(node: Any) -> Any:
+    """A property's schema in which numbers may be texts with a unit."""
+    if isinstance(node, dict):
+        if node.get("type") == "number":
+            quantity = {"type": "string", "pattern": r"^\s*[+-]?[0-9.]+([eE][+-]?[0-9]+)?\s*[A-Za-z]"}
+            return {"anyOf": [node, quantity]}
+        return {name: _with_quantities(part) for name, part in node.items()}
+    return [_with_quantities(part) for part in node] if isinstance(node, list) else node

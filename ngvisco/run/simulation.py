@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, Mesh
 
-from ngvisco.errors import ParameterError, _is_number, require_type
+from ngvisco.errors import InitialDataError, ParameterError, _is_number, require_type
 from ngvisco.forms.context import Term, time
 from ngvisco.forms.initial import Initial, set_initial
 from ngvisco.forms.mesh_arrays import coordinates
@@ -117,15 +117,18 @@ class Simulation:
             raise ParameterError("Simulation.dt", dt, "a finite number > 0")
         if velocity_scale is not None and not (_is_number(velocity_scale) and velocity_scale > 0):
             raise ParameterError("Simulation.velocity_scale", velocity_scale, "a number > 0")
-        if isinstance(_innermost(model.material), (CustomMaterial, IsotropicStrainEnergy)):
-            check_convexity(model.material, dim=mesh.dim)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.observers = list(observers)
         self.t, self.number = 0.0, 0
-        set_initial(self.rothe_step, initial or Initial(), self.sampler)
+        try:
+            set_initial(self.rothe_step, initial or Initial(), self.sampler)
+        except InitialDataError:
+            self._check_convexity(None)  # it may be the reason
+            raise
+        self._check_convexity(self.sampler.values(self.rothe_step.now.z))
         self.set_velocity_scale(velocity_scale or self._typical_velocity())
         options = newton or NewtonOptions()
         if solver is not None:
@@ -144,6 +147,13 @@ class Simulation:
         self.passive = PassiveFields(self.rothe_step, passive)
         self.wall_time = 0.0
         self.stop_requested = False
+
+    def _check_convexity(self, states: np.ndarray | None) -> None:
+        """Warn where a user's own energy is not convex, and how far from these states that is."""
+        material = self.model.material
+        if isinstance(_innermost(material), (CustomMaterial, IsotropicStrainEnergy)):
+            near = None if states is None else states.reshape(len(states), -1)
+            check_convexity(material, dim=self.mesh.dim, states=near)
 
     def set_velocity_scale(self, scale: float) -> None:
         """Set the widths of the smoothed upwinding and of the penalty's weight, from m/s."""

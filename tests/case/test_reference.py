@@ -130,6 +130,11 @@ def test_the_schema_admits_the_demos_and_refuses_what_is_misspelt(schema):
             wrong = copy.deepcopy(data)
             wrong[section]["nonsense"] = 1
             assert not schema.is_valid(wrong), (path, section)
+    text = Path(__file__).with_name("test_units.py").read_text()
+    in_units = tomllib.loads(text.split('CASE = """\\\n')[1].split('"""')[0])
+    schema.validate(in_units)
+    in_units["time"]["dt"] = "ten"
+    assert not schema.is_valid(in_units)
     described = reference.json_schema()["$defs"]["NeoHookean"]["properties"]["G_e"]
     assert "half the usual shear modulus [Pa]" in described["description"]
 

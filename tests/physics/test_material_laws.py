@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from ngsolve import CF, Mesh, Parameter, unit_square
+from ngsolve import CF, IfPos, Mesh, Parameter, unit_square
 from scipy.integrate import solve_ivp
 
 import ngvisco as nv
@@ -355,6 +355,32 @@ def test_non_convex_energy_warns_with_the_point():
 
     slope = 10 * J ** (-5 / 3) * np.sum(F * dF) + dJ * (5 - 5 / J**2 - 25 / 3 * J ** (-8 / 3) * np.sum(F * F))
     assert phi(F + dF, J + dJ) - phi(F, J) - slope < -1e-9
+
+
+def test_a_violation_that_a_motion_reaches_is_cited_first_with_its_distance():
+    bend = nv.CustomMaterial(
+        transported=(Distortion(), Jacobian()),
+        stored_energy=lambda F, J: 5 * (J - 2 + 1 / J) + 5 * J ** (-5 / 3) * square(F),
+    )
+    with pytest.warns(nv.ConvexityWarning, match=r"which a motion can reach, 0\.\d+ from rest in the norm"):
+        report = nv.check_convexity(bend)
+    F, J = report.point["F"], float(report.point["J"])
+    assert report.reachable and pytest.approx(np.linalg.det(F), rel=1e-12) == J
+    rest = np.concatenate([np.eye(3).ravel(), [1.0]])
+    at = np.concatenate([F.ravel(), [J]])
+    assert report.distance == pytest.approx(np.linalg.norm(at - rest), rel=1e-12)
+    near = nv.check_convexity(bend, warn=False, states=np.array([at + 0.01, rest]))
+    assert near.distance == pytest.approx(0.01 * 10**0.5) and "the run's start" in str(near)
+
+
+def test_a_violation_that_no_motion_reaches_says_so():
+    """Concave in J where J is larger than det F can be among the sampled states: at most 2.12 in 2D."""
+    material = nv.CustomMaterial(
+        transported=(Distortion(), Jacobian()),
+        stored_energy=lambda F, J: square(F) - IfPos(J - 2.53, (J - 2.53) * (J - 2.53), 0 * J),
+    )
+    report = nv.check_convexity(material, dim=2, warn=False)
+    assert not report.passed and not report.reachable and "which no motion reaches exactly" in str(report)
 
 
 def test_simulation_warns_of_a_users_energy_that_is_not_convex():
