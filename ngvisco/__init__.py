@@ -23,6 +23,7 @@ from ngvisco.errors import (
     UnknownNameError,
 )
 from ngvisco.forms.context import time
+from ngvisco.forms.given import function_field, grid_field
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
@@ -52,10 +53,13 @@ from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, 
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.closure import ClosureWarning
 from ngvisco.run.ledger import DefectWarning
+from ngvisco.run.notebook import NotebookProgress, draw
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields
+from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
+from ngvisco.run.transfer import Transfer, resume_changed, transfer
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.timestepping.scheme import SCHEMES, TimeScheme
 
@@ -110,10 +114,12 @@ __all__ = [
     "Initial",
     "InitialDataError",
     "InputWarning",
+    "Integrals",
     "IsochoricNeoHookean",
     "IsotropicStrainEnergy",
     "IsotropyReport",
     "LedgerCSV",
+    "LineSamples",
     "LinearElastic",
     "LogarithmicNeoHookean",
     "Material",
@@ -125,10 +131,12 @@ __all__ = [
     "NewtonOptions",
     "NgviscoError",
     "NoSlip",
+    "NotebookProgress",
     "Observer",
     "OldroydB",
     "ParameterError",
     "PrescribedTangential",
+    "Probes",
     "Progress",
     "ReferentialMooneyRivlin",
     "ReferentialNeoHookean",
@@ -141,16 +149,23 @@ __all__ = [
     "StokesViscosity",
     "TimeScheme",
     "Traction",
+    "Transfer",
     "UnknownNameError",
     "VTKSeries",
+    "WallForces",
     "WithQuadratic",
     "Yosida",
     "check_convexity",
     "check_isotropy",
+    "draw",
+    "function_field",
+    "grid_field",
     "load",
     "load_case",
     "plot_energies",
     "plot_fields",
     "read_ledger",
+    "resume_changed",
     "time",
+    "transfer",
 ]

@@ -13,12 +13,21 @@ import functools
 import inspect
 import math
 import operator
+import re
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from ngsolve import CoefficientFunction
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    WithJsonSchema,
+    create_model,
+    model_validator,
+)
 
 from ngvisco.case import catalogue
 from ngvisco.case.expressions import parse
@@ -51,7 +60,9 @@ def _check_field(value: Any) -> Any:
     return value
 
 
-FieldValue = Annotated[Any, AfterValidator(_check_field)]
+FieldValue = Annotated[
+    Any, AfterValidator(_check_field), WithJsonSchema({"type": ["number", "string", "array"]})
+]
 """A scalar, vector or tensor field as it stands in a case file."""
 
 
@@ -262,19 +273,99 @@ class Checkpoint(Section):
     keep: int = Field(default=2, ge=1)
 
 
+def _check_name(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):
+        raise ValueError("expected at most 60 letters, digits, _ and -")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_check_name)]
+"""A name that becomes that of a file and of its columns."""
+
+
+class Probe(Section):
+    """Fields at a point over time."""
+
+    name: Name
+    point: list[float]
+    fields: list[str] | None = None
+    every: int = Field(default=1, ge=1)
+
+
+class Line(Section):
+    """Fields along a line over time."""
+
+    name: Name
+    start: list[float]
+    end: list[float]
+    points: int = Field(default=101, ge=2, le=100_000)
+    fields: list[str] | None = None
+    every: int = Field(default=10, ge=1)
+
+
+class Forces(Section):
+    """Forces and torques on walls over time."""
+
+    walls: list[str] | None = None
+    about: list[float] | None = None
+    every: int = Field(default=1, ge=1)
+
+
+class DomainIntegral(Section):
+    """The integral of an expression of the fields over the domain, over time."""
+
+    name: Name
+    of: str
+    every: int = Field(default=1, ge=1)
+
+
 class Output(Section):
     """What is written into the run directory."""
 
     vtk: VTK = VTK()
     checkpoint: Checkpoint = Checkpoint()
+    probes: list[Probe] = []
+    lines: list[Line] = []
+    forces: Forces | None = None
+    integrals: list[DomainIntegral] = []
     log_every: int = Field(default=1, ge=1)
     passive: list[str] = []
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Output:
+        taken = {"forces"} if self.forces is not None else set()
+        tables: dict[str, Sequence[Any]] = {
+            "probes": self.probes,
+            "lines": self.lines,
+            "integrals": self.integrals,
+        }
+        for key, members in tables.items():
+            for i, name in enumerate(member.name for member in members):
+                if name in taken:
+                    expected = f"a name that no other of the tables has: both would write {name}.csv"
+                    raise ParameterError(f"Output.{key}.{i}.name", name, expected)
+                taken.add(name)
+        return self
+
+
+class Units(Section):
+    """The units of plain numbers; they are converted before the case is validated
+    (``ngvisco.case.units``)."""
+
+    length: str = "m"
+    time: str = "s"
+    velocity: str = "m/s"
+    acceleration: str = "m/s^2"
+    density: str = "kg/m^3"
+    pressure: str = "Pa"
+    viscosity: str = "Pa s"
 
 
 class CaseSections(Section):
     """A whole case file."""
 
     title: str = ""
+    units: Units = Units()
     domain: Domain  # type: ignore[valid-type]
     material: Material  # type: ignore[valid-type]
     time: Time

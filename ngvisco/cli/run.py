@@ -14,6 +14,7 @@ from typing import Any
 from ngsolve import SetNumThreads
 
 from ngvisco import case as cases
+from ngvisco.case import changes
 from ngvisco.case.directory import RunDirectory
 from ngvisco.cli import streams
 from ngvisco.cli.exits import DONE, NOT_CLOSED
@@ -97,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     directory = Path(options.output or Path("results") / Path(options.case).stem)
     stop = StopOnSignal()
     observers = [*_terminal(options, case.until), stop]
-    result = cases.run(case, directory, force=options.force, observers=observers)
+    result = cases.run(case, directory, force=options.force, observers=observers, source=options.source)
     return _close(directory, result, stop)
 
 
@@ -107,10 +108,13 @@ def resume(options: argparse.Namespace) -> int:
     directory = Path(options.directory)
     if options.until is not None and not 0 < options.until < float("inf"):
         raise ParameterError("--until", options.until, "a finite number of seconds > 0")
-    until = RunDirectory(directory).case().until if options.until is None else options.until
+    until = options.until
+    if until is None:
+        place = RunDirectory(directory)
+        until = changes.changed(place, place.case(), options.settings).until
     stop = StopOnSignal()
     observers = [*_terminal(options, until), stop]
-    result = cases.resume(directory, options.until, observers=observers)
+    result = cases.resume(directory, options.until, observers=observers, settings=options.settings)
     return _close(directory, result, stop)
 
 

@@ -118,6 +118,12 @@ class Creep:
     In the linearised model this is E_ZJ = eps(v) - R dev S (paper: Euler-small-viscoelastodyn+2).
     The sign is that of the energy balance; the paper's flow rules print G_m Pi = -M.
 
+    G_m is twice the usual viscosity eta of the Maxwell dashpot, G_m = 2 eta: a steady flow with the strain
+    rate eps has the deviatoric stress dev T = G_m dev eps, as a fluid's is 2 eta dev eps.  With the usual
+    shear modulus G (G_e of the small-strain materials, 2 G_e of the neo-Hookean ones, 2 (G_e + G_mr) of the
+    Mooney-Rivlin ones) the stress relaxes like exp(-t/lambda), with the Maxwell time
+    lambda = G_m/(2 G) = eta/G.
+
     Parameters
     ----------
     G_m : float

@@ -226,13 +226,13 @@ def restore(
     """
     path = require_path("restore.path", path)
     expected = identity(simulation) | dict(attributes or {})
-    one = _read_checkpoint(path, expected, step)
-    vector, state = simulation.rothe_step.state.vec, one.arrays[""]["state"]
-    if state.shape != (len(vector),):
-        raise CheckpointError(f"{path}: the state has {state.size} coefficients, not {len(vector)}")
+    one = read_checkpoint(path, expected, step)
+    vector, state = simulation.rothe_step.state.vec, state_of(one, simulation, path)
     numbers = one.numbers[""]
     number = int(numbers["step"])
-    rows = [row for row in read_ledger_rows(path, simulation.ledger.columns) if row["step"] <= number]
+    ledger = simulation.ledger
+    names = [*ledger.columns, *ledger.foreign(read_ledger(path))]
+    rows = [row for row in read_ledger_rows(path, names) if row["step"] <= number]
     if [row["step"] for row in rows] != list(range(number + 1)):
         raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
     simulation.passive.load(one.arrays["passive"])
@@ -243,15 +243,31 @@ def restore(
     simulation.set_velocity_scale(numbers["velocity_scale"])
     simulation.solver.recall(one.numbers["solver"], one.arrays["solver"])
     simulation.stepper.recall(simulation, one.numbers["stepping"], one.arrays["stepping"])
-    balance = {f.name: numbers[f.name] for f in dataclasses.fields(Balance)}
-    simulation.ledger.resume(Balance(**balance), rows)
+    ledger.keep(names)
+    ledger.resume(balance_of(one), rows)
+
+
+def balance_of(one: Snapshot) -> Balance:
+    """Energy and masses as a checkpoint has them."""
+    return Balance(**{f.name: one.numbers[""][f.name] for f in dataclasses.fields(Balance)})
+
+
+def state_of(one: Snapshot, simulation: Simulation, path: str | os.PathLike[str]) -> np.ndarray:
+    """The coefficients of a checkpoint; raises CheckpointError if they are not as many as the
+    simulation's."""
+    state, expected = one.arrays[""]["state"], len(simulation.rothe_step.state.vec)
+    if state.shape != (expected,):
+        raise CheckpointError(f"{path}: the state has {state.size} coefficients, not {expected}")
+    return state
 
 
 _UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError)
 """What h5py raises for a damaged file, depending on where it is damaged."""
 
 
-def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> Snapshot:
+def read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> Snapshot:
+    """One checkpoint, by default the last, of a file that has the expected attributes; raises
+    CheckpointError."""
     if not path.exists():
         raise CheckpointError(f"{path}: no such file")
     try:

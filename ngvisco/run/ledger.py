@@ -14,19 +14,22 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, sqrt
 
 from ngvisco.errors import UnknownNameError
-from ngvisco.forms.context import Entry, Integrand
+from ngvisco.forms.context import Entry, Integrand, Kind
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.physics.defects import relative_defects
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
+from ngvisco.run.notebook import data_frame, ledger_html
 from ngvisco.timestepping.integrator import StepTaken
 
 NUMERICAL = ("inertial", "bregman")
@@ -57,6 +60,10 @@ UNITS = {
     "cutoff_volume": "m^3",
 }
 """Units of the columns that are neither energies (J) nor powers (W)."""
+
+
+TRANSFER = "transfer"
+"""Energy lost where a state was carried over to another mesh or other parameters, J."""
 
 
 def unit(column: str) -> str:
@@ -101,6 +108,8 @@ class Ledger:
         self._rates = _Integrals(step, {e.name: e for e in self.entries if e.kind in RATES})
         self._monitors = self._monitor_functions()
         self._has_warned = False
+        self._absent: dict[str, float] = {}
+        self._pending: dict[str, float] = {}
         self.rows: list[dict[str, float]] = []
         self.balance: Balance | None = None
 
@@ -122,6 +131,13 @@ class Ledger:
             raise UnknownNameError("ledger column", name, self.columns)
         return np.array([row[name] for row in self.rows])
 
+    def frame(self) -> Any:
+        """All rows as a pandas frame, with the step as index; NotebookError where pandas is missing."""
+        return data_frame({name: self.column(name) for name in self.columns})
+
+    def _repr_html_(self) -> str:
+        return ledger_html(self.rows)
+
     def start(self, time: float) -> dict[str, float]:
         """Row 0: the initial state, with no exchange."""
         self.step.energy.require()
@@ -142,6 +158,33 @@ class Ledger:
         self.step.energy.require()
         return self._rates()
 
+    def energy(self) -> float:
+        """Kinetic plus stored energy at the present state, J."""
+        self.step.energy.require()
+        values = self._state()
+        return values["kinetic"] + values["stored"]
+
+    def foreign(self, names: Iterable[str]) -> list[str]:
+        """Of columns of an earlier part of the run, those of its energy balance that this one does not have."""
+        return [
+            name
+            for name in names
+            if name not in self.columns and name.startswith(("dissipation_", "power_", TRANSFER))
+        ]
+
+    def keep(self, names: Iterable[str]) -> None:
+        """Have entries of value 0 for what an earlier part of the run exchanged and this one does not."""
+        for name in self.foreign(names):
+            kind: Kind = "numerical" if name == TRANSFER else "dissipation"
+            kind = "power" if name.startswith("power_") else kind
+            self.entries.append(Entry(name, kind, Integrand()))
+            self._absent[name] = 0.0
+
+    def add_once(self, name: str, value: float) -> None:
+        """Add ``value``, J, to the column ``name`` of the next row, a transfer between states."""
+        self.keep([name])
+        self._pending[name] = value
+
     def record(
         self,
         number: int,
@@ -157,7 +200,8 @@ class Ledger:
         assert self.balance is not None
         tau, iterations = taken.tau, len(taken.history)
         self.step.energy.require()
-        values = self._state() | taken.rates | taken.numerical
+        values = self._absent | self._pending | self._state() | taken.rates | taken.numerical
+        self._pending = {}
         energy = values["kinetic"] + values["stored"]
         dissipated, worked = self._sum(values, "dissipation"), self._sum(values, "power")
         remainder = self._sum(values, "numerical")

@@ -100,16 +100,24 @@ class PassiveFields:
             self._solvers[key] = carrier
 
     @property
+    def parts(self) -> Mapping[str, GridFunction]:
+        """The grid functions that are carried, by their own names."""
+        return self._parts
+
+    @property
     def fields(self) -> dict[str, CoefficientFunction]:
-        """Passive fields by name: F_tot 3x3 (plane strain in 2D), reference_map a vector, creep_strain."""
+        """Passive fields by name: F_tot 3x3 (plane strain in 2D), reference_map and displacement (x less
+        the reference map) vectors, creep_strain.
+        """
         dim, parts, result = self.step.mesh.dim, self._parts, {}
         if "F_tot" in self.names:
             columns = [parts[f"F_tot_{j + 1}"] for j in range(dim)]
             rows = [[columns[j][i] if max(i, j) < dim else float(i == j) for j in range(3)] for i in range(3)]
             result["F_tot"] = CF(tuple(entry for row in rows for entry in row), dims=(3, 3))
         if "reference_map" in self.names:
-            came_from = (c - parts[f"displacement_{i + 1}"] for i, c in enumerate((x, y, z)[:dim]))
-            result["reference_map"] = CF(tuple(came_from))
+            moved = [parts[f"displacement_{i + 1}"] for i in range(dim)]
+            result["reference_map"] = CF(tuple(c - u for c, u in zip((x, y, z), moved, strict=False)))
+            result["displacement"] = CF(tuple(moved))
         if "creep_strain" in self.names:
             result["creep_strain"] = parts["creep_strain_1"]
         return result

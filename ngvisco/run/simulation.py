@@ -15,7 +15,14 @@ from typing import Protocol
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, Mesh
 
-from ngvisco.errors import ParameterError, as_number, as_times, require_positive, require_type
+from ngvisco.errors import (
+    InitialDataError,
+    ParameterError,
+    as_number,
+    as_times,
+    require_positive,
+    require_type,
+)
 from ngvisco.forms.context import Term, time
 from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
@@ -35,6 +42,7 @@ from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.fields import output_fields
 from ngvisco.run.inputs import check_arguments, check_observer, times_of
 from ngvisco.run.ledger import Ledger
+from ngvisco.run.notebook import simulation_html
 from ngvisco.run.passive import PassiveFields
 from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, RejectionObserver, make_stepper
 from ngvisco.solver.options import NewtonOptions
@@ -135,8 +143,6 @@ class Simulation:
             require_positive("Simulation", velocity_scale=velocity_scale)
         check_arguments(observers, walls, stepping, passive, sources)
         chosen = _checked_scheme(scheme, theta, startup, relaxation, stepping)
-        if isinstance(_innermost(model.material), (CustomMaterial, IsotropicStrainEnergy)):
-            check_convexity(model.material, dim=mesh.dim)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls)
@@ -144,13 +150,18 @@ class Simulation:
         self.check_data([0.0])
         self.observers = list(observers)
         self.t, self.number = 0.0, 0
-        set_initial(self.rothe_step, initial or Initial(), self.sampler)
+        try:
+            set_initial(self.rothe_step, initial or Initial(), self.sampler)
+        except InitialDataError:
+            self._check_convexity(None)  # it may be the reason
+            raise
+        self._check_convexity(self.sampler.values(self.rothe_step.now.z))
         warn_of_normal_parts(self.rothe_step, None if initial is None else initial.velocity)
         self.set_velocity_scale(float(velocity_scale or self._typical_velocity()))
         options = newton or NewtonOptions()
         if solver is not None:
             options = replace(options, method=solver)
-        self.solver = RotheSolver(self.rothe_step, options, self._defect)
+        self.solver = RotheSolver(self.rothe_step, options, self.defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.closure_check = ClosureCheck(options.tolerance)
         u, variables = self.rothe_step.now, model.material.variables
@@ -166,6 +177,13 @@ class Simulation:
         self.wall_time = 0.0
         self.stop_requested = False
 
+    def _check_convexity(self, states: np.ndarray | None) -> None:
+        """Warn where a user's own energy is not convex, and how far from these states that is."""
+        material = self.model.material
+        if isinstance(_innermost(material), (CustomMaterial, IsotropicStrainEnergy)):
+            near = None if states is None else states.reshape(len(states), -1)
+            check_convexity(material, dim=self.mesh.dim, states=near)
+
     def set_velocity_scale(self, scale: float) -> None:
         """Set the widths of the smoothed upwinding and of the penalty's weight, from m/s."""
         self.velocity_scale = scale
@@ -173,9 +191,15 @@ class Simulation:
         self.rothe_step.context.curvature.Set(0.1 * scale / self._diameter() ** 2)
 
     def set_time(self, t: float, number: int) -> None:
-        """Say that the present state is that of step ``number`` at ``t`` (s), as a restart does."""
+        """Say that the present state is that of step ``number`` at ``t`` (s), as a restart does.
+
+        For a state that belongs to other times than multiples of dt, see ``stepper.begin``.
+        """
         self.t, self.number = t, number
         time.Set(t)
+
+    def _repr_html_(self) -> str:
+        return simulation_html(self)
 
     @property
     def scheme(self) -> TimeScheme:
@@ -315,7 +339,7 @@ class Simulation:
         if not self.ledger.rows and self.ledger.balance is None:
             self.ledger.start(self.t)
 
-    def _defect(self) -> str | None:
+    def defect(self) -> str | None:
         """The first of rho, J (A) that is not positive at a sampling point, in words."""
         values = self.sampler.values(self._positive_values)
         minima = values.reshape(len(values), -1).min(axis=0)

@@ -122,6 +122,10 @@ class Stepper(Protocol):
     ) -> None:
         """Take up what ``memory`` gave."""
 
+    def begin(self, time: float, number: int) -> None:
+        """Count steps from the state of step ``number`` at ``time``, as a run that goes on with another
+        dt."""
+
 
 def make_stepper(dt: float, adaptive: AdaptiveSteps | None) -> Stepper:
     """The stepper of a simulation with first (or only) length ``dt``."""
@@ -143,27 +147,34 @@ class FixedStepper:
 
     def __init__(self, dt: float) -> None:
         self.dt = dt
+        self.begin(0.0, 0)
+
+    def begin(self, time: float, number: int) -> None:
+        self._start, self._first = time, number
 
     def check(self, name: str, time: float) -> None:
-        number = round(time / self.dt)
-        if not math.isclose(number * self.dt, time, rel_tol=1e-9, abs_tol=1e-12 * self.dt):
-            raise ParameterError(name, time, f"a multiple of dt = {self.dt:g}")
+        covered = time - self._start
+        number = round(covered / self.dt)
+        if not math.isclose(number * self.dt, covered, rel_tol=1e-9, abs_tol=1e-12 * max(self.dt, time)):
+            after = f" after t = {self._start:g} s" if self._start else ""
+            raise ParameterError(name, time, f"a multiple of dt = {self.dt:g}{after}")
 
     def reached(self, simulation: Simulation, time: float) -> bool:
-        return simulation.number >= round(time / self.dt)
+        return simulation.number - self._first >= round((time - self._start) / self.dt)
 
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
         taken = simulation.integrator.advance(simulation.t, self.dt, simulation.number)
         # (n + 1) dt, not a running sum: times are the same in a restarted run
-        return Accepted((simulation.number + 1) * self.dt, taken)
+        return Accepted(self._start + (simulation.number - self._first + 1) * self.dt, taken)
 
     def memory(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        return {}, {}
+        return {"start": self._start, "first": float(self._first)}, {}
 
     def recall(
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
-        """Nothing: a fixed step has no past."""
+        if "first" in numbers:
+            self.begin(numbers["start"], int(numbers["first"]))
 
 
 class AdaptiveStepper:
@@ -174,6 +185,9 @@ class AdaptiveStepper:
         self.dt, self.streak = dt, 0
         self._last_error: float | None = None
         self._estimate: ErrorEstimate | None = None
+
+    def begin(self, time: float, number: int) -> None:
+        """Nothing: lengths do not depend on the number of a step."""
 
     def check(self, name: str, time: float) -> None:
         """Every time can be met."""
@@ -270,7 +284,7 @@ class AdaptiveStepper:
     def recall(
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
-        if not numbers:  # the checkpoint is of a run with fixed steps
+        if "streak" not in numbers:  # the checkpoint is of a run with fixed steps
             return
         self.dt, self.streak = numbers["dt"], int(numbers["streak"])
         self._last_error = numbers.get("last_error")

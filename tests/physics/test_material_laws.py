@@ -365,6 +365,28 @@ def test_non_convex_energy_warns_with_the_point():
     assert phi(F + dF, J + dJ) - phi(F, J) - slope < -1e-9
 
 
+def test_a_violation_that_a_motion_reaches_is_cited_first_with_its_distance():
+    bend = nv.CustomMaterial(
+        transported=(Distortion(), Jacobian()),
+        stored_energy=lambda F, J: 5 * (J - 2 + 1 / J) + 5 * J ** (-5 / 3) * square(F),
+    )
+    with pytest.warns(nv.ConvexityWarning, match=r"which a motion can reach, \S+ from rest in the norm"):
+        report = nv.check_convexity(bend)
+    F, J = report.point["F"], float(report.point["J"])
+    assert report.reachable and pytest.approx(np.linalg.det(F), rel=1e-12) == J
+    rest = np.concatenate([np.eye(3).ravel(), [1.0]])
+    at = np.concatenate([F.ravel(), [J]])
+    assert report.distance == pytest.approx(np.linalg.norm(at - rest), rel=1e-12)
+    near = nv.check_convexity(bend, warn=False, states=np.array([at + 0.01, rest]))
+    assert near.distance == pytest.approx(0.01 * 10**0.5) and "the run's start" in str(near)
+
+
+def test_a_violation_that_no_motion_reaches_says_so():
+    point = {"F": np.eye(3), "J": np.array(2.0)}
+    report = nv.ConvexityReport(10, -1.0, point, point, reachable=False, distance=1.0)
+    assert "(which no motion reaches exactly, 1 from rest in the norm of all variables)" in str(report)
+
+
 def test_simulation_warns_of_a_users_energy_that_is_not_convex():
     material = nv.CustomMaterial(
         transported=(Jacobian(),), stored_energy=lambda J: 1 / J - 3 * (J - 1) * (J - 1)
