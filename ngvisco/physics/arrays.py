@@ -184,8 +184,9 @@ def array_slope(material: Material, dim: int) -> Slope | None:
 
     def slope(z: np.ndarray) -> np.ndarray:
         result = np.empty_like(z)
-        for start in range(0, z.shape[1], CHUNK):
-            _slope(z[:, start : start + CHUNK], result[:, start : start + CHUNK])
+        with np.errstate(invalid="ignore", divide="ignore"):  # NaN outside the energy's domain
+            for start in range(0, z.shape[1], CHUNK):
+                _slope(z[:, start : start + CHUNK], result[:, start : start + CHUNK])
         return result
 
     def _slope(z: np.ndarray, result: np.ndarray) -> None:
