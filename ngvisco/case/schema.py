@@ -26,6 +26,8 @@ from ngvisco.errors import ParameterError, UnknownNameError, as_number
 from ngvisco.physics.material import Material as MaterialObject
 
 _MAX_OUTPUT_TIMES = 100_000
+_MAX_STEPS = 100_000_000
+"""Steps above which a run has no end: ten of the smallest a second make a hundred days."""
 
 
 class Section(BaseModel):
@@ -225,6 +227,10 @@ class Time(Section):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ParameterError(f"Time.{name}", value, "a finite number > 0")
+        if self.until / self.dt > _MAX_STEPS:
+            least = self.until / _MAX_STEPS
+            expected = f"at least {least:.2g}: this one makes {self.until / self.dt:.0e} steps"
+            raise ParameterError("Time.dt", self.dt, expected)
         if self.adaptive is None:
             number = round(self.until / self.dt)
             if not math.isclose(number * self.dt, self.until, rel_tol=1e-9):
