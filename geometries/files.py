@@ -1,7 +1,13 @@
-"""Meshes and geometries from files: Netgen's .vol, STEP and BREP, gmsh's .msh."""
+"""Meshes and geometries from files: Netgen's .vol, STEP and BREP, gmsh's .msh.
+
+Netgen ends the whole process on some files that are cut short; so a file is read by a process of its own
+first, and only then by this one.
+"""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import warnings
 from os import PathLike
 from pathlib import Path
@@ -13,7 +19,14 @@ from netgen.read_gmsh import ReadGmsh
 from ngsolve import Mesh
 
 from ngvisco.errors import MeshError, ParameterError, require_path
-from ngvisco.geometries.meshing import CURVE_ORDER, is_delicate, mesh_of, unit_of
+from ngvisco.geometries.meshing import (
+    CURVE_ORDER,
+    as_length,
+    check_order,
+    is_delicate,
+    mesh_of,
+    unit_of,
+)
 
 _FLAT = 1e-6  # of a sheet's width, above and below z = 0; OCC's bounding boxes have a margin
 
@@ -48,8 +61,12 @@ def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = C
         If its name has another ending, or maxh is missing.
     """
     path = require_path("load.path", path)
-    check_file(path)
+    if maxh is not None:
+        maxh = as_length("load.maxh", maxh)
+    check_order("load", order)
+    _check_file(path)
     kind = path.suffix.lower()
+    _try_apart(path, maxh)
     try:
         mesh = _read(path, kind, maxh)
     except (MeshError, ParameterError):
@@ -61,7 +78,7 @@ def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = C
     return mesh.Curve(order) if order > 1 and kind not in (".vol", ".msh") else mesh
 
 
-def check_file(path: Path) -> None:
+def _check_file(path: Path) -> None:
     """Raise MeshError or ParameterError for a file that is no mesh or geometry at the first look."""
     kind = path.suffix.lower()
     if kind not in _ENDS:
@@ -71,6 +88,30 @@ def check_file(path: Path) -> None:
     text = path.read_text(encoding="utf-8", errors="replace")
     if _ENDS[kind] not in text or (kind == ".brep" and not _is_whole_brep(text)):
         raise MeshError(f"{path}: the file is cut short (no end of {_ENDS[kind]!r} in it)")
+
+
+_TRIAL = """
+import sys
+from pathlib import Path
+from ngvisco.errors import NgviscoError
+from ngvisco.geometries.files import _read
+path, maxh = sys.argv[1:]
+try:
+    _read(Path(path), Path(path).suffix.lower(), float(maxh) if maxh else None)
+except NgviscoError:
+    pass  # is raised again, and explained, in the process that asked
+"""
+
+
+def _try_apart(path: Path, maxh: float | None) -> None:
+    """Raise MeshError if Netgen ends its process on the file."""
+    # the child finds what this process has found, also in a clone that is not installed
+    code = f"import sys; sys.path[:] = {sys.path!r}\nimport ngvisco\n{_TRIAL}"
+    arguments = [sys.executable, "-c", code, str(path), "" if maxh is None else repr(maxh)]
+    trial = subprocess.run(arguments, capture_output=True, text=True)
+    if trial.returncode != 0:
+        said = trial.stderr.strip().splitlines()
+        raise MeshError(f"{path}: Netgen cannot read it ({said[-1] if said else 'it crashes'})")
 
 
 def _is_whole_brep(text: str) -> bool:

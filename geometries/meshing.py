@@ -20,7 +20,14 @@ from netgen.meshing import NetgenGeometry
 from netgen.occ import OCCGeometry, Pnt
 from ngsolve import BND, CF, VOL, Integrate, Mesh
 
-from ngvisco.errors import MeshError, ParameterError, UnknownNameError, as_number, require_names
+from ngvisco.errors import (
+    MeshError,
+    ParameterError,
+    UnknownNameError,
+    as_integer,
+    as_number,
+    require_names,
+)
 
 CURVE_ORDER = 3
 """Order of curved cells: one above the default velocity, so that the geometry's error is not the largest."""
@@ -52,6 +59,13 @@ def as_length(field: str, value: object) -> float:
     if not _SIZES[0] <= number <= _SIZES[1]:
         raise ParameterError(field, value, f"a length between {_SIZES[0]:g} and {_SIZES[1]:g} m")
     return number
+
+
+def check_order(owner: str, order: int) -> None:
+    """Raise ParameterError unless the order of curved cells is an integer from 1 to 10."""
+    number = as_integer(order)
+    if number is None or not 1 <= number <= 10:
+        raise ParameterError(f"{owner}.order", order, "an integer from 1 to 10")
 
 
 def unit_of(
@@ -125,8 +139,7 @@ def mesh_of(
         If Netgen cannot mesh the shape.
     """
     size = as_length(f"{owner}.maxh", maxh) / unit
-    if isinstance(order, bool) or as_number(order) is None or int(order) != order or not 1 <= order <= 10:
-        raise ParameterError(f"{owner}.order", order, "an integer from 1 to 10")
+    check_order(owner, order)
     walls = shape.edges if dim == 2 else shape.faces
     known = {str(wall.name) for wall in walls if wall.name}
     cells = {f"{owner}.maxh": (maxh, sum(part.mass for part in _interior(shape, dim)), size, dim)}

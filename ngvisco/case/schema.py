@@ -36,6 +36,8 @@ from ngvisco.physics.material import Material as MaterialObject
 from ngvisco.timestepping.scheme import SCHEMES, scheme_of
 
 _MAX_OUTPUT_TIMES = 100_000
+_MAX_STEPS = 100_000_000
+"""Steps above which a run has no end: ten of the smallest a second make a hundred days."""
 
 
 class Section(BaseModel):
@@ -247,6 +249,10 @@ class Time(Section):
         if self.relaxation and (self.scheme != "midpoint" or self.adaptive is None):
             expected = "false, or the scheme 'midpoint' with [time.adaptive]"
             raise ParameterError("Time.relaxation", self.relaxation, expected)
+        if self.until / self.dt > _MAX_STEPS:
+            least = self.until / _MAX_STEPS
+            expected = f"at least {least:.2g}: this one makes {self.until / self.dt:.0e} steps"
+            raise ParameterError("Time.dt", self.dt, expected)
         if self.adaptive is None:
             number = round(self.until / self.dt)
             if not math.isclose(number * self.dt, self.until, rel_tol=1e-9):
