@@ -187,6 +187,15 @@ KEYS: dict[str, Key] = {
     "Traction.f": Key("Pa", "tangential traction, a component for each dimension", ["0.1*sin(t)", 0.0]),
     "friction": Key("Pa s/m", "traction -friction v_t besides, >= 0", 0.1),
     "coefficient": Key("Pa s/m", "tangential stress is -coefficient v_t, >= 0", 0.1),
+    "elastic_state": Key(
+        "",
+        'variables of the distortion "F" or of "B" = F F^T, for a body that flows; B where there is creep',
+        "B",
+    ),
+    "Creep.law": Key(
+        "", '"mandel" (the paper), or "conformation" or "leonov" of a conformation tensor\'s fluid', "leonov"
+    ),
+    "FENEP.b": Key("1", "trace of the conformation tensor that it never reaches, > 3", 60),
     # start
     "density": Key("kg/m^3", "initial density, > 0", 1.0),
     "Initial.velocity": Key(
@@ -203,6 +212,17 @@ KEYS: dict[str, Key] = {
     # time
     "Time.dt": Key("s", "length of a step; of the first one, with [time.adaptive]", 0.02),
     "Time.until": Key("s", "end of the run, a multiple of dt where steps have one length", 1.0),
+    "Time.scheme": Key(
+        "",
+        'time scheme: "backward-euler" (order 1), "midpoint" (order 2, damps nothing), "sdirk2" (order 2, '
+        'damps what the step does not resolve) or "theta"',
+        "midpoint",
+    ),
+    "Time.theta": Key("1", 'of scheme = "theta", in [1/2, 1]: 1/2 is midpoint, 1 backward-euler', 0.6),
+    "Time.startup": Key("1", "first steps of the run that are of backward-euler, which damps rough data", 2),
+    "Time.relaxation": Key(
+        "", "with midpoint and [time.adaptive]: end each step where the scheme dissipates nothing", True
+    ),
     "velocity_scale": Key(
         "m/s", "a typical velocity, which sets the width of the upwinding; default from the data", 1.0
     ),
@@ -211,7 +231,7 @@ KEYS: dict[str, Key] = {
     "AdaptiveSteps.tolerance": Key(
         "1", "of a step's relative error; without it only unsolvable steps are shortened", 1e-3
     ),
-    "patience": Key("1", "accepted steps in a row before the length is doubled", 4),
+    "patience": Key("1", "accepted steps in a row before the length is doubled, without a tolerance", 4),
     # numbers of the scheme and of the solver
     "k": Key("1", "order of the velocity, 2 or 3", 2),
     "m": Key("1", "order of density and transported variables, 0, 1 or 2", 1),

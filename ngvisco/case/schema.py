@@ -251,7 +251,8 @@ class Time(Section):
             raise ParameterError("Time.relaxation", self.relaxation, expected)
         if self.until / self.dt > _MAX_STEPS:
             least = self.until / _MAX_STEPS
-            expected = f"at least {least:.2g}: this one makes {self.until / self.dt:.0e} steps"
+            steps = f"{self.until / self.dt:.0e} steps until = {self.until:g}"
+            expected = f"at least {least:.2g}: this one makes {steps}"
             raise ParameterError("Time.dt", self.dt, expected)
         if self.adaptive is None:
             number = round(self.until / self.dt)

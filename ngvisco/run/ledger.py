@@ -165,7 +165,7 @@ class Ledger:
         return values["kinetic"] + values["stored"]
 
     def foreign(self, names: Iterable[str]) -> list[str]:
-        """Of columns of an earlier part of the run, those of its energy balance that this one does not have."""
+        """Of an earlier part's columns those of the energy balance that this one does not have."""
         return [
             name
             for name in names

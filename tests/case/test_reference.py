@@ -14,6 +14,11 @@ from ngvisco.case.keys import KEYS, key
 from ngvisco.case.schema import CaseSections, FieldValue
 
 ENTRIES = reference.entries()
+COMPANIONS = {
+    "theta": {"scheme": "theta"},
+    "relaxation": {"scheme": "midpoint", "adaptive": {"dt_min": 0.001, "dt_max": 0.1}},
+}
+"""Keys of [time] that are refused without others, and those."""
 NUMBERS = ("number", "array of numbers", "table of numbers")
 BASE = """\
 [domain]
@@ -110,6 +115,7 @@ def test_every_example_is_admitted(entry, kind, schema):
     data = placed(entry, kind)
     if entry.name == "time.adaptive.dt_max":
         data["time"]["adaptive"]["dt_min"] = 0.001
+    data["time"] |= COMPANIONS.get(entry.name.removeprefix("time."), {})
     loaded = CaseSections.model_validate(data)
     assert loaded.time.dt
     schema.validate(data)
@@ -148,7 +154,7 @@ def test_a_template_is_the_demo_with_notes(name):
 
 
 def test_what_a_template_offers_is_admitted():
-    """Every optional line of a template, taken into the case on its own, is a case."""
+    """Every optional line of a template, taken into the case on its own, is a case (but for COMPANIONS)."""
     lines = template.template("swirl").splitlines()
     start = lines.index("[material]")
     for number in range(start, len(lines)):
@@ -158,6 +164,8 @@ def test_what_a_template_offers_is_admitted():
         table = next(text for text in reversed(before) if text.lstrip("# ").startswith("["))
         if table.startswith("#"):
             break  # whole tables from here on: a case takes them as wholes
+        if line[2:].split(" = ")[0] in COMPANIONS:
+            continue
         parse_case("\n".join([*before, line[2:], *lines[number + 1 :]]), "swirl", Path("."))
 
 
