@@ -29,33 +29,39 @@ def load(name):
     ],
 )
 def test_demo_keeps_energy_mass_and_positivity(name, steps, options, tmp_path):
-    ledger = load(name).main(str(tmp_path), **options).ledger
+    run = load(name).main(str(tmp_path), **options)
+    ledger = run.ledger
     assert ledger.column("step")[-1] >= steps
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
     assert np.abs(ledger.column("mass_drift")).max() <= 1e-12
     assert ledger.column("rho_min").min() > 0
     if not np.isnan(ledger.column("J_min")[0]):  # the linearised model has no J
         assert ledger.column("J_min").min() > 0
-    for column in ("bregman", "inertial", "dissipation_hyper", "dissipation_stokes_shear"):
+    for column in ("dissipation_hyper", "dissipation_stokes_shear"):
         assert ledger.column(column).min() >= 0
-    for name in ("ledger.csv", "run.h5", "energies.png", "fields.png", "vtk/fields.pvd"):
-        assert (tmp_path / name).stat().st_size > 0
+    if run.scheme.order == 1:  # of second order they have either sign
+        assert min(ledger.column("bregman").min(), ledger.column("inertial").min()) >= 0
+    for file in ("ledger.csv", "run.h5", "energies.png", "fields.png", "vtk/fields.pvd"):
+        assert (tmp_path / file).stat().st_size > 0
+    if name == "swirl":  # what its picture compares: Euler's share of the loss is 0.222 J
+        assert (tmp_path / "schemes.png").stat().st_size > 0
+        assert abs((ledger.column("inertial") + ledger.column("bregman")).sum()) <= 1e-5
 
 
 def test_swirl_recoils_elastically():
-    """The kinetic energy falls below 2 % of its start and comes back to more than a third."""
+    """The kinetic energy falls below 4 % of its start and comes back to more than three quarters."""
     run = load("swirl").simulation(maxh=0.25)
     kinetic = run.run(0.3).column("kinetic")
     low = int(np.argmin(kinetic[:10]))
-    assert kinetic[low] < 0.02 * kinetic[0]
-    assert kinetic[low:].max() > kinetic[0] / 3
+    assert kinetic[low] < 0.04 * kinetic[0]
+    assert kinetic[low:].max() > 0.75 * kinetic[0]
 
 
 def unloaded(name, dt):
-    """The demo's body without gravity on a coarse mesh, in motion."""
+    """The demo's body without gravity on a coarse mesh, in motion, by the paper's scheme."""
     demo = load(name)
     maxh = {"swirl3d": 0.6, "mooney_rivlin": 0.5, "creep_finite": 0.5}.get(name, 0.35)
-    run = demo.simulation(maxh=maxh, dt=dt, gravity=0.0)
+    run = demo.simulation(maxh=maxh, dt=dt, gravity=0.0, scheme="backward-euler")
     if name == "creep_finite":  # it starts at rest: here it is released after two steps under its load
         loaded = demo.simulation(maxh=maxh)
         loaded.run(2 * loaded.dt)
@@ -92,7 +98,7 @@ SCRIPTS = {
     "mooney_rivlin": lambda demo: demo.simulation(maxh=0.6),
     "couette": lambda demo: demo.simulation(maxh=0.7),
     "creep": lambda demo: demo.simulation(maxh=0.6),
-    "shear": lambda demo: demo.simulation(stepping=demo.GROWING),
+    "shear": lambda demo: demo.simulation(),
     "shell": lambda demo: demo.simulation(maxh=0.7),
     "swirl": lambda demo: demo.simulation(maxh=0.35),
     "swirl3d": lambda demo: demo.simulation(maxh=0.9),

@@ -1,15 +1,16 @@
 """A Mooney-Rivlin block set in rotation inside its box: it recoils elastically.
-
 Run with ``python demos/mooney_rivlin/mooney_rivlin.py [output directory]``; needs the extra ``plots``.
 """
 
 import sys
 from pathlib import Path
 
+import numpy as np
 from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
+from ngvisco.run.plots import figure
 
 
 def simulation(
@@ -23,28 +24,31 @@ def simulation(
         loads=[nv.Gravity((0.0, -gravity))] if gravity else [],
     )
     swirl = (0.5 * sin(pi * x) * cos(pi * y), -0.5 * cos(pi * x) * sin(pi * y))
-    initial = nv.Initial(velocity=swirl)
-    return nv.Simulation(box((1, 1), maxh=maxh), model, dt=dt, initial=initial, **options)
+    options = {"initial": nv.Initial(velocity=swirl), "scheme": "midpoint", **options}
+    return nv.Simulation(box((1, 1), maxh=maxh), model, dt=dt, **options)
 
 
 def main(directory: str = "results/mooney_rivlin", until: float = 1.0) -> nv.Simulation:
     out = Path(directory)
-    observers = [
-        nv.Progress(until),
-        nv.LedgerCSV(out / "ledger.csv"),
-        nv.VTKSeries(out / "vtk", every=5),
-        nv.Checkpoints(out / "run.h5", every=25),
-    ]
-    run = simulation(observers=observers)
-    ledger = run.run(until)
+    files = [nv.LedgerCSV(out / "ledger.csv"), nv.VTKSeries(out / "vtk", every=5)]
+    run = simulation(observers=[nv.Progress(until), *files, nv.Checkpoints(out / "run.h5", every=25)])
+    ledger, fields = run.run(until), run.fields
     nv.plot_energies(ledger, out / "energies.png")
-    fields = run.fields
-    shown = [
-        ("von Mises stress, Pa", fields["von_mises"]),
-        ("J", fields["J"]),
-        ("N₁₂ of J^(−7/6) Cof F", fields["N"][0, 1]),
-    ]
-    nv.plot_fields(run.mesh, shown, out / "fields.png")
+    shown = [("von Mises stress, Pa", fields["von_mises"]), ("J", fields["J"])]
+    nv.plot_fields(run.mesh, [*shown, ("N₁₂ of J^(−7/6) Cof F", fields["N"][0, 1])], out / "fields.png")
+    euler = simulation(scheme="backward-euler").run(until)
+    fig, ((left, right),) = figure(1, 2, (11, 4.6))
+    for scheme, style, rows in (("midpoint", "-", ledger), ("backward Euler", "--", euler)):
+        t = rows.column("time")
+        left.plot(t, rows.column("kinetic"), f"C0{style}", label=scheme)
+        for kind, whose, color in (("dissipation", "model", "C1"), ("numerical", "scheme", "C3")):
+            unit = rows.column("dt") if kind == "dissipation" else 1.0  # W, or J already
+            lost = np.cumsum(sum(unit * rows.column(e.name) for e in rows.entries if e.kind == kind))
+            right.plot(t, lost, color + style, label=f"{scheme}, by the {whose}: {lost[-1]:.2g} J")
+    for axis, title in ((left, "kinetic energy, J"), (right, "dissipated, J")):
+        axis.set(title=title, xlabel="time, s")
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
+    fig.savefig(out / "schemes.png", dpi=110)
     print(f"largest |closure| {abs(ledger.column('closure_relative')).max():.1e}; results in {out}")
     return run
 

@@ -3,6 +3,8 @@
 The neo-Hookean swirl (P2 velocity, DG1 fields, p = 4, tau = 0.02 s) in series of meshes, by both solvers,
 and with creep by F and by B.  Every row is a process of its own, so that its peak memory is its own.  Times
 compare within one call only: ratios are what is meant to be quoted.
+
+The series "schemes" is the time to a given error in time (see ``schemes``), in a process of its own too.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from itertools import product
 from pathlib import Path
 
 from tests.benchmarks.case import FIFTY_THOUSAND
-from tests.benchmarks.table import markdown, summary
+from tests.benchmarks.table import markdown, markdown_of_schemes, summary, summary_of_schemes
 
 SIZES = {
     "2D": [0.1, 0.055, 0.032],
@@ -33,6 +35,9 @@ QUICK = {
     "2D creep": [0.3],
     "3D creep": [0.7],
 }
+SCHEMES = ["0.25", "0.2", "160", "0.02", "0.002"]
+QUICK_SCHEMES = ["0.5", "0.06", "6", "0.2"]
+"""maxh, m, end, s, steps of the reference, and the relative errors to be met, of the series of schemes."""
 
 
 def measure(
@@ -59,18 +64,30 @@ def measure(
     return json.loads(done.stdout.splitlines()[-1])
 
 
+def measure_schemes(arguments: list[str], timeout: float) -> list[dict]:
+    """Rows of the time to a given error, from one process; one that says why where it failed."""
+    command = [sys.executable, "-m", "tests.benchmarks.schemes", *arguments]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
+    except subprocess.TimeoutExpired:
+        return [{"scheme": "all", "failed": f"more than {timeout:g} s"}]
+    if done.returncode:
+        return [{"scheme": "all", "failed": done.stderr.strip().splitlines()[-1]}]
+    return json.loads(done.stdout.splitlines()[-1])
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, help="directory for benchmark.json and benchmark.md")
     parser.add_argument("--quick", action="store_true", help="tiny meshes, to see that it works")
-    parser.add_argument("--series", nargs="*", choices=list(SIZES), default=list(SIZES))
+    parser.add_argument("--series", nargs="*", choices=[*SIZES, "schemes"], default=[*SIZES, "schemes"])
     parser.add_argument("--largest", type=float, help="leave out meshes finer than this maxh")
     parser.add_argument("--threads", type=int, default=2, choices=(1, 2), help="threads (default 2)")
     parser.add_argument("--steps", type=int, default=2, help="steps timed, after a first one (default 2)")
     parser.add_argument("--timeout", type=float, default=3600, help="seconds a row may take")
     chosen = parser.parse_args(arguments)
-    rows = []
-    for series in chosen.series:
+    rows: list[dict] = []
+    for series in (name for name in SIZES if name in chosen.series):
         dim, method = int(series[0]), "coupled" if "coupled" in series else "split"
         sizes = [h for h in (QUICK if chosen.quick else SIZES)[series] if h >= (chosen.largest or 0)]
         forms = ("F", "B") if "creep" in series else ("",)
@@ -81,13 +98,18 @@ def main(arguments: list[str] | None = None) -> int:
             middle, others = sizes[len(sizes) // 2], 3 - chosen.threads
             rows.append(measure(dim, middle, method, others, chosen.steps, chosen.timeout))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)
-    text = f"{markdown(rows)}\n{summary(rows)}"
+    text, of_schemes = "", []
+    if rows:
+        text += f"{markdown(rows)}\n{summary(rows)}"
+    if "schemes" in chosen.series:
+        of_schemes = measure_schemes(QUICK_SCHEMES if chosen.quick else SCHEMES, chosen.timeout)
+        text += f"\n{markdown_of_schemes(of_schemes)}\n{summary_of_schemes(of_schemes)}"
     print(f"\n{text}")
     if chosen.output:
         chosen.output.mkdir(parents=True, exist_ok=True)
-        (chosen.output / "benchmark.json").write_text(json.dumps(rows, indent=1))
+        (chosen.output / "benchmark.json").write_text(json.dumps(rows + of_schemes, indent=1))
         (chosen.output / "benchmark.md").write_text(text)
-    return 1 if any("failed" in row for row in rows) else 0
+    return 1 if any("failed" in row for row in rows + of_schemes) else 0
 
 
 if __name__ == "__main__":

@@ -31,7 +31,14 @@ def domain(dim: int, maxh: float) -> Mesh:
     return mesh
 
 
-def swirl(dim: int, maxh: float, method: str, creeping: str = "") -> nv.Simulation:
+def swirl(
+    dim: int,
+    maxh: float,
+    method: str,
+    creeping: str = "",
+    dt: float = 0.02,
+    scheme: str = "backward-euler",
+) -> nv.Simulation:
     """``creeping`` is "F" or "B": with creep, the elastic state by F or by B; "" is without creep."""
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state=creeping or "F"),
@@ -43,7 +50,8 @@ def swirl(dim: int, maxh: float, method: str, creeping: str = "") -> nv.Simulati
     height = (1 + z) / 2 if dim == 3 else CF(1.0)
     velocity = (height * sin(pi * x) * cos(pi * y), -height * cos(pi * x) * sin(pi * y), CF(0.0))[:dim]
     initial = nv.Initial(velocity=velocity)
-    return nv.Simulation(domain(dim, maxh), model, dt=0.02, initial=initial, solver=method)
+    mesh = domain(dim, maxh)
+    return nv.Simulation(mesh, model, dt=dt, initial=initial, solver=method, scheme=scheme)
 
 
 def main(dim: int, maxh: float, method: str, threads: int, steps: int, creeping: str = "") -> dict:

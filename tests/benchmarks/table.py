@@ -100,3 +100,41 @@ def summary(rows: list[dict]) -> str:
                 exponent = np.polyfit(size, np.log([row[name] for row in series]), 1)[0]
                 lines.append(f"- {dim}D split, {cells}: {name} grows like cells^{exponent:.2f}")
     return "\n".join(lines) + "\n"
+
+
+def markdown_of_schemes(rows: list[dict]) -> str:
+    """A Markdown table: the cheapest run of each scheme within an error of the kinetic energy at the end."""
+    head = ["scheme", "error asked for", "error", "dt, s", "steps", "iterations", "time, s", "numerical, J"]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for row in rows:
+        if "failed" in row:
+            lines.append(f"| {row['scheme']} | {row['failed']} |" + " |" * (len(head) - 2))
+            continue
+        cells = [
+            row["scheme"],
+            f"{row['tolerance']:.1%}",
+            f"{row['error']:.2%}",
+            f"{row['dt']:.3g}",
+            f"{row['steps']:,}",
+            f"{row['iterations']:,}",
+            f"{row['seconds']:.1f}",
+            f"{row['numerical']:.1e}",
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def summary_of_schemes(rows: list[dict]) -> str:
+    """Ratios of the backward Euler scheme's time and iterations to another's, to the same error."""
+    done = [row for row in rows if "failed" not in row]
+    euler = {row["tolerance"]: row for row in done if row["scheme"] == "backward-euler"}
+    lines = []
+    for row in done:
+        if row["scheme"] != "backward-euler" and row["tolerance"] in euler:
+            other = euler[row["tolerance"]]
+            times, iterations = (other[name] / row[name] for name in ("seconds", "iterations"))
+            lines.append(
+                f"- to {row['tolerance']:.1%}: backward-euler over {row['scheme']} {times:.1f} in time, "
+                f"{iterations:.1f} in iterations"
+            )
+    return "\n".join(lines) + "\n"

@@ -40,36 +40,55 @@ def test_shear_demo_has_the_curve_of_the_published_table():
 
 
 def test_shear_meets_the_whole_table_to_a_thousandth(tmp_path):
-    """A plain run, without extrapolation: steps of 1.65e-6 s at first, doubled after every 400."""
-    run, errors = load("shear").main(str(tmp_path))
-    assert errors.shape == (7, 2)
-    assert np.abs(errors[:, 0]).max() < 4e-4
-    assert np.abs(errors[:, 1]).max() < 1e-3
-    assert run.ledger.column("dt")[1] == 1.65e-6
+    """By the midpoint rule with 800 steps; the backward Euler scheme is off by a quarter in tau_11."""
+    results = load("shear").main(str(tmp_path))
+    for scheme, bounds in (("midpoint", (1e-6, 2.5e-4)), ("backward-euler", (1.5e-3, 0.3))):
+        run, errors = results[scheme]
+        assert errors.shape == (7, 2) and run.number == 800
+        assert np.all(errors.max(axis=0) < bounds), scheme
+        assert_exact_balance(run)
+    assert np.all(results["backward-euler"][1].max(axis=0) > 1e3 * results["midpoint"][1].max(axis=0))
     assert (tmp_path / "stress.png").stat().st_size > 0
-    assert_exact_balance(run)
 
 
-def test_shear_is_the_implicit_euler_solution_of_its_two_equations():
-    """The fields are uniform, so that the mesh adds nothing to dt E_12 and dt E_11."""
+@pytest.mark.parametrize(("scheme", "theta"), [("backward-euler", 1.0), ("midpoint", 0.5)])
+def test_shear_is_the_scheme_applied_to_its_two_equations(scheme, theta):
+    """The fields are uniform, so that the mesh adds nothing to d tau_12/dt and d tau_11/dt."""
     demo, dt = load("shear"), 0.05
-    rate, relaxation = dt * demo.RATE, 1 + dt * demo.G / demo.ETA
-    step = np.linalg.inv([[relaxation, rate], [-rate, relaxation]])
-    run, tau = demo.simulation(dt), np.zeros(2)
+    rate, relaxation = theta * dt * demo.RATE, 1 + theta * dt * demo.G / demo.ETA
+    solve = np.linalg.inv([[relaxation, rate], [-rate, relaxation]])
+    run, tau = demo.simulation(dt, scheme=scheme), np.zeros(2)
     for _ in range(4):
         run.advance()
-        tau = step @ (tau + dt * np.array([demo.G * demo.RATE, 0.0]))
+        inner = solve @ (tau + theta * dt * np.array([demo.G * demo.RATE, 0.0]))
+        tau = tau + (inner - tau) / theta
         assert demo.stress(run) == pytest.approx(tau, rel=1e-6)
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.02])
-def test_wave_has_the_speed_and_decay_of_the_dispersion_relation(mu):
+@pytest.mark.parametrize("scheme", ["midpoint", "backward-euler"])
+def test_wave_has_the_speed_and_decay_of_the_dispersion_relation(mu, scheme):
+    """Without the factor of the scheme, (1 + s dt/2)/(1 - s dt/2) or 1/(1 - s dt), instead of exp(s dt)."""
     demo = load("wave")
-    run, amplitudes = demo.amplitudes(mu, 16)
-    s, exact = demo.exponent(amplitudes), demo.dispersion(mu)
+    run, amplitudes = demo.amplitudes(mu, 16, scheme)
+    exact, z = demo.dispersion(mu), np.exp(demo.DT * demo.exponent(amplitudes))
+    s = (2 * (z - 1) / (z + 1) if scheme == "midpoint" else 1 - 1 / z) / demo.DT
     assert abs(s.imag / exact.imag) == pytest.approx(1, abs=3e-4)
     assert s.real == pytest.approx(exact.real, rel=2e-3)
     assert_exact_balance(run)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.02])
+def test_wave_decays_in_the_run_as_the_model_says(mu):
+    """With the scheme's own error: Euler adds omega^2 dt/2 = 0.08 1/s to the decay."""
+    demo = load("wave")
+    exact = demo.dispersion(mu)
+    found = {
+        scheme: demo.exponent(demo.amplitudes(mu, 16, scheme)[1]) for scheme in ("midpoint", "backward-euler")
+    }
+    assert found["midpoint"].real == pytest.approx(exact.real, rel=5e-3)
+    assert abs(found["midpoint"].imag) == pytest.approx(abs(exact.imag), rel=1e-3)
+    assert found["backward-euler"].real == pytest.approx(exact.real - 0.08, rel=0.02)
 
 
 def test_couette_stress_is_that_of_the_closed_form(tmp_path):
