@@ -229,7 +229,8 @@ class Time(Section):
                 raise ParameterError(f"Time.{name}", value, "a finite number > 0")
         if self.until / self.dt > _MAX_STEPS:
             least = self.until / _MAX_STEPS
-            expected = f"at least {least:.2g}: this one makes {self.until / self.dt:.0e} steps"
+            count = self.until / self.dt
+            expected = f"at least {least:.2g}: this one makes {count:.0e} steps to until = {self.until:g}"
             raise ParameterError("Time.dt", self.dt, expected)
         if self.adaptive is None:
             number = round(self.until / self.dt)
