@@ -23,11 +23,14 @@ from ngvisco.errors import (
     UnknownNameError,
 )
 from ngvisco.forms.context import time
+from ngvisco.forms.given import function_field, grid_field
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
+from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import (
+    FENEP,
     BarotropicFluid,
     CustomMaterial,
     HardeningElastic,
@@ -37,6 +40,7 @@ from ngvisco.physics.materials import (
     LogarithmicNeoHookean,
     MooneyRivlin,
     NeoHookean,
+    OldroydB,
     ReferentialMooneyRivlin,
     ReferentialNeoHookean,
     WithQuadratic,
@@ -48,11 +52,16 @@ from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.closure import ClosureWarning
+from ngvisco.run.ledger import DefectWarning
+from ngvisco.run.notebook import NotebookProgress, draw
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields
+from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
+from ngvisco.run.transfer import Transfer, resume_changed, transfer
 from ngvisco.solver.options import NewtonOptions
+from ngvisco.timestepping.scheme import SCHEMES, TimeScheme
 
 try:
     __version__ = importlib.metadata.version("ngvisco")
@@ -82,6 +91,8 @@ _find_geometries()
 from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
 
 __all__ = [
+    "FENEP",
+    "SCHEMES",
     "AdaptiveSteps",
     "BarotropicFluid",
     "BodyForce",
@@ -95,6 +106,7 @@ __all__ = [
     "ConvexityWarning",
     "Creep",
     "CustomMaterial",
+    "DefectWarning",
     "Discretisation",
     "Gravity",
     "HardeningElastic",
@@ -102,9 +114,12 @@ __all__ = [
     "Initial",
     "InitialDataError",
     "InputWarning",
+    "Integrals",
     "IsochoricNeoHookean",
     "IsotropicStrainEnergy",
+    "IsotropyReport",
     "LedgerCSV",
+    "LineSamples",
     "LinearElastic",
     "LogarithmicNeoHookean",
     "Material",
@@ -116,9 +131,12 @@ __all__ = [
     "NewtonOptions",
     "NgviscoError",
     "NoSlip",
+    "NotebookProgress",
     "Observer",
+    "OldroydB",
     "ParameterError",
     "PrescribedTangential",
+    "Probes",
     "Progress",
     "ReferentialMooneyRivlin",
     "ReferentialNeoHookean",
@@ -129,16 +147,25 @@ __all__ = [
     "Slip",
     "StepError",
     "StokesViscosity",
+    "TimeScheme",
     "Traction",
+    "Transfer",
     "UnknownNameError",
     "VTKSeries",
+    "WallForces",
     "WithQuadratic",
     "Yosida",
     "check_convexity",
+    "check_isotropy",
+    "draw",
+    "function_field",
+    "grid_field",
     "load",
     "load_case",
     "plot_energies",
     "plot_fields",
     "read_ledger",
+    "resume_changed",
     "time",
+    "transfer",
 ]

@@ -38,7 +38,7 @@ def test_geometries_import_from_a_clone(tmp_path):
 
 def test_wheel_holds_geometries_and_nothing_else_of_the_top_level(tmp_path):
     source = tmp_path / "source"  # building leaves files beside the sources
-    for name in ("ngvisco", "geometries"):
+    for name in ("ngvisco", "geometries", "demos"):
         shutil.copytree(ROOT / name, source / name)
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
@@ -46,6 +46,7 @@ def test_wheel_holds_geometries_and_nothing_else_of_the_top_level(tmp_path):
     subprocess.run([*command, "-w", str(tmp_path), str(source)], check=True, capture_output=True)
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
+    assert "ngvisco/demos/swirl/swirl.toml" in names  # of which `ngvisco new swirl` makes a template
     assert "ngvisco/geometries/boxes.py" in names and "ngvisco/forms/system.py" in names
     assert {name.split("/")[0] for name in names} == {"ngvisco", f"{wheel.stem.rsplit('-', 3)[0]}.dist-info"}
     sources = {str(p.relative_to(ROOT)) for p in (ROOT / "ngvisco").rglob("*.py")}

@@ -17,9 +17,10 @@ from pydantic import ValidationError
 
 from ngvisco.case import catalogue, toml
 from ngvisco.case.errors import CaseError, Fault
-from ngvisco.case.expressions import parse
+from ngvisco.case.expressions import ExpressionError, parse
 from ngvisco.case.faults import Locator, faults_of
 from ngvisco.case.schema import CaseSections, Section, field_names, parameters
+from ngvisco.case.units import to_si
 from ngvisco.errors import (
     InitialDataError,
     MeshError,
@@ -30,11 +31,13 @@ from ngvisco.errors import (
 )
 from ngvisco.forms.boundaries import check_boundary_names
 from ngvisco.forms.context import time
-from ngvisco.physics.model import Model
+from ngvisco.physics.model import Model, default_elastic_state
 from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.inputs import times_of
 from ngvisco.run.observers import LedgerCSV, VTKSeries
+from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
+from ngvisco.run.series import Series
 from ngvisco.run.simulation import Observer, Simulation
 
 MAX_FILE_SIZE = 1_000_000
@@ -88,6 +91,9 @@ def parse_case(text: str, source: str, directory: Path, settings: Sequence[str] 
         overridden.append(path)
     locator = Locator(toml.key_lines(text), overridden)
     try:
+        data, faults = to_si(data, CaseSections, locator)
+        if faults:
+            raise CaseError(source, faults)
         sections = CaseSections.model_validate(data)
     except ValidationError as error:
         raise CaseError(source, faults_of(error, CaseSections, locator)) from error
@@ -126,6 +132,7 @@ class Case:
     def resolved(self) -> str:
         """The case as TOML with every default written out and paths made absolute."""
         data = self.sections.model_dump(exclude_none=True)
+        self._settle_elastic_state(data)
         if data["domain"]["geometry"] == "file":
             data["domain"]["path"] = str(self._mesh_path)
         return toml.write(data)
@@ -134,10 +141,26 @@ class Case:
     def hash(self) -> str:
         """SHA-256 of all that the solution depends on: not of title, end time and output."""
         data = self.sections.model_dump()
-        for name in ("title", "output", "domain"):  # the mesh has a hash of its own
+        self._settle_elastic_state(data)
+        for name in ("title", "units", "output", "domain"):  # the mesh has a hash of its own
             del data[name]
         del data["time"]["until"]
         return hashlib.sha256(toml.write(data).encode()).hexdigest()
+
+    def _settle_elastic_state(self, data: dict[str, Any]) -> None:
+        """Write into a dump whether its material is by F or by B where the case left it to the model."""
+        creep = self.sections.rheology.creep
+        part: Section = self.sections.material
+        values = data["material"]
+        while "material" in type(part).model_fields:
+            part, values = part.material, values["material"]  # type: ignore[attr-defined]
+        if "elastic_state" in type(part).model_fields and values.get("elastic_state") is None:
+            values["elastic_state"] = default_elastic_state(
+                None if creep is None else catalogue.MECHANISMS["creep"](**parameters(creep))
+            )
+            in_order = {name: values[name] for name in type(part).model_fields if name in values}
+            values.clear()
+            values.update(in_order)
 
     @property
     def _mesh_path(self) -> Path:
@@ -168,6 +191,8 @@ class Case:
             self._made(load, catalogue.LOADS, ("loads", str(i)), dim)
             for i, load in enumerate(self.sections.loads)
         ]
+        with self._located("material"):
+            material = material.with_elastic_state(default_elastic_state(mechanisms.get("creep")))
         with self._located("loads"):
             return Model(material=material, loads=tuple(loads), **mechanisms)
 
@@ -194,6 +219,10 @@ class Case:
                 model,
                 dt=sections.time.dt,
                 stepping=stepping,
+                scheme=sections.time.scheme,
+                theta=sections.time.theta,
+                startup=sections.time.startup,
+                relaxation=sections.time.relaxation,
                 initial=made["initial"],
                 walls=walls,
                 passive=sections.output.passive,
@@ -214,15 +243,48 @@ class Case:
             times = self.output_times(self.until if until is None else until)
             every = None if vtk.interval else vtk.every
             chosen.append(VTKSeries(out / "vtk", every, vtk.fields, vtk.subdivision, times))
+        chosen += self.samples(out / "samples").values()
         attributes = {"case": self.hash}
         chosen.append(Checkpoints(out / "run.h5", checkpoint.every, checkpoint.keep, attributes))
         return chosen
+
+    def samples(self, directory: Path) -> dict[tuple[str, ...], Series]:
+        """Probes, lines, forces and integrals by the key that describes them, writing into ``directory``."""
+        output, found = self.sections.output, dict[tuple[str, ...], Series]()
+        for i, p in enumerate(output.probes):
+            path = directory / f"{p.name}.csv"
+            found["output", "probes", str(i)] = Probes({p.name: p.point}, p.fields, path, p.every)
+        for i, line in enumerate(output.lines):
+            path = directory / f"{line.name}.csv"
+            found["output", "lines", str(i)] = LineSamples(
+                line.start, line.end, line.points, line.fields, path, line.every
+            )
+        if output.forces is not None:
+            f, path = output.forces, directory / "forces.csv"
+            found["output", "forces"] = WallForces(f.walls, f.about, path, f.every)
+        for i, integral in enumerate(output.integrals):
+            path = directory / f"{integral.name}.csv"
+            found["output", "integrals", str(i)] = Integrals(
+                {integral.name: integral.of}, path, integral.every
+            )
+        return found
 
     def _check_output(self, run: Simulation) -> None:
         for name in self.sections.output.vtk.fields or ():
             if name not in run.fields:
                 error = UnknownNameError("field", name, run.fields)
                 raise self._error(("output", "vtk", "fields"), str(error))
+        for path, series in self.samples(Path()).items():
+            try:
+                series.prepare(run)
+            except ParameterError as error:
+                key = error.field.partition(".")[2].partition("[")[0]
+                key = {"points": "point"}.get(key, key) if path[1] == "probes" else key
+                raise self._error((*path, key), f"{error.value!r:.60}: expected {error.expected}") from error
+            except UnknownNameError as error:
+                raise self._error((*path, {"wall": "walls"}.get(error.kind, "fields")), str(error)) from error
+            except ExpressionError as error:
+                raise self._error((*path, "of"), str(error)) from error
 
     def _made(self, part: Any, table: dict[str, type], path: tuple[str, ...], dim: int) -> Any:
         with self._located(*path):

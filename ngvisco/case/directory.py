@@ -8,6 +8,7 @@
 | ledger.csv    | the energy ledger, a row a step                                           |
 | run.h5        | ledger and checkpoints (ngvisco.run.checkpoint)                           |
 | vtk/          | the VTK series                                                            |
+| samples/      | probes, lines, forces on walls, integrals over the domain, as CSV         |
 | log.txt       | what was done when                                                        |
 | lock          | there while a process runs; released by the system even when it is killed |
 
@@ -37,14 +38,18 @@ from typing import Any, TextIO
 import numpy as np
 from ngsolve import CoefficientFunction, Mesh
 
+from ngvisco.case import changes
 from ngvisco.case.build import Case, load_case
 from ngvisco.case.meshfile import require_whole
 from ngvisco.errors import CheckpointError, MeshError, NgviscoError, require_path
 from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.files import append, write_atomically
+from ngvisco.run.notebook import data_frame, results_html
 from ngvisco.run.observers import Progress
+from ngvisco.run.plots import FORMATS
 from ngvisco.run.simulation import Observer, Simulation
+from ngvisco.run.transfer import resume_changed, transfer
 
 
 class RunDirectoryError(NgviscoError, RuntimeError):
@@ -69,8 +74,10 @@ class RunDirectory:
     def results(self) -> list[Path]:
         """Files of an earlier run."""
         own = [self.case_file, self.versions_file, self.mesh_file, self.ledger_file, self.run_file]
-        pictures = [self.path / name for name in ("energies.png", "history.png", "fields.png", "scene.html")]
+        names = [f"{stem}.{kind}" for stem in ("energies", "history", "fields") for kind in FORMATS]
+        pictures = [self.path / name for name in (*names, "scene.html", "movie.gif", "movie.mp4")]
         series = [*self.vtk.glob("fields*.vtu"), *self.vtk.glob("fields*.pvd")]
+        series += [*self.path.glob("samples/*.csv"), *self.path.glob("case.until-step-*.toml")]
         return [path for path in [*own, self.log_file, *pictures, *series] if path.exists()]
 
     @contextlib.contextmanager
@@ -98,11 +105,14 @@ class RunDirectory:
         for path in self.results:
             path.unlink()
 
-    def prepare(self, case: Case, image: bytes) -> None:
-        """Write case, mesh (a .vol file's content) and versions of a new run."""
+    def prepare(self, case: Case, image: bytes, source: str | os.PathLike[str] | None = None) -> None:
+        """Write case, mesh (a .vol file's content), versions, and the run directory that it starts from."""
         write_atomically(self.case_file, case.resolved.encode())
         write_atomically(self.mesh_file, image)
         record = versions() | {"mesh_sha256": hashlib.sha256(image).hexdigest()}
+        if source is not None:
+            step = load(source).simulation.number
+            record["from"] = {"directory": str(Path(source).resolve()), "step": step}
         write_atomically(self.versions_file, (json.dumps(record, indent=2) + "\n").encode())
 
     def refuse_results(self) -> None:
@@ -180,6 +190,7 @@ def run(
     *,
     force: bool = False,
     observers: Sequence[Observer] = (),
+    source: str | os.PathLike[str] | None = None,
 ) -> Simulation:
     """Run a case into a new run directory.
 
@@ -191,6 +202,9 @@ def run(
         Remove the results of an earlier run first, rather than refuse.
     observers : sequence of Observer
         Besides those that write the directory.
+    source : path, optional
+        A run directory whose last state is taken over in place of the case's initial one, time included
+        (``ngvisco.run.transfer``).
 
     Raises
     ------
@@ -204,11 +218,13 @@ def run(
     with noting_warnings(notes.append):
         image = _mesh_image(case.mesh())
         simulation = case.simulation(_mesh_of(image))
+        if source is not None:
+            transfer(load(source).simulation, case.simulation(_mesh_of(image)))
     with place.locked():
         if not force:
             place.refuse_results()
         place.clear()
-        place.prepare(case, image)
+        place.prepare(case, image, source)
         return _go(place, case, simulation, None, observers, notes)
 
 
@@ -217,16 +233,24 @@ def resume(
     until: float | None = None,
     *,
     observers: Sequence[Observer] = (),
+    settings: Sequence[str] = (),
 ) -> Simulation:
     """Go on with the run in a directory, from its last checkpoint (or its start, if it has none).
 
-    ``until`` (s) replaces the case's end time.
+    ``until`` (s) replaces the case's end time.  ``settings`` change the case from here on
+    (``ngvisco.case.changes`` says what may change); the directory keeps the case as it was too.
     """
     place = RunDirectory(directory)
     case = place.case()
     with place.locked():
         if not place.is_prepared:  # killed while it was
             place.prepare(case, _mesh_image(case.mesh()))
+        if settings:
+            new = changes.changed(place, case, settings)
+            if new.resolved != case.resolved:
+                changes.check_change(place, case, new)  # before anything is written
+                changes.write_change(place, case, new, settings)
+                case = place.case()
         notes = [f"resume: {case.sections.title or case.source}"]
         with noting_warnings(notes.append):
             simulation = case.simulation(place.mesh())
@@ -241,9 +265,20 @@ def _go(
     observers: Sequence[Observer],
     notes: Sequence[str],
 ) -> Simulation:
-    end = case.until if until is None else until
+    end, notes = case.until if until is None else until, list(notes)
     if place.run_file.exists():
-        simulation.restore(place.run_file, attributes={"case": case.hash})
+        before = changes.pending_change(place, case)
+        if before is None:
+            simulation.restore(place.run_file, attributes={"case": case.hash})
+        else:
+            resume_changed(simulation, place.run_file, {"case": before})
+            notes.append(f"changed: {', '.join(place.read_versions()['changes'][-1]['settings'])}")
+    elif (source := place.read_versions().get("from")) is not None:
+        done = transfer(load(source["directory"], source["step"]).simulation, simulation)
+        notes.append(
+            f"from step {source['step']} of {source['directory']}, t = {simulation.t:g} s: density times "
+            f"1 {done.scaled - 1:+.2e}, energy lost {done.lost:.6e} J of {done.energy_before:.6e} J"
+        )
     if simulation.t > end * (1 + 1e-12):
         message = f"the run has already reached t = {simulation.t:g} s: expected an end time above that"
         raise RunDirectoryError(f"{place.path}: {message}")
@@ -284,6 +319,13 @@ class Results:
     case: Case
     ledger: dict[str, np.ndarray]
     simulation: Simulation
+
+    def frame(self) -> Any:
+        """The ledger as a pandas frame, with the step as index; NotebookError where pandas is missing."""
+        return data_frame(self.ledger)
+
+    def _repr_html_(self) -> str:
+        return results_html(self.case.sections.title, self.time, self.ledger)
 
     @property
     def mesh(self) -> Mesh:

@@ -18,7 +18,7 @@ import ast
 import difflib
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -57,14 +57,17 @@ class Expression:
     names: frozenset[str]
     _tree: ast.expr
 
-    def coefficient(self) -> CoefficientFunction:
-        """The expression as a coefficient function; ``t`` is ``ngvisco.time``."""
+    def coefficient(self, fields: Mapping[str, CoefficientFunction] | None = None) -> CoefficientFunction:
+        """The expression as a coefficient function; ``t`` is ``ngvisco.time``.
+
+        ``fields`` has the scalars of the further names that ``parse`` was given.
+        """
         symbols: dict[str, Value] = {"x": ngsolve.x, "y": ngsolve.y, "z": ngsolve.z, "t": time, **CONSTANTS}
-        return CF(_Evaluator(self.text, symbols).value(self._tree))
+        return CF(_Evaluator(self.text, dict(fields or {}) | symbols).value(self._tree))
 
 
-def parse(text: str) -> Expression:
-    """Check a text completely.
+def parse(text: str, fields: Collection[str] = ()) -> Expression:
+    """Check a text completely; ``fields`` are further names that it may read.
 
     Raises
     ------
@@ -91,7 +94,7 @@ def parse(text: str) -> Expression:
         raise ExpressionError(text, 0, "too deeply nested") from None
     _check_size(text, tree, lead)
     # constant parts are evaluated with no coordinate known: this finds every other fault
-    evaluator = _Evaluator(text, dict(CONSTANTS), lead)
+    evaluator = _Evaluator(text, dict(CONSTANTS), lead, fields)
     evaluator.value(tree)
     return Expression(text, frozenset(evaluator.seen), _shifted(tree, lead))
 
@@ -123,8 +126,11 @@ _UNKNOWN: Any = _Unknown()
 class _Evaluator:
     """Evaluates a tree with floats where it is constant, and coefficient functions elsewhere."""
 
-    def __init__(self, text: str, symbols: dict[str, Value], lead: int = 0) -> None:
+    def __init__(
+        self, text: str, symbols: dict[str, Value], lead: int = 0, fields: Collection[str] = ()
+    ) -> None:
         self.text, self.symbols, self.lead = text, symbols, lead
+        self.known = (*NAMES, *(name for name in [*symbols, *fields] if name not in NAMES))
         self.seen: set[str] = set()
 
     def value(self, node: ast.expr) -> Any:
@@ -169,11 +175,11 @@ class _Evaluator:
 
     def _name(self, node: ast.Name) -> Any:
         name = node.id
-        if name not in NAMES:
-            allowed = ", ".join(NAMES)
+        if name not in self.known:
+            allowed = ", ".join(self.known)
             if name in FUNCTIONS:
                 raise self._error(node, f"function {name!r} needs its arguments in parentheses")
-            raise self._error(node, f"unknown name {name!r}{_hint(name, NAMES)} (known: {allowed})")
+            raise self._error(node, f"unknown name {name!r}{_hint(name, self.known)} (known: {allowed})")
         self.seen.add(name)
         return self.symbols.get(name, _UNKNOWN)
 

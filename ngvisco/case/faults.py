@@ -32,10 +32,17 @@ class Locator:
 
     def __init__(self, lines: dict[tuple[str, ...], int], overridden: Iterable[tuple[str, ...]] = ()) -> None:
         self.lines, self.overridden = lines, list(overridden)
+        self.written: dict[tuple[str, ...], Any] = {}
+        """What the user wrote for values that were converted to SI units."""
 
     def fault(self, path: tuple[str, ...], message: str) -> Fault:
         """A fault at a key path."""
         key = ".".join(path)
+        written = next(
+            (self.written[path[:n]] for n in range(len(path), 0, -1) if path[:n] in self.written), None
+        )
+        if written is not None:
+            message = f"{message} (in SI units; written was {_shown(written)})"
         is_within = any(path[: len(o)] == o for o in self.overridden)
         is_made = path not in self.lines and any(o[: len(path)] == path for o in self.overridden)
         if is_within or is_made:
@@ -107,7 +114,7 @@ def _resolve(model: type[BaseModel], location: tuple[Any, ...]) -> tuple[tuple[s
         chosen = [c for c in candidates if c.__name__ == part]
         if part in fields:
             here, known = (".".join(path) or "the case"), list(fields)
-            candidates = _models_in(fields[part].annotation) or candidates[:0]
+            candidates = models_in(fields[part].annotation) or candidates[:0]
             path.append(str(part))
         elif chosen and len(path) > 0:
             candidates = chosen
@@ -119,7 +126,8 @@ def _resolve(model: type[BaseModel], location: tuple[Any, ...]) -> tuple[tuple[s
     return tuple(path), here, known
 
 
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
+def models_in(annotation: Any) -> list[type[BaseModel]]:
+    """The sections that a schema's type holds."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [found for part in get_args(annotation) for found in _models_in(part)]
+    return [found for part in get_args(annotation) for found in models_in(part)]

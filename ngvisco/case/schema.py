@@ -13,17 +13,27 @@ import functools
 import inspect
 import math
 import operator
+import re
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from ngsolve import CoefficientFunction
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    WithJsonSchema,
+    create_model,
+    model_validator,
+)
 
 from ngvisco.case import catalogue
 from ngvisco.case.expressions import parse
 from ngvisco.errors import ParameterError, UnknownNameError, as_number
 from ngvisco.physics.material import Material as MaterialObject
+from ngvisco.timestepping.scheme import SCHEMES, scheme_of
 
 _MAX_OUTPUT_TIMES = 100_000
 _MAX_STEPS = 100_000_000
@@ -52,7 +62,9 @@ def _check_field(value: Any) -> Any:
     return value
 
 
-FieldValue = Annotated[Any, AfterValidator(_check_field)]
+FieldValue = Annotated[
+    Any, AfterValidator(_check_field), WithJsonSchema({"type": ["number", "string", "array"]})
+]
 """A scalar, vector or tensor field as it stands in a case file."""
 
 
@@ -104,9 +116,8 @@ def section(
     wrapped : type
         The schema's type of a parameter that is a material.
     """
-    hints = get_type_hints(target.__init__ if inspect.isclass(target) else target)
-    if inspect.isclass(target):
-        hints |= get_type_hints(target)
+    # of a dataclass its fields', each with the names that its own class's module knows
+    hints = get_type_hints(target)
     fields: dict[str, Any] = {}
     if tag is not None:
         fields[tag[0]] = (Literal[tag[1]], ...)
@@ -214,10 +225,14 @@ Adaptive, Discretisation, Initial, Solver = (
 
 
 class Time(Section):
-    """Step length, end, and what belongs to them."""
+    """Step length, end, scheme, and what belongs to them."""
 
     dt: float
     until: float
+    scheme: Literal[tuple(SCHEMES)] = "backward-euler"  # type: ignore[valid-type]
+    theta: float | None = None
+    startup: int = Field(default=0, ge=0)
+    relaxation: bool = False
     velocity_scale: float | None = None
     adaptive: Adaptive | None = None  # type: ignore[valid-type]
 
@@ -227,10 +242,17 @@ class Time(Section):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ParameterError(f"Time.{name}", value, "a finite number > 0")
+        try:
+            scheme_of(self.scheme, self.theta)
+        except ParameterError as error:
+            raise ParameterError("Time.theta", error.value, error.expected) from error
+        if self.relaxation and (self.scheme != "midpoint" or self.adaptive is None):
+            expected = "false, or the scheme 'midpoint' with [time.adaptive]"
+            raise ParameterError("Time.relaxation", self.relaxation, expected)
         if self.until / self.dt > _MAX_STEPS:
             least = self.until / _MAX_STEPS
-            count = self.until / self.dt
-            expected = f"at least {least:.2g}: this one makes {count:.0e} steps to until = {self.until:g}"
+            steps = f"{self.until / self.dt:.0e} steps until = {self.until:g}"
+            expected = f"at least {least:.2g}: this one makes {steps}"
             raise ParameterError("Time.dt", self.dt, expected)
         if self.adaptive is None:
             number = round(self.until / self.dt)
@@ -258,19 +280,99 @@ class Checkpoint(Section):
     keep: int = Field(default=2, ge=1)
 
 
+def _check_name(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):
+        raise ValueError("expected at most 60 letters, digits, _ and -")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_check_name)]
+"""A name that becomes that of a file and of its columns."""
+
+
+class Probe(Section):
+    """Fields at a point over time."""
+
+    name: Name
+    point: list[float]
+    fields: list[str] | None = None
+    every: int = Field(default=1, ge=1)
+
+
+class Line(Section):
+    """Fields along a line over time."""
+
+    name: Name
+    start: list[float]
+    end: list[float]
+    points: int = Field(default=101, ge=2, le=100_000)
+    fields: list[str] | None = None
+    every: int = Field(default=10, ge=1)
+
+
+class Forces(Section):
+    """Forces and torques on walls over time."""
+
+    walls: list[str] | None = None
+    about: list[float] | None = None
+    every: int = Field(default=1, ge=1)
+
+
+class DomainIntegral(Section):
+    """The integral of an expression of the fields over the domain, over time."""
+
+    name: Name
+    of: str
+    every: int = Field(default=1, ge=1)
+
+
 class Output(Section):
     """What is written into the run directory."""
 
     vtk: VTK = VTK()
     checkpoint: Checkpoint = Checkpoint()
+    probes: list[Probe] = []
+    lines: list[Line] = []
+    forces: Forces | None = None
+    integrals: list[DomainIntegral] = []
     log_every: int = Field(default=1, ge=1)
     passive: list[str] = []
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Output:
+        taken = {"forces"} if self.forces is not None else set()
+        tables: dict[str, Sequence[Any]] = {
+            "probes": self.probes,
+            "lines": self.lines,
+            "integrals": self.integrals,
+        }
+        for key, members in tables.items():
+            for i, name in enumerate(member.name for member in members):
+                if name in taken:
+                    expected = f"a name that no other of the tables has: both would write {name}.csv"
+                    raise ParameterError(f"Output.{key}.{i}.name", name, expected)
+                taken.add(name)
+        return self
+
+
+class Units(Section):
+    """The units of plain numbers; they are converted before the case is validated
+    (``ngvisco.case.units``)."""
+
+    length: str = "m"
+    time: str = "s"
+    velocity: str = "m/s"
+    acceleration: str = "m/s^2"
+    density: str = "kg/m^3"
+    pressure: str = "Pa"
+    viscosity: str = "Pa s"
 
 
 class CaseSections(Section):
     """A whole case file."""
 
     title: str = ""
+    units: Units = Units()
     domain: Domain  # type: ignore[valid-type]
     material: Material  # type: ignore[valid-type]
     time: Time

@@ -116,7 +116,7 @@ def _write_table(table: dict[str, Any], path: tuple[str, ...], lines: list[str])
     arrays = {k: v for k, v in table.items() if _is_table_array(v)}
     for key, value in table.items():
         if value is not None and key not in inner and key not in arrays:
-            lines.append(f"{_key(key)} = {_value(value)}")
+            lines.append(f"{_key(key)} = {value_text(value)}")
     for key, value in inner.items():
         lines += ["", f"[{_header(path, key)}]"]
         _write_table(value, (*path, key), lines)
@@ -138,13 +138,16 @@ def _key(key: str) -> str:
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _text(key)
 
 
-def _value(value: Any) -> str:
+def value_text(value: Any) -> str:
+    """A value as TOML has it; a table stands in one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(_value(v) for v in value)}]"
+        return f"[{', '.join(value_text(v) for v in value)}]"
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{_key(k)} = {value_text(v)}' for k, v in value.items())} }}"
     return _text(str(value))
 
 

@@ -21,10 +21,18 @@ or written; 4 the energy ledger does not close; 130 or 143 stopped by a signal (
 resume).
 
 examples:
+  ngvisco new swirl > case.toml
+  ngvisco explain material.G_e
   ngvisco check demos/swirl/swirl.toml
   ngvisco run demos/swirl/swirl.toml -o results/swirl --set time.until=0.5 --set domain.maxh=0.2
   ngvisco resume results/swirl --until 1.0
+  ngvisco resume results/swirl --set time.dt=0.01 --set 'loads=[]'
+  ngvisco run finer.toml -o results/finer --from results/swirl
   ngvisco plot results/swirl && ngvisco scene results/swirl"""
+
+_RESUME = """Go on from a directory's last checkpoint, bit for bit, or with --set with other parameters: of
+title, time, loads, walls, solver, output and the numbers of the material and the mechanisms.  For another
+mesh, other orders or unknowns see ngvisco run CASE -o NEW --from DIR."""
 
 
 _FEW_THREADS = 8
@@ -51,23 +59,35 @@ def parser() -> argparse.ArgumentParser:
     )
     _add_set(run)
     run.add_argument("--force", action="store_true", help="replace the results of an earlier run in DIR")
+    run.add_argument(
+        "--from",
+        dest="source",
+        metavar="OLD",
+        help="start from the last state of the run directory OLD, also on another mesh or in other spaces",
+    )
     _add_run_options(run)
 
-    resume = commands.add_parser("resume", help="go on from a directory's last checkpoint")
+    resume = commands.add_parser(
+        "resume",
+        help="go on from a directory's last checkpoint",
+        description=_RESUME,
+    )
     resume.add_argument("directory", metavar="DIR", help="run directory")
+    _add_set(resume)
     resume.add_argument("--until", metavar="T", type=float, help="end time in s (default: the case's)")
     _add_run_options(resume)
 
     check = commands.add_parser(
-        "check", help="validate and mesh a case; report sizes, memory and time, without running"
+        "check",
+        help="validate and mesh a case; report sizes, scales and advice, memory and time; writes nothing",
     )
     check.add_argument("case", metavar="CASE", help="case file, TOML")
     _add_set(check)
 
     for name, text in (
         ("info", "what a run directory holds, and how far the run got"),
-        ("plot", "energies, dissipations, closure, extrema, iterations and fields as PNG"),
-        ("scene", "the last state as one HTML file that opens offline"),
+        ("plot", "energies, dissipations, closure, extrema, iterations and fields as pictures; animations"),
+        ("scene", "the states of the VTK series as one HTML file that opens offline, with time and cuts"),
     ):
         command = commands.add_parser(name, help=text, description=text)
         command.add_argument("directory", metavar="DIR", help="run directory")
@@ -76,10 +96,42 @@ def parser() -> argparse.ArgumentParser:
             command.add_argument(
                 "--step", type=int, metavar="N", help="checkpoint's step (default: the last)"
             )
-    commands.add_parser(
+        if name == "plot":
+            _add_plot_options(command)
+    listing = commands.add_parser(
         "list", help="materials, mechanisms, loads, walls, geometries and outputs of case files"
     )
+    forms = listing.add_mutually_exclusive_group()
+    for option, text in (
+        ("keys", "every key with its type, unit, default and meaning"),
+        ("markdown", "the same as a page with examples"),
+        ("schema", "the JSON Schema of case files, with which editors complete and check them"),
+    ):
+        forms.add_argument(f"--{option}", dest="form", action="store_const", const=option, help=text)
+
+    explain = commands.add_parser("explain", help="what a key of a case file means, e.g. time.dt")
+    explain.add_argument("key", metavar="KEY", help="a key, a table or a kind: time.dt, material, NeoHookean")
+
+    new = commands.add_parser("new", help="print an annotated case file to start from")
+    new.add_argument("name", metavar="NAME", nargs="?", help="a demo, e.g. swirl; without it their names")
     return top
+
+
+def _add_plot_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--format", choices=("png", "pdf", "svg"), default="png", help="of the pictures (default png)"
+    )
+    command.add_argument("--section", metavar="PLANE", help="in 3D, e.g. z=0.5 or x (default: z, the middle)")
+    command.add_argument(
+        "--movie",
+        metavar="FILE",
+        nargs="?",
+        const="",
+        help="animate the VTK series instead, as .gif or .mp4 (needs ffmpeg; default DIR/movie.gif)",
+    )
+    command.add_argument(
+        "--fps", type=float, default=10.0, metavar="N", help="frames a second of the animation (default 10)"
+    )
 
 
 def _add_set(command: argparse.ArgumentParser) -> None:
@@ -166,14 +218,16 @@ def _code(error: Exception) -> int:
 
 def _command(name: str) -> Callable[[argparse.Namespace], int]:
     # imported late: NGSolve takes a second, and --help needs none of it
-    from ngvisco.cli import pictures, report, run
+    from ngvisco.cli import pictures, reference, report, run
 
     table: dict[str, Callable[[argparse.Namespace], int]] = {
         "run": run.run,
         "resume": run.resume,
         "check": report.check,
         "info": report.info,
-        "list": report.listing,
+        "list": reference.listing,
+        "explain": reference.explain,
+        "new": reference.new,
         "plot": pictures.plot,
         "scene": pictures.scene,
     }

@@ -8,32 +8,47 @@ from pathlib import Path
 from ngsolve import CoefficientFunction, SetNumThreads
 
 from ngvisco import case as cases
-from ngvisco.case.directory import Results
+from ngvisco.case.directory import Results, RunDirectory
 from ngvisco.run.fields import field_unit, scalar_fields
-from ngvisco.run.plots import plot_energies, plot_fields, plot_history
-from ngvisco.run.scene import write_scene
+from ngvisco.run.movie import write_movie
+from ngvisco.run.observers import read_pvd
+from ngvisco.run.plots import Section, plot_energies, plot_fields, plot_history, titled
+from ngvisco.run.scene import write_scene, write_scene_of_series
 
 
 def plot(options: argparse.Namespace) -> int:
-    """Energies, history and fields as PNG into the run directory."""
-    results, chosen = _load(options)
+    """Energies, history and fields as pictures into the run directory, or an animation."""
     out = Path(options.directory)
+    section = None if options.section is None else Section.parse(options.section)
+    if options.movie is not None:
+        place, names = RunDirectory(out), _names(options)
+        path = Path(options.movie) if options.movie else out / "movie.gif"
+        title = place.case().sections.title
+        write_movie(place.vtk, path, names, section=section, frames_per_second=options.fps, title=title)
+        print(path)
+        return 0
+    results, chosen = _load(options)
     ledger = results.simulation.ledger
-    plot_energies(ledger, out / "energies.png")
-    plot_history(ledger, out / "history.png")
-    titled = [(_titled(name), value) for name, value in chosen.items()]
-    plot_fields(results.mesh, titled, out / "fields.png")
-    for name in ("energies.png", "history.png", "fields.png"):
-        print(out / name)
+    written = [out / f"{name}.{options.format}" for name in ("energies", "history", "fields")]
+    plot_energies(ledger, written[0])
+    plot_history(ledger, written[1])
+    fields = [(_titled(name), value) for name, value in chosen.items()]
+    title = titled(results.case.sections.title, results.time)
+    plot_fields(results.mesh, fields, written[2], section=section, title=title)
+    for path in written:
+        print(path)
     return 0
 
 
 def scene(options: argparse.Namespace) -> int:
-    """The state as one HTML file in the run directory."""
-    results, chosen = _load(options)
-    path = Path(options.directory) / "scene.html"
-    title = f"{results.case.sections.title or 'ngvisco'}, t = {results.time:g} s"
-    write_scene(results.mesh, chosen, path, title)
+    """The states of the VTK series, or one checkpoint, as one HTML file in the run directory."""
+    place = RunDirectory(options.directory)
+    path, names, title = place.path / "scene.html", _names(options), place.case().sections.title or "ngvisco"
+    if options.step is None and read_pvd(place.vtk / "fields.pvd"):
+        write_scene_of_series(place.vtk, path, names, title)
+    else:
+        results, chosen = _load(options)
+        write_scene(results.mesh, chosen, path, titled(title, results.time))
     print(path)
     return 0
 
@@ -41,8 +56,11 @@ def scene(options: argparse.Namespace) -> int:
 def _load(options: argparse.Namespace) -> tuple[Results, dict[str, CoefficientFunction]]:
     SetNumThreads(1)
     results = cases.load(options.directory, options.step)
-    names = None if options.fields is None else [name.strip() for name in options.fields.split(",")]
-    return results, scalar_fields(results.fields, names)
+    return results, scalar_fields(results.fields, _names(options))
+
+
+def _names(options: argparse.Namespace) -> list[str] | None:
+    return None if options.fields is None else [name.strip() for name in options.fields.split(",")]
 
 
 def _titled(name: str) -> str:

@@ -1,4 +1,4 @@
-"""``ngvisco check``, ``info`` and ``list``: what a case would need, what a run has, what there is."""
+"""``ngvisco check`` and ``info``: what a case would need, what a run has."""
 
 from __future__ import annotations
 
@@ -10,21 +10,19 @@ import numpy as np
 from ngsolve import SetNumThreads
 
 from ngvisco import case as cases
-from ngvisco.case import catalogue
 from ngvisco.case.directory import RunDirectory
-from ngvisco.case.schema import CaseSections, section
 from ngvisco.errors import CheckpointError
 from ngvisco.run.checkpoint import read_ledger
-from ngvisco.run.passive import NAMES as PASSIVE
+from ngvisco.run.scales import scales
 from ngvisco.run.simulation import Simulation
 from ngvisco.threads import computing
 
-_ITERATIONS, _FACTORISATIONS = 6, 1.5
-"""Newton iterations and factorisations of a typical step, for the estimate of time."""
+_STEPS, _SECONDS = 12, 30.0
+"""Steps that are taken for the estimate of time, fewer where they take longer than this."""
 
 
 def check(options: argparse.Namespace) -> int:
-    """Validate a case, mesh it and say what it needs."""
+    """Validate a case, mesh it and say what it needs; nothing is written."""
     SetNumThreads(1)
     case = cases.load_case(options.case, options.settings)
     mesh = case.mesh()
@@ -41,25 +39,31 @@ def check(options: argparse.Namespace) -> int:
         f"time       {steps} steps of {run.dt:g} s to t = {case.until:g} s"
         + (" at first" if run.is_adaptive else "")
     )
-    apply, factorise = _measure(run)
-    step = _ITERATIONS * apply + _FACTORISATIONS * factorise
-    print(f"memory     {_peak():.0f} MB, measured with one factorised Jacobian")
-    total = _duration(step * steps)
-    print(f"estimate   {step:.2g} s a step, {total} in all (from one residual and one Jacobian)")
+    found = scales(run)
+    fast, slow = found.speeds
+    moving = f"v {found.velocity:.3g} m/s, waves {fast:.3g} and {slow:.3g} m/s"
+    times = f", Maxwell time {found.maxwell:.3g} s" if np.isfinite(found.maxwell) else ""
+    print(f"scales     L {found.length:.3g} m, h {found.cell:.3g} m, {moving}{times}")
+    for name, value in found.numbers.items():
+        print(f"           {name:38s} {value:.3g}")
+    for line in found.advice:
+        print(f"advice     {line}")
+    first, later, count = _measure(run, steps)
+    print(f"memory     {_peak():.0f} MB, measured")
+    total = _duration(first + (steps - 1) * later)
+    print(f"estimate   {later:.2g} s a step, {total} in all without output (by its first {count})")
     return 0
 
 
-def _measure(run: Simulation) -> tuple[float, float]:
-    """Seconds of a residual and of a factorised Jacobian, at the initial state."""
-    step, newton = run.rothe_step, run.solver.newton
-    step.context.tau.Set(run.dt)
-    residual = step.state.vec.CreateVector()
+def _measure(run: Simulation, steps: int) -> tuple[float, float, int]:
+    """Seconds of the first step and of later ones, by taking some of them; nothing is written."""
+    spent: list[float] = []
     with computing():
-        began = clock.perf_counter()
-        step.residual.Apply(step.state.vec, residual)
-        applied = clock.perf_counter()
-        newton.jacobian.factorise(step.state.vec)
-        return applied - began, clock.perf_counter() - applied
+        while len(spent) < min(_STEPS, steps) and sum(spent) < _SECONDS:
+            began = clock.perf_counter()
+            run.advance()
+            spent.append(clock.perf_counter() - began)
+    return spent[0], float(np.mean(spent[1:] or spent)), len(spent)
 
 
 def _peak() -> float:
@@ -107,35 +111,4 @@ def info(options: argparse.Namespace) -> int:
     )
     for path in place.results:
         print(f"  {path.stat().st_size:12d} bytes  {path.relative_to(place.path)}")
-    return 0
-
-
-def listing(options: argparse.Namespace) -> int:
-    """Say what a case file can name."""
-    del options
-    groups = (
-        ("geometries: [domain] geometry =", "geometry", catalogue.GEOMETRIES),
-        ("materials: [material] kind =", "kind", catalogue.MATERIALS),
-        ("materials of another one, [material.material]: [material] kind =", "kind", catalogue.WRAPPERS),
-        ("mechanisms: [rheology.NAME]", None, catalogue.MECHANISMS),
-        ("loads: [[loads]] kind =", "kind", catalogue.LOADS),
-        ("walls: [walls.NAME] kind =", "kind", catalogue.WALLS),
-    )
-    for title, tag, table in groups:
-        print(title)
-        for name, target in table.items():
-            keys = section(target, (tag, name) if tag else None).model_fields
-            shown = [key if f.is_required() else f"[{key}]" for key, f in keys.items() if key != tag]
-            print(f"  {name}: {', '.join(shown)}" if shown else f"  {name}")
-    print("outputs: [output.vtk] fields =")
-    print(
-        "  velocity, density, cauchy_stress, pressure, von_mises, and the material's variables (F, J, E, ...)"
-    )
-    print("  also ledger.csv, run.h5, log.txt; ngvisco plot and ngvisco scene make PNG and HTML of them")
-    print("passive: [output] passive =")
-    print(f"  {', '.join(PASSIVE)}")
-    others = ", ".join(
-        name for name in CaseSections.model_fields if name not in ("domain", "material", "loads")
-    )
-    print(f"other sections: {others}")
     return 0

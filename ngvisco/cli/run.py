@@ -14,10 +14,12 @@ from typing import Any
 from ngsolve import SetNumThreads
 
 from ngvisco import case as cases
+from ngvisco.case import changes
 from ngvisco.case.directory import RunDirectory
 from ngvisco.cli import streams
 from ngvisco.cli.exits import DONE, NOT_CLOSED
 from ngvisco.errors import ParameterError
+from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.observers import Progress
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import Rejection
@@ -70,7 +72,8 @@ class ProgressBar:
         streams.write(f"\r\x1b[Krejected dt {rejection.tau:.4g} s at t {rejection.time:.4g} s\n")
 
     def finish(self, simulation: Simulation) -> None:
-        streams.write("\n")
+        advice = dissipation_advice(simulation)
+        streams.write("\n" if advice is None else f"\n{advice}\n")
 
     def _draw(self, simulation: Simulation, row: dict[str, float]) -> None:
         done = simulation.t / self.until
@@ -95,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     directory = Path(options.output or Path("results") / Path(options.case).stem)
     stop = StopOnSignal()
     observers = [*_terminal(options, case.until), stop]
-    result = cases.run(case, directory, force=options.force, observers=observers)
+    result = cases.run(case, directory, force=options.force, observers=observers, source=options.source)
     return _close(directory, result, stop)
 
 
@@ -105,10 +108,13 @@ def resume(options: argparse.Namespace) -> int:
     directory = Path(options.directory)
     if options.until is not None and not 0 < options.until < float("inf"):
         raise ParameterError("--until", options.until, "a finite number of seconds > 0")
-    until = RunDirectory(directory).case().until if options.until is None else options.until
+    until = options.until
+    if until is None:
+        place = RunDirectory(directory)
+        until = changes.changed(place, place.case(), options.settings).until
     stop = StopOnSignal()
     observers = [*_terminal(options, until), stop]
-    result = cases.resume(directory, options.until, observers=observers)
+    result = cases.resume(directory, options.until, observers=observers, settings=options.settings)
     return _close(directory, result, stop)
 
 

@@ -22,11 +22,11 @@ from ngvisco.forms.data_checks import warn_of_mismatch
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.mesh_arrays import mask_of
-from ngvisco.forms.projections import project_velocity, set_traces
+from ngvisco.forms.projections import set_traces
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Fields
 from ngvisco.forms.system import Step
-from ngvisco.forms.wall_terms import Impenetrability
+from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.material import components_of, conjugates
 from ngvisco.physics.model import VectorLike, as_tensor, as_vector
 from ngvisco.physics.tensors import inner, square, tensor_space
@@ -96,15 +96,14 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
         sampler.require(inner(step.now.z, step.now.z), "material variables")
         sampler.require(step.now.rho, "projected density rho_0", minimum=0.0)
         for variable in step.model.material.variables:
-            value = variable.positive(step.now.z_tensors[variable.name])
-            if value is not None:
-                name = variable.name if variable.kind == "scalar" else f"det {variable.name}"
+            for name, value in variable.positive(step.now.z_tensors[variable.name]).items():
                 sampler.require(value, f"projected {name}_0", minimum=0.0)
         if not np.isfinite(step.energy.samples(step.now.z_tensors, sampler)).all():
             raise InitialDataError("stored energy", "not finite somewhere", "finite values")
         complete(step)
     warn_of_mismatch(step, sampler, values)
     step.state_old.vec.data = step.state.vec
+    step.start_from_old()
 
 
 def _initial_values(step: Step, initial: Initial, F: CoefficientFunction) -> dict[str, CoefficientFunction]:
@@ -168,7 +167,7 @@ def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
     for name, (_, mask) in step.moving_walls.moving.items():
         n = specialcf.normal(step.mesh.dim)
         v[mask] = step.moving_walls.interpolate(name, v_0 - (v_0 * n) * n)[mask]
-    term = next((term for term in step.terms if isinstance(term, Impenetrability)), None)
+    term = step.impenetrability
     # on a periodic mesh ``Set`` counts a vertex twice in a cell that meets its own image
     if term is not None or step.layout.periodic:
         project_velocity(step.layout, step.state, v_0, term, step.quadrature)

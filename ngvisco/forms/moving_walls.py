@@ -43,19 +43,19 @@ class MovingWalls:
         mesh = walls.mesh
         self._values = GridFunction(layout.blocks["v"])
         self._inverses: dict[str, BaseMatrix] = {}
-        self.fixed = self._constrained(layout, walls.dirichlet)
-        self.zero = self._constrained(layout, walls.homogeneous)
+        self.fixed = self.constrained(layout, walls.dirichlet)
+        self.zero = self.constrained(layout, walls.homogeneous)
         self.moving: dict[str, tuple[CoefficientFunction, np.ndarray]] = {}
         taken = self.zero.copy()
         for name, wall in walls.conditions.items():
             if isinstance(wall, PrescribedTangential):
-                mask = self._constrained(layout, (pattern([name]),) * mesh.dim) & ~taken
+                mask = self.constrained(layout, (pattern([name]),) * mesh.dim) & ~taken
                 taken |= mask
                 velocity = as_vector(wall.velocity, mesh.dim, "PrescribedTangential.velocity")
                 self.moving[name] = (velocity, mask)
 
     @staticmethod
-    def _constrained(layout: Layout, patterns: Sequence[str]) -> np.ndarray:
+    def constrained(layout: Layout, patterns: Sequence[str]) -> np.ndarray:
         """Coefficients of v that these boundary patterns hold, as a mask."""
         free = mask_of(layout.velocity_space(patterns).FreeDofs())
         unconstrained = mask_of(layout.velocity_space(("",) * layout.mesh.dim).FreeDofs())
@@ -102,7 +102,7 @@ class MovingWalls:
         if name not in self._inverses:
             mass = BilinearForm(space, check_unused=False)
             mass += inner(trial, test) * ds(definedon=region)
-            on_wall = self._constrained(self.layout, (pattern([name]),) * self.walls.mesh.dim)
+            on_wall = self.constrained(self.layout, (pattern([name]),) * self.walls.mesh.dim)
             active = BitArray(list(map(bool, on_wall)))
             self._inverses[name] = mass.Assemble().mat.Inverse(active, inverse="umfpack")
         load = LinearForm(space)

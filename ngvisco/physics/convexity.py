@@ -5,11 +5,16 @@ phi(b) - phi(a) - phi'(a) : (b - a) is >= 0, which is convexity in all variables
 independent ones (the discrete J is not exactly det F).  ``check_convexity`` evaluates that distance for
 random states a and, for each, b along the eigenvector of the smallest eigenvalue of the Hessian, near
 and farther, and at another random state; it reports the worst negative one.
+
+States whose variables fit together (J = det F, H = Cof F, ...), which a motion can reach, are cited first,
+and of those the ones that another such state b shows: a violation elsewhere matters only as far as the
+discrete variables drift apart.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,13 +51,21 @@ class ConvexityReport:
     worst : float
         Smallest [phi(b) - phi(a) - phi'(a):(b - a)]/|b - a|^2 found, Pa; 0 when the energy passed.
     point, direction : mapping of names to arrays, or None
-        a and b - a of the worst pair, 3x3 or scalar; None when the energy passed.
+        a and b - a of the pair that is cited, 3x3 or scalar; None when the energy passed.
+    reachable : bool
+        Whether a motion can reach the state a.
+    distance : float
+        Of a from the nearest of the ``states`` that were given, without such from rest: the Frobenius norm
+        over all variables; 0 when the energy passed.
     """
 
     samples: int
     worst: float
     point: dict[str, np.ndarray] | None
     direction: dict[str, np.ndarray] | None
+    reachable: bool = False
+    distance: float = 0.0
+    from_run: bool = False
 
     @property
     def passed(self) -> bool:
@@ -61,13 +74,22 @@ class ConvexityReport:
     def __str__(self) -> str:
         if self.point is None or self.direction is None:
             return f"no violation of convexity in {self.samples} samples"
-        at = ", ".join(f"{name} = {_text(value)}" for name, value in self.point.items())
-        along = ", ".join(f"{name}: {_text(value)}" for name, value in self.direction.items())
-        return f"not convex at {at} in the direction {along}"
+        at = ", ".join(f"{name} = {array_text(value)}" for name, value in self.point.items())
+        along = ", ".join(f"{name}: {array_text(value)}" for name, value in self.direction.items())
+        who = "which a motion can reach" if self.reachable else "which no motion reaches exactly"
+        where = "the nearest state of the run's start" if self.from_run else "rest"
+        far = f"{who}, {self.distance:.2g} from {where} in the norm of all variables"
+        return f"not convex at {at} ({far}) in the direction {along}"
 
 
 def check_convexity(
-    material: Material, *, dim: int = 3, spread: float = 0.4, seed: int = 0, warn: bool = True
+    material: Material,
+    *,
+    dim: int = 3,
+    spread: float = 0.4,
+    seed: int = 0,
+    warn: bool = True,
+    states: np.ndarray | None = None,
 ) -> ConvexityReport:
     """Look for states where a material's energy is not jointly convex.
 
@@ -82,6 +104,8 @@ def check_convexity(
         Of the random states.
     warn : bool
         Whether to issue a ConvexityWarning with the point where the energy fails.
+    states : array (count, components), optional
+        Components of a run's states, to say how far from them the energy fails; default rest.
 
     Returns
     -------
@@ -95,28 +119,37 @@ def check_convexity(
     if number is None or number < 0:
         raise ParameterError("check_convexity.seed", seed, "an integer >= 0")
     rng = np.random.default_rng(number)
-    sampling = _Sampling(material, dim)
-    a = sampling.random_states(rng, spread)
-    phi_a, slope = sampling.energy_and_slope(a)
-    weakest = spread * sampling.weakest_directions(a)
-    far = sampling.random_states(rng, spread) - a
-    worst, found, samples = 0.0, None, 0
-    for step in (*(t * weakest for t in _DISTANCES), *(-t * weakest for t in _DISTANCES), far):
-        phi_b, _ = sampling.energy_and_slope(a + step)
-        first_order = np.einsum("ij,ij->i", slope, step)
-        bregman = phi_b - phi_a - first_order
-        size = np.einsum("ij,ij->i", step, step)
-        finite = np.isfinite(bregman) & (size > 0)
-        samples += int(finite.sum())
-        rounding = _ROUNDING * (abs(phi_a) + abs(phi_b) + abs(first_order))
-        relative = np.where(finite & (bregman < -rounding), bregman / np.where(size > 0, size, 1), 0.0)
-        i = int(np.argmin(relative))
-        if relative[i] < worst:
-            worst, found = float(relative[i]), (a[i], step[i])
+    sampling = StateSampling(material, dim)
+    fitting = sampling.fitting_states(rng, spread)
+    a = sampling.changed(fitting, rng, spread)
+    other = sampling.fitting_states(rng, spread)
+    b = sampling.changed(other, rng, spread)
+    steps = [t * spread for t in (*_DISTANCES, *(-t for t in _DISTANCES))]
+    # (states, increments) in the order in which violations are cited
+    rounds: list[tuple[bool, np.ndarray, list[np.ndarray]]] = [(True, fitting, [other - fitting])]
+    for reachable, start, far in ((True, fitting, []), (False, a, [b - a])):
+        weakest = sampling.weakest_directions(start)
+        rounds.append((reachable, start, [t * weakest for t in steps] + far))
+    worst, samples = 0.0, 0
+    found: tuple[bool, np.ndarray, np.ndarray] | None = None
+    for reachable, start, increments in rounds:
+        count, smallest, pair = sampling.worst_bregman(start, increments)
+        samples, worst = samples + count, min(worst, smallest)
+        if found is None and pair is not None:
+            found = (reachable, *pair)
     if found is None:
         return ConvexityReport(samples, 0.0, None, None)
-    point, direction = (sampling.named(components) for components in found)
-    report = ConvexityReport(samples, worst, point, direction)
+    reachable, at, along = found
+    near = sampling.rest()[None] if states is None else np.asarray(states, dtype=float)
+    report = ConvexityReport(
+        samples,
+        worst,
+        sampling.named(at),
+        sampling.named(along),
+        reachable,
+        float(np.linalg.norm(near - at, axis=1).min()),
+        states is not None,
+    )
     if warn:
         warnings.warn(
             f"{type(material).__name__}: the stored energy is {report}; the scheme stays consistent, but its "
@@ -127,7 +160,7 @@ def check_convexity(
     return report
 
 
-class _Sampling:
+class StateSampling:
     """Evaluates a material at many states at once, as cellwise constants on a mesh of squares."""
 
     def __init__(self, material: Material, dim: int) -> None:
@@ -141,19 +174,29 @@ class _Sampling:
             slope = components_of(material, conjugates(material, z), dim)
             self.outputs = CF((material.energy(z), slope)).Compile()
 
-    def random_states(self, rng: np.random.Generator, spread: float) -> np.ndarray:
-        """States of a random F, with every variable then changed on its own."""
+    def fitting_states(self, rng: np.random.Generator, spread: float) -> np.ndarray:
+        """States of a random F: variables that fit together, as those of a motion."""
         count = self.mesh.ne
         F = np.eye(3) + spread * rng.uniform(-1, 1, (count, 3, 3))
         if self.dim == 2:
             F[:, 2, :2] = F[:, :2, 2] = 0
         F[np.linalg.det(F) < 0.2] = np.eye(3)
+        return self._states_of(F)
+
+    def rest(self) -> np.ndarray:
+        """The state of F = I, (components,)."""
+        return self._states_of(np.tile(np.eye(3), (self.mesh.ne, 1, 1)))[0]
+
+    def _states_of(self, F: np.ndarray) -> np.ndarray:
         gf = GridFunction(VectorValued(L2(self.mesh, order=0), 9))
-        _set(gf, F.reshape(count, 9))
+        _set(gf, F.reshape(len(F), 9))
         tensor = gf.Reshape((3, 3))
         values = {v.name: v.from_distortion(tensor) for v in self.material.variables}
-        states = self._evaluate(components_of(self.material, values, self.dim))
-        start = 0
+        return self._evaluate(components_of(self.material, values, self.dim))
+
+    def changed(self, fitting: np.ndarray, rng: np.random.Generator, spread: float) -> np.ndarray:
+        """The states with every variable changed on its own: the discrete ones do not fit exactly."""
+        states, start = fitting.copy(), 0
         for variable in self.material.variables:
             size = tensor_space(variable.kind, self.dim).size
             part = states[:, start : start + size]
@@ -164,6 +207,30 @@ class _Sampling:
             start += size
         return states
 
+    def random_states(self, rng: np.random.Generator, spread: float) -> np.ndarray:
+        """States of a random F, with every variable then changed on its own."""
+        return self.changed(self.fitting_states(rng, spread), rng, spread)
+
+    def worst_bregman(
+        self, a: np.ndarray, increments: Sequence[np.ndarray]
+    ) -> tuple[int, float, tuple[np.ndarray, np.ndarray] | None]:
+        """Number of pairs, smallest Bregman distance over |b - a|^2, and its pair (a, b - a) if negative."""
+        phi_a, slope = self.energy_and_slope(a)
+        samples, worst, pair = 0, 0.0, None
+        for step in increments:
+            phi_b, _ = self.energy_and_slope(a + step)
+            first_order = np.einsum("ij,ij->i", slope, step)
+            bregman = phi_b - phi_a - first_order
+            size = np.einsum("ij,ij->i", step, step)
+            finite = np.isfinite(bregman) & (size > 0)
+            samples += int(finite.sum())
+            rounding = _ROUNDING * (abs(phi_a) + abs(phi_b) + abs(first_order))
+            relative = np.where(finite & (bregman < -rounding), bregman / np.where(size > 0, size, 1), 0.0)
+            i = int(np.argmin(relative))
+            if relative[i] < worst:
+                worst, pair = float(relative[i]), (a[i], step[i])
+        return samples, worst, pair
+
     def energy_and_slope(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.response is not None:
             found = self.response(states)
@@ -171,6 +238,17 @@ class _Sampling:
         _set(self.state, states)
         values = self._evaluate(self.outputs)
         return values[:, 0], values[:, 1:]
+
+    def energies(self, states: np.ndarray) -> np.ndarray:
+        """phi at states, Pa; NaN outside its domain."""
+        return self.energy_and_slope(states)[0]
+
+    def mapped(
+        self, states: np.ndarray, f: Callable[[CoefficientFunction], CoefficientFunction]
+    ) -> np.ndarray:
+        """The components f(z) for the components z of states."""
+        _set(self.state, states)
+        return self._evaluate(f(self.state))
 
     def weakest_directions(self, states: np.ndarray) -> np.ndarray:
         """Unit eigenvectors of the smallest eigenvalue of the Hessian (central differences of the slope)."""
@@ -199,5 +277,6 @@ def _set(gf: GridFunction, values: np.ndarray) -> None:
         component.vec.FV().NumPy()[:] = values[:, i]
 
 
-def _text(value: np.ndarray) -> str:
+def array_text(value: np.ndarray) -> str:
+    """An array for messages, in one line."""
     return np.array2string(np.asarray(value), precision=3, suppress_small=True).replace("\n", "")

@@ -11,7 +11,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 
 from ngvisco.errors import ParameterError, _is_number, as_number, require_number, require_positive
-from ngvisco.physics.material import Material, check_material
+from ngvisco.physics.material import ElasticState, Material, check_material
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 from ngvisco.physics.state_function import check_energy
@@ -101,6 +101,8 @@ class Model:
     Parameters
     ----------
     material : Material
+        Isotropic ones at finite strain that leave ``elastic_state`` open are by B = F F^T where there is
+        creep, by F where there is none.
     viscosity : StokesViscosity, optional
     hyperviscosity : HyperViscosity, optional
     creep : Creep, optional
@@ -112,8 +114,10 @@ class Model:
     Raises
     ------
     ParameterError
-        If a part is of the wrong type, two loads share a name, or the material's list of variables
-        makes no sense.
+        If a part is of the wrong type, two loads share a name, the material's list of variables
+        makes no sense, or the law of creep needs a conformation tensor that the material does not have.
+    UnknownNameError
+        If a ``WithQuadratic`` names variables that its material does not have in the form for this model.
     """
 
     material: Material
@@ -145,7 +149,17 @@ class Model:
         if len(set(names)) < len(names):
             raise ParameterError("Model.loads", names, "distinct names")
         check_material(self.material)
+        law = "mandel" if self.creep is None else self.creep.law
+        if law != "mandel" and self.material.conformation is None:
+            raise ParameterError("Model.creep", f"law = {law!r}", "a material with a conformation tensor")
+        state = default_elastic_state(self.creep)
+        object.__setattr__(self, "material", self.material.with_elastic_state(state))
         check_energy(self.material)
+
+
+def default_elastic_state(creep: Creep | None) -> ElasticState:
+    """How a material that leaves it open knows of its elastic state: by B where there is creep, else by F."""
+    return "B" if creep is not None and creep.R > 0 else "F"
 
 
 _NAME = re.compile(r"(?!traction_|wall_)[A-Za-z][A-Za-z0-9_]*")

@@ -3,13 +3,14 @@
 Layout::
 
     /                               attributes: format, ngvisco, mesh, spaces, material, energies (Pa, at
-                                    fixed states, by which an energy is known again) and any that the
+                                    fixed states, by which an energy is known again), scheme and any that the
                                     caller adds (``case``, the hash of a case file's physics)
     /ledger/<column>                one value a step, attribute ``unit``
     /checkpoints/<step>/state       all coefficients of the step's space; attributes time (s), step,
                                     energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s)
-    /checkpoints/<step>/solver      where the Jacobian was factorised (attributes t_old, tau, last_tau;
-                                    data sets state, state_old), empty if there is none
+    /checkpoints/<step>/solver      where the Jacobian was factorised (attributes tau, end, loads_from,
+                                    loads_over, last_tau; data sets state, state_old), and the last two
+                                    solutions, which start values are extrapolated from; empty for none
     /checkpoints/<step>/stepping    what the choice of the next step depends on, empty for fixed steps
     /checkpoints/<step>/passive     coefficients of the run's passive fields, if any
 
@@ -47,7 +48,10 @@ if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
 FORMAT = 3
-UNITS = "time, tau, dt, t_old: s; energy: J; mass: kg; velocity_scale: m/s (per metre in plane strain)"
+UNITS = (
+    "time, tau, dt, end, loads_from, loads_over, *_time, known_*: s; energy: J; mass: kg; "
+    "velocity_scale: m/s (per metre in plane strain)"
+)
 """Of the checkpoints' attributes, as the file says itself; those of the ledger stand at its columns."""
 _WHOLE = ("step", "newton_iterations", "rejections")
 """Ledger columns of whole numbers."""
@@ -222,31 +226,48 @@ def restore(
     """
     path = require_path("restore.path", path)
     expected = identity(simulation) | dict(attributes or {})
-    one = _read_checkpoint(path, expected, step)
-    vector, state = simulation.rothe_step.state.vec, one.arrays[""]["state"]
-    if state.shape != (len(vector),):
-        raise CheckpointError(f"{path}: the state has {state.size} coefficients, not {len(vector)}")
+    one = read_checkpoint(path, expected, step)
+    vector, state = simulation.rothe_step.state.vec, state_of(one, simulation, path)
     numbers = one.numbers[""]
     number = int(numbers["step"])
-    rows = [row for row in read_ledger_rows(path, simulation.ledger.columns) if row["step"] <= number]
+    ledger = simulation.ledger
+    names = [*ledger.columns, *ledger.foreign(read_ledger(path))]
+    rows = [row for row in read_ledger_rows(path, names) if row["step"] <= number]
     if [row["step"] for row in rows] != list(range(number + 1)):
         raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
     simulation.passive.load(one.arrays["passive"])
     vector.FV().NumPy()[:] = state
     simulation.rothe_step.state_old.vec.data = vector
+    simulation.rothe_step.start_from_old()
     simulation.set_time(numbers["time"], number)
     simulation.set_velocity_scale(numbers["velocity_scale"])
     simulation.solver.recall(one.numbers["solver"], one.arrays["solver"])
-    simulation.stepper.recall(one.numbers["stepping"], one.arrays["stepping"])
-    balance = {f.name: numbers[f.name] for f in dataclasses.fields(Balance)}
-    simulation.ledger.resume(Balance(**balance), rows)
+    simulation.stepper.recall(simulation, one.numbers["stepping"], one.arrays["stepping"])
+    ledger.keep(names)
+    ledger.resume(balance_of(one), rows)
+
+
+def balance_of(one: Snapshot) -> Balance:
+    """Energy and masses as a checkpoint has them."""
+    return Balance(**{f.name: one.numbers[""][f.name] for f in dataclasses.fields(Balance)})
+
+
+def state_of(one: Snapshot, simulation: Simulation, path: str | os.PathLike[str]) -> np.ndarray:
+    """The coefficients of a checkpoint; raises CheckpointError if they are not as many as the
+    simulation's."""
+    state, expected = one.arrays[""]["state"], len(simulation.rothe_step.state.vec)
+    if state.shape != (expected,):
+        raise CheckpointError(f"{path}: the state has {state.size} coefficients, not {expected}")
+    return state
 
 
 _UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError)
 """What h5py raises for a damaged file, depending on where it is damaged."""
 
 
-def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> Snapshot:
+def read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> Snapshot:
+    """One checkpoint, by default the last, of a file that has the expected attributes; raises
+    CheckpointError."""
     if not path.exists():
         raise CheckpointError(f"{path}: no such file")
     try:
@@ -318,6 +339,7 @@ def identity(simulation: Simulation) -> dict[str, Any]:
         "mesh": mesh_hash(simulation.mesh),
         "spaces": spaces,
         "material": material_signature(simulation.model.material),
+        "scheme": scheme_signature(simulation),
         "energies": sampled_energies(simulation.model.material, simulation.mesh.dim),
     }
 
@@ -343,6 +365,16 @@ def material_signature(material: object) -> str:
             text = getattr(value, "__qualname__", None) or repr(value)
         values.append(f"{field.name}={text}")
     return f"{type(material).__name__}({', '.join(values)})"
+
+
+def scheme_signature(simulation: Simulation) -> str:
+    """Name and tableau of the time scheme, and its startup and relaxation where there are such."""
+    integrator = simulation.integrator
+    scheme = integrator.scheme
+    text = f"{scheme.name}, A = {scheme.A}, b = {scheme.b}"
+    if integrator.startup:
+        text += f", startup = {integrator.startup}"
+    return text + (", relaxed" if integrator.relaxed else "")
 
 
 def _version() -> str:

@@ -10,10 +10,18 @@ from ngvisco.errors import UnknownNameError
 from ngvisco.forms.system import Step
 from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import dev, square, tr
+from ngvisco.run.scales import rest_pressure
+
+USUAL = ("density", "J", "velocity", "pressure", "von_mises")
+"""What is drawn where nothing is said, as far as a run has it."""
 
 
 def output_fields(step: Step) -> dict[str, CoefficientFunction]:
-    """Velocity, density, variables, Cauchy stress, pressure and von Mises stress at the new state."""
+    """Velocity, density, variables, Cauchy stress, pressure and von Mises stress at the new state.
+
+    ``pressure_from_rest`` is the pressure less that of the material at rest, F = I, whose stress phi(I) I
+    a body of a fixed shape does not feel.
+    """
     u, material = step.now, step.model.material
     T = cauchy_stress(material, u.z_tensors, u.zeta_tensors, step.energy.anywhere(u))
     return {
@@ -22,6 +30,7 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
         **u.z_tensors,
         "cauchy_stress": T,
         "pressure": (-1 / 3) * tr(T),
+        "pressure_from_rest": (-1 / 3) * tr(T) - rest_pressure(material, step.mesh.dim),
         "von_mises": sqrt(1.5 * square(dev(T))),
     }
 
@@ -29,7 +38,7 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
 def scalar_fields(
     fields: Mapping[str, CoefficientFunction], names: Sequence[str] | None = None
 ) -> dict[str, CoefficientFunction]:
-    """Scalars to be drawn: of a vector its modulus, of a tensor the component ``NAME_ij``.
+    """Scalars to be drawn: of a vector its modulus or ``NAME_i``, of a tensor the component ``NAME_ij``.
 
     Parameters
     ----------
@@ -40,22 +49,63 @@ def scalar_fields(
     """
     known = {}
     for name, value in fields.items():
-        if value.dim == 1:
-            known[name] = value
-        elif value.dim <= 3:
+        if 1 < value.dim <= 3:
             known[name] = sqrt(square(value))
-        else:
-            known |= {f"{name}_{i + 1}{j + 1}": value[i, j] for i in range(3) for j in range(3)}
+    known |= components(fields)
     if names is None:
-        usual = ("density", "J", "velocity", "pressure", "von_mises")
-        return {name: known[name] for name in usual if name in known}
+        return {name: known[name] for name in USUAL if name in known}
     for name in names:
         if name not in known:
             raise UnknownNameError("field", name, known)
     return {name: known[name] for name in names}
 
 
+def components(fields: Mapping[str, CoefficientFunction]) -> dict[str, CoefficientFunction]:
+    """Every component of every field as a scalar: ``J``, ``velocity_1``, ``F_12``."""
+    return {part: value for name, field in fields.items() for part, value in _parts(name, field).items()}
+
+
+def component_fields(
+    fields: Mapping[str, CoefficientFunction], names: Sequence[str] | None = None
+) -> dict[str, CoefficientFunction]:
+    """The components of the named fields, or single components by their names; default all.
+
+    Raises
+    ------
+    UnknownNameError
+        For a name that is neither.
+    """
+    every = components(fields)
+    chosen: dict[str, CoefficientFunction] = {}
+    for name in fields if names is None else names:
+        if name in fields:
+            chosen |= _parts(name, fields[name])
+        elif name in every:
+            chosen[name] = every[name]
+        else:
+            raise UnknownNameError("field", name, [*fields, *every])
+    return chosen
+
+
+def _parts(name: str, value: CoefficientFunction) -> dict[str, CoefficientFunction]:
+    if value.dim == 1:
+        return {name: value}
+    if value.dim <= 3:
+        return {f"{name}_{i + 1}": value[i] for i in range(value.dim)}
+    return {f"{name}_{i + 1}{j + 1}": value[i, j] for i in range(3) for j in range(3)}
+
+
 def field_unit(name: str) -> str:
     """The SI unit of a field that is drawn, empty for a pure number."""
-    units = {"velocity": "m/s", "density": "kg/m³", "pressure": "Pa", "von_mises": "Pa"}
-    return "Pa" if name.startswith("cauchy_stress") else units.get(name, "")
+    units = {
+        "velocity": "m/s",
+        "density": "kg/m³",
+        "pressure": "Pa",
+        "pressure_from_rest": "Pa",
+        "von_mises": "Pa",
+        "cauchy_stress": "Pa",
+        "displacement": "m",
+        "reference_map": "m",
+    }
+    whole = name.rpartition("_")[0] if name.rpartition("_")[2].isdigit() else name
+    return units.get(whole, "")

@@ -30,6 +30,7 @@ from ngvisco.errors import (
     require_path,
     require_positive,
 )
+from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.files import append, write_atomically
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ class Progress:
         steps = (
             "adaptive steps" if simulation.is_adaptive else f"{self._total[1:]} steps of {simulation.dt:g} s"
         )
-        self._print(f"{cells} cells, {unknowns} unknowns, {steps}")
+        self._print(f"{cells} cells, {unknowns} unknowns, {steps}, {simulation.scheme}")
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
         number = simulation.number
@@ -88,6 +89,9 @@ class Progress:
         finished = simulation.t >= self.until * (1 - 1e-9)
         word = "finished" if finished else "stopped"
         self._print(f"{word} at t = {simulation.t:g} s after {simulation.number} steps")
+        advice = dissipation_advice(simulation)
+        if advice is not None:
+            self._print(advice)
 
     def _print(self, line: str) -> None:
         # a reader that has gone, or a terminal that cannot take it, does not end a run

@@ -1,17 +1,18 @@
-"""Pictures of a run, drawn without a display (needs the extra ``plots``: matplotlib)."""
+"""Pictures of a run as PNG, PDF or SVG, drawn without a display (extra ``plots``: matplotlib)."""
 
 from __future__ import annotations
 
 import io
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y
 
-from ngvisco.errors import NgviscoError, ParameterError
+from ngvisco.errors import NgviscoError, ParameterError, _is_number
 from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.run.files import write_atomically
 
@@ -21,6 +22,66 @@ if TYPE_CHECKING:
 
 class PlotError(NgviscoError, RuntimeError):
     """A picture cannot be drawn (matplotlib missing)."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A plane normal to an axis, in which three-dimensional fields are shown.
+
+    Parameters
+    ----------
+    normal : str
+        ``"x"``, ``"y"`` or ``"z"``.
+    at : float, optional
+        Its coordinate along that axis, m; None (default) is the middle of the body.
+    """
+
+    normal: str = "z"
+    at: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.normal not in ("x", "y", "z"):
+            raise ParameterError("Section.normal", self.normal, "x, y or z")
+        if self.at is not None and not _is_number(self.at):
+            raise ParameterError("Section.at", self.at, "a finite number")
+
+    @classmethod
+    def parse(cls, text: str) -> Section:
+        """From ``"z"`` or ``"z=0.5"``."""
+        normal, equals, value = text.replace(" ", "").partition("=")
+        try:
+            return cls(normal, float(value) if equals else None)
+        except ValueError as error:
+            if isinstance(error, ParameterError):
+                raise
+            raise ParameterError("Section.at", value, "a number, as in z=0.5") from error
+
+    @property
+    def normal_axis(self) -> int:
+        return "xyz".index(self.normal)
+
+    @property
+    def axes(self) -> tuple[int, int]:
+        """The two axes in the plane, to the right and upwards."""
+        return ((1, 2), (0, 2), (0, 1))[self.normal_axis]
+
+    def place(self, points: np.ndarray) -> float:
+        """Its coordinate, m, for a body with these points; raises ParameterError when it misses the body."""
+        along = points[:, self.normal_axis]
+        low, high = float(along.min()), float(along.max())
+        at = 0.5 * (low + high) if self.at is None else float(self.at)
+        if not low <= at <= high:
+            raise ParameterError(f"section {self.normal}", at, f"a coordinate from {low:g} to {high:g} m")
+        return at
+
+    def text(self, at: float) -> str:
+        """How a title says it."""
+        return f"{self.normal} = {at:.4g} m"
+
+
+def titled(*parts: str | float) -> str:
+    """A title of what there is: texts as they are, a number as the time in s."""
+    return ", ".join(f"t = {part:.4g} s" if isinstance(part, float) else part for part in parts if part != "")
 
 
 def figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any, Any]:
@@ -36,7 +97,7 @@ def figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any, Any
 
 
 def plot_energies(ledger: Ledger, path: str | os.PathLike[str]) -> None:
-    """Energies and what was exchanged, and the closure, over time, as PNG.
+    """Energies and what was exchanged, and the closure, over time, as PNG, PDF or SVG by the path's end.
 
     Stored energy is drawn as its change since the start: its constant part is arbitrary.
     """
@@ -62,7 +123,8 @@ def plot_energies(ledger: Ledger, path: str | os.PathLike[str]) -> None:
 
 
 def plot_history(ledger: Ledger, path: str | os.PathLike[str]) -> None:
-    """Dissipations and powers, extrema, iterations and step lengths over time, as PNG."""
+    """Dissipations and powers, extrema, iterations and step lengths over time; formats as
+    ``plot_energies``."""
     fig, axes = figure(2, 2, (12, 8))
     (rates, extrema), (effort, steps) = axes
     t = ledger.column("time")
@@ -92,35 +154,44 @@ def plot_fields(
     mesh: Mesh,
     fields: Sequence[tuple[str, CoefficientFunction]],
     path: str | os.PathLike[str],
-    plane: float = 0.5,
+    section: Section | None = None,
     subdivisions: int = 3,
+    title: str = "",
 ) -> None:
-    """Scalar fields side by side, as PNG; in 3D on a plane of constant z.
+    """Scalar fields side by side; in 3D in a plane normal to an axis.  Formats as ``plot_energies``.
 
     Parameters
     ----------
     mesh : ngsolve.Mesh
     fields : sequence of (title, scalar coefficient function)
-    path : path of the PNG
-    plane : float
-        In 3D, height of the plane as a fraction of the mesh's extent in z.
+    path : path of the picture
+    section : Section, optional
+        In 3D the plane; default through the middle, normal to z.
     subdivisions : int
         In 2D every cell is drawn as subdivisions^2 triangles, so that jumps between cells show.
+    title : str
+        Above all fields; in 3D the plane is added to it.
     """
-    for title, value in fields:
+    for name, value in fields:
         if value.dim != 1:
-            raise ParameterError(f"plot_fields field {title!r}", value.dim, "a scalar")
-    count = len(fields)
+            raise ParameterError(f"plot_fields field {name!r}", value.dim, "a scalar")
     corners = coordinates(mesh)
-    extent = corners.max(axis=0) - corners.min(axis=0)
-    height = 1.2 + 3.6 * min(max(extent[1] / extent[0], 0.3), 2.0)
-    fig, ((*axes,),) = figure(1, count, (5.0 * count, height))
-    draw = _draw_plane if mesh.dim == 3 else _draw_cells
-    option = plane if mesh.dim == 3 else subdivisions
-    for axis, (title, value) in zip(axes, fields, strict=True):
-        image = draw(axis, mesh, value, option)
-        axis.set(title=title, aspect="equal", xlabel="x, m", ylabel="y, m")
+    chosen = section or Section()
+    along = chosen.axes if mesh.dim == 3 else (0, 1)
+    extent = np.ptp(corners, axis=0)
+    height = 1.4 + 3.6 * min(max(extent[along[1]] / extent[along[0]], 0.3), 2.0)
+    fig, ((*axes,),) = figure(1, len(fields), (5.0 * len(fields), height))
+    for axis, (name, value) in zip(axes, fields, strict=True):
+        if mesh.dim == 3:
+            image = _draw_plane(axis, mesh, value, chosen)
+        else:
+            image = _draw_cells(axis, mesh, value, subdivisions)
+        labels = [f"{'xyz'[i]}, m" for i in along]
+        axis.set(title=name, aspect="equal", xlabel=labels[0], ylabel=labels[1])
         fig.colorbar(image, ax=axis, shrink=0.8)
+    plane = chosen.text(chosen.place(corners)) if mesh.dim == 3 else ""
+    if title or plane:
+        fig.suptitle(titled(title, plane))
     _save(fig, path)
 
 
@@ -140,24 +211,34 @@ def _draw_cells(axis: Any, mesh: Mesh, value: CoefficientFunction, subdivisions:
     X, Y, values = (np.asarray(f(points)).ravel() for f in (x, y, value))
     cells = len(X) // len(lattice)
     triangles = np.add.outer(np.arange(cells) * len(lattice), np.array(small)).reshape(-1, 3)
-    return axis.tripcolor(X, Y, triangles, values, shading="gouraud", cmap="viridis")
+    return axis.tripcolor(X, Y, triangles, values, shading="gouraud", cmap="viridis", rasterized=True)
 
 
-def _draw_plane(axis: Any, mesh: Mesh, value: CoefficientFunction, fraction: float) -> Any:
+def _draw_plane(axis: Any, mesh: Mesh, value: CoefficientFunction, section: Section) -> Any:
     corners = coordinates(mesh)
     low, high = corners.min(axis=0), corners.max(axis=0)
     inset = 1e-9 * (high - low)
-    xs, ys = (np.linspace(low[i] + inset[i], high[i] - inset[i], 81) for i in range(2))
-    X, Y = np.meshgrid(xs, ys)
-    height = low[2] + fraction * (high[2] - low[2])
+    ranges = [np.linspace(low[i] + inset[i], high[i] - inset[i], 81) for i in section.axes]
+    X, Y = np.meshgrid(*ranges)
+    at = section.place(corners)
+    points = np.empty((X.size, 3))
+    points[:, section.axes[0]], points[:, section.axes[1]] = X.ravel(), Y.ravel()
+    points[:, section.normal_axis] = np.clip(at, low + inset, high - inset)[section.normal_axis]
+    found = mesh(*points.T)
     values = np.full(X.size, np.nan)
-    for k, (px, py) in enumerate(zip(X.ravel(), Y.ravel(), strict=True)):
-        if mesh.Contains(px, py, height):
-            values[k] = value(mesh(px, py, height))
-    return axis.pcolormesh(X, Y, values.reshape(X.shape), shading="gouraud", cmap="viridis")
+    inside = found["nr"] >= 0
+    values[inside] = np.asarray(value(found[inside])).reshape(-1)
+    return axis.pcolormesh(X, Y, values.reshape(X.shape), shading="gouraud", cmap="viridis", rasterized=True)
+
+
+FORMATS = ("png", "pdf", "svg")
 
 
 def _save(fig: Any, path: str | os.PathLike[str]) -> None:
+    target = Path(path)
+    kind = target.suffix.lstrip(".").lower() or "png"
+    if kind not in FORMATS:
+        raise ParameterError("path of a picture", str(target), "a name that ends in .png, .pdf or .svg")
     image = io.BytesIO()
-    fig.savefig(image, dpi=110, format="png")
-    write_atomically(Path(path), image.getvalue())
+    fig.savefig(image, dpi=110, format=kind)
+    write_atomically(target, image.getvalue())

@@ -1,8 +1,9 @@
-"""A state as one HTML file: mesh, fields and viewer in it, nothing from the network.
+"""States as one HTML file: mesh, fields and viewer in it, nothing from the network.
 
-2D meshes are drawn whole, 3D ones by their boundary; every cell has its own values, so that jumps
-between cells show.  The viewer (viewer.html) draws with a depth buffer of its own on a canvas: it
-needs neither WebGL nor a graphics card.
+2D meshes are drawn whole, 3D ones by their boundary and by a movable plane that cuts them open; every cell
+has its own values, so that jumps between cells show.  With several states there is a slider of time.  The
+viewer (viewer.html) draws with a depth buffer of its own on a canvas: it needs neither WebGL nor a graphics
+card.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ import base64
 import html
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +33,34 @@ from ngsolve import (
 )
 
 from ngvisco.errors import ParameterError
-from ngvisco.run.fields import field_unit
+from ngvisco.run.fields import USUAL, field_unit
 from ngvisco.run.files import write_atomically
+from ngvisco.run.vtu import read_frame, read_series_files
 
 _VIEWER = Path(__file__).with_name("viewer.html")
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What a page shows: triangles, in 3D the tetrahedra behind them, and values at all their corners.
+
+    Attributes
+    ----------
+    dim : int
+    triangles : array (3 count, 3)
+        Corners of the drawn triangles, m.
+    cells : array (4 count, 3)
+        Corners of the tetrahedra that a plane cuts; empty in 2D.
+    times : sequence of float
+        Of the states, s.
+    fields : mapping of names to (values at ``triangles``, values at ``cells``), each (states, corners)
+    """
+
+    dim: int
+    triangles: np.ndarray
+    cells: np.ndarray
+    times: Sequence[float]
+    fields: Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
 def write_scene(
@@ -44,7 +70,7 @@ def write_scene(
     title: str = "ngvisco",
     subdivisions: int = 3,
 ) -> None:
-    """Write the view of scalar fields.
+    """Write the view of scalar fields at the present time.
 
     Parameters
     ----------
@@ -60,23 +86,85 @@ def write_scene(
     for name, value in fields.items():
         if value.dim != 1:
             raise ParameterError(f"write_scene field {name!r}", value.dim, "a scalar")
-    points, values = _triangles(mesh, CF(tuple(fields.values())), subdivisions)
+    together = CF(tuple(fields.values()))
+    points, values = _triangles(mesh, together, subdivisions)
+    corners, inside = _tetrahedra(mesh, together)
+    named = {name: (values[None, :, i], inside[None, :, i]) for i, name in enumerate(fields)}
+    write_page(Drawing(mesh.dim, points, corners, [0.0], named), path, title)
+
+
+def write_scene_of_series(
+    series: str | os.PathLike[str],
+    path: str | os.PathLike[str],
+    fields: Sequence[str] | None = None,
+    title: str = "ngvisco",
+    most: int = 60,
+) -> None:
+    """Write the view of a run's VTK series, with a slider of time.
+
+    Parameters
+    ----------
+    series : path
+        Directory of the series, e.g. ``results/swirl/vtk``.
+    path : path of the HTML file
+    fields : sequence of str, optional
+        Of a vector its modulus or ``NAME_i``, of a tensor ``NAME_ij``; default density, J, velocity, pressure
+        and von Mises stress, as far as the series has them.
+    title : str
+    most : int
+        States that the page holds, evenly chosen from the series' ones.
+
+    Raises
+    ------
+    CheckpointError
+        If there is no series, or a file of it cannot be read.
+    UnknownNameError
+        For a field that the series does not have.
+    """
+    files = read_series_files(series)
+    chosen = sorted({round(i) for i in np.linspace(0, len(files) - 1, min(most, len(files)))})
+    times, frames = [files[i][0] for i in chosen], [read_frame(files[i][1]) for i in chosen]
+    first = frames[0]
+    names = [name for name in USUAL if name in first.fields] if fields is None else list(fields)
+    if not names:
+        raise ParameterError("write_scene_of_series.fields", fields, "at least one field of the series")
+    faces = (first.cells if first.dim == 2 else first.boundary()).ravel()
+    corners = first.cells.ravel() if first.dim == 3 else faces[:0]
+    values = {name: np.array([frame.scalar(name) for frame in frames]) for name in names}
+    named = {name: (table[:, faces], table[:, corners]) for name, table in values.items()}
+    drawing = Drawing(first.dim, first.points[faces], first.points[corners], times, named)
+    write_page(drawing, path, title)
+
+
+def write_page(drawing: Drawing, path: str | os.PathLike[str], title: str) -> None:
+    """Write a drawing with the viewer into one file."""
     data = {
         "title": title,
-        "dim": mesh.dim,
-        "triangles": len(points) // 3,
-        "points": _packed(points),
+        "dim": drawing.dim,
+        "triangles": len(drawing.triangles) // 3,
+        "points": _packed(drawing.triangles),
+        "cells": _packed(drawing.cells),
+        "times": [float(time) for time in drawing.times],
         "fields": [
-            {"name": name, "unit": field_unit(name), "values": _packed(values[:, i])}
-            for i, name in enumerate(fields)
+            {"name": name, "unit": field_unit(name), "values": _packed(values), "inside": _packed(inside)}
+            for name, (values, inside) in drawing.fields.items()
         ],
     }
     # "</" would end the script element wherever it stands
     text = json.dumps(data).replace("</", "<\\/")
-    page = (
-        _VIEWER.read_text(encoding="utf-8").replace("__TITLE__", html.escape(title)).replace("__DATA__", text)
-    )
+    page = _VIEWER.read_text(encoding="utf-8")
+    page = page.replace("__TITLE__", html.escape(title)).replace("__DATA__", text)
     write_atomically(Path(path), page.encode())
+
+
+def _tetrahedra(mesh: Mesh, value: CoefficientFunction) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of all tetrahedra, (4 count, 3), and the values there; none in 2D."""
+    if mesh.dim == 2:
+        return np.empty((0, 3)), np.empty((0, value.dim))
+    corners = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
+    mapped = mesh.MapToAllElements({ET.TET: IntegrationRule(corners, [0.0] * 4)}, VOL)
+    table = np.asarray(CF((x, y, z, value))(mapped)).reshape(-1, 3 + value.dim)
+    return table[:, :3], table[:, 3:]
 
 
 def _triangles(mesh: Mesh, value: CoefficientFunction, n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,14 @@ from typing import Protocol
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, Mesh
 
-from ngvisco.errors import ParameterError, as_number, as_times, require_positive, require_type
+from ngvisco.errors import (
+    InitialDataError,
+    ParameterError,
+    as_number,
+    as_times,
+    require_positive,
+    require_type,
+)
 from ngvisco.forms.context import Term, time
 from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
@@ -35,11 +42,14 @@ from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.fields import output_fields
 from ngvisco.run.inputs import check_arguments, check_observer, times_of
 from ngvisco.run.ledger import Ledger
+from ngvisco.run.notebook import simulation_html
 from ngvisco.run.passive import PassiveFields
 from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, RejectionObserver, make_stepper
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.threads import computing
+from ngvisco.timestepping.integrator import Integrator
+from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
 
 
 class Observer(Protocol):
@@ -70,6 +80,15 @@ class Simulation:
         Length tau of the Rothe steps, s, > 0; with ``stepping`` that of the first one.
     stepping : AdaptiveSteps, optional
         Chooses the steps' lengths; default None is steps of the one length ``dt``.
+    scheme : str or TimeScheme
+        ``"backward-euler"`` (default, the paper's), ``"midpoint"``, ``"theta"`` or ``"sdirk2"``; see
+        ``ngvisco.timestepping.scheme``.
+    theta : float, optional
+        Of the scheme ``"theta"``, in [1/2, 1].
+    startup : int
+        So many first steps of the run are of the backward Euler scheme, which damps rough initial data.
+    relaxation : bool
+        With ``"midpoint"`` and ``stepping``: end each step where the scheme's own dissipation is zero.
     discretisation : Discretisation, optional
     newton : NewtonOptions, optional
     solver : str, optional
@@ -97,6 +116,10 @@ class Simulation:
         *,
         dt: float,
         stepping: AdaptiveSteps | None = None,
+        scheme: str | TimeScheme = "backward-euler",
+        theta: float | None = None,
+        startup: int = 0,
+        relaxation: bool = False,
         initial: Initial | None = None,
         walls: Conditions | None = None,
         discretisation: Discretisation | None = None,
@@ -119,8 +142,7 @@ class Simulation:
         if velocity_scale is not None:
             require_positive("Simulation", velocity_scale=velocity_scale)
         check_arguments(observers, walls, stepping, passive, sources)
-        if isinstance(_innermost(model.material), (CustomMaterial, IsotropicStrainEnergy)):
-            check_convexity(model.material, dim=mesh.dim)
+        chosen = _checked_scheme(scheme, theta, startup, relaxation, stepping)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls)
@@ -128,27 +150,39 @@ class Simulation:
         self.check_data([0.0])
         self.observers = list(observers)
         self.t, self.number = 0.0, 0
-        set_initial(self.rothe_step, initial or Initial(), self.sampler)
+        try:
+            set_initial(self.rothe_step, initial or Initial(), self.sampler)
+        except InitialDataError:
+            self._check_convexity(None)  # it may be the reason
+            raise
+        self._check_convexity(self.sampler.values(self.rothe_step.now.z))
         warn_of_normal_parts(self.rothe_step, None if initial is None else initial.velocity)
         self.set_velocity_scale(float(velocity_scale or self._typical_velocity()))
         options = newton or NewtonOptions()
         if solver is not None:
             options = replace(options, method=solver)
-        self.solver = RotheSolver(self.rothe_step, options, self._defect)
+        self.solver = RotheSolver(self.rothe_step, options, self.defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.closure_check = ClosureCheck(options.tolerance)
         u, variables = self.rothe_step.now, model.material.variables
-        scalars = {v: v.positive(u.z_tensors[v.name]) for v in variables}
-        positive = {
-            v.name if v.kind == "scalar" else f"det {v.name}": value
-            for v, value in scalars.items()
-            if value is not None
-        }
+        positive: dict[str, CoefficientFunction] = {}
+        for variable in variables:
+            positive |= variable.positive(u.z_tensors[variable.name])
         self._positive_names = ("rho", *positive)
         self._positive_values = CF((u.rho, *positive.values()))
         self.passive = PassiveFields(self.rothe_step, passive)
+        self.integrator = Integrator(
+            self.solver, chosen, self.ledger.rates, [self.passive], startup, relaxation
+        )
         self.wall_time = 0.0
         self.stop_requested = False
+
+    def _check_convexity(self, states: np.ndarray | None) -> None:
+        """Warn where a user's own energy is not convex, and how far from these states that is."""
+        material = self.model.material
+        if isinstance(_innermost(material), (CustomMaterial, IsotropicStrainEnergy)):
+            near = None if states is None else states.reshape(len(states), -1)
+            check_convexity(material, dim=self.mesh.dim, states=near)
 
     def set_velocity_scale(self, scale: float) -> None:
         """Set the widths of the smoothed upwinding and of the penalty's weight, from m/s."""
@@ -157,9 +191,20 @@ class Simulation:
         self.rothe_step.context.curvature.Set(0.1 * scale / self._diameter() ** 2)
 
     def set_time(self, t: float, number: int) -> None:
-        """Say that the present state is that of step ``number`` at ``t`` (s), as a restart does."""
+        """Say that the present state is that of step ``number`` at ``t`` (s), as a restart does.
+
+        For a state that belongs to other times than multiples of dt, see ``stepper.begin``.
+        """
         self.t, self.number = t, number
         time.Set(t)
+
+    def _repr_html_(self) -> str:
+        return simulation_html(self)
+
+    @property
+    def scheme(self) -> TimeScheme:
+        """The time scheme of the run (after its startup)."""
+        return self.integrator.scheme
 
     @property
     def is_adaptive(self) -> bool:
@@ -195,7 +240,7 @@ class Simulation:
         return {**output_fields(self.rothe_step), **self.passive.fields}
 
     def advance(self, stop: float = math.inf) -> dict[str, float]:
-        """One accepted Rothe step, which with adaptive lengths ends at ``stop`` (s) at the latest.
+        """One accepted step of the scheme, which with adaptive lengths ends at ``stop`` (s) at the latest.
 
         Returns
         -------
@@ -213,10 +258,10 @@ class Simulation:
             self._start_ledger()
             began = clock.perf_counter()
             step = self.stepper.advance(self, stop)
-            row = self.ledger.record(self.number + 1, step.time, step.tau, step.iterations, step.rejections)
-            self.closure_check.step(self, row)
-            self.passive.advance(step.tau)
+            self.integrator.accept()
             self.set_time(step.time, self.number + 1)
+            row = self.ledger.record(self.number, step.time, step.taken, step.rejections, step.error)
+            self.closure_check.step(self, row)
             self.wall_time += clock.perf_counter() - began
             return row
 
@@ -294,7 +339,7 @@ class Simulation:
         if not self.ledger.rows and self.ledger.balance is None:
             self.ledger.start(self.t)
 
-    def _defect(self) -> str | None:
+    def defect(self) -> str | None:
         """The first of rho, J (A) that is not positive at a sampling point, in words."""
         values = self.sampler.values(self._positive_values)
         minima = values.reshape(len(values), -1).min(axis=0)
@@ -323,6 +368,31 @@ class Simulation:
         """Diagonal of the mesh's bounding box, m."""
         points = coordinates(self.mesh)
         return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
+
+
+def _checked_scheme(
+    scheme: str | TimeScheme,
+    theta: float | None,
+    startup: int,
+    relaxation: bool,
+    stepping: AdaptiveSteps | None,
+) -> TimeScheme:
+    """The scheme; raises ParameterError for what does not fit it."""
+    try:
+        chosen = scheme_of(scheme, theta)
+    except ParameterError as error:
+        field = error.field if "." in error.field else f"Simulation.{error.field}"
+        raise ParameterError(field, error.value, error.expected) from error
+    if isinstance(startup, bool) or not isinstance(startup, int) or startup < 0:
+        raise ParameterError("Simulation.startup", startup, "a whole number of backward Euler steps, >= 0")
+    require_type("Simulation.relaxation", relaxation, bool)
+    if relaxation and stepping is None:
+        expected = "False with steps of one length: a relaxed step ends where it is without dissipation"
+        raise ParameterError("Simulation.relaxation", relaxation, expected)
+    if relaxation and chosen.A != midpoint().A:
+        expected = f"False with the scheme {chosen.name!r}: only the midpoint rule is relaxed"
+        raise ParameterError("Simulation.relaxation", relaxation, expected)
+    return chosen
 
 
 def _innermost(material: Material) -> Material:

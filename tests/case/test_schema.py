@@ -240,6 +240,23 @@ def test_every_demo_has_a_valid_case_file(name):
     assert loaded.sections.title
 
 
+def test_elastic_state_is_resolved_by_creep_unless_it_is_given():
+    creeping, still = case(CASE), case(CASE.replace("[rheology.creep]\nG_m = 5\n", ""))
+    found = [tomllib.loads(c.resolved)["material"]["elastic_state"] for c in (creeping, still)]
+    assert found == ["B", "F"]
+    assert [v.name for v in creeping.model(2).material.variables] == ["B", "J"]
+    given = case(CASE, "material.elastic_state='F'")
+    assert [v.name for v in given.model(2).material.variables] == ["F", "J"]
+    assert given.hash != creeping.hash == case(CASE, "material.elastic_state='B'").hash
+    with pytest.raises(CaseError, match=r"material.elastic_state .*'C'.*expected 'F' or 'B'"):
+        case(CASE, "material.elastic_state='C'")
+    law = "rheology.creep.law='conformation'"
+    with pytest.raises(CaseError, match="a material with a conformation tensor"):
+        case(CASE, law).model(2)
+    fluid = case(CASE, law, "material={kind='OldroydB', K_e=10, G_e=5}").model(2)
+    assert fluid.creep.law == "conformation"
+
+
 WRAPPED = """\
 [material]
 kind = "WithQuadratic"
@@ -258,7 +275,10 @@ def test_materials_are_wrapped():
     text = CASE.replace("[material]\n", WRAPPED)
     run = simulation(text)
     assert run.model.material == nv.WithQuadratic(
-        material=nv.Yosida(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), eps=1e-3), delta=1e-6
+        material=nv.Yosida(
+            material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B"), eps=1e-3
+        ),
+        delta=1e-6,
     )
     assert abs(run.run(0.02).column("closure_relative")[-1]) < 1e-13
     loaded = case(text)
@@ -278,7 +298,7 @@ def test_materials_are_wrapped():
         ("material.material.material.kind='WithQuadratic'", "'WithQuadratic': expected one of BarotropicFl"),
         ("material.material.material.G_e=0", "material.material.material.G_e .*: 0.*: expected a finite"),
         ("material.material.material.Ge=1", r"unknown key; did you mean 'G_e'\?"),
-        ("material.only=['Q']", r"unknown material variable 'Q' \(known: F, J\)"),
+        ("material.only=['Q']", r"unknown material variable 'Q' \(known: B, F, J\)"),
         ("material.material=1", "expected a table"),
     ],
 )

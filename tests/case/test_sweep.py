@@ -7,6 +7,7 @@ import copy
 import datetime
 import re
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -71,6 +72,8 @@ NEEDED = {
     "LinearElastic": {"K_e": 10.0, "G_e": 5.0},
     "ReferentialMooneyRivlin": {"K_e": 10.0, "G_e": 5.0, "G_mr": 1.0},
     "MooneyRivlin": {"K_e": 10.0, "G_e": 5.0, "G_mr": 1.0, "epsilon": 0.1},
+    "OldroydB": {"K_e": 10.0, "G_e": 5.0},
+    "FENEP": {"K_e": 10.0, "G_e": 5.0, "b": 60.0},
     "Yosida": {"eps": 1e-3, "material": {"kind": "LinearElastic", "K_e": 10.0, "G_e": 5.0}},
     "WithQuadratic": {"delta": 1e-3, "material": {"kind": "LinearElastic", "K_e": 10.0, "G_e": 5.0}},
     "viscosity": {"K_v": 0.1, "G_v": 0.1},
@@ -105,6 +108,11 @@ def tables():
         yield (name,), {}
     yield ("output", "vtk"), {}
     yield ("output", "checkpoint"), {}
+    yield ("output", "probes", 0), {"name": "a", "point": [0.5, 0.5]}
+    yield ("output", "lines", 0), {"name": "b", "start": [0.0, 0.5], "end": [1.0, 0.5]}
+    yield ("output", "forces"), {}
+    yield ("output", "integrals", 0), {"name": "c", "of": "density"}
+    yield ("units",), {}
     yield (), BASE
 
 
@@ -112,8 +120,8 @@ def with_table(path, table):
     """The base case with one table replaced."""
     data = copy.deepcopy(BASE)
     node = data
-    for part in path[:-1]:
-        node = node.setdefault(part, [{}] if part == "loads" else {})
+    for part, following in pairwise(path):
+        node = node.setdefault(part, [{}] if following == 0 else {})
     if path:
         node[path[-1]] = copy.deepcopy(table)
     return data

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import time
 import tomllib
 
 import h5py
@@ -57,6 +58,12 @@ def test_plot_and_info_and_list(finished, capsys):
     assert ended("plot", finished, "--fields", "J,velocity,cauchy_stress_12") == 0
     for name in ("energies.png", "history.png", "fields.png"):
         assert (finished / name).read_bytes().startswith(b"\x89PNG")
+    assert ended("plot", finished, "--format", "svg", "--fields", "pressure_from_rest") == 0
+    text = (finished / "fields.svg").read_text()
+    assert text.startswith("<?xml")
+    assert ended("plot", finished, "--movie", "--fields", "J") == 0
+    assert (finished / "movie.gif").read_bytes().startswith(b"GIF8")
+    assert ended("plot", finished, "--movie", finished / "movie.avi") == 2
     assert ended("info", finished) == 0
     printed = capsys.readouterr().out
     assert "t = 0.08 of 0.08 s, step 4; finished" in printed and "largest |closure|" in printed
@@ -66,13 +73,49 @@ def test_plot_and_info_and_list(finished, capsys):
         assert word in printed
 
 
-def test_check_reports_without_running(case_file, capsys, monkeypatch):
-    monkeypatch.setattr(nv.Simulation, "advance", None)
+def test_a_new_case_is_explained_and_valid(capsys, tmp_path):
+    assert ended("new") == 0
+    assert "swirl " in capsys.readouterr().out
+    assert ended("new", "swirl") == 0
+    (tmp_path / "case.toml").write_text(capsys.readouterr().out)
+    assert nv.load_case(tmp_path / "case.toml").until == 1
+    assert ended("explain", "time.dt") == 0
+    assert "length of a step" in capsys.readouterr().out
+    assert ended("list", "--keys") == 0
+    assert "  time.dt: number, s; required; length of a step" in capsys.readouterr().out
+    assert ended("list", "--schema") == 0
+    assert json.loads(capsys.readouterr().out)["title"] == "ngvisco case file"
+    for words in (("new", "swril"), ("explain", "tim.dt"), ("list", "--keys", "--schema")):
+        assert ended(*words) == 2
+        assert "swirl" in (said := capsys.readouterr().err) or "time.dt" in said or "not allowed" in said
+
+
+def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
+    monkeypatch.chdir(case_file.parent)
     assert ended("check", case_file) == 0
     printed = capsys.readouterr().out
-    for pattern in (r"\d+ cells", r"unknowns +\d+", r"4 steps of 0.02 s", r"memory +\d+ MB", r"s a step"):
+    for pattern in (
+        r"\d+ cells",
+        r"unknowns +\d+",
+        r"4 steps of 0.02 s",
+        r"scales +L 1 m, h 0\.\d+ m, v [\d.]+ m/s, waves 4.84 and 3.16 m/s",
+        r"Reynolds, rho v L/G_v +\d+",
+        r"advice +shear waves cross the body in 0.32 s, 16 steps",
+        r"memory +\d+ MB",
+        r"s a step, .* \(by its first 4\)",
+    ):
         assert re.search(pattern, printed), pattern
-    assert not list(case_file.parent.glob("results*"))
+    assert list(case_file.parent.iterdir()) == [case_file]
+
+
+@pytest.mark.long
+def test_the_estimate_of_time_is_right_within_a_factor(case_file, capsys, tmp_path):
+    settings = ("--set", "time.until=2", "--set", "domain.maxh=0.2", "--set", "output.vtk.enabled=false")
+    assert ended("check", case_file, *settings) == 0
+    each = float(re.search(r"estimate +(\S+) s a step", capsys.readouterr().out)[1])
+    began = time.perf_counter()
+    assert ended("run", case_file, "-o", tmp_path / "out", "--quiet", *settings) == 0
+    assert 1 / 1.5 < 100 * each / (time.perf_counter() - began) < 1.5
 
 
 def test_version_and_help(capsys):
@@ -80,9 +123,9 @@ def test_version_and_help(capsys):
     assert capsys.readouterr().out == f"ngvisco {nv.__version__}\n"
     assert ended("--help") == 0
     printed = capsys.readouterr().out
-    for word in ("run", "resume", "check", "info", "plot", "scene", "list", "exit codes"):
+    for word in ("run", "resume", "check", "info", "plot", "scene", "list", "explain", "new", "exit codes"):
         assert word in printed
-    for name in ("run", "resume", "check", "info", "plot", "scene", "list"):
+    for name in ("run", "resume", "check", "info", "plot", "scene", "list", "explain", "new"):
         assert ended(name, "--help") == 0
     assert parser().prog == "ngvisco"
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError
+from ngvisco.physics.isotropy import require_isotropy
 from ngvisco.physics.material import Material, check_material
 from ngvisco.physics.state_function import check_energy
 from ngvisco.physics.variables import Values, Variable
@@ -48,7 +49,8 @@ class CustomMaterial(Material):
     ------
     ParameterError
         If ``transported`` is no list of variables, or the energy raises, returns anything but a real scalar,
-        or reads anything but the variables (the position, the time, a grid function, ...).
+        or reads anything but the variables (the position, the time, a grid function, ...); or if the energy
+        of a spatial tensor (E, B = F F^T) is not isotropic: the message then has the rotation that shows it.
     """
 
     energy_parameter = "stored_energy"
@@ -69,6 +71,8 @@ class CustomMaterial(Material):
             )
         check_material(self)
         check_energy(self)
+        if any(v.frame == "actual" for v in self.transported):
+            require_isotropy(self, "CustomMaterial.stored_energy", self.stored_energy)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -1,0 +1,314 @@
+"""The reference of case files, made from the schema: every key with type, unit, default, meaning, example.
+
+A path such as ``walls.NAME.velocity`` has NAME for a name that the user gives and N for the index of an array
+of tables; keys that only some kinds of a section have are listed with these kinds.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import json
+import types
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from ngvisco.case import toml
+from ngvisco.case.faults import models_in
+from ngvisco.case.keys import key
+from ngvisco.case.schema import _TARGETS, CaseSections, FieldValue
+from ngvisco.errors import ParameterError
+
+_TAGS = ("geometry", "kind")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One key as a user sees it.
+
+    Attributes
+    ----------
+    path : tuple of str
+    kinds : tuple of str
+        Values of the section's ``kind`` (or ``geometry``) that have this key; empty for all.
+    type, unit, meaning : str
+    required : bool
+    default : value or None
+    example : value or None
+    """
+
+    path: tuple[str, ...]
+    kinds: tuple[str, ...]
+    type: str
+    unit: str
+    required: bool
+    default: Any
+    meaning: str
+    example: Any
+
+    @property
+    def name(self) -> str:
+        """The path with dots."""
+        return ".".join(self.path)
+
+    @property
+    def default_text(self) -> str:
+        """The default as TOML has it, in words where there is none."""
+        if self.required:
+            return "required"
+        return "none" if self.default is None else toml.value_text(self.default)
+
+    @property
+    def is_table(self) -> bool:
+        """Whether it is a table of keys, not a key itself."""
+        return self.example is None
+
+    @property
+    def example_text(self) -> str:
+        """A line of a case file."""
+        return f"{self.path[-1]} = {toml.value_text(self.example)}"
+
+
+def entries() -> list[Entry]:
+    """Every key of a case file, in the order of the schema; kinds that agree on a key share its entry."""
+    grouped: dict[tuple[Any, ...], Entry] = {}
+    for entry in _walk(CaseSections, (), ()):
+        words = (entry.type, entry.unit, entry.meaning)
+        same = (entry.path, *words, entry.required, repr(entry.default), repr(entry.example))
+        known = grouped.get(same)
+        grouped[same] = entry if known is None else replace(known, kinds=(*known.kinds, *entry.kinds))
+    return list(grouped.values())
+
+
+def _walk(model: type[BaseModel], path: tuple[str, ...], kinds: tuple[str, ...]) -> Iterator[Entry]:
+    for name, field in model.model_fields.items():
+        here, inner = (*path, name), models_in(field.annotation)
+        if name in _TAGS:
+            continue
+        meant = key(owner_name(model), name)
+        yield Entry(
+            here,
+            kinds,
+            type_text(field.annotation),
+            meant.unit,
+            field.is_required(),
+            None if inner or field.is_required() else field.default,
+            meant.meaning,
+            None if inner else meant.example,
+        )
+        if inner and here != ("material", "material"):  # the wrapped material has the keys of the outer one
+            yield from _walk_kinds(inner, (*here, *_place(field.annotation)), name)
+
+
+def _walk_kinds(models: list[type[BaseModel]], path: tuple[str, ...], name: str) -> Iterator[Entry]:
+    tag = next((tag for tag in _TAGS if tag in models[0].model_fields), None)
+    if tag is not None:
+        names = tuple(kind_of(model, tag) for model in models)
+        meant = key(name, tag)
+        yield Entry(
+            (*path, tag), (), f"one of {', '.join(names)}", "", True, None, meant.meaning, meant.example
+        )
+    for model in models:
+        yield from _walk(model, path, () if tag is None else (kind_of(model, tag),))
+
+
+def owner_name(model: type[BaseModel]) -> str:
+    """Name of the class or function whose parameters a section holds."""
+    targets: Mapping[Any, Any] = _TARGETS
+    target = targets.get(model, model)
+    return model.__name__ if set(_TAGS) & set(model.model_fields) else str(target.__name__)
+
+
+def kind_of(model: type[BaseModel], tag: str) -> str:
+    """The value of ``kind`` or ``geometry`` that chooses a section."""
+    return str(get_args(model.model_fields[tag].annotation)[0])
+
+
+def _place(annotation: Any) -> tuple[str, ...]:
+    """What stands between a table's name and its keys: nothing, a name, or an index."""
+    origin = get_origin(annotation)
+    return ("NAME",) if origin is dict else ("N",) if origin is list else ()
+
+
+def type_text(annotation: Any) -> str:
+    """A schema's type in words."""
+    plain = {float: "number", int: "whole number", bool: "true or false", str: "text"}
+    if annotation in plain:
+        return plain[annotation]
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if annotation == FieldValue or annotation is Any:
+        return "number, expression, or array of them"
+    if origin is Literal:
+        return f"one of {', '.join(json.dumps(value) for value in arguments)}"
+    if models_in(annotation):
+        return {dict: "tables by name", list: "array of tables"}.get(origin, "table")
+    if origin in (Union, types.UnionType):
+        parts = dict.fromkeys(type_text(part) for part in arguments if part is not type(None))
+        return " or ".join(parts)
+    if origin is list:
+        return f"array of {type_text(arguments[0])}s"
+    if origin is dict:
+        return f"table of {type_text(arguments[1])}s" if arguments[1] is float else "table by name"
+    return type_text(arguments[0])
+
+
+def explain(path: str) -> str:
+    """What a key, or a section with all its keys, means.
+
+    Parameters
+    ----------
+    path : str
+        As in messages and in ``--set``: ``time.dt``, ``walls.top.velocity``, ``loads.0.g``, ``material``, or
+        a kind: ``NeoHookean``, ``material.NeoHookean``.
+
+    Raises
+    ------
+    ParameterError
+        With the nearest known paths.
+    """
+    every = entries()
+    wanted = tuple(part for part in path.strip().strip(".").split(".") if part)
+    kinds = {kind: entry.path[:-1] for entry in every for kind in entry.kinds}
+    if wanted and wanted[-1] in kinds:
+        kind, section = wanted[-1], kinds[wanted[-1]]
+        own = [e for e in every if e.path[:-1] == section and (kind in e.kinds or e.path[-1] in _TAGS)]
+        doc = _summary(kind)
+        return "\n\n".join([f"{kind}: {doc}" if doc else kind, *(card(entry) for entry in own)])
+    exact = [entry for entry in every if _matches(entry.path, wanted)]
+    below = [e for e in every if len(e.path) > len(wanted) and _matches(e.path[: len(wanted)], wanted)]
+    if not wanted or not exact + below:
+        close = difflib.get_close_matches(path, [*_names(every), *kinds], n=3, cutoff=0.4)
+        hint = f"such as {', '.join(close)}; " if close else ""
+        raise ParameterError("KEY", path, f"a key of a case file, {hint}ngvisco list --keys has them all")
+    if not below:
+        return "\n\n".join(card(entry) for entry in exact)
+    title = [f"[{path}]  {entry.type}: {entry.meaning}" for entry in exact]
+    return "\n".join([*title, *(line(entry) for entry in below)])
+
+
+def listing() -> str:
+    """Every key in a line of its own, table by table."""
+    return "\n".join(line(entry) for entry in entries())
+
+
+def _matches(path: tuple[str, ...], wanted: tuple[str, ...]) -> bool:
+    """Whether a user's path is this one: NAME stands for any name, N for an index."""
+    return len(path) == len(wanted) and all(
+        a == b or a == "NAME" or (a == "N" and b.isdigit()) for a, b in zip(path, wanted, strict=True)
+    )
+
+
+def _names(every: list[Entry]) -> list[str]:
+    return list(dict.fromkeys(entry.name for entry in every))
+
+
+def _summary(kind: str) -> str:
+    """First line of the docstring behind a kind."""
+    for model, target in _TARGETS.items():
+        if model.__name__ == kind:
+            return (inspect.getdoc(target) or "").split("\n")[0]
+    return ""
+
+
+def line(entry: Entry) -> str:
+    """A key in one line; of a table its name and what it is."""
+    if entry.is_table:
+        return f"[{entry.name}]  {entry.meaning}"
+    unit = f", {entry.unit}" if entry.unit not in ("", "1") else ""
+    kinds = f" [{', '.join(entry.kinds)}]" if entry.kinds else ""
+    return f"  {entry.name}{kinds}: {entry.type}{unit}; {entry.default_text}; {entry.meaning}"
+
+
+def card(entry: Entry) -> str:
+    """A key with all that is known of it, on lines of their own."""
+    rows = [("type", entry.type)]
+    if entry.unit:
+        rows.append(("unit", "none (a pure number)" if entry.unit == "1" else entry.unit))
+    rows += [("default", entry.default_text), ("meaning", entry.meaning)]
+    if entry.example is not None:
+        rows.append(("example", entry.example_text))
+    if entry.kinds:
+        rows.append(("of", ", ".join(entry.kinds)))
+    return "\n".join([entry.name, *(f"  {name:8s} {text}" for name, text in rows)])
+
+
+def markdown() -> str:
+    """The whole reference as a page."""
+    every = entries()
+    parts = [_HEAD]
+    for section in dict.fromkeys(entry.path[0] for entry in every):
+        own = [entry for entry in every if entry.path[0] == section]
+        title = f"`{section}`" if len(own) == 1 else f"`[{section}]`"
+        parts += [f"## {title}", "", *(f"{own[0].meaning}.\n" for _ in own[:1] if own[0].is_table)]
+        parts += ["| key | type | unit | default | meaning | example |", "|---|---|---|---|---|---|"]
+        parts += [_row(entry) for entry in own[own[0].is_table :]]
+        parts.append("")
+    return "\n".join(parts)
+
+
+def _row(entry: Entry) -> str:
+    of = f"<br>*{', '.join(entry.kinds)}*" if entry.kinds else ""
+    example = "" if entry.example is None else f"`{entry.example_text}`"
+    default = entry.default_text if entry.required or entry.default is None else f"`{entry.default_text}`"
+    cells = (f"`{entry.name}`{of}", entry.type, entry.unit, default, entry.meaning, example)
+    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+
+
+_HEAD = """\
+# Keys of a case file
+
+Written by `ngvisco list --markdown`; `ngvisco explain KEY` says the same of one key, and `ngvisco new NAME`
+prints a case to start from. NAME stands for a name of one's own (a wall's, a variable's), N for the index of
+an array of tables. A key with kinds in italics belongs to these only. An expression is a text of `x`, `y`,
+`z` (m), `t` (s), `pi`, numbers, `+ - * / **`, `sin cos tan asin acos atan atan2 exp log sqrt abs sinh cosh
+tanh min max` and `a if x < 1 else b`. A text with a number and its unit, `"5 km"`, may stand for any number
+that has a unit; `[units]` chooses those of plain numbers.
+"""
+
+
+def json_schema() -> dict[str, Any]:
+    """The schema as JSON Schema (draft 2020-12), with meanings, units and examples, for editors."""
+    schema = CaseSections.model_json_schema()
+    models: dict[str, type[BaseModel]] = {}
+    _collect(CaseSections, models)
+    for name, model in models.items():
+        node = schema if model is CaseSections else schema["$defs"][name]
+        node["title"] = name
+        for field_name, prop in list(node["properties"].items()):
+            if field_name not in _TAGS:
+                if key(owner_name(model), field_name).unit not in ("", "1"):
+                    node["properties"][field_name] = prop = _with_quantities(prop)
+                prop.update(_annotations(model, field_name, model.model_fields[field_name]))
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "ngvisco case file"}
+
+
+def _collect(model: type[BaseModel], into: dict[str, type[BaseModel]]) -> None:
+    if into.setdefault(model.__name__, model) is not model:
+        raise TypeError(f"two sections of a case file are called {model.__name__}")
+    for field in model.model_fields.values():
+        for inner in models_in(field.annotation):
+            if inner.__name__ not in into:
+                _collect(inner, into)
+
+
+def _annotations(model: type[BaseModel], name: str, field: FieldInfo) -> dict[str, Any]:
+    meant = key(owner_name(model), name)
+    unit = f" [{meant.unit}]" if meant.unit not in ("", "1") else ""
+    found: dict[str, Any] = {"description": f"{meant.meaning}{unit}", "title": name}
+    if meant.example is not None:
+        found["examples"] = [meant.example]
+    return found
+
+
+def _with_quantities(node: Any) -> Any:
+    """A property's schema in which numbers may be texts with a unit."""
+    if isinstance(node, dict):
+        if node.get("type") == "number":
+            quantity = {"type": "string", "pattern": r"^\s*[+-]?[0-9.]+([eE][+-]?[0-9]+)?\s*[A-Za-z]"}
+            return {"anyOf": [node, quantity]}
+        return {name: _with_quantities(part) for name, part in node.items()}
+    return [_with_quantities(part) for part in node] if isinstance(node, list) else node

@@ -1,0 +1,251 @@
+"""Units of a case file: converted at the door, by pint, to the SI units of everything behind it.
+
+Two ways, which may be mixed.  ``[units]`` says in which units plain numbers are: ``length = "km"`` is for
+all keys that are lengths and for x, y, z in expressions, ``time = "kyr"`` for all that are times and for t.
+What is not named there is in SI units; nothing is derived from another (with km and kyr a velocity is in m/s
+still, unless ``velocity`` is named).  And any number may be a text with its own unit, ``dt = "10 yr"``,
+``g = [0, "-9.81 m/s^2"]``.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+from pydantic import BaseModel
+
+from ngvisco.case.errors import Fault
+from ngvisco.case.expressions import ExpressionError, parse
+from ngvisco.case.faults import Locator, models_in
+from ngvisco.case.keys import key
+from ngvisco.case.reference import owner_name
+from ngvisco.case.schema import FieldValue
+
+SI = {
+    "length": "m",
+    "time": "s",
+    "velocity": "m/s",
+    "acceleration": "m/s^2",
+    "density": "kg/m^3",
+    "pressure": "Pa",
+    "viscosity": "Pa s",
+}
+"""What ``[units]`` may name, and the SI unit of each."""
+
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-zµμ°Å].{0,80})\s*")
+
+
+class UnitError(ValueError):
+    """A unit that is unknown or of another dimension than the key's."""
+
+
+@cache
+def _registry() -> Any:
+    import pint  # takes a third of a second, and most cases need none of it
+
+    return pint.UnitRegistry(cache_folder=None)
+
+
+def factor(unit: str, wanted: str) -> float:
+    """How many of ``wanted`` (SI) one ``unit`` is.
+
+    Raises
+    ------
+    UnitError
+    """
+    units = _registry()
+    try:
+        value = units.Quantity(1.0, units.parse_units(unit)).to(units.parse_units(wanted)).magnitude
+    except units_error() as error:
+        raise UnitError(f"{unit!r} has not the dimension of {wanted}") from error
+    except Exception as error:  # pint's parser raises many kinds
+        raise UnitError(f"{unit!r} is no unit that is known") from error
+    if not (math.isfinite(value) and value > 0):
+        raise UnitError(f"{unit!r} cannot be converted to {wanted}")
+    return float(value)
+
+
+def units_error() -> type[Exception]:
+    """What pint raises for another dimension."""
+    import pint
+
+    return pint.DimensionalityError
+
+
+class Converter:
+    """Converts a case's data to SI units, in place of the validated values.
+
+    Attributes
+    ----------
+    faults : list of (key path, message)
+    written : mapping of key paths to the values that were replaced
+    """
+
+    def __init__(self, data: dict[str, Any], model: type[BaseModel]) -> None:
+        self.faults: list[tuple[tuple[str, ...], str]] = []
+        self.written: dict[tuple[str, ...], Any] = {}
+        self.scales = self._scales(data.get("units"))
+        self.data = self._table(data, [model], ())
+        if isinstance(data.get("units"), dict) and not self.faults:
+            kept = data["units"].items()  # what is no unit is left to the schema
+            self.data["units"] = {name: u for name, u in kept if name not in SI or not isinstance(u, str)}
+
+    def _scales(self, chosen: Any) -> dict[str, float]:
+        """Factors by kind for what ``[units]`` names; other faults of it are the schema's."""
+        scales = {}
+        for name, unit in chosen.items() if isinstance(chosen, dict) else ():
+            if name in SI and isinstance(unit, str):
+                try:
+                    scales[name] = 1.0 if unit == SI[name] else factor(unit, SI[name])
+                except UnitError as error:
+                    self.faults.append((("units", name), f"{error}; expected a unit such as {SI[name]}"))
+        return {name: scale for name, scale in scales.items() if scale != 1.0}
+
+    def _table(self, data: Any, models: list[type[BaseModel]], path: tuple[str, ...]) -> Any:
+        if not isinstance(data, dict):
+            return data
+        model = _chosen(models, data)
+        if model is None:
+            return data
+        result = dict(data)
+        for name, value in data.items():
+            if name in model.model_fields and not (path == () and name == "units"):
+                annotation = model.model_fields[name].annotation
+                result[name] = self._entry(value, annotation, model, name, data, (*path, name))
+        return result
+
+    def _entry(
+        self,
+        value: Any,
+        annotation: Any,
+        model: type[BaseModel],
+        name: str,
+        data: dict[str, Any],
+        path: tuple[str, ...],
+    ) -> Any:
+        inner = models_in(annotation)
+        if inner and isinstance(value, list):
+            return [self._table(part, inner, (*path, str(i))) for i, part in enumerate(value)]
+        if inner and isinstance(value, dict):
+            if _chosen(inner, value) is not None and not _is_named(annotation):
+                return self._table(value, inner, path)
+            return {key_: self._table(part, inner, (*path, key_)) for key_, part in value.items()}
+        if name in ("kind", "geometry") or inner:
+            return value
+        unit = key(owner_name(model), name).unit
+        is_field = any(part is Any or part == FieldValue for part in _parts(annotation))
+        if unit == "" or (unit == "1" and not is_field):
+            return value
+        try:
+            converted = self._value(value, _with_exponents(unit, model, data), is_field)
+        except UnitError as error:
+            self.faults.append((path, f"{value!r:.60}: {error}"))
+            return value
+        if converted is not value and converted != value:
+            self.written[path] = value
+        return converted
+
+    def _value(self, value: Any, unit: str, is_field: bool) -> Any:
+        if isinstance(value, bool):
+            return value
+        if isinstance(value, (int, float)):
+            scale = self._scale(unit)
+            return value if scale == 1.0 else value * scale
+        if isinstance(value, list):
+            return [self._value(part, unit, is_field) for part in value]
+        if isinstance(value, dict):
+            return {name: self._value(part, unit, is_field) for name, part in value.items()}
+        if isinstance(value, str):
+            return self._text(value, unit, is_field)
+        return value
+
+    def _text(self, text: str, unit: str, is_field: bool) -> Any:
+        if is_field:
+            try:
+                parse(text)
+            except ExpressionError:
+                pass
+            else:
+                return self._expression(text, unit)
+        match = _QUANTITY.fullmatch(text)
+        if match is None:
+            return text  # the schema says what is wrong with it
+        if unit == "1":
+            raise UnitError("a pure number is expected, without a unit")
+        return float(match[1]) * factor(match[2].strip(), unit)
+
+    def _expression(self, text: str, unit: str) -> str:
+        """The same function of x, y, z in m and t in s, with values in SI units."""
+        length, time = self.scales.get("length", 1.0), self.scales.get("time", 1.0)
+        scale = self._scale(unit)
+        if length == time == scale == 1.0:
+            return text
+        tree = _Scaled(length, time).visit(ast.parse(" ".join(text.split()), mode="eval"))
+        inner = ast.unparse(tree)
+        return inner if scale == 1.0 else f"{scale!r}*({inner})"
+
+    def _scale(self, unit: str) -> float:
+        kind = next((kind for kind, si in SI.items() if si == unit), None)
+        return 1.0 if kind is None else self.scales.get(kind, 1.0)
+
+
+class _Scaled(ast.NodeTransformer):
+    """Coordinates and time of an expression, from SI units into the case's."""
+
+    def __init__(self, length: float, time: float) -> None:
+        self._scales = {"x": length, "y": length, "z": length, "t": time}
+
+    def visit_Name(self, node: ast.Name) -> ast.AST:
+        scale = self._scales.get(node.id, 1.0)
+        return node if scale == 1.0 else ast.BinOp(node, ast.Div(), ast.Constant(scale))
+
+
+def _chosen(models: list[type[BaseModel]], data: dict[str, Any]) -> type[BaseModel] | None:
+    """The model of a table: the only one, or that of its kind."""
+    if len(models) == 1:
+        return models[0]
+    for model in models:
+        for tag in ("kind", "geometry"):
+            if tag in model.model_fields and data.get(tag) == model.__name__:
+                return model
+    return None
+
+
+def _is_named(annotation: Any) -> bool:
+    """Whether tables stand under names of the user's."""
+    return getattr(annotation, "__origin__", None) is dict
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    yield annotation
+    for part in getattr(annotation, "__args__", ()):
+        yield from _parts(part)
+
+
+def _with_exponents(unit: str, model: type[BaseModel], data: dict[str, Any]) -> str:
+    """A unit whose exponents are keys of the section, with their values."""
+
+    def exponent(match: re.Match[str]) -> str:
+        name = match[2]
+        value = data.get(name, model.model_fields[name].default)
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise UnitError(f"its unit depends on {name}: expected a number there")
+        return f"^({match[1] or ''}{value!r})"
+
+    return re.sub(r"\^\(?(\d-)?([a-z])\b\)?", exponent, unit)
+
+
+def to_si(
+    data: dict[str, Any], model: type[BaseModel], locator: Locator
+) -> tuple[dict[str, Any], list[Fault]]:
+    """A case's data with all its numbers in SI units, and the faults of its units.
+
+    The locator notes what was converted, so that later faults say what the user wrote.
+    """
+    converter = Converter(data, model)
+    locator.written |= converter.written
+    return converter.data, [locator.fault(path, message) for path, message in converter.faults]

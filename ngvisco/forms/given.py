@@ -1,0 +1,155 @@
+"""Fields from values at points: of functions of Python, of arrays on grids, of fields on another mesh.
+
+The values are taken at the quadrature points of every cell and projected in L2, cell by cell, so that jumps
+may lie between cells, and what is polynomial of the order asked for is met exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from ngsolve import L2, CoefficientFunction, GridFunction, LinearForm, Mesh, VectorValued, x, y, z
+from ngsolve.comp import IntegrationRuleSpace
+from scipy.interpolate import RegularGridInterpolator
+
+from ngvisco.errors import ParameterError, require_type
+from ngvisco.forms.elimination import _inverse_mass
+from ngvisco.forms.quadrature import Quadrature
+
+
+class QuadraturePoints:
+    """The quadrature points of a mesh, and functions that have given values there."""
+
+    def __init__(self, quadrature: Quadrature) -> None:
+        self.quadrature = quadrature
+        self.mesh = quadrature.mesh
+        self._space = IntegrationRuleSpace(self.mesh, order=quadrature.volume_degree // 2)
+        self._weights = self._loaded(CoefficientFunction(1.0))
+
+    def _loaded(self, value: CoefficientFunction) -> np.ndarray:
+        load = LinearForm(self._space)
+        load += value * self._space.TestFunction() * self.quadrature.cells
+        return load.Assemble().vec.FV().NumPy().copy()
+
+    def values(self, f: CoefficientFunction) -> np.ndarray:
+        """Values of a scalar on this mesh, (points,)."""
+        return self._loaded(f) / self._weights
+
+    @property
+    def coordinates(self) -> np.ndarray:
+        """Where the points are, (points, dim), m."""
+        return np.array([self.values(c) for c in (x, y, z)[: self.mesh.dim]]).T
+
+    def function(self, values: np.ndarray) -> GridFunction:
+        """A function to be used under integrals by this quadrature, with ``values``, (points,)."""
+        result = GridFunction(self._space)
+        result.vec.FV().NumPy()[:] = values
+        return result
+
+    def project(self, values: np.ndarray, space: L2, into: GridFunction) -> None:
+        """The cellwise L2 projection of ``values``, (points,), on a discontinuous scalar space."""
+        load = LinearForm(space)
+        load += self.function(values) * space.TestFunction() * self.quadrature.cells
+        into.vec.data = _inverse_mass(space, self.quadrature) * load.Assemble().vec
+
+
+def function_field(mesh: Mesh, function: Callable[..., object], order: int = 2) -> CoefficientFunction:
+    """A function of Python as a coefficient function, by its cellwise L2 projection.
+
+    Parameters
+    ----------
+    mesh : ngsolve.Mesh
+    function : callable
+        Of arrays x, y and in 3D z (m), each of shape (points,): gives an array of that shape, or a sequence
+        (of sequences) of them for a vector (a matrix).
+    order : int
+        Of the polynomials on the cells, 0 to 6; with jumps between cells.
+
+    Returns
+    -------
+    CoefficientFunction
+        Scalar, vector or matrix, e.g. for ``Initial``.
+
+    Raises
+    ------
+    ParameterError
+        If the function gives something else, or values that are not finite.
+    """
+    require_type("function_field.mesh", mesh, Mesh)
+    if not callable(function):
+        raise ParameterError("function_field.function", function, "a function of the arrays x, y (and z)")
+    if not isinstance(order, int) or isinstance(order, bool) or not 0 <= order <= 6:
+        raise ParameterError("function_field.order", order, "an integer from 0 to 6")
+    points = QuadraturePoints(Quadrature(mesh, 2 * order + 2, 2))
+    where = points.coordinates
+    values = _as_components(function(*where.T), len(where))
+    space = L2(mesh, order=order)
+    flat = values.reshape(-1, len(where))
+    result = GridFunction(VectorValued(space, len(flat)) if values.ndim > 1 else space)
+    for row, part in zip(flat, result.components if values.ndim > 1 else (result,), strict=True):
+        points.project(row, space, part)
+    return result.Reshape(values.shape[:-1]) if values.ndim > 2 else result
+
+
+def _as_components(given: object, count: int) -> np.ndarray:
+    expected = f"an array of shape ({count},) of finite numbers, or sequences of them"
+    try:
+        values = np.asarray(_broadcast(given, count), dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ParameterError("function_field.function", given, expected) from error
+    if values.ndim not in (1, 2, 3) or values.shape[-1] != count:
+        raise ParameterError("function_field.function", f"shape {values.shape}", expected)
+    if not np.isfinite(values).all():
+        raise ParameterError("function_field.function", "values that are not finite", expected)
+    return values
+
+
+def _broadcast(given: object, count: int) -> object:
+    """Numbers as constant arrays."""
+    if isinstance(given, (list, tuple)):
+        return [_broadcast(part, count) for part in given]
+    return np.full(count, given) if isinstance(given, (int, float, np.number)) else given
+
+
+def grid_field(
+    mesh: Mesh, axes: Sequence[Sequence[float]], values: object, order: int = 2, method: str = "linear"
+) -> CoefficientFunction:
+    """Values on a rectangular grid as a coefficient function.
+
+    Parameters
+    ----------
+    mesh : ngsolve.Mesh
+    axes : sequence of arrays
+        The grid's coordinates along x, y and in 3D z, m, increasing; the domain must lie within.
+    values : array
+        Of shape (len(x), len(y)[, len(z)], components...).
+    order : int
+        As of ``function_field``.
+    method : str
+        Between grid points: ``"linear"``, ``"nearest"``, ``"cubic"``, ...: as scipy's
+        RegularGridInterpolator.
+
+    Raises
+    ------
+    ParameterError
+        If shapes do not fit or the domain is not within the grid.
+    """
+    require_type("grid_field.mesh", mesh, Mesh)
+    array = np.asarray(values, dtype=float)
+    if len(axes) != mesh.dim:
+        raise ParameterError("grid_field.axes", f"{len(axes)} axes", f"{mesh.dim} axes")
+    try:
+        interpolate = RegularGridInterpolator(tuple(axes), array, method=method)
+    except (TypeError, ValueError) as error:
+        expected = f"a grid: increasing axes and an array of their lengths ({error})"
+        raise ParameterError("grid_field.values", f"shape {array.shape}", expected) from error
+
+    def sampled(*where: np.ndarray) -> np.ndarray:
+        for name, points, axis in zip("xyz", where, axes, strict=False):
+            if points.min() < min(axis) or points.max() > max(axis):
+                expected = f"a range with [{points.min():.6g}, {points.max():.6g}] in it"
+                raise ParameterError(f"grid_field.axes, {name}", [min(axis), max(axis)], expected)
+        return np.moveaxis(interpolate(np.array(where).T), 0, -1)
+
+    return function_field(mesh, sampled, order)

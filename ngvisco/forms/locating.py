@@ -1,0 +1,67 @@
+"""Points of space as points of a mesh, where coefficient functions are evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from ngsolve import VOL, Mesh
+
+from ngvisco.errors import ParameterError
+from ngvisco.forms.mesh_arrays import coordinates
+
+_PULLS = (1e-9, 1e-6, 1e-4, 1e-3)
+"""Shares of the way to the nearest cell's centre tried for a point on a wall, which rounding, or the
+polynomials of a curved wall, may leave just outside of all cells."""
+
+
+def as_points(field: str, value: object, dim: int) -> np.ndarray:
+    """An array of points, (count, dim), m, of a sequence of them.
+
+    Raises
+    ------
+    ParameterError
+        Unless there is at least one, with ``dim`` finite coordinates each.
+    """
+    expected = f"points of {dim} finite coordinates"
+    try:
+        points = np.array(value, dtype=float, ndmin=2)
+    except (TypeError, ValueError) as error:
+        raise ParameterError(field, value, expected) from error
+    if points.ndim != 2 or points.shape[1] != dim or not points.size or not np.isfinite(points).all():
+        raise ParameterError(field, value, expected)
+    return points
+
+
+def locate(mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """The mesh points at ``points``, (count, dim), m; ``names`` are what an error calls them.
+
+    A point within 1e-3 of a cell's size of the domain counts as one on its wall.
+
+    Raises
+    ------
+    ParameterError
+        For a point that is not in the domain.
+    """
+    found: np.ndarray = mesh(*points.T)
+    for number in np.flatnonzero(found["nr"] < 0):
+        found[number] = _on_wall(mesh, points[number], names[int(number)])
+    return found
+
+
+def _on_wall(mesh: Mesh, point: np.ndarray, name: str) -> Any:
+    vertices = coordinates(mesh)
+    nearest = int(np.argmin(np.linalg.norm(vertices - point, axis=1)))
+    cells = [cell for cell in mesh.Elements(VOL) if nearest in (v.nr for v in cell.vertices)]
+    centres = [vertices[[v.nr for v in cell.vertices]].mean(axis=0) for cell in cells]
+    for pull in _PULLS:
+        for centre in centres:
+            pulled = point + pull * (centre - point)
+            found = mesh(*pulled[:, None])[0]
+            if found["nr"] >= 0:
+                return found
+    size = np.ptp(vertices, axis=0).max()
+    ends = np.round(np.array([vertices.min(axis=0), vertices.max(axis=0)]).T / size, 12) * size
+    box = " x ".join(f"[{a:.6g}, {b:.6g}]" for a, b in ends + 0.0)
+    raise ParameterError(name, [float(c) for c in point], f"a point of the domain, which lies in {box} m")

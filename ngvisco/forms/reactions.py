@@ -1,0 +1,154 @@
+"""The force and torque that the body exerts on its walls, from the equations as they were solved.
+
+With R(u; w) the residual of a step, whose rows of the constrained coefficients of v are not zero but the
+walls' reaction, and with the walls' own terms in it, the force of wall Gamma on the body in direction e is
+
+    F_Gamma . e = R(u; w_Gamma) - (terms of Gamma)(u; e) + int phi (w_Gamma . n),
+
+w_Gamma = e at the coefficients that Gamma constrains; the torque is the same with the rotation e x (x - c).
+The last integral is there because the elastic force of the scheme, B_h(w; z, zeta), is
+int T : grad w - int phi (w . n), T having phi I in it: the same where w.n = 0 on walls.  This is the
+consistent reaction, of the elastic, viscous and hyperviscous stress alike; it converges faster than an
+integral of T n.
+
+At a corner where several walls constrain a component of v, it counts for them in the shares of their n_i^2,
+so that each keeps its own pressure, and equally where all n_i are zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction, GridFunction, LinearForm, ds, specialcf, x, y, z
+
+from ngvisco.errors import UnknownNameError
+from ngvisco.forms.boundaries import facet_indicator, pattern
+from ngvisco.forms.context import Integrand
+from ngvisco.forms.moving_walls import MovingWalls
+from ngvisco.forms.spaces import Fields
+from ngvisco.forms.system import Step
+from ngvisco.forms.wall_terms import TangentialStress
+from ngvisco.physics.tensors import inner
+from ngvisco.physics.walls import NoSlip, PrescribedTangential
+
+
+class WallReactions:
+    """Force and torque on the walls of a step.
+
+    Parameters
+    ----------
+    step : Step
+    names : sequence of str, optional
+        Walls; default all.
+    about : sequence of numbers
+        The point c that torques refer to, m; of the mesh's dimension.
+
+    Raises
+    ------
+    UnknownNameError
+        For a name that is no wall.
+    """
+
+    def __init__(self, step: Step, names: Sequence[str] | None, about: Sequence[float]) -> None:
+        walls = step.walls
+        self.step = step
+        self.names = list(walls.conditions) if names is None else list(names)
+        for name in self.names:
+            if name not in walls.conditions:
+                raise UnknownNameError("wall", name, walls.conditions)
+        self.motions = rigid_motions(step.mesh.dim, about)
+        interpolated = GridFunction(step.layout.blocks["v"])
+        self._tests: list[np.ndarray] = []
+        for motion in self.motions.values():
+            interpolated.Set(motion)
+            self._tests.append(interpolated.vec.FV().NumPy().copy())
+        self._weights = self._shares({name: self._constrained(name) for name in walls.conditions})
+        self._energy = self._energy_flux()
+        self._terms = {name: self._own_terms(name) for name in self.names}
+
+    def _constrained(self, name: str) -> np.ndarray:
+        """The coefficients of v that this wall prescribes."""
+        walls = self.step.walls
+        is_fixed = isinstance(walls.conditions[name], (NoSlip, PrescribedTangential))
+        patterns = [
+            pattern([name]) if is_fixed or name in walls.axis[i] else "" for i in range(self.step.mesh.dim)
+        ]
+        return MovingWalls.constrained(self.step.layout, patterns)
+
+    def _shares(self, masks: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """How much of each coefficient of v counts for each wall."""
+        mesh = self.step.mesh
+        space = self.step.layout.velocity_space(("",) * mesh.dim)
+        n, w = specialcf.normal(mesh.dim), space.TestFunction()
+        squares = CF(tuple(n[i] * n[i] for i in range(mesh.dim)))
+        hats = np.arange(space.ndof) % (space.ndof // mesh.dim) < mesh.nv  # the others change their sign
+        claims = {}
+        for name, mask in masks.items():
+            load = LinearForm(inner(squares, w.Trace()) * ds(definedon=mesh.Boundaries(pattern([name]))))
+            claims[name] = np.where(mask & hats, load.Assemble().vec.FV().NumPy(), 0.0)
+        scale = max((claim.max() for claim in claims.values()), default=0.0)
+        total = sum(claims.values(), np.zeros(space.ndof))
+        count = np.maximum(sum((mask.astype(float) for mask in masks.values()), np.zeros(space.ndof)), 1.0)
+        claimed = total > 1e-8 * scale
+        return {
+            name: np.where(claimed, claims[name] / np.where(claimed, total, 1.0), mask / count)
+            for name, mask in masks.items()
+        }
+
+    def _energy_flux(self) -> LinearForm:
+        """int phi (w . n) over all walls."""
+        step = self.step
+        space = step.layout.velocity_space(("",) * step.mesh.dim)
+        walls, w = facet_indicator(step.mesh, step.walls.conditions), space.TestFunction()
+        load = LinearForm(space)
+        flux = walls * step.energy.anywhere(step.now) * (w * step.context.normal)
+        step.quadrature.add(load, [Integrand(facets=flux)])
+        return load
+
+    def _own_terms(self, name: str) -> list[list[CoefficientFunction]]:
+        """For each rigid motion the integrands of traction, friction and the wall's multiplier, as in R."""
+        step, u = self.step, self.step.now
+        found = []
+        for motion in self.motions.values():
+            w, parts = Fields(step.layout, {"v": motion}), []
+            for term in step.terms:
+                if isinstance(term, TangentialStress) and term.name == name:
+                    parts += [part.facets for part in term.form(u, w)]
+            if name in step.walls.multiplied:
+                indicator = facet_indicator(step.mesh, [name])
+                excess = u.wall_stress - step.energy.anywhere(u)
+                parts.append(indicator * excess * (motion * step.context.normal))
+            found.append([part for part in parts if part is not None])
+        return found
+
+    def __call__(self) -> dict[str, list[float]]:
+        """Of each wall the components of force, N, and of torque, N m, on it (per metre in plane strain).
+
+        They are those of the step that was solved last: means over it, as far as the scheme has such.
+        """
+        step = self.step
+        residual = step.state.vec.CreateVector()
+        step.residual.Apply(step.state.vec, residual)
+        self._energy.Assemble()
+        rows = residual.FV().NumPy()[step.layout.ranges["v"]] + self._energy.vec.FV().NumPy()
+        result = {}
+        for name in self.names:
+            values = []
+            for test, own in zip(self._tests, self._terms[name], strict=True):
+                on_body = float((self._weights[name] * test) @ rows)
+                on_body -= sum(step.quadrature.integrate_facets(part) for part in own)
+                values.append(-on_body)
+            result[name] = values
+        return result
+
+
+def rigid_motions(dim: int, about: Sequence[float]) -> dict[str, CoefficientFunction]:
+    """The translations and rotations about a point, by the names of force and torque components."""
+    r = [coordinate - c for coordinate, c in zip((x, y, z), about, strict=False)]
+    units = [CF(tuple(float(i == j) for i in range(dim))) for j in range(dim)]
+    motions = {f"force_{i + 1}": unit for i, unit in enumerate(units)}
+    if dim == 2:
+        return motions | {"torque": CF((-r[1], r[0]))}
+    spins = (CF((0.0, -r[2], r[1])), CF((r[2], 0.0, -r[0])), CF((-r[1], r[0], 0.0)))
+    return motions | {f"torque_{i + 1}": spin for i, spin in enumerate(spins)}

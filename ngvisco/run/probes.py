@@ -1,0 +1,224 @@
+"""Observers that measure: fields at points and along lines, forces on walls, integrals over the domain."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction
+
+from ngvisco.errors import ParameterError
+from ngvisco.forms.locating import as_points, locate
+from ngvisco.forms.reactions import WallReactions
+from ngvisco.run.fields import component_fields, components
+from ngvisco.run.series import Series
+
+if TYPE_CHECKING:
+    from ngvisco.run.simulation import Simulation
+
+
+class Probes(Series):
+    """Fields at points that are fixed in space, over time.
+
+    Parameters
+    ----------
+    points : mapping of names to points, or a sequence of points (named ``p1``, ``p2``, ...)
+        Coordinates in m, as many as the mesh's dimension.
+    fields : sequence of str, optional
+        Names out of ``simulation.fields``, or of their components as ``velocity_1``, ``F_12``; default all.
+        A vector or tensor named as a whole gives all its components.
+    path : path, optional
+        CSV file; without one the rows are kept in memory only.
+    every : int
+        Every so many steps, and at the end.
+
+    The columns are ``step``, ``time`` (s), and ``NAME.FIELD`` in the fields' SI units.
+    A run raises ParameterError for a point outside the domain, UnknownNameError for an unknown field.
+    """
+
+    def __init__(
+        self,
+        points: Mapping[str, Sequence[float]] | Sequence[Sequence[float]],
+        fields: Sequence[str] | None = None,
+        path: str | os.PathLike[str] | None = None,
+        every: int = 1,
+    ) -> None:
+        super().__init__(path, every)
+        if not isinstance(points, Mapping):
+            try:
+                points = {f"p{i + 1}": point for i, point in enumerate(points)}
+            except TypeError as error:
+                raise ParameterError(
+                    "Probes.points", points, "points, or a mapping of names to points"
+                ) from error
+        if not points:
+            raise ParameterError("Probes.points", points, "at least one point")
+        self.points, self.fields = dict(points), fields
+
+    def prepare(self, simulation: Simulation) -> list[str]:
+        mesh = simulation.mesh
+        names = [f"Probes.points[{name!r}]" for name in self.points]
+        at = [as_points(name, p, mesh.dim) for name, p in zip(names, self.points.values(), strict=True)]
+        for name, found, given in zip(names, at, self.points.values(), strict=True):
+            if len(found) != 1:
+                raise ParameterError(name, given, "one point")
+        self._at = locate(mesh, np.concatenate(at), names)
+        self._values, columns = _stacked(simulation, self.fields)
+        return [f"{name}.{column}" for name in self.points for column in columns]
+
+    def _sample(self, simulation: Simulation) -> Any:
+        return [np.asarray(self._values(self._at)).reshape(-1)]
+
+
+class LineSamples(Series):
+    """Fields along a line, over time: a row a point and time.
+
+    Parameters
+    ----------
+    start, end : sequence of numbers
+        Ends of the line, m, in the domain.
+    points : int
+        How many points, equally spaced, the ends among them; >= 2.
+    fields, path, every
+        As for ``Probes``.
+
+    The columns are ``step``, ``time`` (s), ``s`` (distance from the start, m), ``x``, ``y``, in 3D ``z`` (m),
+    and the fields in SI units.
+    """
+
+    def __init__(
+        self,
+        start: Sequence[float],
+        end: Sequence[float],
+        points: int = 101,
+        fields: Sequence[str] | None = None,
+        path: str | os.PathLike[str] | None = None,
+        every: int = 1,
+    ) -> None:
+        super().__init__(path, every)
+        if not isinstance(points, int) or isinstance(points, bool) or points < 2:
+            raise ParameterError("LineSamples.points", points, "an integer >= 2")
+        self.ends, self.points, self.fields = (start, end), points, fields
+
+    def prepare(self, simulation: Simulation) -> list[str]:
+        mesh = simulation.mesh
+        a, b = (
+            as_points(f"LineSamples.{name}", value, mesh.dim)[0]
+            for name, value in zip(("start", "end"), self.ends, strict=True)
+        )
+        length = float(np.linalg.norm(b - a))
+        if length == 0:
+            raise ParameterError("LineSamples.end", b.tolist(), "another point than start")
+        share = np.linspace(0, 1, self.points)[:, None]
+        where = (1 - share) * a + share * b
+        names = ["LineSamples.start", *["LineSamples.end"] * (self.points - 1)]
+        self._at = locate(mesh, where, names)
+        self._place = np.hstack([share * length, where])
+        self._values, columns = _stacked(simulation, self.fields)
+        return ["s", *"xyz"[: mesh.dim], *columns]
+
+    def _sample(self, simulation: Simulation) -> Any:
+        values = np.asarray(self._values(self._at)).reshape(len(self._at), -1)
+        return np.hstack([self._place, values])
+
+
+class WallForces(Series):
+    """Force and torque that the body exerts on walls, over time.
+
+    Parameters
+    ----------
+    walls : sequence of str, optional
+        Names of walls; default all.
+    about : sequence of numbers, optional
+        The point that torques refer to, m; default the origin.
+    path, every
+        As for ``Probes``.
+
+    The columns are ``WALL.force_1`` ... (N) and ``WALL.torque`` (2D) or ``WALL.torque_1`` ... (N m), per
+    metre of thickness in plane strain.  They are the reactions of the equations as solved, of the elastic,
+    viscous and hyperviscous stress (``ngvisco.forms.reactions``); each row is of the step that ends at its
+    time, so that the first one is of the first step.
+    """
+
+    initial = False
+
+    def __init__(
+        self,
+        walls: Sequence[str] | None = None,
+        about: Sequence[float] | None = None,
+        path: str | os.PathLike[str] | None = None,
+        every: int = 1,
+    ) -> None:
+        super().__init__(path, every)
+        if isinstance(walls, str):
+            raise ParameterError("WallForces.walls", walls, "a sequence of names")
+        self.walls, self.about = walls, about
+
+    def prepare(self, simulation: Simulation) -> list[str]:
+        dim = simulation.mesh.dim
+        about = as_points("WallForces.about", [0.0] * dim if self.about is None else self.about, dim)
+        if len(about) != 1:
+            raise ParameterError("WallForces.about", self.about, "one point")
+        self._reactions = WallReactions(simulation.rothe_step, self.walls, about[0])
+        return [f"{name}.{part}" for name in self._reactions.names for part in self._reactions.motions]
+
+    def _sample(self, simulation: Simulation) -> list[list[float]]:
+        return [[value for values in self._reactions().values() for value in values]]
+
+
+class Integrals(Series):
+    """Integrals over the domain, over time.
+
+    Parameters
+    ----------
+    integrands : mapping of names to coefficient functions or expressions
+        An expression is a text as in case files, of ``x``, ``y``, ``z``, ``t`` and the components of the
+        run's fields: ``"density*velocity_1"``, ``"max(J - 1, 0)"``, ``"von_mises*(1 if x < 0.5 else 0)"``.
+    path, every
+        As for ``Probes``.
+
+    The quadrature is that of the forms and the ledger: the integral of ``"density"`` is the ledger's mass.
+    In plane strain integrals are per metre of thickness.
+    """
+
+    def __init__(
+        self,
+        integrands: Mapping[str, CoefficientFunction | str],
+        path: str | os.PathLike[str] | None = None,
+        every: int = 1,
+    ) -> None:
+        super().__init__(path, every)
+        if not isinstance(integrands, Mapping) or not integrands:
+            raise ParameterError(
+                "Integrals.integrands", integrands, "a mapping of names to integrands, not empty"
+            )
+        for name, value in integrands.items():
+            is_scalar = isinstance(value, CoefficientFunction) and value.dim == 1
+            if not (isinstance(value, str) or is_scalar):
+                raise ParameterError(f"Integrals.integrands[{name!r}]", value, "a text or a scalar function")
+        self.integrands = dict(integrands)
+
+    def prepare(self, simulation: Simulation) -> list[str]:
+        from ngvisco.case.expressions import parse  # ngvisco.case imports this package
+
+        known = components(simulation.fields)
+        parts = []
+        for value in self.integrands.values():
+            if isinstance(value, str):
+                parts.append(parse(value, tuple(known)).coefficient(known))
+            else:
+                parts.append(value)
+        self._integrand = CF(tuple(parts))
+        return list(self.integrands)
+
+    def _sample(self, simulation: Simulation) -> Any:
+        total = simulation.rothe_step.quadrature.integrate_cells(self._integrand)
+        return [np.asarray(total, dtype=float).reshape(-1)]
+
+
+def _stacked(simulation: Simulation, names: Sequence[str] | None) -> tuple[CoefficientFunction, list[str]]:
+    """All wanted components as one function, and their names."""
+    chosen = component_fields(simulation.fields, names)
+    return CF(tuple(chosen.values())), list(chosen)

@@ -1,0 +1,115 @@
+"""Tables over time that observers write: a CSV file, and the same as arrays.
+
+A resumed run keeps the rows up to its checkpoint and drops those that the interrupted run wrote out of turn
+when it stopped, so that the file is that of an uninterrupted run.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ngvisco.errors import CheckpointError, UnknownNameError, require_count
+from ngvisco.run.files import append, write_atomically
+
+if TYPE_CHECKING:
+    from ngvisco.run.simulation import Simulation
+
+
+class Series:
+    """Base of the observers that note numbers over time.
+
+    A subclass gives ``prepare``, which checks its input against the simulation and returns the columns
+    after ``step`` and ``time``, and ``_sample``, which returns rows of them at the present state.
+
+    Attributes
+    ----------
+    columns : list of str
+    rows : list of lists of float
+    """
+
+    initial = True
+    """Whether there is something to note of the state before the first step."""
+
+    def __init__(self, path: str | os.PathLike[str] | None, every: int) -> None:
+        require_count(type(self).__name__, every=every)
+        self.path = None if path is None else Path(path)
+        self.every = every
+        self.columns: list[str] = []
+        self.rows: list[list[float]] = []
+
+    def prepare(self, simulation: Simulation) -> list[str]:
+        """Check what is asked for against a simulation; the columns after ``step`` and ``time``."""
+        raise NotImplementedError
+
+    def _sample(self, simulation: Simulation) -> Any:
+        raise NotImplementedError
+
+    def column(self, name: str) -> np.ndarray:
+        """A column over all rows so far; ``"time"`` is in s."""
+        if name not in self.columns:
+            raise UnknownNameError("column", name, self.columns)
+        return np.array([row[self.columns.index(name)] for row in self.rows])
+
+    def start(self, simulation: Simulation) -> None:
+        self.columns = ["step", "time", *self.prepare(simulation)]
+        earlier = self.rows
+        if not earlier and simulation.number > 0 and self.path is not None:
+            earlier = read_series(self.path, self.columns)
+        number = simulation.number
+        self.rows = [row for row in earlier if row[0] <= number and row[0] % self.every == 0]
+        if self.path is not None:
+            write_atomically(self.path, _csv([self.columns, *self.rows]).encode())
+        if self.initial and not self._has(number) and number % self.every == 0:
+            self._note(simulation)
+
+    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
+        if simulation.number % self.every == 0:
+            self._note(simulation)
+
+    def finish(self, simulation: Simulation) -> None:
+        if self.columns and (self.initial or simulation.number > 0) and not self._has(simulation.number):
+            self._note(simulation)
+
+    def _has(self, number: int) -> bool:
+        return bool(self.rows) and self.rows[-1][0] == number
+
+    def _note(self, simulation: Simulation) -> None:
+        time = [simulation.number, simulation.t]
+        rows = [[*time, *(float(value) + 0.0 for value in row)] for row in self._sample(simulation)]
+        self.rows += rows
+        if self.path is not None:
+            append(self.path, _csv(rows))
+
+
+def _csv(rows: Sequence[Sequence[object]]) -> str:
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows(rows)
+    return text.getvalue()
+
+
+def read_series(path: Path, columns: Sequence[str]) -> list[list[float]]:
+    """The rows of a table that an earlier part of the run wrote; none if there is no file.
+
+    Raises
+    ------
+    CheckpointError
+        If it has other columns or is damaged.
+    """
+    if not path.exists():
+        return []
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            head, *body = csv.reader(file)
+        rows = [[float(value) for value in row] for row in body]
+    except (ValueError, csv.Error) as error:
+        raise CheckpointError(f"{path}: not a table of numbers ({error}); move it away to go on") from error
+    if head != list(columns) or any(len(row) != len(head) for row in rows):
+        raise CheckpointError(f"{path}: has other columns than this run writes; move it away to go on")
+    return [[int(row[0]), *row[1:]] for row in rows]

@@ -1,0 +1,224 @@
+"""Going on with another mesh or with other parameters: what is carried over, and what it costs.
+
+On another mesh, density and transported variables are projected in L2 cell by cell, the velocity on the new
+mesh's velocities that the walls allow, from values at the new quadrature points.  The density is then scaled
+by one factor, so that the mass is kept to rounding.  With other parameters the state stays as it is, to the
+bit.
+
+The energy before less that after is the ledger's column ``transfer`` (J): of row 0 where a new ledger
+begins, and of the first row of a ledger that goes on, whose closure holds it.  It is positive where energy
+was lost.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from ngsolve import CF, L2, GridFunction, Integrate
+
+from ngvisco.errors import InitialDataError, MeshError, ParameterError
+from ngvisco.forms.given import QuadraturePoints
+from ngvisco.forms.initial import complete
+from ngvisco.forms.locating import locate
+from ngvisco.forms.velocity import project_velocity
+from ngvisco.run import checkpoint
+from ngvisco.run.ledger import TRANSFER
+
+if TYPE_CHECKING:
+    from ngvisco.run.simulation import Simulation
+
+_VOLUME = 0.02
+"""Relative difference of volumes that two meshes of one curved domain may have."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Transfer:
+    """What carrying over a state did.
+
+    Attributes
+    ----------
+    mass : float
+        kg, before and after alike.
+    scaled : float
+        The factor of the density that makes it so.
+    energy_before, energy_after : float
+        J.
+    """
+
+    mass: float
+    scaled: float
+    energy_before: float
+    energy_after: float
+
+    @property
+    def lost(self) -> float:
+        """Energy that is lost, J; negative where the projection has added some."""
+        return self.energy_before - self.energy_after
+
+
+def transfer(source: Simulation, target: Simulation) -> Transfer:
+    """Put a simulation into the state of another one, on another mesh or in other spaces.
+
+    Parameters
+    ----------
+    source : Simulation
+        At the state that is carried over, e.g. ``nv.load("results/swirl").simulation``.
+    target : Simulation
+        With the same transported variables, on a mesh of the same domain, before its first step.  Its time
+        becomes the source's; its steps are counted from there, and its ledger begins with the new state.
+
+    Returns
+    -------
+    Transfer
+        What it did to mass and energy.
+
+    Raises
+    ------
+    ParameterError
+        If the materials' variables or the passive fields do not fit, or ``target`` has made steps.
+    MeshError
+        If the domains are not the same.
+    InitialDataError
+        If a projected density or Jacobian is not positive somewhere: take a finer mesh.
+    """
+    old, new = source.rothe_step, target.rothe_step
+    _require_fit(source, target)
+    points = QuadraturePoints(new.quadrature)
+    where = points.coordinates
+    try:
+        at = locate(old.mesh, where, ["target"] * len(where))
+    except ParameterError as error:
+        raise MeshError(f"a point of the new mesh, {error.value}, is not in the old one") from error
+    before, scaled = _energy(source), _set_fields(source, target, points, at)
+    _set_velocity(source, target, points, at)
+    _carry_passive(source, target, points, at)
+    _require_positive(target)
+    complete(new)
+    new.state_old.vec.data = new.state.vec
+    new.start_from_old()
+    target.set_time(source.t, 0)
+    target.stepper.begin(source.t, 0)
+    target.set_velocity_scale(source.velocity_scale)
+    target.solver.forget()
+    ledger = target.ledger
+    ledger.rows, ledger.balance = [], None
+    ledger.keep([TRANSFER])
+    row = ledger.start(source.t)
+    result = Transfer(row["mass"], scaled, before, row["kinetic"] + row["stored"])
+    row[TRANSFER] = result.lost
+    return result
+
+
+def _require_fit(source: Simulation, target: Simulation) -> None:
+    names = [[(v.name, repr(v)) for v in run.model.material.variables] for run in (source, target)]
+    if names[0] != names[1]:
+        had, has = (", ".join(f"{name}" for name, _ in side) for side in names)
+        raise ParameterError("transfer.target", f"the variables {has}", f"those of the source, {had}")
+    if source.mesh.dim != target.mesh.dim:
+        raise ParameterError("transfer.target", f"dimension {target.mesh.dim}", f"{source.mesh.dim}")
+    if target.number or len(target.ledger.rows) > 1:
+        raise ParameterError("transfer.target", f"at step {target.number}", "a run before its first step")
+    missing = sorted(set(target.passive.names) - set(source.passive.names))
+    if missing:
+        raise ParameterError("transfer.target", missing, "passive fields that the source carries too")
+    volumes = [Integrate(CF(1.0), run.mesh) for run in (source, target)]
+    if abs(volumes[1] / volumes[0] - 1) > _VOLUME:
+        raise MeshError(f"the new mesh has the volume {volumes[1]:.6g}, the old one {volumes[0]:.6g}")
+
+
+def _energy(run: Simulation) -> float:
+    """Kinetic plus stored energy at the present state, J."""
+    return run.ledger.energy() if run.ledger.balance is None else run.ledger.balance.energy
+
+
+def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints, at: np.ndarray) -> float:
+    """Project density and variables; returns the factor of the density."""
+    old, new = source.rothe_step, target.rothe_step
+    parts = dict(zip(new.layout.names, new.state.components, strict=True))
+    rho = np.asarray(old.now.rho(at)).reshape(-1)
+    z = np.asarray(old.now.z(at)).reshape(len(at), -1)
+    space = L2(new.mesh, order=new.discretisation.m)
+    points.project(rho, space, parts["rho"])
+    single = GridFunction(space)
+    for i, column in enumerate(z.T):
+        points.project(column, space, single)
+        parts["z"].vec.FV().NumPy()[i * space.ndof : (i + 1) * space.ndof] = single.vec.FV().NumPy()
+    masses = [
+        float(run.rothe_step.quadrature.integrate_cells(run.rothe_step.now.rho)) for run in (source, target)
+    ]
+    factor = masses[0] / masses[1]
+    parts["rho"].vec.FV().NumPy()[:] *= factor
+    return factor
+
+
+def _set_velocity(source: Simulation, target: Simulation, points: QuadraturePoints, at: np.ndarray) -> None:
+    new = target.rothe_step
+    values = np.asarray(source.rothe_step.now.v(at)).reshape(len(at), -1)
+    v = CF(tuple(points.function(column) for column in values.T))
+    where = new.layout.ranges["v"]
+    new.state.vec.FV().NumPy()[where] = 0.0
+    target.set_time(source.t, 0)
+    new.moving_walls.set_values()
+    project_velocity(new.layout, new.state, v, new.impenetrability, new.quadrature)
+
+
+def _carry_passive(source: Simulation, target: Simulation, points: QuadraturePoints, at: np.ndarray) -> None:
+    for name, part in target.passive.parts.items():
+        values = np.asarray(source.passive.parts[name](at)).reshape(len(at), -1)
+        space = L2(target.mesh, order=target.rothe_step.discretisation.k)
+        single = GridFunction(space)
+        for i, column in enumerate(values.T):
+            points.project(column, space, single)
+            part.vec.FV().NumPy()[i * space.ndof : (i + 1) * space.ndof] = single.vec.FV().NumPy()
+
+
+def _require_positive(target: Simulation) -> None:
+    defect = target.defect()
+    if defect is not None:
+        raise InitialDataError("transferred state", defect, "positive values: take a finer mesh")
+
+
+def resume_changed(
+    simulation: Simulation, path: str | os.PathLike[str], attributes: Mapping[str, str] | None = None
+) -> float:
+    """Go on from a run's last checkpoint with other parameters, on the same mesh and in the same spaces.
+
+    Step length, loads, walls, viscosities and the material's numbers may differ from the run's; mesh, orders
+    and the list of unknowns must not.  Columns of the ledger that only one of the two has are 0 for the
+    other.
+
+    Returns
+    -------
+    float
+        Energy that the change of the stored energy takes, J: the column ``transfer`` of the next row.
+
+    Raises
+    ------
+    CheckpointError
+        As ``Simulation.restore``.
+    """
+    expected = checkpoint.identity(simulation) | dict(attributes or {})
+    for name in ("material", "energies", "scheme"):
+        del expected[name]
+    one = checkpoint.read_checkpoint(Path(path), expected, None)
+    numbers, step = one.numbers[""], simulation.rothe_step
+    step.state.vec.FV().NumPy()[:] = checkpoint.state_of(one, simulation, path)
+    simulation.passive.load(one.arrays["passive"])
+    complete(step)
+    step.state_old.vec.data = step.state.vec
+    step.start_from_old()
+    number = int(numbers["step"])
+    simulation.set_time(numbers["time"], number)
+    simulation.stepper.begin(numbers["time"], number)
+    ledger, balance, found = simulation.ledger, checkpoint.balance_of(one), checkpoint.read_ledger(path)
+    rows = [row for row in checkpoint.read_ledger_rows(Path(path), list(found)) if row["step"] <= number]
+    lost = balance.energy - ledger.energy()
+    ledger.keep(found)
+    ledger.add_once(TRANSFER, lost)
+    ledger.resume(balance, [{name: row.get(name, 0.0) for name in ledger.columns} for row in rows])
+    return lost

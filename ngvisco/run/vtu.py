@@ -1,0 +1,173 @@
+"""The VTK series of a run read back, as arrays: for animations and scenes, without the run's state.
+
+Cells have their own points, so that fields may jump between them.  The mesh is the same in every file.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from ngvisco.errors import CheckpointError, UnknownNameError
+from ngvisco.run.observers import read_pvd
+
+_KINDS = {"Float64": "<f8", "Float32": "<f4", "Int32": "<i4", "UInt8": "u1"}
+_MARK = b'<AppendedData encoding="raw">'
+_TRIANGLE, _QUADRILATERAL, _TETRAHEDRON = 5, 9, 10
+_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One file of a series: cells with points of their own, and fields at the points.
+
+    Attributes
+    ----------
+    points : array (points, 3), m
+    cells : array (cells, 3) of triangles' points in 2D, (cells, 4) of tetrahedra's in 3D
+    fields : arrays (points, components) by name
+    """
+
+    points: np.ndarray
+    cells: np.ndarray
+    fields: dict[str, np.ndarray]
+
+    @property
+    def dim(self) -> int:
+        return self.cells.shape[1] - 1
+
+    def scalar(self, name: str) -> np.ndarray:
+        """A scalar at the points: of a vector its modulus or ``NAME_i``, of a tensor ``NAME_ij``.
+
+        Raises
+        ------
+        UnknownNameError
+        """
+        if name in self.fields and self.fields[name].shape[1] <= 3:
+            values = self.fields[name]
+            return values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1)
+        whole, _, index = name.rpartition("_")
+        size = self.fields[whole].shape[1] if whole in self.fields else 0
+        labels = {3: "123", 9: [f"{i}{j}" for i in "123" for j in "123"]}.get(size, "")
+        if index not in labels:
+            raise UnknownNameError("field", name, self.names)
+        return self.fields[whole][:, list(labels).index(index)]
+
+    @property
+    def names(self) -> list[str]:
+        """Names that ``scalar`` understands."""
+        return [
+            part
+            for name, values in self.fields.items()
+            for part in {
+                1: [name],
+                3: [name, *(f"{name}_{i}" for i in "123")],
+                9: [f"{name}_{i}{j}" for i in "123" for j in "123"],
+            }[values.shape[1]]
+        ]
+
+    def boundary(self) -> np.ndarray:
+        """In 3D the faces that belong to one tetrahedron only, (faces, 3)."""
+        faces = np.concatenate([self.cells[:, face] for face in _FACES])
+        _, places = np.unique(np.round(self.points, 9), axis=0, return_inverse=True)
+        corners = np.sort(places.reshape(-1)[faces], axis=1)
+        _, first, count = np.unique(corners, axis=0, return_index=True, return_counts=True)
+        return faces[first[count == 1]]
+
+
+def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Path]]:
+    """Time and file of every state of a series, e.g. of ``results/swirl/vtk``.
+
+    Raises
+    ------
+    CheckpointError
+        If there is none.
+    """
+    place = Path(directory)
+    found = [(time, place / name) for time, name in read_pvd(place / "fields.pvd")]
+    if not found:
+        raise CheckpointError(f"{place}: no VTK series (output.vtk.enabled = true writes one)")
+    return found
+
+
+def read_frame(path: Path) -> Frame:
+    """One file of a series; raises CheckpointError if it is not one of ours, or damaged."""
+    try:
+        head, mark, tail = path.read_bytes().partition(_MARK)
+        root = ElementTree.fromstring(head + b"</VTKFile>")
+        raw = tail[tail.index(b"_") + 1 :] if mark else b""
+        arrays = {node.attrib["Name"]: _array(node.attrib, raw) for node in root.iter("DataArray")}
+        types, where = arrays.pop("types")[:, 0], arrays.pop("connectivity")[:, 0]
+        del arrays["offsets"]
+        return Frame(arrays.pop("Points"), _cells(types, where), arrays)
+    except (OSError, ValueError, KeyError, ElementTree.ParseError, struct.error) as error:
+        raise CheckpointError(f"{path}: not a readable file of a VTK series ({error})") from error
+
+
+def _array(attributes: dict[str, str], raw: bytes) -> np.ndarray:
+    kind, offset = np.dtype(_KINDS[attributes["type"]]), int(attributes["offset"])
+    (length,) = struct.unpack_from("<I", raw, offset)
+    values = np.frombuffer(raw, kind, length // kind.itemsize, offset + 4)
+    return values.reshape(-1, int(attributes.get("NumberOfComponents", 1)))
+
+
+def _cells(types: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Triangles or tetrahedra; quadrilaterals are halved."""
+    if np.all(types == _TETRAHEDRON):
+        return where.reshape(-1, 4)
+    sizes = np.where(types == _TRIANGLE, 3, 4)
+    if not np.all(np.isin(types, (_TRIANGLE, _QUADRILATERAL))):
+        raise ValueError("cells of another shape than triangles, quadrilaterals and tetrahedra")
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    triangles = [where[starts[:, None] + np.arange(3)]]
+    halves = starts[types == _QUADRILATERAL]
+    triangles.append(where[halves[:, None] + np.array([0, 2, 3])])
+    return np.concatenate(triangles)
+
+
+def cut(frame: Frame, axis: int, position: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The section of tetrahedra by the plane x_axis = position.
+
+    Returns
+    -------
+    ends : array (corners, 2)
+        Numbers of the two points between which each corner of the section lies.
+    share : array (corners,)
+        How far from the first to the second.
+    triangles : array (triangles, 3)
+        Of corners.
+    """
+    height = frame.points[:, axis] - position
+    above = height[frame.cells] > 0
+    count = above.sum(axis=1)
+    ends: list[np.ndarray] = []
+    triangles: list[np.ndarray] = []
+    start = 0
+    for wanted in (1, 2, 3):
+        chosen = frame.cells[count == wanted]
+        if not len(chosen):
+            continue
+        order = np.argsort(~above[count == wanted], axis=1, kind="stable")
+        sorted_cells = np.take_along_axis(chosen, order, axis=1)  # the points above first
+        pairs = {
+            1: ((0, 1), (0, 2), (0, 3)),
+            2: ((0, 2), (0, 3), (1, 3), (1, 2)),
+            3: ((0, 3), (1, 3), (2, 3)),
+        }[wanted]
+        corners = sorted_cells[:, pairs].reshape(-1, 2)
+        first = start + np.arange(len(chosen))[:, None] * len(pairs)
+        triangles.append(first + np.array([0, 1, 2]))
+        if wanted == 2:
+            triangles.append(first + np.array([0, 2, 3]))
+        ends.append(corners)
+        start += len(corners)
+    if not ends:
+        return np.empty((0, 2), dtype=int), np.empty(0), np.empty((0, 3), dtype=int)
+    both = np.concatenate(ends)
+    share = height[both[:, 0]] / (height[both[:, 0]] - height[both[:, 1]])
+    return both, share, np.concatenate(triangles)

@@ -1,0 +1,133 @@
+"""A run goes on with other parameters, or starts from another run, and the directory says how."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import ngvisco as nv
+from ngvisco.case.build import parse_case
+
+CASE = """\
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 0.6
+[material]
+kind = "NeoHookean"
+K_e = 10
+G_e = 5
+epsilon = 0.1
+[[loads]]
+kind = "Gravity"
+g = [0, -1]
+[initial]
+velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
+[time]
+dt = 0.02
+until = 0.04
+[output.vtk]
+enabled = false
+"""
+
+
+def case(place, *settings):
+    return parse_case(CASE, "case.toml", place, settings)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    place = tmp_path_factory.mktemp("done") / "run"
+    nv.case.run(case(place), place)
+    return place
+
+
+@pytest.fixture
+def run(done, tmp_path):
+    return shutil.copytree(done, tmp_path / "run")
+
+
+def contents(place):
+    return {p.name: p.read_bytes() for p in place.rglob("*") if p.is_file() and p.name != "lock"}
+
+
+def test_the_directory_holds_both_cases_and_the_change(run):
+    before = (run / "case.toml").read_text()
+    settings = ["time.dt=0.01", "loads=[]", "material.G_e=6", "time.until=0.06"]
+    simulation = nv.case.resume(run, settings=settings)
+    assert simulation.t == pytest.approx(0.06) and simulation.number == 4
+    ledger = nv.read_ledger(run / "run.h5")
+    assert ledger["dt"].tolist() == [0, 0.02, 0.02, 0.01, 0.01]
+    assert ledger["power_gravity"][2] != 0 and not ledger["power_gravity"][3:].any()
+    assert ledger["transfer"][3] < -2 and ledger["transfer"][4] == 0
+    assert abs(ledger["closure_relative"]).max() < 1e-12
+    assert (run / "case.until-step-2.toml").read_text() == before
+    (change,) = json.loads((run / "versions.json").read_text())["changes"]
+    assert change["step"] == 2 and change["settings"] == settings
+    assert "changed: time.dt=0.01" in (run / "log.txt").read_text()
+    # what follows is a plain resume of the changed run, and loading it too
+    assert nv.case.resume(run, 0.08).number == 6
+    assert nv.load(run).case.sections.material.G_e == 6
+
+
+def test_a_change_that_was_interrupted_is_taken_up(run, monkeypatch):
+    """Killed between the new case.toml and the first checkpoint with it."""
+    from ngvisco.case import directory
+
+    with monkeypatch.context() as patch:
+        patch.setattr(directory, "_go", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            nv.case.resume(run, settings=["material.G_e=6"])
+    assert nv.case.resume(run, 0.06).model.material.G_e == 6
+    assert nv.read_ledger(run / "run.h5")["transfer"][-1] < -2
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("domain.maxh=0.3", r"domain.maxh \(set on the command line\): cannot change when a run goes on"),
+        ("discretisation.k=3", "discretisation.k .*cannot change"),
+        ("initial.density=2", "initial.density .*cannot change"),
+        ("output.passive=['F_tot']", "output.passive .*--from"),
+        ("time.dt=-1", "time.dt .*-1.0: expected"),
+        ("time.dt=0.03", "time.until: .*a multiple of dt"),
+        ("material.Ge=1", "did you mean 'G_e'"),
+        ("rheology.hyperviscosity.mu=1e-3", "its spaces is"),
+        ("output.probes=[{name='a', point=[3, 3]}]", "output.probes.0.point"),
+    ],
+)
+def test_what_may_not_change_is_refused_and_nothing_is_written(run, setting, message):
+    before = contents(run)
+    with pytest.raises((nv.CaseError, nv.CheckpointError), match=message):
+        nv.case.resume(run, settings=[setting])
+    assert contents(run) == before
+
+
+def test_a_new_run_starts_from_an_earlier_one(run, tmp_path):
+    new = tmp_path / "new"
+    simulation = nv.case.run(case(tmp_path, "domain.maxh=0.4", "time.until=0.08"), new, source=run)
+    assert simulation.number == 2 and simulation.t == pytest.approx(0.08)
+    ledger, old = nv.read_ledger(new / "run.h5"), nv.read_ledger(run / "run.h5")
+    assert ledger["time"][0] == 0.04 and ledger["mass"] == pytest.approx(old["mass"][-1], rel=1e-13)
+    energy = [book["kinetic"] + book["stored"] for book in (old, ledger)]
+    assert ledger["transfer"][0] == pytest.approx(energy[0][-1] - energy[1][0], abs=1e-12)
+    assert "energy lost" in (new / "log.txt").read_text()
+    assert json.loads((new / "versions.json").read_text())["from"]["step"] == 2
+    shutil.rmtree(run)  # the new run stands on its own
+    assert nv.case.resume(new, 0.1).number == 3
+    assert np.isfinite(nv.load(new).ledger["kinetic"]).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "source", "message"),
+    [
+        ([], "nowhere", "not a run directory"),
+        (["domain.size=[2, 1]", "time.until=0.06"], "run", "volume"),
+        (["material.kind='LinearElastic'"], "run", "epsilon"),
+    ],
+)
+def test_an_earlier_run_that_does_not_fit_leaves_nothing_behind(run, tmp_path, settings, source, message):
+    with pytest.raises(nv.NgviscoError, match=message):
+        nv.case.run(case(tmp_path, *settings), tmp_path / "new", source=tmp_path / source)
+    assert not contents(tmp_path / "new") if (tmp_path / "new").exists() else True

@@ -1,0 +1,204 @@
+"""The reference is whole and true: every key is described, every example is admitted, every template runs."""
+
+import copy
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+import ngvisco as nv
+from ngvisco.case import reference, template, toml
+from ngvisco.case.build import parse_case
+from ngvisco.case.keys import KEYS, key
+from ngvisco.case.schema import CaseSections, FieldValue
+
+ENTRIES = reference.entries()
+COMPANIONS = {
+    "theta": {"scheme": "theta"},
+    "relaxation": {"scheme": "midpoint", "adaptive": {"dt_min": 0.001, "dt_max": 0.1}},
+}
+"""Keys of [time] that are refused without others, and those."""
+NUMBERS = ("number", "array of numbers", "table of numbers")
+BASE = """\
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 0.6
+[material]
+kind = "NeoHookean"
+K_e = 10
+G_e = 5
+epsilon = 0.1
+[time]
+dt = 0.02
+until = 0.04
+"""
+
+
+def test_every_number_has_a_unit_and_every_key_a_meaning():
+    for entry in ENTRIES:
+        assert entry.meaning and not entry.meaning.endswith("."), entry.name
+        if entry.type.startswith(("number", *NUMBERS)):
+            assert entry.unit, entry.name
+        if entry.type.startswith(("text", "true")):
+            assert not entry.unit, entry.name
+
+
+def test_no_description_is_left_over():
+    """A key that the schema no longer has would be explained to nobody."""
+    used = set()
+
+    class Recorded(dict):
+        def __getitem__(self, name):
+            used.add(name)
+            return super().__getitem__(name)
+
+    recorded, original = Recorded(KEYS), dict(KEYS)
+    import ngvisco.case.keys as module
+
+    module.KEYS = recorded
+    try:
+        reference.entries()
+    finally:
+        module.KEYS = original
+    assert set(KEYS) - used == set()
+    with pytest.raises(KeyError):
+        key("NeoHookean", "nonsense")
+
+
+def placed(entry, kind):
+    """A case in which the key has its example, in a section of this kind with what else it requires."""
+    data = tomllib.loads(BASE)
+    path = [{"NAME": "left", "N": "0"}.get(part, part) for part in entry.path]
+    section = entry.path[:-1]
+    needed = {
+        e.path[-1]: e.example
+        for e in ENTRIES
+        if e.path[:-1] == section
+        and e.required
+        and e.example is not None
+        and (not e.kinds or kind in e.kinds)
+    }
+    if kind is not None:
+        needed["geometry" if section == ("domain",) else "kind"] = kind
+    if kind in ("Yosida", "WithQuadratic"):
+        needed["material"] = data["material"]
+    node = data
+    for depth, part in enumerate(section):
+        last = depth == len(section) - 1
+        if part == "N":
+            node = node[0]
+        elif entry.path[depth + 1] == "N":
+            node = node.setdefault(part, [{}])
+        else:
+            fresh = last and kind is not None
+            node[{"NAME": "left"}.get(part, part)] = {} if fresh else node.get(part, {})
+            node = node[{"NAME": "left"}.get(part, part)]
+    if section:
+        node.update(needed)
+    toml.override(data, tuple(path), entry.example)
+    return data
+
+
+CASES = [
+    pytest.param(entry, kind, id=f"{entry.name}-{kind}" if kind else entry.name)
+    for entry in ENTRIES
+    if not entry.is_table
+    for kind in (entry.kinds or (None,))
+    if entry.path[-1] not in ("kind", "geometry")
+]
+
+
+@pytest.mark.parametrize(("entry", "kind"), CASES)
+def test_every_example_is_admitted(entry, kind, schema):
+    data = placed(entry, kind)
+    if entry.name == "time.adaptive.dt_max":
+        data["time"]["adaptive"]["dt_min"] = 0.001
+    data["time"] |= COMPANIONS.get(entry.name.removeprefix("time."), {})
+    loaded = CaseSections.model_validate(data)
+    assert loaded.time.dt
+    schema.validate(data)
+
+
+@pytest.fixture(scope="module")
+def schema():
+    made = reference.json_schema()
+    jsonschema.Draft202012Validator.check_schema(made)
+    return jsonschema.Draft202012Validator(made)
+
+
+def test_the_schema_admits_the_demos_and_refuses_what_is_misspelt(schema):
+    for path in template.demos().values():
+        data = tomllib.loads(path.read_text())
+        schema.validate(data)
+        for section in ("material", "time", "domain"):
+            wrong = copy.deepcopy(data)
+            wrong[section]["nonsense"] = 1
+            assert not schema.is_valid(wrong), (path, section)
+    text = Path(__file__).with_name("test_units.py").read_text()
+    in_units = tomllib.loads(text.split('CASE = """\\\n')[1].split('"""')[0])
+    schema.validate(in_units)
+    in_units["time"]["dt"] = "ten"
+    assert not schema.is_valid(in_units)
+    described = reference.json_schema()["$defs"]["NeoHookean"]["properties"]["G_e"]
+    assert "half the usual shear modulus [Pa]" in described["description"]
+
+
+@pytest.mark.parametrize("name", list(template.demos()))
+def test_a_template_is_the_demo_with_notes(name):
+    text = template.template(name)
+    made, demo = parse_case(text, name, Path(".")), nv.load_case(template.demos()[name])
+    assert made.resolved == demo.resolved
+    assert "# s: length of a step" in text and "ngvisco explain KEY" in text
+
+
+def test_what_a_template_offers_is_admitted():
+    """Every optional line of a template, taken into the case on its own, is a case (but for COMPANIONS)."""
+    lines = template.template("swirl").splitlines()
+    start = lines.index("[material]")
+    for number in range(start, len(lines)):
+        before, line = lines[:number], lines[number]
+        if not line.startswith("# ") or "=" not in line or number < start:
+            continue
+        table = next(text for text in reversed(before) if text.lstrip("# ").startswith("["))
+        if table.startswith("#"):
+            break  # whole tables from here on: a case takes them as wholes
+        if line[2:].split(" = ")[0] in COMPANIONS:
+            continue
+        parse_case("\n".join([*before, line[2:], *lines[number + 1 :]]), "swirl", Path("."))
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ("time.dt", ["unit     s", "dt = 0.02", "required"]),
+        ("walls.top.velocity", ["m/s", "PrescribedTangential"]),
+        ("loads.0.g", ["m/s^2", "of       Gravity"]),
+        ("material", ["material.G_e [LinearElastic]"]),
+        ("NeoHookean", ["neo-Hookean energy", "half the usual shear modulus"]),
+        ("rheology.creep.G_m", ["G_m = 2 eta", "relaxation time of shear is G_m/(2 G)"]),
+    ],
+)
+def test_explain_says_what_a_key_is(path, words):
+    text = reference.explain(path)
+    assert all(word in text for word in words), text
+
+
+@pytest.mark.parametrize(
+    "path", ["tim.dt", "", ".", "time.dt.x", "material.Ge", "loads.x.g", "\0", "a" * 5000]
+)
+def test_what_is_no_key_is_refused_with_the_nearest(path):
+    with pytest.raises(nv.ParameterError, match="ngvisco list --keys"):
+        reference.explain(path)
+
+
+def test_the_page_in_the_package_is_the_generated_one():
+    page = Path(reference.__file__).with_name("reference.md")
+    assert page.read_text(encoding="utf-8") == reference.markdown(), "ngvisco list --markdown > " + str(page)
+
+
+def test_types_are_said_in_words():
+    assert reference.type_text(FieldValue) == "number, expression, or array of them"
+    assert reference.type_text(dict[str, float] | None) == "table of numbers"
+    assert reference.type_text(str | list[str]) == "text or array of texts"

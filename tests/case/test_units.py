@@ -1,0 +1,197 @@
+"""Units are converted at the door: the same case in other units is the same case."""
+
+import math
+
+import pytest
+
+import ngvisco as nv
+from ngvisco.case.build import parse_case
+from ngvisco.case.keys import KEYS
+from ngvisco.case.units import SI, UnitError, factor
+
+CASE = """\
+[units]
+length = "km"
+time = "min"
+pressure = "GPa"
+velocity = "cm/s"
+[domain]
+geometry = "box"
+size = [2, "1 km"]
+maxh = "600 m"
+refine = { top = 0.4 }
+[material]
+kind = "LinearElastic"
+K_e = 10
+G_e = "5e3 MPa"
+[rheology.viscosity]
+K_v = "1 GPa min"
+G_v = 1e9
+[rheology.hyperviscosity]
+mu = "1e3 Pa km^4 s^3"
+[[loads]]
+kind = "Gravity"
+g = [0, "-981 cm/s^2"]
+[initial]
+density = "2500 + 100*y"
+velocity = ["3*sin(pi*x/2)", 0]
+values = { E = [["0.001*x", 0, 0], [0, 0, 0], [0, 0, 0]] }
+[walls.top]
+kind = "Traction"
+f = ["1e-6*sin(t)", 0]
+[time]
+dt = "100 ms"
+until = "0.2 s"
+[[output.probes]]
+name = "tip"
+point = [2, 0.5]
+"""
+IN_SI = """\
+[domain]
+geometry = "box"
+size = [2000, 1000]
+maxh = 600
+refine = { top = 400 }
+[material]
+kind = "LinearElastic"
+K_e = 10e9
+G_e = 5e9
+[rheology.viscosity]
+K_v = 60e9
+G_v = 1e9
+[rheology.hyperviscosity]
+mu = 1e15
+[[loads]]
+kind = "Gravity"
+g = [0, -9.81]
+[initial]
+density = "2500 + 0.1*y"
+velocity = ["0.03*sin(pi*x/2000)", 0]
+values = { E = [["1e-6*x", 0, 0], [0, 0, 0], [0, 0, 0]] }
+[walls.top]
+kind = "Traction"
+f = ["1e3*sin(t/60)", 0]
+[time]
+dt = 0.1
+until = 0.2
+[[output.probes]]
+name = "tip"
+point = [2000, 500]
+"""
+
+
+def case(text, *settings):
+    from pathlib import Path
+
+    return parse_case(text, "case.toml", Path("."), settings)
+
+
+def flat(node, path=()):
+    if isinstance(node, dict):
+        node = node.items()
+    elif isinstance(node, list):
+        node = enumerate(node)
+    else:
+        yield path, node
+        return
+    for name, part in node:
+        yield from flat(part, (*path, name))
+
+
+def test_a_case_in_other_units_is_the_case_in_si():
+    given, expected = (dict(flat(case(text).sections.model_dump())) for text in (CASE, IN_SI))
+    assert given.keys() == expected.keys()
+    for path, value in expected.items():
+        if isinstance(value, float):
+            assert given[path] == pytest.approx(value, rel=1e-12), path
+        elif not isinstance(value, str) or path[0] not in ("initial", "walls"):
+            assert given[path] == value, path
+
+
+def test_its_run_is_the_run_in_si():
+    ledgers = []
+    for text in (CASE, IN_SI):
+        loaded = case(text)
+        ledgers.append(loaded.simulation(loaded.mesh()).run(0.2))
+    for name in ledgers[0].columns:
+        a, b = (ledger.column(name) for ledger in ledgers)
+        if name in ("kinetic", "stored", "mass", "power_traction_top", "dissipation_hyper", "v_max"):
+            assert a == pytest.approx(b, rel=1e-6), name
+
+
+def test_what_is_resolved_is_in_si_and_resolves_to_itself():
+    loaded = case(CASE)
+    again = case(loaded.resolved)
+    assert again.resolved == loaded.resolved and again.hash == loaded.hash
+    assert again.sections.units.length == "m" and again.sections.domain.size == [2000, 1000]
+
+
+def test_every_unit_of_the_reference_is_known():
+    exponents = {"p": 4.0, "q": 4.0, "r": 3.0}
+    for name, meant in KEYS.items():
+        if meant.unit not in ("", "1"):
+            unit = meant.unit
+            for letter, value in exponents.items():
+                unit = unit.replace(f"^{letter}", f"^{value}").replace(f"(2-{letter})", f"({2 - value})")
+            assert factor(unit, unit) == 1, name
+    assert factor("kyr", "s") == 1000 * 365.25 * 86400 and factor("km", "m") == 1000
+    assert set(SI) == set(type(case(IN_SI).sections.units).model_fields)
+
+
+def test_units_apply_to_exponents_of_the_section():
+    """mu |hess v|^p is W/m^3: its unit has p in it."""
+    text = IN_SI.replace("mu = 1e15", 'mu = "2 Pa km^2 s"\np = 2')
+    assert case(text).sections.rheology.hyperviscosity.mu == pytest.approx(2e6)
+    wrong = IN_SI.replace("mu = 1e15", 'mu = "2 Pa km^2 s"')
+    with pytest.raises(nv.CaseError, match=r"rheology.hyperviscosity.mu: .*has not the dimension of W/m\^3"):
+        case(wrong)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("units.length='kg'", r"units.length .*'kg' has not the dimension of m; expected a unit such as m"),
+        ("units.length='foo'", "units.length .*'foo' is no unit that is known"),
+        ("units.length=''", "units.length .*expected a unit"),
+        ("units.length='__import__(1)'", "units.length .*no unit"),
+        ("units.length=3", "units.length .*3: expected a text"),
+        ("units.lenght='km'", "units.lenght .*did you mean 'length'"),
+        ("units=3", "units .*3: expected a table"),
+        ("time.dt='10 m'", "time.dt .*'10 m': 'm' has not the dimension of s"),
+        ("time.dt='-10 ms'", r"time.dt .*-0.01: expected a finite number > 0 .*written was '-10 ms'"),
+        ("time.dt='ten s'", "time.dt .*'ten s': expected a number"),
+        ("time.dt='1e999 s'", "time.dt .*expected"),
+        ("domain.maxh=-3", r"domain.maxh .*-3000.0: expected .*written was -3"),
+        ("domain.size=['2 km', '1 s']", "domain.size .*'s' has not the dimension of m"),
+        ("initial.density='3 km'", "initial.density .*'km' has not the dimension of kg"),
+        ("initial.density='3300 + q'", r"initial.density .*unknown name 'q' .*character 8 of '3300 \+ q'"),
+        ("initial.values={J='3 m'}", "initial.values .*a pure number is expected"),
+        ("discretisation.k='2 m'", "discretisation.k .*expected a whole number"),
+    ],
+)
+def test_a_wrong_unit_is_a_fault_of_its_key(setting, message):
+    with pytest.raises(nv.CaseError, match=message):
+        loaded = case(CASE, setting)
+        loaded.mesh()
+
+
+@pytest.mark.parametrize("unit", ["m" * 500, "(", "m**m", "1/0", "m**1e400", "\0", "degC", "-m", "[[", "m;m"])
+def test_no_text_is_more_than_a_unit_error(unit):
+    with pytest.raises(UnitError):
+        factor(unit, "m")
+
+
+def test_expressions_with_signs_like_units_stay_expressions():
+    sections = case(IN_SI, "initial.density='1 if x > 0 else 2'").sections
+    assert sections.initial.density == "1 if x > 0 else 2"
+    scaled = case(CASE, "initial.density='1 if x > 0 else 2 - y*(x + t)'")
+    f = scaled.sections.initial.density
+    from ngvisco.case.expressions import parse
+
+    mesh = nv.case.build.catalogue.GEOMETRIES["box"](size=[2000.0, 1000.0], maxh=2000.0)
+    nv.time.Set(120.0)
+    assert parse(f).coefficient()(mesh(1000, 500)) == 1
+    g = case(CASE, "initial.density='2 + y*(x + t)'").sections.initial.density
+    assert parse(g).coefficient()(mesh(1000, 500)) == pytest.approx(2 + 0.5 * (1 + 2))
+    nv.time.Set(0.0)
+    assert math.isclose(factor("min", "s"), 60)

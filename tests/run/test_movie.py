@@ -1,0 +1,192 @@
+"""The VTK series read back, animated and as a scene with time and cuts; pictures in the formats asked for."""
+
+import shutil
+
+import numpy as np
+import pytest
+from ngsolve import CF, cos, pi, sin, x, y, z
+from test_scene import data_of, unpacked
+
+import ngvisco as nv
+from ngvisco.geometries import box, disc
+from ngvisco.run.movie import write_movie
+from ngvisco.run.plots import PlotError, Section, plot_fields
+from ngvisco.run.scales import rest_pressure
+from ngvisco.run.scene import write_scene_of_series
+from ngvisco.run.vtu import cut, read_frame, read_series_files
+
+
+def series(place, size, **options):
+    model = nv.Model(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1))
+    swirl = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), *(0,) * (len(size) - 2))
+    run = nv.Simulation(
+        box(size, 0.8),
+        model,
+        dt=0.02,
+        initial=nv.Initial(density=1 + x + 2 * y, velocity=swirl),
+        observers=[nv.VTKSeries(place)],
+        **options,
+    )
+    run.run(0.04)
+    return run
+
+
+@pytest.fixture(scope="module", params=[(1, 1), (1, 1, 0.5)], ids=["2d", "3d"])
+def written(request, tmp_path_factory):
+    place = tmp_path_factory.mktemp("series")
+    return place, series(place, request.param, passive=["reference_map"])
+
+
+def test_a_series_is_read_back(written):
+    place, run = written
+    files = read_series_files(place)
+    assert [time for time, _ in files] == [0, 0.02, 0.04]
+    frame = read_frame(files[-1][1])
+    assert frame.dim == run.mesh.dim and len(frame.cells) == run.mesh.ne
+    start = read_frame(files[0][1])
+    assert start.scalar("density") == pytest.approx(1 + start.points @ [1, 2, 0])
+    assert frame.scalar("velocity") ** 2 == pytest.approx(
+        sum(frame.scalar(f"velocity_{i}") ** 2 for i in (1, 2, 3))
+    )
+    assert frame.scalar("F_12").shape == (len(frame.points),) and "displacement" in frame.names
+    with pytest.raises(nv.UnknownNameError, match="did you mean 'density'"):
+        frame.scalar("densiti")
+    with pytest.raises(nv.UnknownNameError):
+        frame.scalar("F_14")
+
+
+def test_boundary_and_section_have_the_area_of_the_body(written):
+    frame = read_frame(read_series_files(written[0])[0][1])
+    if frame.dim == 2:
+        return
+    assert area(frame.points[frame.boundary()]) == pytest.approx(2 + 4 * 0.5)
+    for axis, exact in ((0, 0.5), (1, 0.5), (2, 1.0)):
+        ends, share, triangles = cut(frame, axis, 0.21)
+        a, b = frame.points[ends[:, 0]], frame.points[ends[:, 1]]
+        points = a + share[:, None] * (b - a)
+        assert points[:, axis] == pytest.approx(0.21) and area(points[triangles]) == pytest.approx(exact)
+    assert len(cut(frame, 0, 2.0)[2]) == 0
+
+
+def area(corners):
+    edges = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return np.linalg.norm(np.cross(*edges), axis=1).sum() / 2
+
+
+def test_a_movie_has_a_frame_for_every_state(written, tmp_path):
+    from PIL import Image
+
+    place, _ = written
+    write_movie(place, tmp_path / "movie.gif", ["velocity", "J"], title="a body")
+    with Image.open(tmp_path / "movie.gif") as movie:
+        assert movie.n_frames == 3
+        frames = []
+        for i in range(3):
+            movie.seek(i)
+            frames.append(np.asarray(movie.convert("RGB"), dtype=float))
+    assert abs(frames[0] - frames[2]).max() > 50
+    assert not list(tmp_path.glob("*.part*"))
+
+
+def test_an_mp4_is_written_where_ffmpeg_is_and_its_lack_is_said(written, tmp_path, monkeypatch):
+    place, _ = written
+    if shutil.which("ffmpeg"):
+        write_movie(place, tmp_path / "movie.mp4", ["J"])
+        assert b"ftyp" in (tmp_path / "movie.mp4").read_bytes()[:16]
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(PlotError, match="needs ffmpeg"):
+        write_movie(place, tmp_path / "other.mp4", ["J"])
+    assert not list(tmp_path.glob("other*"))
+
+
+def test_a_scene_of_a_series_has_its_times_and_the_inside(written, tmp_path):
+    place, run = written
+    write_scene_of_series(place, tmp_path / "scene.html", ["density", "velocity"], "a body")
+    data = data_of(tmp_path / "scene.html")
+    assert data["times"] == [0, 0.02, 0.04] and data["dim"] == run.mesh.dim
+    corners = 3 * data["triangles"]
+    density = unpacked(data["fields"][0]["values"]).reshape(3, corners)
+    points = unpacked(data["points"]).reshape(corners, 3)
+    assert density[0] == pytest.approx(1 + points @ [1, 2, 0], rel=1e-5)
+    inside = unpacked(data["fields"][0]["inside"])
+    assert len(inside) == (3 * 4 * run.mesh.ne if run.mesh.dim == 3 else 0)
+    write_scene_of_series(place, tmp_path / "two.html", most=2)
+    assert data_of(tmp_path / "two.html")["times"] == [0, 0.04]
+
+
+@pytest.mark.parametrize(
+    ("path", "fields", "error", "message"),
+    [
+        ("movie.avi", None, nv.ParameterError, r"ends in .gif or .mp4"),
+        ("movie.gif", ["desity"], nv.UnknownNameError, "did you mean 'density'"),
+        ("movie.gif", [], nv.ParameterError, "at least one field"),
+    ],
+)
+def test_a_movie_that_cannot_be_made_is_refused(written, tmp_path, path, fields, error, message):
+    with pytest.raises(error, match=message):
+        write_movie(written[0], tmp_path / path, fields)
+    with pytest.raises(nv.CheckpointError, match="no VTK series"):
+        write_movie(tmp_path, tmp_path / "movie.gif")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("cut_at", [0.1, 0.5, 0.95])
+def test_a_damaged_file_of_a_series_is_refused(written, tmp_path, cut_at):
+    whole = read_series_files(written[0])[0][1].read_bytes()
+    (tmp_path / "a.vtu").write_bytes(whole[: int(cut_at * len(whole))])
+    with pytest.raises(nv.CheckpointError, match=r"a\.vtu: not a readable file"):
+        read_frame(tmp_path / "a.vtu")
+
+
+@pytest.mark.parametrize(("kind", "magic"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])
+def test_pictures_have_the_format_of_their_name(tmp_path, kind, magic):
+    path = tmp_path / f"fields.{kind}"
+    plot_fields(box((1, 1), 0.7), [("x", x)], path, title="a picture")
+    assert path.read_bytes().startswith(magic)
+    with pytest.raises(nv.ParameterError, match=r"ends in .png, .pdf or .svg"):
+        plot_fields(box((1, 1), 0.7), [("x", x)], tmp_path / "fields.bmp")
+
+
+def test_a_picture_says_its_time_and_its_plane(tmp_path):
+    """Also in the file: texts of an SVG stay texts."""
+    import matplotlib
+
+    mesh = box((1, 2, 3), 1.0)
+    with matplotlib.rc_context({"svg.fonttype": "none"}):
+        plot_fields(mesh, [("f", x + z)], tmp_path / "a.svg", section=Section("y", 0.5), title="t = 2 s")
+    text = (tmp_path / "a.svg").read_text()
+    assert "t = 2 s, y = 0.5 m" in text and "z, m" in text and "x, m" in text and "y, m" not in text
+
+
+@pytest.mark.parametrize("text", ["w", "x=", "x=a", "x=nan", "", "x=9"])
+def test_a_plane_that_is_none_or_misses_the_body_is_refused(tmp_path, text):
+    with pytest.raises(nv.ParameterError, match=r"[Ss]ection"):
+        plot_fields(box((1, 1, 1), 1.0), [("x", x)], tmp_path / "a.png", section=Section.parse(text))
+
+
+def test_pressure_from_rest_is_zero_at_rest_for_all_materials():
+    materials = [
+        nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0),
+        nv.BarotropicFluid(B=1.0, gamma=1.4),
+        nv.LinearElastic(K_e=1.0, G_e=1.0),
+        nv.Yosida(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), eps=1e-2),
+    ]
+    assert rest_pressure(materials[0], 2) == pytest.approx(-(3 * 5 + 0.1**2 / 20))
+    assert rest_pressure(materials[2], 3) == pytest.approx(0.4)
+    for material in materials:
+        run = nv.Simulation(box((1, 1), 1.0), nv.Model(material=material), dt=0.1)
+        assert run.fields["pressure_from_rest"](run.mesh(0.3, 0.4)) == pytest.approx(0, abs=1e-9)
+
+
+def test_displacement_is_the_place_less_where_it_came_from():
+    model = nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0))
+    velocity = CF((-0.1 * y, 0.1 * x))
+    run = nv.Simulation(
+        disc(1, 0.6), model, dt=0.01, initial=nv.Initial(velocity=velocity), passive=["reference_map"]
+    )
+    run.run(0.05)
+    at = run.mesh(0.4, 0.2)
+    u, came_from = (np.asarray(run.fields[name](at)) for name in ("displacement", "reference_map"))
+    assert u == pytest.approx([0.4, 0.2] - came_from, abs=1e-14)
+    assert u == pytest.approx(0.05 * np.array([-0.02, 0.04]), rel=0.05)

@@ -1,0 +1,136 @@
+"""What a notebook shows: pages that are well formed, tell the numbers, and a frame with the ledger's
+columns."""
+
+import sys
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from ngsolve import cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.run.notebook import NotebookError, results_html
+
+
+def small(observers=()):
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), loads=[nv.Gravity((0, -1), name="pull")]
+    )
+    initial = nv.Initial(velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))
+    return nv.Simulation(box((1, 1), 0.8), model, dt=0.02, initial=initial, observers=list(observers))
+
+
+def words(page):
+    """All texts of a page, which must be well formed."""
+    page = page.replace("<br>", "<br/>")
+    return " ".join(ElementTree.fromstring(f"<div>{page}</div>").itertext())
+
+
+def test_a_simulation_shows_its_model_and_its_energies():
+    run = small()
+    assert "no step yet" in words(run._repr_html_())
+    run.run(0.04)
+    said = words(run._repr_html_())
+    for part in ("NeoHookean(K_e=10.0", "pull", "left: Slip", "cells in 2D", "t = 0.04 s, step 2", "kinetic"):
+        assert part in said
+    assert "<polyline" in run.ledger._repr_html_() and "largest |closure|" in words(run.ledger._repr_html_())
+
+
+def test_titles_cannot_write_into_the_page():
+    ledger = {name: np.array(values) for name, values in small().run(0.02).frame().reset_index().items()}
+    page = results_html("<script>alert(1)</script>", 0.02, ledger)
+    assert "<script" not in page and "<script>" in words(page)
+
+
+def test_results_show_themselves(tmp_path):
+    from ngvisco.case.build import parse_case
+
+    text = (
+        '[domain]\ngeometry = "box"\nsize = [1, 1]\nmaxh = 0.8\n[material]\nkind = "LinearElastic"\nK_e = 1\n'
+        "G_e = 1\n[time]\ndt = 0.1\nuntil = 0.1\n"
+    )
+    nv.case.run(parse_case(text, "a.toml", tmp_path, ["title=a run"]), tmp_path / "out")
+    results = nv.load(tmp_path / "out")
+    assert "a run" in words(results._repr_html_())
+    assert results.frame()["kinetic"].tolist() == results.ledger["kinetic"].tolist()
+
+
+def test_the_frame_has_the_ledgers_columns():
+    ledger = small().run(0.04)
+    frame = ledger.frame()
+    assert frame.index.name == "step" and set(frame.columns) == set(ledger.columns) - {"step"}
+    assert frame["power_pull"].to_numpy() == pytest.approx(ledger.column("power_pull"))
+
+
+def test_progress_draws_itself_while_the_run_goes_on(monkeypatch):
+    import IPython.display
+
+    pages = []
+
+    class Handle:
+        def update(self, shown):
+            pages.append(shown.data)
+
+    def display(shown, display_id):
+        pages.append(shown.data)
+        return Handle()
+
+    monkeypatch.setattr(IPython.display, "display", display)
+    small([nv.NotebookProgress(0.06, seconds=0)]).run(0.06)
+    assert len(pages) == 1 + 3 + 1
+    assert "width:33.3%" in pages[1] and "width:100.0%" in pages[-1]
+    assert "step 3" in words(pages[-1])
+
+
+def test_outside_of_a_notebook_progress_is_silent():
+    assert small([nv.NotebookProgress(0.02)]).run(0.02).column("step")[-1] == 1
+
+
+@pytest.mark.parametrize("module", ["IPython.display", "pandas"])
+def test_what_is_missing_is_said(module, monkeypatch):
+    run = small()
+    run.run(0.0)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(NotebookError, match="is missing: pip install"):
+        run.ledger.frame() if module == "pandas" else nv.NotebookProgress(1.0)
+
+
+def test_draw_hands_the_field_and_its_mesh_to_the_viewer(monkeypatch):
+    import types
+
+    given = []
+    viewer = types.ModuleType("ngsolve.webgui")
+    viewer.Draw = lambda *arguments, **options: given.append((arguments, options))
+    monkeypatch.setitem(sys.modules, "ngsolve.webgui", viewer)
+    run = small()
+    nv.draw("density", run, min=0)
+    nv.draw(run.fields["velocity"])
+    nv.draw(x * y, run.mesh, name="a function")
+    assert [(value[1], value[2]) for value, _ in given] == [
+        (run.mesh, "density"),
+        (run.mesh, "field"),
+        (run.mesh, "a function"),
+    ]
+    assert given[0][1] == {"min": 0}
+
+
+def test_the_viewer_itself_takes_what_draw_gives_and_leaves_numpy_warning():
+    before = np.geterr()
+    scene = nv.draw("density", small(), show=False)
+    assert scene is not None and np.geterr() == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        (("density",), nv.ParameterError, "for a field by its name"),
+        ((x,), nv.ParameterError, "a mesh, a simulation or results"),
+        ((3, box((1, 1), 1)), nv.ParameterError, "a name or a coefficient function"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(arguments, error, message):
+    with pytest.raises(error, match=message):
+        nv.draw(*arguments)
+    with pytest.raises(nv.UnknownNameError, match="did you mean 'density'"):
+        nv.draw("densiti", small())

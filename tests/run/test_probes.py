@@ -1,0 +1,222 @@
+"""Measurements have the values that the fields, the momentum balance and the ledger have."""
+
+import math
+
+import numpy as np
+import pytest
+from ngsolve import CF, x, y
+
+import ngvisco as nv
+from ngvisco.case.expressions import ExpressionError
+from ngvisco.geometries import annulus, box, disc
+
+MATERIAL = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+VISCOSITY = nv.StokesViscosity(K_v=1.0, G_v=1.0)
+
+
+def small(observers=(), **options):
+    model = nv.Model(material=MATERIAL, viscosity=VISCOSITY, loads=[nv.Gravity((0.3, -1.0))])
+    options = {"dt": 0.01, "initial": nv.Initial(density=1 + 0.2 * x)} | options
+    return nv.Simulation(box((1, 1), maxh=0.5), model, observers=list(observers), **options)
+
+
+def test_probes_and_lines_have_the_fields_values():
+    probes = nv.Probes({"in": (0.3, 0.4), "corner": (1, 1)}, ["velocity", "J", "F_12"], every=2)
+    line = nv.LineSamples((0, 0.5), (1, 0.5), 5, ["density"])
+    run = small([probes, line])
+    run.run(0.03)
+    assert probes.column("step").tolist() == [0, 2, 3]  # the last state too
+    at = run.mesh(0.3, 0.4)
+    for name, value in (("velocity_1", run.fields["velocity"](at)[0]), ("J", run.fields["J"](at))):
+        assert probes.column(f"in.{name}")[-1] == value
+    assert probes.column("corner.velocity_1") == pytest.approx(0, abs=1e-15)
+    assert line.column("x")[:5].tolist() == [0, 0.25, 0.5, 0.75, 1] and len(line.rows) == 4 * 5
+    assert line.column("density")[:5] == pytest.approx(1 + 0.2 * line.column("x")[:5])
+    assert line.column("s")[-1] == 1
+
+
+def test_points_on_straight_and_curved_walls_count():
+    angles = np.linspace(0, 6, 9)
+    probes = nv.Probes([(math.cos(a), math.sin(a)) for a in angles], ["J"])
+    model = nv.Model(material=MATERIAL)
+    run = nv.Simulation(disc(1, 0.7), model, dt=0.1, observers=[probes])
+    probes.start(run)
+    assert probes.rows[0][2:] == pytest.approx([1.0] * 9)
+
+
+def test_integrals_are_those_of_the_ledger():
+    given = {"mass": "density", "kinetic": "0.5*density*(velocity_1**2 + velocity_2**2)", "area": CF(1.0)}
+    integrals = nv.Integrals(given | {"moment": "density*x if x < 2 else 0"})
+    run = small([integrals])
+    ledger = run.run(0.02)
+    assert integrals.column("mass") == pytest.approx(ledger.column("mass"), rel=1e-14)
+    assert integrals.column("kinetic") == pytest.approx(ledger.column("kinetic"), rel=1e-12)
+    assert integrals.column("area") == pytest.approx(1) and integrals.column("moment")[0] == pytest.approx(
+        17 / 30
+    )
+
+
+@pytest.mark.parametrize("solver", ["coupled", "split"])
+@pytest.mark.parametrize(
+    "walls", [{}, {"left": nv.NoSlip(), "bottom": nv.NoSlip(), "top": nv.NavierFriction(0.7)}]
+)
+def test_forces_on_walls_balance_weight_and_momentum(walls, solver):
+    """The scheme keeps momentum up to the projection of v, which the convection alone feels."""
+    forces = nv.WallForces()
+    integrals = nv.Integrals({"1": "density*velocity_1", "2": "density*velocity_2", "m": "density"})
+    run = small([forces, integrals], walls=walls, solver=solver)
+    run.run(0.03)
+    mass = integrals.column("m")[0]
+    for i, g in (("1", 0.3), ("2", -1.0)):
+        total = sum(forces.column(f"{wall}.force_{i}") for wall in ("left", "right", "bottom", "top"))
+        rate = np.diff(integrals.column(i)) / 0.01
+        assert abs(rate).max() > 1e-2
+        assert total + rate == pytest.approx(mass * g, abs=1e-5)
+    assert forces.column("step").tolist() == [1, 2, 3]
+
+
+def test_a_column_at_rest_carries_its_weight():
+    """A heavy fluid with p = rho^2 in equilibrium, 2 rho' = -g: the difference of forces is the weight."""
+    fluid = nv.BarotropicFluid(B=1.0, gamma=2.0, form="A")
+    model = nv.Model(material=fluid, viscosity=VISCOSITY, loads=[nv.Gravity((0.0, -1.0))])
+    density = 1 - 0.5 * y
+    forces = nv.WallForces()
+    initial = nv.Initial(density=density, values={"A": density})
+    run = nv.Simulation(box((2, 1), maxh=0.3), model, dt=1e-3, initial=initial, observers=[forces])
+    run.run(1e-3)
+    top, bottom = (forces.column(f"{wall}.force_2")[-1] for wall in ("top", "bottom"))
+    assert run.ledger.column("v_max")[-1] < 1e-10
+    assert (top, bottom) == pytest.approx((2 * 0.25, -2 * 1.0), rel=1e-10)
+    assert top + bottom == pytest.approx(-run.ledger.column("mass")[0], rel=1e-12)
+    left, right = (forces.column(f"{wall}.force_1")[-1] for wall in ("left", "right"))
+    assert (left, right) == pytest.approx((-7 / 12, 7 / 12), rel=1e-10)
+
+
+def test_torque_on_a_curved_wall_takes_the_angular_momentum():
+    """A spinning disc is braked by the friction of its wall, where v.n = 0 is held by a multiplier."""
+    model = nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), viscosity=VISCOSITY)
+    forces = nv.WallForces(about=(0, 0))
+    spin = nv.Integrals({"L": "density*(x*velocity_2 - y*velocity_1)"})
+    run = nv.Simulation(
+        disc(1, 0.4),
+        model,
+        dt=0.01,
+        initial=nv.Initial(velocity=(-0.1 * y, 0.1 * x)),
+        walls={"wall": nv.NavierFriction(0.5)},
+        observers=[forces, spin],
+    )
+    run.run(0.02)
+    rate = np.diff(spin.column("L")) / 0.01
+    assert forces.column("wall.torque") == pytest.approx(-rate, rel=1e-3)
+    assert forces.column("wall.torque")[0] == pytest.approx(0.5 * 0.1 * 2 * math.pi, rel=0.1)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 1, 1)])
+def test_each_wall_keeps_its_own_pressure_at_corners(size):
+    """A body at rest between walls without slip: T = phi I, which every wall feels along its normal."""
+    forces = nv.WallForces()
+    mesh = box(size, 0.6)
+    walls = dict.fromkeys(sorted(set(mesh.GetBoundaries())), nv.NoSlip())
+    model = nv.Model(material=MATERIAL, viscosity=VISCOSITY)
+    nv.Simulation(mesh, model, dt=0.01, walls=walls, observers=[forces]).run(0.01)
+    tension = 3 * 5.0 + 0.1**2 / 20
+    normals = {"left": (0, 1), "right": (0, -1), "bottom": (len(size) - 1, 1), "top": (len(size) - 1, -1)}
+    for wall, (axis, sign) in normals.items():
+        for i in range(len(size)):
+            expected = sign * tension if i == axis else 0.0
+            assert forces.column(f"{wall}.force_{i + 1}")[0] == pytest.approx(expected, abs=1e-11)
+    assert all(abs(forces.column(name)[0]) < 8 for name in forces.columns if name.startswith("left.torque"))
+
+
+def test_torque_about_another_point_is_shifted_by_the_force():
+    about = (0.7, -0.2)
+    here, there = nv.WallForces(["top"]), nv.WallForces(["top"], about=about)
+    small([here, there], walls={"top": nv.PrescribedTangential((0.1 * y, 0))}).run(0.01)
+    force = [here.column(f"top.force_{i}")[0] for i in "12"]
+    shift = about[0] * force[1] - about[1] * force[0]
+    assert there.column("top.torque")[0] == pytest.approx(here.column("top.torque")[0] - shift, abs=1e-12)
+    assert abs(shift) > 0.01
+
+
+def test_opposite_torques_on_two_cylinders_in_steady_flow():
+    """Couette flow of a fluid: both walls feel 4 pi mu A, A of v = A/r + B r."""
+    a, b, omega = 1.0, 2.0, 0.01
+    model = nv.Model(
+        material=nv.BarotropicFluid(B=1.0, gamma=1.4), viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0)
+    )
+    B = omega * b * b / (b * b - a * a)
+    A = -B * a * a
+    r2 = x * x + y * y
+    forces = nv.WallForces()
+    run = nv.Simulation(
+        annulus(a, b, 0.4),
+        model,
+        dt=1e-3,
+        initial=nv.Initial(density=1e-3, velocity=(-(A / r2 + B) * y, (A / r2 + B) * x)),
+        walls={"inner": nv.NoSlip(), "outer": nv.PrescribedTangential((-omega * y, omega * x))},
+        observers=[forces],
+    )
+    run.run(5e-3)
+    exact = 4 * math.pi * abs(A)
+    assert forces.column("inner.torque")[-1] == pytest.approx(exact, rel=0.02)
+    assert forces.column("outer.torque")[-1] == pytest.approx(-exact, rel=0.02)
+
+
+def test_a_resumed_table_is_that_of_the_uninterrupted_run(tmp_path):
+    def observed(place):
+        return [
+            nv.Probes({"p": (0.5, 0.5)}, ["velocity"], place / "p.csv", every=2),
+            nv.WallForces(path=place / "f.csv"),
+            nv.Checkpoints(place / "run.h5", every=1),
+        ]
+
+    small(observed(tmp_path / "whole")).run(0.04)
+    small(observed(tmp_path / "parts")).run(0.03)
+    assert (tmp_path / "parts" / "p.csv").read_text().count("\n") == 4  # 0, 2, and 3 where it stopped
+    again = small(observed(tmp_path / "parts"))
+    again.restore(tmp_path / "parts" / "run.h5")
+    again.run(0.04)
+    for name in ("p.csv", "f.csv"):
+        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    "text", ["step,time,p.J\n0,0,1\n", "step,time\nx\n", "", "step,time,p.velocity_1\n1,2\n"]
+)
+def test_a_foreign_or_damaged_table_is_refused(tmp_path, text):
+    (tmp_path / "p.csv").write_text(text)
+    run = small([nv.Probes({"p": (0.5, 0.5)}, ["velocity_1"], tmp_path / "p.csv")])
+    run.set_time(0.01, 1)
+    with pytest.raises(nv.CheckpointError, match=r"p\.csv"):
+        run.run(0.02)
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (
+            lambda: nv.Probes({"a": (2, 2)}),
+            nv.ParameterError,
+            r"points\['a'\].*which lies in \[0, 1\] x",
+        ),
+        (lambda: nv.Probes([(1, 1, 1)]), nv.ParameterError, "points of 2 finite coordinates"),
+        (lambda: nv.Probes([(math.nan, 1)]), nv.ParameterError, "finite"),
+        (lambda: nv.Probes([("a", "b")]), nv.ParameterError, "finite coordinates"),
+        (lambda: nv.Probes(3), nv.ParameterError, "points, or a mapping"),
+        (lambda: nv.Probes([]), nv.ParameterError, "at least one"),
+        (lambda: nv.Probes([(0, 0)], ["velocty"]), nv.UnknownNameError, "did you mean 'velocity'"),
+        (lambda: nv.Probes([(0, 0)], every=0), nv.ParameterError, "Probes.every"),
+        (lambda: nv.LineSamples((0, 0), (0, 0)), nv.ParameterError, "another point than start"),
+        (lambda: nv.LineSamples((0, 0), (0, 3)), nv.ParameterError, "LineSamples.end"),
+        (lambda: nv.LineSamples((0, 0), (1, 0), 1), nv.ParameterError, "an integer >= 2"),
+        (lambda: nv.WallForces(["lef"]), nv.UnknownNameError, "did you mean 'left'"),
+        (lambda: nv.WallForces("left"), nv.ParameterError, "a sequence of names"),
+        (lambda: nv.WallForces(about=(1,)), nv.ParameterError, "WallForces.about"),
+        (lambda: nv.Integrals({}), nv.ParameterError, "not empty"),
+        (lambda: nv.Integrals({"a": CF((1, 2))}), nv.ParameterError, "scalar"),
+        (lambda: nv.Integrals({"a": "densty"}), ExpressionError, "did you mean 'density'"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_before_the_first_step(make, error, message):
+    with pytest.raises(error, match=message):
+        small([make()]).run(0.01)

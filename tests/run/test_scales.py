@@ -1,0 +1,73 @@
+"""Scales are those of the linearised material, and advice stands where a number says so."""
+
+import math
+
+import pytest
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.run.scales import moduli, scales
+
+NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+
+
+@pytest.mark.parametrize(
+    ("material", "bulk", "shear"),
+    [
+        (nv.LinearElastic(K_e=7.0, G_e=3.0), 7.0, 3.0),
+        (NEO_HOOKEAN, 10.1, 10.0),
+        (nv.ReferentialNeoHookean(K_e=7.0, G_e=3.0), 7.0, 6.0),
+        (nv.MooneyRivlin(K_e=10.0, G_e=2.0, G_mr=3.0, epsilon=0.1), 10.1, 10.0),
+        (nv.BarotropicFluid(B=2.0, gamma=1.5), 1.5, 0.0),
+    ],
+)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_moduli_are_the_usual_ones_of_the_docstrings(material, bulk, shear, dim):
+    """K + 4 G/3 and G, with the paper's G_e half the usual shear modulus for the neo-Hookean energies."""
+    assert moduli(material, dim) == pytest.approx((bulk + 4 / 3 * shear, shear), rel=1e-6, abs=1e-8)
+
+
+def test_a_wrapped_material_has_nearly_the_moduli_of_the_wrapped_one():
+    soft = nv.Yosida(material=NEO_HOOKEAN, eps=1e-6)
+    assert moduli(soft, 2) == pytest.approx(moduli(NEO_HOOKEAN, 2), rel=1e-3)
+
+
+def found(material=NEO_HOOKEAN, dt=0.01, maxh=0.2, G_m=math.inf, velocity_scale=0.5):
+    model = nv.Model(
+        material=material, viscosity=nv.StokesViscosity(K_v=0.3, G_v=0.2), creep=nv.Creep(G_m=G_m)
+    )
+    run = nv.Simulation(
+        box((2, 1), maxh), model, dt=dt, initial=nv.Initial(density=4.0), velocity_scale=velocity_scale
+    )
+    return scales(run)
+
+
+def test_numbers_are_those_of_their_definitions():
+    s = found(G_m=4.0)
+    assert (s.length, s.density, s.velocity) == pytest.approx((1, 4, 0.5))
+    assert s.maxwell == pytest.approx(4 / 20)
+    fast, slow = s.speeds
+    assert slow == pytest.approx(math.sqrt(10 / 4)) and fast == pytest.approx(math.sqrt((10.1 + 40 / 3) / 4))
+    numbers = s.numbers
+    assert numbers["Reynolds, rho v L/G_v"] == pytest.approx(4 * 0.5 / 0.2)
+    assert numbers["Deborah, Maxwell time v/L"] == pytest.approx(0.1)
+    assert numbers["Maxwell time/dt"] == pytest.approx(20)
+    assert numbers["Mach of shear waves"] == pytest.approx(0.5 / slow)
+    assert numbers["Courant, v dt/h"] == pytest.approx(0.5 * 0.01 / s.cell) and 0.05 < s.cell < 0.25
+    assert (
+        "Maxwell time/dt" not in found().numbers
+        and "Mach of shear waves" not in found(nv.BarotropicFluid(B=2.0, gamma=1.5)).numbers
+    )
+
+
+def test_advice_is_given_where_a_scale_is_missed():
+    assert found().advice == []
+    (slow,) = found(dt=0.1).advice
+    assert "shear waves cross the body in 0.63 s, 6.3 steps" in slow and "dt <= 0.032 s" in slow
+    assert any("cells across the body" in line and "maxh" in line for line in found(maxh=0.5).advice)
+    (relaxing,) = found(G_m=0.2).advice
+    assert "stress relaxes in 0.01 s, 1 steps" in relaxing and "dt <= 0.002 s" in relaxing
+    assert any("cells a step" in line for line in found(velocity_scale=50.0).advice)
+    assert any("viscous layers" in line for line in found(velocity_scale=10.0).advice)
+    sound = found(nv.BarotropicFluid(B=2.0, gamma=1.5), dt=0.2).advice
+    assert any("longitudinal waves" in line for line in sound)
