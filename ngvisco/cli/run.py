@@ -132,6 +132,8 @@ class _Lines(Progress):
 
 
 def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
+    if result.closure_check.failures:
+        streams.complain(result.closure_check.message)
     if stop.received is not None:
         name = signal.Signals(stop.received).name
         streams.write(
@@ -145,7 +147,4 @@ def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
         "(closure: what the terms leave of a step's energy balance, over the energy; rounding is 1e-14)\n"
     )
     streams.write(f"results in {directory}\n")
-    if result.closure_check.failures:
-        streams.complain(result.closure_check.message)
-        return NOT_CLOSED
-    return DONE
+    return NOT_CLOSED if result.closure_check.failures else DONE

@@ -73,10 +73,8 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
             for t in _at(times):
                 where = f"{owner}.coefficient"
                 values = _require_finite(step.mesh, name, friction, where, wall.coefficient, t)
-                if values.min(initial=0.0) < 0:
-                    expected = (
-                        f"a function >= 0; at t = {t:g} s it is {values.min():.3g} somewhere on the wall"
-                    )
+                if (least := values.min(initial=0.0)) < 0:
+                    expected = f"a function >= 0; at t = {t:g} s it is {least:.3g} somewhere on the wall"
                     raise ParameterError(where, wall.coefficient, expected)
 
 
@@ -145,7 +143,8 @@ def _normal_share(step: Step, name: str, a: CoefficientFunction) -> float:
     squares = CF((CF(1.0), a * a, (a * n) * (a * n)))
     area, size, through = Integrate(squares, step.mesh, BND, definedon=region)
     volume, inside = Integrate(CF((CF(1.0), a * a)), step.mesh)
-    if through / area <= _ROUNDING * inside / volume or through <= (_FLAT if flat else OPEN) * size:
+    is_rounding = through * volume <= _ROUNDING * inside * area
+    if is_rounding or through <= (_FLAT if flat else OPEN) * size:
         return 0.0
     return float(np.sqrt(through / size))
 
