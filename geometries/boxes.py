@@ -21,8 +21,8 @@ from netgen.occ import (
 )
 from ngsolve import Mesh
 
-from ngvisco.errors import ParameterError
-from ngvisco.geometries.meshing import CURVE_ORDER, check_lengths, mesh_of
+from ngvisco.errors import ParameterError, as_number, require_names
+from ngvisco.geometries.meshing import CURVE_ORDER, as_length, is_delicate, mesh_of, unit_of
 
 _WALLS = {
     2: (("left", -X), ("right", X), ("bottom", -Y), ("top", Y)),
@@ -57,9 +57,7 @@ def box(
     ParameterError
         If a length is not a finite positive number, or their number is not 2 or 3.
     """
-    shape, dim, _ = _block("box", size)
-    _identify(shape, dim, [float(s) for s in size], periodic)
-    return mesh_of("box", shape, dim, maxh, 1, refine)
+    return _box("box", [("size", length) for length in _lengths("box", size)], maxh, periodic, refine)
 
 
 def channel(
@@ -82,9 +80,11 @@ def channel(
         Makes it three-dimensional, m.
     refine : mapping of walls to cell sizes, optional
     """
-    if width is None:
-        return box((length, height), maxh, periodic="x", refine=refine)
-    return box((length, width, height), maxh, periodic="xy", refine=refine)
+    sizes = [("length", length), ("height", height)]
+    if width is not None:
+        sizes.insert(1, ("width", width))
+    sizes = [(name, as_length(f"channel.{name}", value)) for name, value in sizes]
+    return _box("channel", sizes, maxh, "x" if width is None else "xy", refine)
 
 
 def bar(
@@ -103,9 +103,10 @@ def bar(
         m.
     dim : 2 or 3
     """
-    if dim not in (2, 3):
+    if isinstance(dim, bool) or dim not in (2, 3):
         raise ParameterError("bar.dim", dim, "2 or 3")
-    return box((length, *(thickness,) * (dim - 1)), maxh, refine=refine)
+    across = [("thickness", as_length("bar.thickness", thickness))] * (int(dim) - 1)
+    return _box("bar", [("length", as_length("bar.length", length)), *across], maxh, refine=refine)
 
 
 def block_with_hole(
@@ -134,35 +135,70 @@ def block_with_hole(
         Of the curved cells.
     refine : mapping of walls to cell sizes, optional
     """
-    check_lengths("block_with_hole", radius=radius)
-    shape, dim, lengths = _block("block_with_hole", size)
-    if fillet != 0:
-        check_lengths("block_with_hole", fillet=fillet)
-        if 2 * fillet >= min(lengths):
-            raise ParameterError("block_with_hole.fillet", fillet, f"a number < {min(lengths) / 2:g}")
-        shape = _rounded(shape, lengths, fillet)
+    lengths = _lengths("block_with_hole", size)
+    dim, radius = len(lengths), as_length("block_with_hole.radius", radius)
     across = (lengths[0], lengths[-1])
     if 2 * radius >= min(across):
         raise ParameterError("block_with_hole.radius", radius, f"a number < {min(across) / 2:g}")
+    parts = [*(("size", length) for length in lengths), ("radius", radius)]
+    parts.append(("radius", min(across) / 2 - radius))  # the wall that is left
+    if as_number(fillet) != 0:
+        fillet = as_length("block_with_hole.fillet", fillet)
+        if 2 * fillet >= min(lengths):
+            raise ParameterError("block_with_hole.fillet", fillet, f"a number < {min(lengths) / 2:g}")
+        parts += [("fillet", fillet), ("fillet", min(lengths) / 2 - fillet)]
+    unit = unit_of("block_with_hole", dim, parts, ["radius", "fillet"])
+    scaled, r = [length / unit for length in lengths], radius / unit
+    shape = _block(scaled)
+    if fillet != 0:
+        shape = _rounded(shape, scaled, fillet / unit)
     if dim == 2:
-        hole = Circle((lengths[0] / 2, lengths[1] / 2), radius).Face()
+        hole = Circle((scaled[0] / 2, scaled[1] / 2), r).Face()
         hole.edges.name = "hole"
     else:
-        hole = Cylinder(Pnt(lengths[0] / 2, 0, lengths[2] / 2), Y, r=radius, h=lengths[1])
+        hole = Cylinder(Pnt(scaled[0] / 2, 0, scaled[2] / 2), Y, r=r, h=scaled[1])
         hole.faces.name = "hole"
-    return mesh_of("block_with_hole", shape - hole, dim, maxh, order, refine)
+    delicate = is_delicate(length for _, length in parts)
+    return mesh_of("block_with_hole", shape - hole, dim, maxh, order, refine, unit=unit, is_delicate=delicate)
 
 
-def _block(owner: str, size: Sequence[float]) -> tuple[Any, int, tuple[float, ...]]:
-    lengths = tuple(float(s) for s in size)
-    if len(lengths) not in (2, 3) or not all(0 < s < float("inf") for s in lengths):
+def _lengths(owner: str, size: Sequence[float]) -> tuple[float, ...]:
+    """The edges' lengths, m; raises ParameterError."""
+    try:
+        lengths = tuple(as_length(f"{owner}.size", length) for length in size)
+    except TypeError:
+        lengths = ()
+    except ParameterError as error:
+        raise ParameterError(error.field, size, f"two or three lengths, each {error.expected}") from None
+    if len(lengths) not in (2, 3):
         raise ParameterError(f"{owner}.size", size, "two or three finite numbers > 0")
+    return lengths
+
+
+def _box(
+    owner: str,
+    lengths: Sequence[tuple[str, float]],
+    maxh: float,
+    periodic: str | Sequence[str] = (),
+    refine: Mapping[str, float] | None = None,
+) -> Mesh:
+    """A box from the names and values of its edges' lengths, m."""
+    dim, unit = len(lengths), unit_of(owner, len(lengths), lengths)
+    scaled = [length / unit for _, length in lengths]
+    shape = _block(scaled)
+    _identify(shape, dim, scaled, periodic)
+    delicate = is_delicate(scaled)
+    return mesh_of(owner, shape, dim, maxh, 1, refine, unit=unit, is_round=False, is_delicate=delicate)
+
+
+def _block(lengths: Sequence[float]) -> Any:
+    """The rectangle or box with its walls named, in the unit of the lengths."""
     dim = len(lengths)
     shape = Rectangle(*lengths).Face() if dim == 2 else Box(Pnt(0, 0, 0), Pnt(*lengths))
     walls = shape.edges if dim == 2 else shape.faces
     for name, direction in _WALLS[dim]:
         walls.Max(direction).name = name
-    return shape, dim, lengths
+    return shape
 
 
 def _rounded(shape: Any, lengths: Sequence[float], fillet: float) -> Any:
@@ -191,7 +227,7 @@ def _middle(wall: Any) -> tuple[float, ...]:
 def _identify(shape: Any, dim: int, lengths: Sequence[float], periodic: str | Sequence[str]) -> None:
     walls = shape.edges if dim == 2 else shape.faces
     axes = dict(zip("xyz", (X, Y, Z)[:dim], strict=False))
-    for name in periodic:
+    for name in periodic if isinstance(periodic, str) else require_names("box.periodic", periodic):
         if name not in axes:
             raise ParameterError("box.periodic", periodic, f"some of {', '.join(axes)}")
         shift = [0.0, 0.0, 0.0]

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from netgen.meshing import Mesh as NetgenMesh
-from netgen.occ import OCCGeometry
+from netgen.occ import OCCGeometry, Pnt
 from netgen.read_gmsh import ReadGmsh
 from ngsolve import Mesh
 
-from ngvisco.errors import MeshError, ParameterError
-from ngvisco.geometries.meshing import CURVE_ORDER, check_lengths
+from ngvisco.errors import MeshError, ParameterError, require_path
+from ngvisco.geometries.meshing import CURVE_ORDER, is_delicate, mesh_of, unit_of
 
 _FLAT = 1e-6  # of a sheet's width, above and below z = 0; OCC's bounding boxes have a margin
 
@@ -47,15 +47,9 @@ def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = C
     ParameterError
         If its name has another ending, or maxh is missing.
     """
-    path = Path(path)
+    path = require_path("load.path", path)
+    check_file(path)
     kind = path.suffix.lower()
-    if kind not in _ENDS:
-        raise ParameterError("load.path", str(path), f"a name that ends in {', '.join(_ENDS)}")
-    if not path.is_file():
-        raise MeshError(f"{path}: no such file")
-    text = path.read_text(errors="replace")
-    if _ENDS[kind] not in text or (kind == ".brep" and not _is_whole_brep(text)):
-        raise MeshError(f"{path}: the file is cut short (no end of {_ENDS[kind]!r} in it)")
     try:
         mesh = _read(path, kind, maxh)
     except (MeshError, ParameterError):
@@ -65,6 +59,18 @@ def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = C
     if mesh.dim not in (2, 3) or mesh.ne == 0:
         raise MeshError(f"{path}: the mesh has no volume elements")
     return mesh.Curve(order) if order > 1 and kind not in (".vol", ".msh") else mesh
+
+
+def check_file(path: Path) -> None:
+    """Raise MeshError or ParameterError for a file that is no mesh or geometry at the first look."""
+    kind = path.suffix.lower()
+    if kind not in _ENDS:
+        raise ParameterError("load.path", str(path), f"a name that ends in {', '.join(_ENDS)}")
+    if not path.is_file():
+        raise MeshError(f"{path}: no such file")
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if _ENDS[kind] not in text or (kind == ".brep" and not _is_whole_brep(text)):
+        raise MeshError(f"{path}: the file is cut short (no end of {_ENDS[kind]!r} in it)")
 
 
 def _is_whole_brep(text: str) -> bool:
@@ -86,15 +92,20 @@ def _read(path: Path, kind: str, maxh: float | None) -> Any:
             return Mesh(ReadGmsh(str(path)))
     if maxh is None:
         raise ParameterError("load.maxh", maxh, "a cell size, since the file holds a geometry")
-    check_lengths("load", maxh=maxh)
-    geometry = OCCGeometry(str(path))
-    if len(geometry.shape.solids) == 0:
-        geometry = _sheet(path, geometry.shape)
-    return Mesh(geometry.GenerateMesh(maxh=maxh))
+    shape = OCCGeometry(str(path)).shape
+    dim = 3 if len(shape.solids) else 2
+    if dim == 2:
+        _require_sheet(path, shape)
+    low, high = shape.bounding_box
+    extents = [high.x - low.x, high.y - low.y, high.z - low.z][:dim]
+    unit = unit_of("load", dim, [("maxh", max(extents))])
+    if unit != 1.0:
+        shape = shape.Scale(Pnt(0, 0, 0), 1 / unit)
+    return mesh_of("load", shape, dim, maxh, 1, unit=unit, is_delicate=is_delicate(extents))
 
 
-def _sheet(path: Path, shape: Any) -> OCCGeometry:
-    """The two-dimensional geometry of faces in the plane z = 0."""
+def _require_sheet(path: Path, shape: Any) -> None:
+    """Raise MeshError unless the shape consists of faces in the plane z = 0."""
     low, high = shape.bounding_box
     width = max(high.x - low.x, high.y - low.y)
     if len(shape.faces) == 0 or max(abs(low.z), abs(high.z)) > _FLAT * width:
@@ -102,4 +113,3 @@ def _sheet(path: Path, shape: Any) -> OCCGeometry:
             f"{path}: the geometry has no solid, so that its mesh has no volume elements; expected a solid, "
             "or faces in the plane z = 0 for a two-dimensional mesh"
         )
-    return OCCGeometry(shape, dim=2)

@@ -1,25 +1,91 @@
-"""What all geometries share: checks of sizes, local refinement, meshing with curved cells."""
+"""What all geometries share: checks of sizes, units of length, local refinement, meshing with curved cells.
+
+OpenCASCADE and Netgen compare lengths with absolute tolerances of 1e-7 to 1e-6.  Squares of 6e5 m ended
+the process, a box of 1e-6 m lost names of walls, one of 1e-12 m ended the process.  So a domain that is
+far from order one is built and meshed in a unit of length of its own, a power of two, and the points are
+scaled back: nothing is rounded by that.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from netgen.occ import OCCGeometry
-from ngsolve import BND, VOL, Mesh
+from netgen.meshing import NetgenGeometry
+from netgen.occ import OCCGeometry, Pnt
+from ngsolve import BND, CF, VOL, Integrate, Mesh
 
-from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.errors import MeshError, ParameterError, UnknownNameError, as_number, require_names
 
 CURVE_ORDER = 3
 """Order of curved cells: one above the default velocity, so that the geometry's error is not the largest."""
+
+MAX_CELLS = 1_000_000
+"""Cells above which a mesh is refused before it is made: Netgen takes a minute or more for them."""
+
+_SIZES = (1e-30, 1e30)  # m; areas and volumes are far from under- and overflow
+_ORDER_ONE = (1e-2, 1e2)
+_SLENDER = 1e-6  # smallest over largest length; OpenCASCADE refuses to build what is below 1e-7
+_DELICATE = 1e-3  # the same ratio, below which Netgen is tried in a process of its own
+_PATIENCE = 300.0  # s for that trial
+_SMALLEST_ROUND = {2: 1e-4, 3: 1e-3}
+"""Radii, m, below which OpenCASCADE's projections onto curves (2D) and surfaces (3D) are wrong: of a disc of
+1e-5 m the area is wrong by 1e-7, of a ball of 1e-4 m the volume by 4e-3."""
 
 
 def check_lengths(owner: str, **lengths: float) -> None:
     """Raise ParameterError unless every length is a finite number > 0."""
     for name, value in lengths.items():
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
-            raise ParameterError(f"{owner}.{name}", value, "a finite number > 0")
+        as_length(f"{owner}.{name}", value)
+
+
+def as_length(field: str, value: object) -> float:
+    """The length as a float; raises ParameterError unless it is a finite number > 0."""
+    number = as_number(value)
+    if number is None or not number > 0:
+        raise ParameterError(field, value, "a finite number > 0")
+    if not _SIZES[0] <= number <= _SIZES[1]:
+        raise ParameterError(field, value, f"a length between {_SIZES[0]:g} and {_SIZES[1]:g} m")
+    return number
+
+
+def unit_of(
+    owner: str, dim: int, lengths: Sequence[tuple[str, float]], round_ones: Iterable[str] = ()
+) -> float:
+    """The unit in which a domain with these lengths is of order one, m: a power of two, 1 if it is so.
+
+    Parameters
+    ----------
+    owner : str
+    dim : int
+    lengths : sequence of (parameter, float)
+        Sizes, radii and gaps, m.
+    round_ones : names
+        The parameters that are radii.
+
+    Raises
+    ------
+    ParameterError
+        If a length is not more than 1e-6 of the largest one, or a radius too small for OpenCASCADE.
+    """
+    largest = max(value for _, value in lengths)
+    for name, value in lengths:
+        if not value >= _SLENDER * largest:
+            expected = f"at least {_SLENDER:g} of the domain's largest length {largest:g} m"
+            raise ParameterError(f"{owner}.{name}", value, expected)
+        if name in round_ones and value < _SMALLEST_ROUND[dim]:
+            expected = (
+                f"at least {_SMALLEST_ROUND[dim]:g} (curved walls are placed to 1e-7 only: take a smaller "
+                "unit of length, and all other quantities in it)"
+            )
+            raise ParameterError(f"{owner}.{name}", value, expected)
+    is_order_one = _ORDER_ONE[0] <= largest <= _ORDER_ONE[1]
+    return 1.0 if is_order_one else 2.0 ** round(math.log2(largest))
 
 
 def mesh_of(
@@ -29,22 +95,141 @@ def mesh_of(
     maxh: float,
     order: int = 1,
     refine: Mapping[str, float] | None = None,
+    *,
+    unit: float = 1.0,
+    is_round: bool = True,
+    is_delicate: bool = False,
 ) -> Mesh:
-    """Mesh an OCC shape, with a smaller cell size on the walls named in ``refine``, and curve it."""
-    check_lengths(owner, maxh=maxh)
-    if isinstance(order, bool) or not isinstance(order, int) or order < 1:
-        raise ParameterError(f"{owner}.order", order, "an integer >= 1")
+    """Mesh an OCC shape, with a smaller cell size on the walls named in ``refine``, and curve it.
+
+    Parameters
+    ----------
+    shape : OCC shape
+        In the given unit of length.
+    maxh, refine
+        In m.
+    unit : float
+        m, a power of two.
+    is_round : bool
+        Whether the shape has curved walls: a mesh that is refined or curved later asks for them.
+    is_delicate : bool
+        Try Netgen in a process of its own first, since it may crash.
+
+    Raises
+    ------
+    ParameterError
+        If a size is not a positive number, or would give more than ``MAX_CELLS`` cells.
+    UnknownNameError
+        For an unknown wall in ``refine``.
+    MeshError
+        If Netgen cannot mesh the shape.
+    """
+    size = as_length(f"{owner}.maxh", maxh) / unit
+    if isinstance(order, bool) or as_number(order) is None or int(order) != order or not 1 <= order <= 10:
+        raise ParameterError(f"{owner}.order", order, "an integer from 1 to 10")
     walls = shape.edges if dim == 2 else shape.faces
-    for name, size in (refine or {}).items():
-        check_lengths(owner, **{f"refine[{name!r}]": size})
-        known = {str(wall.name) for wall in walls}
+    known = {str(wall.name) for wall in walls if wall.name}
+    cells = {f"{owner}.maxh": (maxh, sum(part.mass for part in _interior(shape, dim)), size, dim)}
+    if not isinstance(refine, Mapping | None):
+        raise ParameterError(f"{owner}.refine", refine, "a mapping of walls to cell sizes")
+    for name, value in (refine or {}).items():
+        field = f"{owner}.refine[{name!r}]"
+        local = as_length(field, value) / unit
         if name not in known:
             raise UnknownNameError("wall", name, known)
-        for wall in walls:
-            if wall.name == name:
-                wall.maxh = size
-    mesh = Mesh(OCCGeometry(shape, dim=dim).GenerateMesh(maxh=maxh))
-    return mesh.Curve(order) if order > 1 else mesh
+        named = [wall for wall in walls if wall.name == name]
+        cells[field] = (value, sum(wall.mass for wall in named), local, dim - 1)
+        for wall in named:
+            wall.maxh = local
+    for field, (value, measure, h, of) in cells.items():
+        _check_count(field, value, measure, h, dim, of, unit)
+    if is_delicate:
+        _try_apart(owner, shape, dim, size)
+    mesh = _generated(owner, shape, dim, size)
+    _require_all(owner, shape, mesh, known, is_round)
+    if unit != 1.0:
+        mesh.ngmesh.Scale(unit)
+        # what the mesh is refined and curved by; planes need no geometry
+        whole = OCCGeometry(shape.Scale(Pnt(0, 0, 0), unit), dim=dim) if is_round else NetgenGeometry()
+        mesh.ngmesh.SetGeometry(whole)
+        mesh = Mesh(mesh.ngmesh)
+    return mesh.Curve(int(order)) if order > 1 else mesh
+
+
+def is_delicate(lengths: Iterable[float]) -> bool:
+    """Whether a domain has such different lengths that Netgen may not survive it."""
+    lengths = list(lengths)
+    return min(lengths) < _DELICATE * max(lengths)
+
+
+def _interior(shape: Any, dim: int) -> Any:
+    return shape.faces if dim == 2 else shape.solids
+
+
+_CELLS_PER = {2: 1 / 0.43, 3: 5.9}
+"""Cells of size 1 in a unit square and cube, measured; sizes grow by 0.3 a length away from a wall."""
+_GRADING = 0.3
+
+
+def _check_count(field: str, value: float, measure: float, h: float, dim: int, of: int, unit: float) -> None:
+    """Raise ParameterError for a cell size of the domain (of = dim) or a wall that gives too many cells."""
+    # at a wall there are layers in which the size grows: int measure c / (h + 0.3 s)^dim ds
+    factor = _CELLS_PER[dim] * measure / (1.0 if of == dim else _GRADING * (dim - 1))
+    if not factor <= MAX_CELLS * h**of:
+        least = (factor / MAX_CELLS) ** (1 / of) * unit
+        count = math.exp(min(math.log(factor) - of * math.log(h), 700))
+        raise ParameterError(field, value, f"at least {least:.2g}: this one makes about {count:.0e} cells")
+
+
+def _generated(owner: str, shape: Any, dim: int, maxh: float) -> Mesh:
+    try:
+        return Mesh(OCCGeometry(shape, dim=dim).GenerateMesh(maxh=maxh))
+    except Exception as error:  # OpenCASCADE and Netgen raise their own
+        raise MeshError(f"{owner}: Netgen cannot mesh it ({error})") from error
+
+
+def _require_all(owner: str, shape: Any, mesh: Mesh, walls: Iterable[str], is_round: bool) -> None:
+    """Raise MeshError unless the mesh fills the shape and has its walls: Netgen only prints failures."""
+    whole = sum(part.mass for part in _interior(shape, mesh.dim))
+    filled = Integrate(CF(1.0), mesh) if mesh.ne else 0.0
+    if abs(filled - whole) > (_POLYGON if is_round else _FLAT) * whole:
+        raise MeshError(
+            f"{owner}: Netgen's mesh fills {filled / whole:.3g} of the shape; expected another maxh, or "
+            "lengths that differ less"
+        )
+    missing = sorted(set(walls) - set(mesh.GetBoundaries()))
+    if missing:
+        raise MeshError(
+            f"{owner}: Netgen's mesh lacks the walls {', '.join(missing)}; expected a smaller maxh"
+        )
+
+
+_FLAT = 1e-6
+_POLYGON = 0.4  # a coarse polygon fills so much less than its circle, or more than the ring about it
+
+
+_TRIAL = """
+import sys
+from netgen.occ import OCCGeometry
+path, dim, maxh = sys.argv[1:]
+OCCGeometry(OCCGeometry(path).shape, dim=int(dim)).GenerateMesh(maxh=float(maxh))
+"""
+
+
+def _try_apart(owner: str, shape: Any, dim: int, maxh: float) -> None:
+    """Raise MeshError if Netgen ends its process on a shape, or does not end at all."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "shape.brep"
+        shape.WriteBrep(str(path))
+        code = f"import sys; sys.path[:] = {sys.path!r}\n{_TRIAL}"
+        arguments = [sys.executable, "-c", code, str(path), str(dim), repr(maxh)]
+        try:
+            trial = subprocess.run(arguments, capture_output=True, text=True, timeout=_PATIENCE)
+        except subprocess.TimeoutExpired as error:
+            raise MeshError(f"{owner}: Netgen has no mesh of it after {_PATIENCE:g} s") from error
+    if trial.returncode != 0:
+        said = trial.stderr.strip().splitlines()
+        raise MeshError(f"{owner}: Netgen cannot mesh it ({said[-1] if said else 'it crashes'})")
 
 
 def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
@@ -58,14 +243,19 @@ def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
     ------
     UnknownNameError
         For a name that no boundary has.
+    ParameterError
+        If ``times`` is not an integer >= 0.
     """
-    names = [names] if isinstance(names, str) else list(names)
+    number = as_number(times)
+    if number is None or number != int(number) or number < 0:
+        raise ParameterError("refine_walls.times", times, "an integer >= 0")
+    names = [names] if isinstance(names, str) else require_names("refine_walls.names", names)
     known = set(mesh.GetBoundaries())
     for name in names:
         if name not in known:
             raise UnknownNameError("boundary", name, known)
     order = mesh.GetCurveOrder()
-    for _ in range(times):
+    for _ in range(int(number)):
         near = {v for e in mesh.Elements(BND) if e.mat in names for v in e.vertices}
         for element in mesh.Elements(VOL):
             mesh.SetRefinementFlag(element, bool(near.intersection(element.vertices)))

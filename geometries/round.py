@@ -8,7 +8,7 @@ from netgen.occ import Circle, Cylinder, Pnt, Sphere, Z
 from ngsolve import Mesh
 
 from ngvisco.errors import ParameterError
-from ngvisco.geometries.meshing import CURVE_ORDER, check_lengths, mesh_of
+from ngvisco.geometries.meshing import CURVE_ORDER, as_length, is_delicate, mesh_of, unit_of
 
 
 def disc(
@@ -24,10 +24,11 @@ def disc(
         Of the curved cells; 1 gives a polygon, on which slip is refused.
     refine : mapping of walls to cell sizes, optional
     """
-    check_lengths("disc", radius=radius)
-    face = Circle((0, 0), radius).Face()
+    radius = as_length("disc.radius", radius)
+    unit = unit_of("disc", 2, [("radius", radius)], ["radius"])
+    face = Circle((0, 0), radius / unit).Face()
     face.edges.name = "wall"
-    return mesh_of("disc", face, 2, maxh, order, refine)
+    return mesh_of("disc", face, 2, maxh, order, refine, unit=unit)
 
 
 def annulus(
@@ -39,10 +40,10 @@ def annulus(
     refine: Mapping[str, float] | None = None,
 ) -> Mesh:
     """The ring inner < r < outer about the origin; walls ``inner`` and ``outer``.  Lengths in m."""
-    _check_radii("annulus", inner, outer)
-    ring, hole = Circle((0, 0), outer).Face(), Circle((0, 0), inner).Face()
+    r, R, unit, delicate = _radii("annulus", 2, inner, outer)
+    ring, hole = Circle((0, 0), R).Face(), Circle((0, 0), r).Face()
     ring.edges.name, hole.edges.name = "outer", "inner"
-    return mesh_of("annulus", ring - hole, 2, maxh, order, refine)
+    return mesh_of("annulus", ring - hole, 2, maxh, order, refine, unit=unit, is_delicate=delicate)
 
 
 def cylinder(
@@ -54,21 +55,28 @@ def cylinder(
     refine: Mapping[str, float] | None = None,
 ) -> Mesh:
     """The cylinder r < radius, 0 < z < height; walls ``side``, ``bottom``, ``top``.  Lengths in m."""
-    check_lengths("cylinder", radius=radius, height=height)
-    solid = Cylinder(Pnt(0, 0, 0), Z, r=radius, h=height)
+    sizes = [
+        ("radius", as_length("cylinder.radius", radius)),
+        ("height", as_length("cylinder.height", height)),
+    ]
+    unit = unit_of("cylinder", 3, sizes, ["radius"])
+    (_, radius), (_, height) = sizes
+    solid = Cylinder(Pnt(0, 0, 0), Z, r=radius / unit, h=height / unit)
     solid.faces.name = "side"
     solid.faces.Min(Z).name, solid.faces.Max(Z).name = "bottom", "top"
-    return mesh_of("cylinder", solid, 3, maxh, order, refine)
+    delicate = is_delicate((radius, height))
+    return mesh_of("cylinder", solid, 3, maxh, order, refine, unit=unit, is_delicate=delicate)
 
 
 def sphere(
     radius: float, maxh: float, *, order: int = CURVE_ORDER, refine: Mapping[str, float] | None = None
 ) -> Mesh:
     """A ball about the origin; wall ``wall``.  Lengths in m."""
-    check_lengths("sphere", radius=radius)
-    solid = Sphere(Pnt(0, 0, 0), radius)
+    radius = as_length("sphere.radius", radius)
+    unit = unit_of("sphere", 3, [("radius", radius)], ["radius"])
+    solid = Sphere(Pnt(0, 0, 0), radius / unit)
     solid.faces.name = "wall"
-    return mesh_of("sphere", solid, 3, maxh, order, refine)
+    return mesh_of("sphere", solid, 3, maxh, order, refine, unit=unit)
 
 
 def spherical_shell(
@@ -80,13 +88,17 @@ def spherical_shell(
     refine: Mapping[str, float] | None = None,
 ) -> Mesh:
     """The shell inner < r < outer about the origin; walls ``inner`` and ``outer``.  Lengths in m."""
-    _check_radii("spherical_shell", inner, outer)
-    ball, core = Sphere(Pnt(0, 0, 0), outer), Sphere(Pnt(0, 0, 0), inner)
+    r, R, unit, delicate = _radii("spherical_shell", 3, inner, outer)
+    ball, core = Sphere(Pnt(0, 0, 0), R), Sphere(Pnt(0, 0, 0), r)
     ball.faces.name, core.faces.name = "outer", "inner"
-    return mesh_of("spherical_shell", ball - core, 3, maxh, order, refine)
+    return mesh_of("spherical_shell", ball - core, 3, maxh, order, refine, unit=unit, is_delicate=delicate)
 
 
-def _check_radii(owner: str, inner: float, outer: float) -> None:
-    check_lengths(owner, inner=inner, outer=outer)
-    if not inner < outer:
-        raise ParameterError(f"{owner}.inner", inner, f"a number < outer = {outer:g}")
+def _radii(owner: str, dim: int, inner: float, outer: float) -> tuple[float, float, float, bool]:
+    """Both radii in their unit, that unit (m), and whether the shell is a delicate shape."""
+    r, R = as_length(f"{owner}.inner", inner), as_length(f"{owner}.outer", outer)
+    if not r < R:
+        raise ParameterError(f"{owner}.inner", inner, f"a number < outer = {R:g}")
+    sizes = [("inner", r), ("outer", R), ("thickness", R - r)]
+    unit = unit_of(owner, dim, sizes, ["inner", "outer"])
+    return r / unit, R / unit, unit, is_delicate(length for _, length in sizes)

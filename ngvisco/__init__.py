@@ -15,6 +15,7 @@ from pathlib import Path
 from ngvisco.errors import (
     CheckpointError,
     InitialDataError,
+    InputWarning,
     MeshError,
     NgviscoError,
     ParameterError,
@@ -26,8 +27,10 @@ from ngvisco.forms.given import function_field, grid_field
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
+from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import (
+    FENEP,
     BarotropicFluid,
     CustomMaterial,
     HardeningElastic,
@@ -37,6 +40,7 @@ from ngvisco.physics.materials import (
     LogarithmicNeoHookean,
     MooneyRivlin,
     NeoHookean,
+    OldroydB,
     ReferentialMooneyRivlin,
     ReferentialNeoHookean,
     WithQuadratic,
@@ -47,6 +51,8 @@ from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
+from ngvisco.run.closure import ClosureWarning
+from ngvisco.run.ledger import DefectWarning
 from ngvisco.run.notebook import NotebookProgress, draw
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields
@@ -55,6 +61,7 @@ from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
 from ngvisco.solver.options import NewtonOptions
+from ngvisco.timestepping.scheme import SCHEMES, TimeScheme
 
 try:
     __version__ = importlib.metadata.version("ngvisco")
@@ -84,6 +91,8 @@ _find_geometries()
 from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
 
 __all__ = [
+    "FENEP",
+    "SCHEMES",
     "AdaptiveSteps",
     "BarotropicFluid",
     "BodyForce",
@@ -92,19 +101,23 @@ __all__ = [
     "CentralGravity",
     "CheckpointError",
     "Checkpoints",
+    "ClosureWarning",
     "ConvexityReport",
     "ConvexityWarning",
     "Creep",
     "CustomMaterial",
+    "DefectWarning",
     "Discretisation",
     "Gravity",
     "HardeningElastic",
     "HyperViscosity",
     "Initial",
     "InitialDataError",
+    "InputWarning",
     "Integrals",
     "IsochoricNeoHookean",
     "IsotropicStrainEnergy",
+    "IsotropyReport",
     "LedgerCSV",
     "LineSamples",
     "LinearElastic",
@@ -120,6 +133,7 @@ __all__ = [
     "NoSlip",
     "NotebookProgress",
     "Observer",
+    "OldroydB",
     "ParameterError",
     "PrescribedTangential",
     "Probes",
@@ -133,6 +147,7 @@ __all__ = [
     "Slip",
     "StepError",
     "StokesViscosity",
+    "TimeScheme",
     "Traction",
     "Transfer",
     "UnknownNameError",
@@ -141,6 +156,7 @@ __all__ = [
     "WithQuadratic",
     "Yosida",
     "check_convexity",
+    "check_isotropy",
     "draw",
     "function_field",
     "grid_field",

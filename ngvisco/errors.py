@@ -5,10 +5,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import math
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+import numbers
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 if TYPE_CHECKING:
     from ngvisco.solver.options import NewtonIteration
@@ -41,7 +46,7 @@ class UnknownNameError(NgviscoError, KeyError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
         self.kind, self.name, self.known = kind, name, sorted(set(known))
-        close = difflib.get_close_matches(name, self.known, n=1)
+        close = difflib.get_close_matches(str(name), self.known, n=1)
         hint = f"; did you mean {close[0]!r}?" if close else ""
         self.message = f"unknown {kind} {name!r}{hint} (known: {', '.join(self.known) or 'none'})"
         super().__init__(self.message)
@@ -80,25 +85,86 @@ class CheckpointError(NgviscoError, RuntimeError):
     """A checkpoint cannot be read, or belongs to another mesh, discretisation or model."""
 
 
+class InputWarning(UserWarning):
+    """Input of which the model can use a part only; the message says what was done with the rest."""
+
+
+def as_number(value: object) -> float | None:
+    """The finite real number that ``value`` is, or None.
+
+    Numbers of Python and NumPy are taken, and arrays without dimensions; not bool, texts or functions.
+    """
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, numbers.Real):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:  # an int beyond 1.8e308
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _is_number(value: object) -> bool:
+    return as_number(value) is not None
+
+
+def as_integer(value: object) -> int | None:
+    """The integer that ``value`` is, of Python's or NumPy's types, or None; 2.0 is none."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        return None
+    return int(value)
+
+
 def require_positive(owner: object, **values: float) -> None:
     """Raise ParameterError unless every value is a finite number > 0."""
-    for name, value in values.items():
-        if not (_is_number(value) and value > 0):
-            raise ParameterError(f"{type(owner).__name__}.{name}", value, "a finite number > 0")
+    _require(owner, values, lambda number: number > 0, "a finite number > 0")
 
 
 def require_nonnegative(owner: object, **values: float) -> None:
     """Raise ParameterError unless every value is a finite number >= 0."""
-    for name, value in values.items():
-        if not (_is_number(value) and value >= 0):
-            raise ParameterError(f"{type(owner).__name__}.{name}", value, "a finite number >= 0")
+    _require(owner, values, lambda number: number >= 0, "a finite number >= 0")
 
 
 def require_above(owner: object, bound: float, **values: float) -> None:
     """Raise ParameterError unless every value is a finite number > ``bound``."""
+    _require(owner, values, lambda number: number > bound, f"a finite number > {bound:g}")
+
+
+def require_number(owner: object, **values: float) -> None:
+    """Raise ParameterError unless every value is a finite number."""
+    _require(owner, values, lambda number: True, "a finite number")
+
+
+def require_count(owner: object, **values: int) -> None:
+    """Raise ParameterError unless every value is an integer >= 1."""
     for name, value in values.items():
-        if not (_is_number(value) and value > bound):
-            raise ParameterError(f"{type(owner).__name__}.{name}", value, f"a finite number > {bound:g}")
+        count = as_integer(value)
+        if count is None or count < 1:
+            raise ParameterError(_field(owner, name), value, "an integer >= 1")
+        _keep(owner, name, count)
+
+
+def _require(
+    owner: object, values: Mapping[str, object], holds: Callable[[float], bool], expected: str
+) -> None:
+    for name, value in values.items():
+        number = as_number(value)
+        if number is None or not holds(number):
+            raise ParameterError(_field(owner, name), value, expected)
+        _keep(owner, name, value if isinstance(value, (int, float)) else number)
+
+
+def _field(owner: object, name: str) -> str:
+    return f"{owner if isinstance(owner, str) else type(owner).__name__}.{name}"
+
+
+def _keep(owner: object, name: str, value: object) -> None:
+    """Make a dataclass's parameter a number of Python: NGSolve knows no others."""
+    if dataclasses.is_dataclass(owner) and name in {f.name for f in dataclasses.fields(owner)}:
+        object.__setattr__(owner, name, value)
 
 
 def require_type(field: str, value: object, kind: type) -> None:
@@ -107,14 +173,44 @@ def require_type(field: str, value: object, kind: type) -> None:
         raise ParameterError(field, value, f"a {kind.__module__.split('.')[0]}.{kind.__name__}")
 
 
+def require_path(field: str, value: object) -> Path:
+    """The path; raises ParameterError for what is none."""
+    try:
+        return Path(value)  # type: ignore[arg-type]
+    except TypeError:
+        raise ParameterError(field, value, "a path") from None
+
+
+def require_collection(field: str, value: object, expected: str) -> list[Any]:
+    """The members of a sequence, set or array; raises ParameterError for others, a text and a mapping."""
+    is_whole = hasattr(value, "__iter__") and hasattr(value, "__len__")
+    if isinstance(value, (str, bytes, Mapping)) or not is_whole:
+        raise ParameterError(field, value, expected)
+    return list(value)  # type: ignore[call-overload]
+
+
+def require_names(field: str, value: object) -> list[str]:
+    """The names in a sequence of texts; raises ParameterError for anything else, and for one text."""
+    names = require_collection(field, value, "a sequence of names")
+    if not all(isinstance(name, str) for name in names):
+        raise ParameterError(field, value, "a sequence of names")
+    return names
+
+
+def as_times(field: str, value: object) -> list[float]:
+    """The times, s, in a sequence; raises ParameterError for anything that is no finite number."""
+    times = [as_number(time) for time in require_collection(field, value, "a sequence of times, s")]
+    if any(time is None for time in times):
+        raise ParameterError(field, value, "a sequence of finite numbers, s")
+    return [time for time in times if time is not None]
+
+
 def require_choice(owner: object, choices: Sequence[object], **values: object) -> None:
     """Raise ParameterError unless every value is one of ``choices``."""
     for name, value in values.items():
-        if value not in choices or isinstance(value, (bool, float)):
+        key = value if value is None or isinstance(value, str) else as_integer(value)
+        if key not in choices or (key is None and value is not None):
             raise ParameterError(
                 f"{type(owner).__name__}.{name}", value, f"one of {', '.join(map(str, choices))}"
             )
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        _keep(owner, name, key)

@@ -144,7 +144,7 @@ LINEAR = LinearElastic(K_e=3.0, G_e=1.3)
 HARDENING = IsotropicStrainEnergy(
     strain_energy=lambda E: 0.7 * Trace(E) * Trace(E) + square(dev(E)) + 2 * square(dev(E)) * square(E)
 )
-NEO_HOOKEAN = NeoHookean(K_e=3.0, G_e=1.3, epsilon=0.4)
+NEO_HOOKEAN = NeoHookean(K_e=3.0, G_e=1.3, epsilon=0.4, elastic_state="F")
 MATERIALS: dict[str, Material] = {"linear": LINEAR, "hardening": HARDENING, "neo_hookean": NEO_HOOKEAN}
 
 
@@ -189,7 +189,8 @@ def step_of(case: Case) -> Step:
     """The case's step; tests share it, so that each must set all its fields by ``randomise``."""
     step = Step(small_box(case.dim), case.model, Discretisation(k=case.k, m=case.m))
     step.context.tau.Set(0.3)
-    step.context.t_old.Set(0.2)
+    step.context.loads_from.Set(0.2)
+    step.context.loads_over.Set(0.3)
     # wide smoothing: differences then see the derivative of the upwinding
     step.context.eta.Set(0.3)
     step.context.curvature.Set(0.2)
@@ -202,6 +203,7 @@ def randomise(step: Step, seed: int = 0, size: float = 0.15) -> None:
     for target in (step.state_old, step.state):
         target.vec.FV().NumPy()[:] = smooth_state(step)
         target.vec.FV().NumPy()[:] += size * rng.uniform(-1, 1, step.layout.space.ndof)
+    step.start_from_old()
     positive = {"rho": step.now.rho, "J": step.now.z_tensors.get("J")}
     if "hess_square" in step.layout.names:
         positive["|Hs|^2"] = step.now.hess_square

@@ -12,8 +12,8 @@ import ngvisco as nv
 from ngvisco.geometries import box
 
 
-def simulation(maxh: float = 0.2, dt: float = 0.05, gravity: float = 2.0, **options) -> nv.Simulation:
-    """1 m x 1 m; a heavy blob in a lighter body of the same Jeffreys material, Maxwell time 0.2 s."""
+def simulation(maxh: float = 0.1, dt: float = 0.2, gravity: float = 2.0, **options) -> nv.Simulation:
+    """1 m x 1 m; a heavy blob in a lighter body of the same Jeffreys material, Maxwell time 0.1 s."""
     model = nv.Model(
         material=nv.ReferentialNeoHookean(K_e=40.0, G_e=5.0),
         viscosity=nv.StokesViscosity(K_v=0.5, G_v=0.5),
@@ -28,15 +28,15 @@ def simulation(maxh: float = 0.2, dt: float = 0.05, gravity: float = 2.0, **opti
     return nv.Simulation(mesh, model, dt=dt, initial=initial, passive=passive, **options)
 
 
-def main(directory: str = "results/creep_finite", until: float = 2.5) -> nv.Simulation:
+def main(directory: str = "results/creep_finite", until: float = 20.0, **options) -> nv.Simulation:
     out = Path(directory)
     observers = [
         nv.Progress(until),
         nv.LedgerCSV(out / "ledger.csv"),
-        nv.VTKSeries(out / "vtk", every=5),
+        nv.VTKSeries(out / "vtk", every=10),
         nv.Checkpoints(out / "run.h5", every=25),
     ]
-    run = simulation(observers=observers)
+    run = simulation(observers=observers, **options)
     ledger = run.run(until)
     nv.plot_energies(ledger, out / "energies.png")
     fields = run.fields

@@ -12,10 +12,13 @@ import ngvisco as nv
 from ngvisco.geometries import annulus
 
 
-def simulation(maxh: float = 0.45, dt: float = 0.1, **options) -> nv.Simulation:
-    """1 m < r < 2 m, both walls slip; density 1 + 0.5 exp(-|x - (0, 1.6)|^2/0.25^2) kg/m^3."""
+def simulation(maxh: float = 0.15, dt: float = 0.05, **options) -> nv.Simulation:
+    """1 m < r < 2 m, both walls slip; density 1 + 0.5 exp(-|x - (0, 1.6)|^2/0.25^2) kg/m^3.
+
+    The Maxwell time is 0.005 s.
+    """
     model = nv.Model(
-        material=nv.LinearElastic(K_e=50.0, G_e=20.0),
+        material=nv.ReferentialNeoHookean(K_e=50.0, G_e=10.0),
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.01),
         hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
         creep=nv.Creep(G_m=0.2),
@@ -34,9 +37,9 @@ def depth(run: nv.Simulation) -> float:
     return Integrate(r * heavy, run.mesh) / Integrate(heavy, run.mesh)
 
 
-def main(directory: str = "results/shell", until: float = 2.0, **options) -> tuple:
+def main(directory: str = "results/shell", until: float = 3.0, **options) -> tuple:
     out = Path(directory)
-    observers = [nv.Progress(until), nv.LedgerCSV(out / "ledger.csv"), nv.VTKSeries(out / "vtk", every=5)]
+    observers = [nv.Progress(until), nv.LedgerCSV(out / "ledger.csv"), nv.VTKSeries(out / "vtk", every=10)]
     run = simulation(observers=observers, **options)
     before = depth(run)
     ledger = run.run(until)

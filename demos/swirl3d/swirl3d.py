@@ -12,13 +12,13 @@ import ngvisco as nv
 from ngvisco.geometries import box
 
 
-def simulation(maxh: float = 0.5, dt: float = 0.02, gravity: float = 1.0, **options) -> nv.Simulation:
-    """The demo's run: a cube of 1 m; the rotation is fastest at the top."""
+def simulation(maxh: float = 0.25, dt: float = 0.02, gravity: float = 1.0, **options) -> nv.Simulation:
+    """A cube of 1 m, Maxwell time 0.01 s; the rotation is fastest at the top."""
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
         viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
         hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
-        creep=nv.Creep(G_m=5.0),
+        creep=nv.Creep(G_m=0.2),
         loads=[nv.Gravity((0.0, 0.0, -gravity))] if gravity else [],
     )
     shape = (1 + z) / 2
@@ -27,7 +27,7 @@ def simulation(maxh: float = 0.5, dt: float = 0.02, gravity: float = 1.0, **opti
     return nv.Simulation(box((1, 1, 1), maxh=maxh), model, dt=dt, initial=initial, **options)
 
 
-def main(directory: str = "results/swirl3d", until: float = 0.4) -> nv.Simulation:
+def main(directory: str = "results/swirl3d", until: float = 1.0, **options) -> nv.Simulation:
     out = Path(directory)
     observers = [
         nv.Progress(until),
@@ -35,7 +35,7 @@ def main(directory: str = "results/swirl3d", until: float = 0.4) -> nv.Simulatio
         nv.VTKSeries(out / "vtk", every=5),
         nv.Checkpoints(out / "run.h5", every=10),
     ]
-    run = simulation(observers=observers)
+    run = simulation(observers=observers, **options)
     ledger = run.run(until)
     nv.plot_energies(ledger, out / "energies.png")
     shown = [("J at z = 1/2", run.fields["J"]), ("von Mises stress at z = 1/2, Pa", run.fields["von_mises"])]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -26,12 +27,14 @@ from ngvisco.errors import (
     NgviscoError,
     ParameterError,
     UnknownNameError,
+    require_path,
 )
 from ngvisco.forms.boundaries import check_boundary_names
 from ngvisco.forms.context import time
-from ngvisco.physics.model import Model
+from ngvisco.physics.model import Model, default_elastic_state
 from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints
+from ngvisco.run.inputs import times_of
 from ngvisco.run.observers import LedgerCSV, VTKSeries
 from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.series import Series
@@ -54,9 +57,10 @@ def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Cas
     CaseError
         With every fault found: its line, key path, value, what is allowed and the nearest match.
     """
-    source = Path(path)
+    source = require_path("load_case.path", path)
     try:
-        raw = source.read_bytes()
+        with source.open("rb") as file:
+            raw = file.read(MAX_FILE_SIZE + 1)
     except OSError as error:
         raise CaseError(str(source), [Fault("", f"cannot be read: {error.strerror}")]) from error
     if len(raw) > MAX_FILE_SIZE:
@@ -128,6 +132,7 @@ class Case:
     def resolved(self) -> str:
         """The case as TOML with every default written out and paths made absolute."""
         data = self.sections.model_dump(exclude_none=True)
+        self._settle_elastic_state(data)
         if data["domain"]["geometry"] == "file":
             data["domain"]["path"] = str(self._mesh_path)
         return toml.write(data)
@@ -136,10 +141,26 @@ class Case:
     def hash(self) -> str:
         """SHA-256 of all that the solution depends on: not of title, end time and output."""
         data = self.sections.model_dump()
+        self._settle_elastic_state(data)
         for name in ("title", "units", "output", "domain"):  # the mesh has a hash of its own
             del data[name]
         del data["time"]["until"]
         return hashlib.sha256(toml.write(data).encode()).hexdigest()
+
+    def _settle_elastic_state(self, data: dict[str, Any]) -> None:
+        """Write into a dump whether its material is by F or by B where the case left it to the model."""
+        creep = self.sections.rheology.creep
+        part: Section = self.sections.material
+        values = data["material"]
+        while "material" in type(part).model_fields:
+            part, values = part.material, values["material"]  # type: ignore[attr-defined]
+        if "elastic_state" in type(part).model_fields and values.get("elastic_state") is None:
+            values["elastic_state"] = default_elastic_state(
+                None if creep is None else catalogue.MECHANISMS["creep"](**parameters(creep))
+            )
+            in_order = {name: values[name] for name in type(part).model_fields if name in values}
+            values.clear()
+            values.update(in_order)
 
     @property
     def _mesh_path(self) -> Path:
@@ -170,6 +191,8 @@ class Case:
             self._made(load, catalogue.LOADS, ("loads", str(i)), dim)
             for i, load in enumerate(self.sections.loads)
         ]
+        with self._located("material"):
+            material = material.with_elastic_state(default_elastic_state(mechanisms.get("creep")))
         with self._located("loads"):
             return Model(material=material, loads=tuple(loads), **mechanisms)
 
@@ -196,6 +219,10 @@ class Case:
                 model,
                 dt=sections.time.dt,
                 stepping=stepping,
+                scheme=sections.time.scheme,
+                theta=sections.time.theta,
+                startup=sections.time.startup,
+                relaxation=sections.time.relaxation,
                 initial=made["initial"],
                 walls=walls,
                 passive=sections.output.passive,
@@ -204,8 +231,8 @@ class Case:
                 velocity_scale=sections.time.velocity_scale,
                 observers=observers,
             )
+            run.check_data(times_of(0.0, self.until))
         self._check_output(run)
-        self._check_loads(run)
         return run
 
     def observers(self, directory: str | os.PathLike[str], until: float | None = None) -> list[Observer]:
@@ -259,24 +286,6 @@ class Case:
             except ExpressionError as error:
                 raise self._error((*path, "of"), str(error)) from error
 
-    def _check_loads(self, run: Simulation) -> None:
-        """Loads must be finite at the start, half way and at the end."""
-        for i, load in enumerate(self.sections.loads):
-            for name, value in parameters(load).items():
-                if not isinstance(value, list):
-                    continue
-                for t in (0.0, 0.5 * self.until, self.until):
-                    time.Set(t)
-                    try:
-                        run.sampler.require(_as_function(value), f"at t = {t:g} s")
-                    except InitialDataError as error:
-                        path = ("loads", str(i), name)
-                        raise self._error(
-                            path, f"{value!r}: {str(error).removeprefix('initial ')}"
-                        ) from error
-                    finally:
-                        time.Set(0.0)
-
     def _made(self, part: Any, table: dict[str, type], path: tuple[str, ...], dim: int) -> Any:
         with self._located(*path):
             return table[part.kind](**self._values(part, path, dim))
@@ -288,10 +297,11 @@ class Case:
             if name in fields:
                 self._check_names(value, (*path, name), dim)
                 self._check_length(value, (*path, name), dim)
-                if isinstance(value, dict):
-                    values[name] = {key: _as_function(field) for key, field in value.items()}
-                else:
-                    values[name] = value if isinstance(value, (int, float)) else _as_function(value)
+                with self._located(*path, name):
+                    if isinstance(value, dict):
+                        values[name] = {key: _as_function(field) for key, field in value.items()}
+                    else:
+                        values[name] = value if isinstance(value, (int, float)) else _as_function(value)
         return values
 
     def _check_names(self, value: Any, path: tuple[str, ...], dim: int) -> None:
@@ -317,32 +327,74 @@ class Case:
         except CaseError:
             raise
         except ParameterError as error:
-            owner, _, name = error.field.rpartition(".")
-            where = _SECTION_OF.get(owner, path)
-            known = {line[-1] for line in self.locator.lines}
-            key = (*where, name) if owner or name in known else where
-            raise self._error(key, f"{error.value!r:.60}: expected {error.expected}") from error
+            key = self._key_of(error.field, path)
+            given = self._given(key)
+            value = error.value if given is None else given
+            raise self._error(key, f"{value!r:.60}: expected {error.expected}") from error
         except UnknownNameError as error:
             where = _SECTION_OF_NAME.get(error.kind, path)
             raise self._error((*where, error.name), str(error)) from error
         except InitialDataError as error:
+            if error.field == "stored energy" and self._starts_at_rest:
+                names = ", ".join(parameters(self.sections.material))
+                message = f"its energy at rest is not finite: expected other values of {names}"
+                raise self._error(("material",), message) from error
             keys = [key for word, key in _INITIAL_KEYS.items() if word in error.field]
             raise self._error(("initial", *keys[:1]), str(error)) from error
         except MeshError as error:
-            raise self._error(("domain",), str(error)) from error
+            of_file = self.sections.domain.geometry == "file"  # type: ignore[attr-defined]
+            raise self._error(("domain", "path") if of_file else ("domain",), str(error)) from error
         except NgviscoError as error:
             raise self._error(path, str(error)) from error
         except Exception as error:  # NGSolve and Netgen raise bare exceptions for what they refuse
             raise self._error(path, f"{type(error).__name__}: {error}") from error
+
+    @property
+    def _starts_at_rest(self) -> bool:
+        initial: Any = self.sections.initial
+        return initial.F is None and not initial.values
+
+    def _key_of(self, field: str, path: tuple[str, ...]) -> tuple[str, ...]:
+        """The key of a parameter that is named as in ``Gravity.g`` or ``walls['top'].f``."""
+        owner, *rest = re.sub(r"\[[\"']?(.*?)[\"']?\]", r".\1", field).split(".")
+        if owner == "walls":
+            return (owner, *rest)
+        if owner == "loads":
+            names = [str(load.name) for load in self.sections.loads]  # type: ignore[attr-defined]
+            return (owner, str(names.index(rest[0])), *rest[1:])
+        if owner in ("until", "stops"):
+            return ("time", "until")
+        if owner == "array":
+            return path
+        return (*_SECTION_OF.get(owner, path), *rest)
+
+    def _given(self, key: tuple[str, ...]) -> Any:
+        """What the file has under a key; None where it has nothing."""
+        value: Any = self.sections
+        for part in key:
+            if isinstance(value, list) and part.isdigit() and int(part) < len(value):
+                value = value[int(part)]
+            else:
+                value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
+        return None if isinstance(value, Section) else value
 
 
 _SECTION_OF_NAME = {
     "material variable": ("initial", "values"),
     "passive field": ("output", "passive"),
     "boundary": ("walls",),
+    "wall": ("domain", "refine"),
 }
 _INITIAL_KEYS = {"rho_0": "density", "F_0": "F", "v_0": "velocity", "material variables": "values"}
-_SECTION_OF = {"Simulation": ("time",), "Initial": ("initial",), "Discretisation": ("discretisation",)}
+_SECTION_OF = {
+    "Simulation": ("time",),
+    "AdaptiveSteps": ("time", "adaptive"),
+    "Initial": ("initial",),
+    "Discretisation": ("discretisation",),
+    "NewtonOptions": ("solver",),
+    "Regularisation": ("rheology", "regularisation"),
+}
+"""Sections of the objects that the parts of a simulation name in their errors."""
 
 
 def _as_function(value: Any) -> Any:

@@ -13,6 +13,7 @@ from ngvisco.case.meshfile import read_mesh
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.physics.materials import (
+    FENEP,
     BarotropicFluid,
     HardeningElastic,
     IsochoricNeoHookean,
@@ -20,6 +21,7 @@ from ngvisco.physics.materials import (
     LogarithmicNeoHookean,
     MooneyRivlin,
     NeoHookean,
+    OldroydB,
     ReferentialMooneyRivlin,
     ReferentialNeoHookean,
     WithQuadratic,
@@ -54,12 +56,14 @@ GEOMETRIES = _geometries()
 
 MATERIALS: dict[str, type] = {
     "BarotropicFluid": BarotropicFluid,
+    "FENEP": FENEP,
     "HardeningElastic": HardeningElastic,
     "IsochoricNeoHookean": IsochoricNeoHookean,
     "LinearElastic": LinearElastic,
     "LogarithmicNeoHookean": LogarithmicNeoHookean,
     "MooneyRivlin": MooneyRivlin,
     "NeoHookean": NeoHookean,
+    "OldroydB": OldroydB,
     "ReferentialMooneyRivlin": ReferentialMooneyRivlin,
     "ReferentialNeoHookean": ReferentialNeoHookean,
 }

@@ -10,9 +10,11 @@
 | vtk/          | the VTK series                                                            |
 | samples/      | probes, lines, forces on walls, integrals over the domain, as CSV         |
 | log.txt       | what was done when                                                        |
-| lock          | held by the running process; released by the system even when it is killed |
+| lock          | there while a process runs; released by the system even when it is killed |
 
-The first three are complete before the first step.  A resumed run reads them, never the user's case.
+The whole case is built before the directory is touched, so that a case that is refused leaves nothing
+behind and removes nothing.  The first three files are complete before the first step.  A resumed run reads
+them, never the user's case.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ import subprocess
 import sys
 import tempfile
 import time as clock
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import metadata
@@ -38,7 +41,8 @@ from ngsolve import CoefficientFunction, Mesh
 from ngvisco.case import changes
 from ngvisco.case.build import Case, load_case
 from ngvisco.case.meshfile import require_whole
-from ngvisco.errors import CheckpointError, MeshError, NgviscoError
+from ngvisco.errors import CheckpointError, MeshError, NgviscoError, require_path
+from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.files import append, write_atomically
 from ngvisco.run.notebook import data_frame, results_html
@@ -56,7 +60,7 @@ class RunDirectory:
     """Names and files of a run directory."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
+        self.path = require_path("directory", path)
         self.case_file = self.path / "case.toml"
         self.versions_file = self.path / "versions.json"
         self.mesh_file = self.path / "mesh.vol"
@@ -78,40 +82,51 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold the directory, made if missing; raises RunDirectoryError when another process does."""
+        """Hold the directory, made if missing; raises RunDirectoryError when another process does.
+
+        The lock's file is there only while it is held, and a directory that stayed empty is removed.
+        """
+        made = not self.path.exists()
         self.path.mkdir(parents=True, exist_ok=True)
-        with self.lock_file.open("a+") as file:
-            if not _try_lock(file):
-                file.seek(0)
-                holder = file.read().strip() or "another process"
-                raise RunDirectoryError(f"{self.path}: in use by {holder}; wait for it or stop it")
-            file.truncate(0)
-            file.write(f"process {os.getpid()} on {platform.node()}\n")
-            file.flush()
-            yield
-            file.truncate(0)
+        with _held(self.lock_file) as file:
+            try:
+                file.write(f"process {os.getpid()} on {platform.node()}\n")
+                file.flush()
+                yield
+            finally:
+                with contextlib.suppress(OSError):  # Windows keeps open files
+                    self.lock_file.unlink()
+                if made:
+                    with contextlib.suppress(OSError):  # it has results in it
+                        self.path.rmdir()
 
     def clear(self) -> None:
         """Remove the results of an earlier run, and nothing else."""
         for path in self.results:
             path.unlink()
 
-    def prepare(self, case: Case, source: str | os.PathLike[str] | None = None) -> None:
-        """Write case, mesh and versions of a new run, and the run directory that it starts from."""
-        mesh = case.mesh()
+    def prepare(self, case: Case, image: bytes, source: Origin | None = None) -> None:
+        """Write case, mesh (a .vol file's content) and versions of a new run, and where it starts from."""
         write_atomically(self.case_file, case.resolved.encode())
-        image = _mesh_image(mesh)
         write_atomically(self.mesh_file, image)
         record = versions() | {"mesh_sha256": hashlib.sha256(image).hexdigest()}
         if source is not None:
-            step = load(source).simulation.number
-            record["from"] = {"directory": str(Path(source).resolve()), "step": step}
+            record["from"] = {"directory": str(source.directory), "step": source.step}
         write_atomically(self.versions_file, (json.dumps(record, indent=2) + "\n").encode())
+
+    def refuse_results(self) -> None:
+        """Raise RunDirectoryError if there are results of an earlier run."""
+        if self.results:
+            found = ", ".join(sorted(path.name for path in self.results)[:3])
+            raise RunDirectoryError(
+                f"{self.path}: holds results of an earlier run ({found}, ...); resume it, choose another "
+                "directory, or replace it with --force"
+            )
 
     def read_versions(self) -> dict[str, Any]:
         """The record of versions; raises RunDirectoryError."""
         try:
-            record = json.loads(self.versions_file.read_text())
+            record = json.loads(self.versions_file.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise RunDirectoryError(f"{self.versions_file}: cannot be read ({error})") from error
         if not isinstance(record, dict):
@@ -138,6 +153,27 @@ class RunDirectory:
         return Mesh(str(self.mesh_file))
 
 
+@dataclass(frozen=True)
+class Origin:
+    """The state of an earlier run that a new one starts from."""
+
+    directory: Path
+    step: int
+
+    @classmethod
+    def last_of(cls, directory: str | os.PathLike[str]) -> Origin:
+        """The last state of a run directory."""
+        return cls(Path(directory).resolve(), load(directory).simulation.number)
+
+    def carry_to(self, simulation: Simulation) -> str:
+        """Put a simulation into this state; a line for the log of what that did."""
+        done = transfer(load(self.directory, self.step).simulation, simulation)
+        return (
+            f"from step {self.step} of {self.directory}, t = {simulation.t:g} s: density times "
+            f"1 {done.scaled - 1:+.2e}, energy lost {done.lost:.6e} J of {done.energy_before:.6e} J"
+        )
+
+
 class Log(Progress):
     """Progress lines with the date, appended to a run's log file."""
 
@@ -152,6 +188,20 @@ class Log(Progress):
 
     def _print(self, line: str) -> None:
         self.write(line)
+
+
+@contextlib.contextmanager
+def noting_warnings(note: Callable[[str], None]) -> Iterator[None]:
+    """Within: warnings are given to ``note`` too, each as a line."""
+    shown = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
+        note(f"{category.__name__}: {message}")
+        shown(message, category, *where, **options)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield
 
 
 def run(
@@ -181,18 +231,22 @@ def run(
     RunDirectoryError, CaseError, StepError, OSError
     """
     place = RunDirectory(directory)
+    if not force:
+        place.refuse_results()
+    # all that can be wrong with the case is found here, before anything is written or removed
+    notes = [f"run: {case.sections.title or case.source}"]
+    with noting_warnings(notes.append):
+        image = _mesh_image(case.mesh())
+        simulation = case.simulation(_mesh_of(image))
+    origin = None if source is None else Origin.last_of(source)
+    if origin is not None:
+        notes.append(origin.carry_to(simulation))
     with place.locked():
-        if place.results and not force:
-            found = ", ".join(sorted(path.name for path in place.results)[:3])
-            raise RunDirectoryError(
-                f"{place.path}: holds results of an earlier run ({found}, ...); resume it, choose another "
-                "directory, or replace it with --force"
-            )
-        if source is not None:  # before anything is written
-            transfer(load(source).simulation, case.simulation(case.mesh()))
+        if not force:
+            place.refuse_results()
         place.clear()
-        place.prepare(case, source)
-        return _go(place, case.until, observers, "run")
+        place.prepare(case, image, origin)
+        return _go(place, case, simulation, None, observers, notes)
 
 
 def resume(
@@ -208,53 +262,62 @@ def resume(
     (``ngvisco.case.changes`` says what may change); the directory keeps the case as it was too.
     """
     place = RunDirectory(directory)
-    if not place.case_file.exists():
-        raise RunDirectoryError(f"{place.path}: not a run directory (no case.toml)")
+    case = place.case()
     with place.locked():
-        if not place.is_prepared:
-            place.prepare(place.case())
+        if not place.is_prepared:  # killed while it was
+            place.prepare(case, _mesh_image(case.mesh()))
         if settings:
-            case = place.case()
             new = changes.changed(place, case, settings)
             if new.resolved != case.resolved:
                 changes.check_change(place, case, new)  # before anything is written
                 changes.write_change(place, case, new, settings)
-        return _go(place, until, observers, "resume")
+                case = place.case()
+        notes = [f"resume: {case.sections.title or case.source}"]
+        with noting_warnings(notes.append):
+            simulation = case.simulation(place.mesh())
+        return _go(place, case, simulation, until, observers, notes)
 
 
-def _go(place: RunDirectory, until: float | None, observers: Sequence[Observer], what: str) -> Simulation:
-    case = place.case()
+def _go(
+    place: RunDirectory,
+    case: Case,
+    simulation: Simulation,
+    until: float | None,
+    observers: Sequence[Observer],
+    notes: list[str],
+) -> Simulation:
     end = case.until if until is None else until
+    if place.run_file.exists():
+        before = changes.pending_change(place, case)
+        if before is None:
+            simulation.restore(place.run_file, attributes={"case": case.hash})
+        else:
+            resume_changed(simulation, place.run_file, {"case": before})
+            notes.append(f"changed: {', '.join(place.read_versions()['changes'][-1]['settings'])}")
+    elif not simulation.ledger.rows and (found := place.read_versions().get("from")) is not None:
+        notes.append(Origin(Path(found["directory"]), found["step"]).carry_to(simulation))
+    if simulation.t > end * (1 + 1e-12):
+        message = f"the run has already reached t = {simulation.t:g} s: expected an end time above that"
+        raise RunDirectoryError(f"{place.path}: {message}")
+    simulation.stepper.check("until", end)
     log = Log(place.log_file, end, case.sections.output.log_every)
-    log.write(f"{what}: {case.sections.title or case.source}")
+    # an end time given to resume is an output time of its own
+    simulation.observers += [*case.observers(place.path, end), log, *observers]
+    for note in notes:
+        log.write(note)
+    if simulation.number:
+        log.write(f"from the checkpoint of step {simulation.number}, t = {simulation.t:g} s")
     try:
-        simulation = case.simulation(place.mesh())
-        if place.run_file.exists():
-            before = changes.pending_change(place, case)
-            if before is None:
-                simulation.restore(place.run_file, attributes={"case": case.hash})
-            else:
-                resume_changed(simulation, place.run_file, {"case": before})
-                log.write(f"changed: {', '.join(place.read_versions()['changes'][-1]['settings'])}")
-            log.write(f"from the checkpoint of step {simulation.number}, t = {simulation.t:g} s")
-        elif (source := place.read_versions().get("from")) is not None:
-            done = transfer(load(source["directory"], source["step"]).simulation, simulation)
-            log.write(
-                f"from step {source['step']} of {source['directory']}, t = {simulation.t:g} s: density times "
-                f"1 {done.scaled - 1:+.2e}, energy lost {done.lost:.6e} J of {done.energy_before:.6e} J"
-            )
-        if simulation.t > end * (1 + 1e-12):
-            message = f"the run has already reached t = {simulation.t:g} s: expected an end time above that"
-            raise RunDirectoryError(f"{place.path}: {message}")
-        # an end time given to resume is an output time of its own
-        simulation.observers += [*case.observers(place.path, end), log, *observers]
-        simulation.run(max(end, simulation.t), case.output_times(end))
+        with noting_warnings(log.write):
+            simulation.run(max(end, simulation.t), case.output_times(end))
     except BaseException as error:
         with contextlib.suppress(OSError):  # a full disk is what may have ended the run
             log.write(f"ended by {type(error).__name__}: {error}")
         raise
     if simulation.stop_requested:
         log.write(f"stopped on request at step {simulation.number}, t = {simulation.t:g} s")
+    if simulation.closure_check.failures:
+        log.write(simulation.closure_check.message)
     return simulation
 
 
@@ -351,7 +414,41 @@ def _mesh_image(mesh: Mesh) -> bytes:
         path = Path(scratch) / "mesh.vol"
         mesh.ngmesh.Save(str(path))
         require_whole(path)
-        return path.read_bytes()
+        return _with_all_digits(path.read_bytes(), coordinates(mesh))
+
+
+def _with_all_digits(image: bytes, points: np.ndarray) -> bytes:
+    """The file with every digit of the points: Netgen writes 16 after the decimal point, none of 1e-17 m."""
+    lines = image.split(b"\n")
+    first = lines.index(b"points") + 2
+    for i, point in enumerate(points):
+        lines[first + i] = " ".join(map(repr, [*point.tolist(), 0.0][:3])).encode()
+    return b"\n".join(lines)
+
+
+def _mesh_of(image: bytes) -> Mesh:
+    """The mesh in a .vol file's content."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "mesh.vol"
+        path.write_bytes(image)
+        return Mesh(str(path))
+
+
+@contextlib.contextmanager
+def _held(path: Path) -> Iterator[TextIO]:
+    """The lock's file, empty and locked; raises RunDirectoryError when another process holds it."""
+    while True:
+        with path.open("a+", encoding="utf-8") as file:
+            if not _try_lock(file):
+                file.seek(0)
+                holder = file.read().strip() or "another process"
+                raise RunDirectoryError(f"{path.parent}: in use by {holder}; wait for it or stop it")
+            # a holder removes the file before it lets go: this may be one that is no longer there
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                    file.truncate(0)
+                    yield file
+                    return
 
 
 def _try_lock(file: TextIO) -> bool:

@@ -43,7 +43,9 @@ class Locator:
         )
         if written is not None:
             message = f"{message} (in SI units; written was {_shown(written)})"
-        if any(path[: len(o)] == o for o in self.overridden):
+        is_within = any(path[: len(o)] == o for o in self.overridden)
+        is_made = path not in self.lines and any(o[: len(path)] == path for o in self.overridden)
+        if is_within or is_made:
             return Fault(f"{key} (set on the command line)", message)
         return Fault(key, message, line_of(self.lines, path))
 
@@ -54,6 +56,8 @@ def faults_of(error: ValidationError, model: type[BaseModel], locator: Locator) 
     for one in error.errors():
         path, here, known = _resolve(model, one["loc"])
         raised = (one.get("ctx") or {}).get("error")
+        if one["type"] == "union_tag_invalid":
+            path = (*path, one["ctx"]["discriminator"].strip("'"))
         if isinstance(raised, ParameterError):
             path = (*path, *_parameter_path(raised.field, path))
         found.append(locator.fault(path, _message(one, raised, path, here, known)))
@@ -84,7 +88,7 @@ def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: 
         return f"is missing (keys of {here}: {', '.join(known)})"
     if kind == "union_tag_invalid":
         tag, tags = str(context["tag"]), [t.strip("'") for t in context["expected_tags"].split(", ")]
-        return f"{tag!r}: expected one of {', '.join(tags)}{nearest(tag, tags)}"
+        return f"{_shown(tag)}: expected one of {', '.join(tags)}{nearest(tag, tags)}"
     if kind == "union_tag_not_found":
         wanted = context["discriminator"].strip("'")
         written = difflib.get_close_matches(wanted, [str(key) for key in value], n=1, cutoff=0.5)

@@ -120,6 +120,7 @@ KEYS: dict[str, Key] = {
     "ReferentialMooneyRivlin.G_e": Key(
         "Pa", "weight of |F|^2, > 0 (C_10); G_e + G_mr is half the usual shear modulus", 5.0
     ),
+    "FENEP.b": Key("1", "square of the chains' largest extension, tr B < b; > 3", 50.0),
     "B": Key(
         "Pa", "energy density at the referential density, > 0; the pressure there is (gamma - 1) B", 1.0
     ),
@@ -146,6 +147,7 @@ KEYS: dict[str, Key] = {
         "usual shear modulus G the relaxation time of shear is G_m/(2 G)",
         5.0,
     ),
+    "Creep.law": Key("", "the flow rule: mandel is the paper's; conformation, leonov", "mandel"),
     "nu": Key("W/m^3 (m s)^q", "gradient of the creep rate: nu |grad Pi|^q is its dissipation; >= 0", 1e-4),
     "q": Key("1", "exponent of the creep rate's gradient, > 1; the paper's analysis has q > 3", 4.0),
     "Creep.floor": Key("1/(m s)", "|grad Pi| below which odd powers are smoothed, > 0", 1e-10),
@@ -203,6 +205,13 @@ KEYS: dict[str, Key] = {
     # time
     "Time.dt": Key("s", "length of a step; of the first one, with [time.adaptive]", 0.02),
     "Time.until": Key("s", "end of the run, a multiple of dt where steps have one length", 1.0),
+    "Time.scheme": Key("", "the time scheme; the paper's is backward-euler", "midpoint"),
+    "Time.theta": Key("1", 'of the scheme "theta", in [1/2, 1]', 0.55),
+    "Time.startup": Key("1", "so many first steps are of backward Euler, which damps rough data", 2),
+    "Time.relaxation": Key(
+        "", 'with "midpoint" and [time.adaptive]: steps end without own dissipation', False
+    ),
+    "elastic_state": Key("", 'the variables, "F" or "B"; by default B with creep and F without', "B"),
     "velocity_scale": Key(
         "m/s", "a typical velocity, which sets the width of the upwinding; default from the data", 1.0
     ),

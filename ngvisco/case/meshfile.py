@@ -36,6 +36,7 @@ def read_mesh(path: str, maxh: float | None = None, order: int = 3) -> Mesh:
     MeshError, ParameterError
         As ``load``; MeshError too if Netgen crashes on the file.
     """
+    importlib.import_module("ngvisco.geometries.files").check_file(Path(path))
     arguments = [path, "" if maxh is None else repr(maxh), str(order)]
     # the child finds what this process has found, also in a clone that is not installed
     code = f"import sys; sys.path[:] = {sys.path!r}\n{_PROBE}"

@@ -31,8 +31,9 @@ from pydantic import (
 
 from ngvisco.case import catalogue
 from ngvisco.case.expressions import parse
-from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.errors import ParameterError, UnknownNameError, as_number
 from ngvisco.physics.material import Material as MaterialObject
+from ngvisco.timestepping.scheme import SCHEMES, scheme_of
 
 _MAX_OUTPUT_TIMES = 100_000
 
@@ -54,7 +55,7 @@ def _check_field(value: Any) -> Any:
         parse(value)
     elif isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError("expected a number, an expression in quotes, or an array of them")
-    elif not math.isfinite(value):
+    elif as_number(value) is None:
         raise ValueError("expected a finite number")
     return value
 
@@ -113,9 +114,8 @@ def section(
     wrapped : type
         The schema's type of a parameter that is a material.
     """
-    hints = get_type_hints(target.__init__ if inspect.isclass(target) else target)
-    if inspect.isclass(target):
-        hints |= get_type_hints(target)
+    # of a dataclass its fields', each with the names that its own class's module knows
+    hints = get_type_hints(target)
     fields: dict[str, Any] = {}
     if tag is not None:
         fields[tag[0]] = (Literal[tag[1]], ...)
@@ -223,10 +223,14 @@ Adaptive, Discretisation, Initial, Solver = (
 
 
 class Time(Section):
-    """Step length, end, and what belongs to them."""
+    """Step length, end, scheme, and what belongs to them."""
 
     dt: float
     until: float
+    scheme: Literal[tuple(SCHEMES)] = "backward-euler"  # type: ignore[valid-type]
+    theta: float | None = None
+    startup: int = Field(default=0, ge=0)
+    relaxation: bool = False
     velocity_scale: float | None = None
     adaptive: Adaptive | None = None  # type: ignore[valid-type]
 
@@ -236,6 +240,13 @@ class Time(Section):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ParameterError(f"Time.{name}", value, "a finite number > 0")
+        try:
+            scheme_of(self.scheme, self.theta)
+        except ParameterError as error:
+            raise ParameterError("Time.theta", error.value, error.expected) from error
+        if self.relaxation and (self.scheme != "midpoint" or self.adaptive is None):
+            expected = "false, or the scheme 'midpoint' with [time.adaptive]"
+            raise ParameterError("Time.relaxation", self.relaxation, expected)
         if self.adaptive is None:
             number = round(self.until / self.dt)
             if not math.isclose(number * self.dt, self.until, rel_tol=1e-9):

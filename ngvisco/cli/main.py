@@ -1,22 +1,24 @@
-"""Arguments, exit codes and messages of the command ``ngvisco``.
+"""Arguments and messages of the command ``ngvisco``.
 
-Exit codes: 0 done; 1 the run failed (a step could not be solved); 2 the input is at fault (case, option,
-existing or foreign results); 3 a file could not be read or written; 128 + n stopped by signal n, with
-a checkpoint.  What a user can cause never shows a traceback.
+What a user can cause never shows a
+traceback, and has an exit code of ``ngvisco.cli.exits``.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
+from typing import Any
 
-DONE, FAILED, BAD_INPUT, BAD_FILE, INTERRUPTED = 0, 1, 2, 3, 130
+from ngvisco.cli import streams
+from ngvisco.cli.exits import BAD_FILE, BAD_INPUT, FAILED, INTERRUPTED
 
 _EPILOG = """exit codes: 0 done; 1 a step could not be solved; 2 wrong input; 3 a file could not be read
-or written; 130 or 143 stopped by a signal (a checkpoint was written: resume).
+or written; 4 the energy ledger does not close; 130 or 143 stopped by a signal (a checkpoint was written:
+resume).
 
 examples:
   ngvisco new swirl > case.toml
@@ -31,6 +33,10 @@ examples:
 _RESUME = """Go on from a directory's last checkpoint, bit for bit, or with --set with other parameters: of
 title, time, loads, walls, solver, output and the numbers of the material and the mechanisms.  For another
 mesh, other orders or unknowns see ngvisco run CASE -o NEW --from DIR."""
+
+
+_FEW_THREADS = 8
+"""Threads that may be asked for on any machine; NGSolve's wait actively, and hundreds of them never end."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -142,7 +148,7 @@ def _add_set(command: argparse.ArgumentParser) -> None:
 def _add_run_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--threads",
-        type=_count,
+        type=_threads,
         default=1,
         metavar="N",
         help="threads of assembly; with 1 (default) a resumed run is the uninterrupted one bit for bit",
@@ -150,10 +156,15 @@ def _add_run_options(command: argparse.ArgumentParser) -> None:
     command.add_argument("--quiet", action="store_true", help="no progress on the terminal (log.txt has it)")
 
 
-def _count(text: str) -> int:
-    value = int(text)
+def _threads(text: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text}: expected a whole number >= 1") from None
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text}: expected a whole number >= 1")
+    if value > (most := max(os.cpu_count() or 1, _FEW_THREADS)):
+        raise argparse.ArgumentTypeError(f"{text}: expected at most {most}, for {os.cpu_count()} processors")
     return value
 
 
@@ -162,17 +173,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # BLAS threads of an oversubscribed machine slow the sparse solver down, and change its sums
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = parser().parse_args(arguments)
+    streams.make_safe()
+    with warnings.catch_warnings():
+        warnings.showwarning = _show_warning
+        return _ended(options)
+
+
+def _ended(options: argparse.Namespace) -> int:
+    """Run the chosen command; what it raises becomes a message and an exit code."""
     try:
-        return _command(options.command)(options)
+        code = _command(options.command)(options)
+        sys.stdout.flush()
+        return code
     except KeyboardInterrupt:
         return _say("interrupted before a step was finished; what was written is kept", INTERRUPTED)
     except BrokenPipeError:  # the reader of our output is gone
-        with contextlib.suppress(OSError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        streams.give_up(sys.stdout)
         return BAD_FILE
     except MemoryError:
         return _say("not enough memory: take a coarser mesh (see ngvisco check)", FAILED)
     except OSError as error:
+        streams.give_up(sys.stdout)  # what is left in it would fail again when Python ends
         where = f"{error.filename}: " if error.filename else ""
         return _say(f"{where}{error.strerror or error}", BAD_FILE)
     except Exception as error:
@@ -213,9 +234,14 @@ def _command(name: str) -> Callable[[argparse.Namespace], int]:
     return table[name]
 
 
+def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
+    """A warning in the words of the command: where in the code it arose helps no user of case files."""
+    del category, where, options
+    streams.complain(f"warning: {message}")
+
+
 def _say(message: str, code: int) -> int:
-    with contextlib.suppress(OSError):
-        print("\n".join(f"ngvisco: {line}" for line in message.splitlines()), file=sys.stderr, flush=True)
+    streams.complain(message)
     return code
 
 

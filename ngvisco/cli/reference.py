@@ -9,6 +9,7 @@ from collections.abc import Callable
 from ngvisco.case import catalogue, reference, template
 from ngvisco.case.schema import CaseSections, section
 from ngvisco.run.passive import NAMES as PASSIVE
+from ngvisco.timestepping.scheme import SCHEMES
 
 
 def explain(options: argparse.Namespace) -> int:
@@ -52,11 +53,17 @@ def listing(options: argparse.Namespace) -> int:
         print(title)
         for name, target in table.items():
             keys = section(target, (tag, name) if tag else None).model_fields
-            shown = [key if f.is_required() else f"[{key}]" for key, f in keys.items() if key != tag]
+            required = [key for key, f in keys.items() if f.is_required() and key != tag]
+            shown = [*required, *(f"[{key}]" for key, f in keys.items() if not f.is_required())]
             print(f"  {name}: {', '.join(shown)}" if shown else f"  {name}")
+    print("time schemes: [time] scheme =")
+    for name, make in SCHEMES.items():
+        note = "; takes theta in [1/2, 1]" if name == "theta" else ""
+        text = (make.__doc__ or "").splitlines()[0].rstrip(".")
+        print(f"  {name}: {text}{note}")
     print("outputs: [output.vtk] fields =")
     print(
-        "  velocity, density, cauchy_stress, pressure, von_mises, and the material's variables (F, J, E, ...)"
+        "  velocity, density, cauchy_stress, pressure, von_mises, the material's variables (F, B, J, E, ...)"
     )
     print("  also ledger.csv, run.h5, log.txt; ngvisco plot and ngvisco scene make PNG and HTML of them")
     print("passive: [output] passive =")

@@ -16,7 +16,10 @@ from ngsolve import SetNumThreads
 from ngvisco import case as cases
 from ngvisco.case import changes
 from ngvisco.case.directory import RunDirectory
+from ngvisco.cli import streams
+from ngvisco.cli.exits import DONE, NOT_CLOSED
 from ngvisco.errors import ParameterError
+from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.observers import Progress
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import Rejection
@@ -66,11 +69,11 @@ class ProgressBar:
 
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
         """A line of its own, above the bar."""
-        sys.stdout.write(f"\r\x1b[Krejected dt {rejection.tau:.4g} s at t {rejection.time:.4g} s\n")
+        streams.write(f"\r\x1b[Krejected dt {rejection.tau:.4g} s at t {rejection.time:.4g} s\n")
 
     def finish(self, simulation: Simulation) -> None:
-        sys.stdout.write("\n")
-        sys.stdout.flush()
+        advice = dissipation_advice(simulation)
+        streams.write("\n" if advice is None else f"\n{advice}\n")
 
     def _draw(self, simulation: Simulation, row: dict[str, float]) -> None:
         done = simulation.t / self.until
@@ -85,8 +88,7 @@ class ProgressBar:
         width = max(4, shutil.get_terminal_size().columns - len(text) - 3)
         filled = min(width, round(width * done))
         bar = f"[{'#' * filled}{'.' * (width - filled)}]"
-        sys.stdout.write(f"\r\x1b[K{bar}{text}")
-        sys.stdout.flush()
+        streams.write(f"\r\x1b[K{bar}{text}")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -119,16 +121,31 @@ def resume(options: argparse.Namespace) -> int:
 def _terminal(options: argparse.Namespace, until: float) -> list[Observer]:
     if options.quiet:
         return []
-    return [ProgressBar(until) if sys.stdout.isatty() else Progress(until)]
+    return [ProgressBar(until) if sys.stdout.isatty() else _Lines(until)]
+
+
+class _Lines(Progress):
+    """A line a step, on a standard output that may be gone."""
+
+    def _print(self, line: str) -> None:
+        streams.write(line + "\n")
 
 
 def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
     if stop.received is not None:
         name = signal.Signals(stop.received).name
-        print(f"{name}: stopped after step {result.number}, t = {result.t:g} s; a checkpoint is written")
-        print(f"go on with: ngvisco resume {directory}", flush=True)
+        streams.write(
+            f"{name}: stopped after step {result.number}, t = {result.t:g} s; a checkpoint is written\n"
+        )
+        streams.write(f"go on with: ngvisco resume {directory}\n")
         return 128 + stop.received
     closure = abs(result.ledger.column("closure_relative")).max()
-    print(f"t = {result.t:g} s after {result.number} steps; largest |closure| {closure:.1e}")
-    print(f"results in {directory}", flush=True)
-    return 0
+    streams.write(
+        f"finished: t = {result.t:g} s after {result.number} steps; largest |closure| {closure:.1e}\n"
+        "(closure: what the terms leave of a step's energy balance, over the energy; rounding is 1e-14)\n"
+    )
+    streams.write(f"results in {directory}\n")
+    if result.closure_check.failures:
+        streams.complain(result.closure_check.message)
+        return NOT_CLOSED
+    return DONE

@@ -9,18 +9,26 @@ from ngsolve import BND, CF, FacetFESpace, GridFunction, Integrate, Mesh, specia
 
 from ngvisco.errors import MeshError, UnknownNameError
 from ngvisco.forms.context import periodic_facets
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.facets import boundary_facets, facets_with_two_sides
+from ngvisco.forms.mesh_arrays import mask_of, unknown_cells
 from ngvisco.forms.orientation import check_orientation
 
 _PARALLEL = 1e-10
 
 
 def check_mesh(mesh: Mesh) -> None:
-    """Raise MeshError unless the mesh is 2D or 3D, has volume elements and none is inverted."""
+    """Raise MeshError unless the mesh is 2D or 3D, has cells, all of known types, and none is inverted."""
     if mesh.dim not in (2, 3):
         raise MeshError(f"the mesh has dimension {mesh.dim}: expected 2 (plane strain) or 3")
     if mesh.comm.Sum(mesh.ne) == 0:
         raise MeshError("the mesh has no volume elements: mesh the interior, not only its surface")
+    others = unknown_cells(mesh)
+    if mesh.comm.Sum(len(others)):
+        names = ", ".join(others) or "others"
+        raise MeshError(
+            f"the mesh has cells of the types {names}: expected triangles and quadrilaterals, or tetrahedra "
+            "(mesh.ngmesh.Split2Tets() divides hexahedra and prisms)"
+        )
     check_orientation(mesh)
 
 
@@ -70,7 +78,23 @@ def periodic_boundaries(mesh: Mesh) -> set[str]:
     MeshError
         If only a part of a name's boundary is identified.
     """
-    facets = periodic_facets(mesh)
+    return _boundaries_of(mesh, periodic_facets(mesh), "is periodic")
+
+
+def interior_boundaries(mesh: Mesh) -> set[str]:
+    """Names of the boundaries that lie between two cells: interfaces, which are no walls.
+
+    Raises
+    ------
+    MeshError
+        If only a part of a name's boundary is one.
+    """
+    facets = np.flatnonzero(facets_with_two_sides(mesh) & boundary_facets(mesh))
+    return _boundaries_of(mesh, set(facets.tolist()), "lies between cells")
+
+
+def _boundaries_of(mesh: Mesh, facets: set[int], what: str) -> set[str]:
+    """Names of the boundaries that consist of these facets; MeshError for one that does so in a part."""
     if mesh.comm.Sum(len(facets)) == 0:
         return set()
     counts = {name: [0, 0] for name in sorted(set(mesh.GetBoundaries()))}  # facets that are not, and that are
@@ -80,7 +104,7 @@ def periodic_boundaries(mesh: Mesh) -> set[str]:
     totals = {name: [mesh.comm.Sum(count) for count in pair] for name, pair in counts.items()}
     for name, (free, identified) in totals.items():
         if free and identified:
-            raise MeshError(f"boundary {name!r} is periodic in a part only: give that part a name of its own")
+            raise MeshError(f"boundary {name!r} {what} in a part only: give that part a name of its own")
     return {name for name, (_, identified) in totals.items() if identified}
 
 

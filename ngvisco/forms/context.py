@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, TypeVar, runtime_checkable
 
 from ngsolve import (
     EDGE,
@@ -21,11 +21,13 @@ from ngsolve import (
 )
 
 from ngvisco.forms.energy import StoredEnergy
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.facets import boundary_facets, facets_with_two_sides
 from ngvisco.forms.spaces import Fields
+from ngvisco.physics.time import time
 
-time = Parameter(0.0)
-"""Time in seconds, to be used in loads that depend on it; its value is the end of the last step."""
+__all__ = ["Context", "Entry", "Integrand", "Kind", "Term", "cell_size", "inner_facets", "negative", "time"]
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -79,14 +81,43 @@ class Term(Protocol):
     def entries(self, u: Fields) -> list[Entry]: ...
 
 
-class Context:
-    """Parameters and known fields of a Rothe step from t_old to t_old + tau."""
+@runtime_checkable
+class Storing(Protocol):
+    """A term with a time derivative, that is with a share E of the energy.
 
-    def __init__(self, mesh: Mesh, old: Fields, energy: StoredEnergy | None = None) -> None:
-        """``energy`` may be None where the material's energy has an expression."""
+    E is convex in (rho, m, z), m the momentum functional (paper: Euler-ED-basic-convexity-calculus).
+    ``distance(a, b)`` is its Bregman distance E(a) - E(b) - E'(b)[a - b] >= 0 as a ledger entry, in a form
+    in which nothing cancels: what a time scheme dissipates is a sum of such.
+    """
+
+    def distance(self, a: Fields, b: Fields) -> Entry: ...
+
+
+class Context:
+    """Parameters and known fields of a Rothe step: (rho, m, z)_old to (rho, m, z) by one length tau.
+
+    m is the momentum functional <m, w> = int rho v . w.  The old values are those of a state, or what a
+    time scheme combines of several (``ngvisco.timestepping``).
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        old: Fields,
+        energy: StoredEnergy | None = None,
+        momentum_old: CoefficientFunction | None = None,
+    ) -> None:
+        """``energy`` may be None where the material's energy has an expression.
+
+        ``momentum_old`` are the values of m_old at the points of the forms' rule, kg/(m^2 s); None for
+        rho_old v_old.
+        """
         self.mesh, self.old, self.energy = mesh, old, energy
+        self.momentum_old = old.rho * old.v if momentum_old is None else momentum_old
         self.tau = Parameter(1.0)
-        self.t_old = Parameter(0.0)
+        """Length of the Rothe step, s."""
+        self.loads_from, self.loads_over = Parameter(0.0), Parameter(1.0)
+        """Start and length of the interval over which loads are averaged, s."""
         self.eta = Parameter(1e-6)
         """Width of the smoothed sign sigma(v.n), m/s."""
         self.curvature = Parameter(1e-6)
@@ -95,10 +126,28 @@ class Context:
         self.inner = inner_facets(mesh)
         self.h = cell_size(mesh)
 
+    def set_step(self, tau: float, end: float, loads_from: float, loads_over: float) -> None:
+        """A Rothe step of length ``tau`` (s) whose unknowns belong to the time ``end`` (s).
+
+        Loads are averaged over ``loads_over`` (s, 0 for a value at one time) from ``loads_from`` (s) on.
+        """
+        self.tau.Set(tau)
+        self.loads_from.Set(loads_from)
+        self.loads_over.Set(loads_over)
+        time.Set(end)
+
+    def rate(self, difference: Value) -> Value:
+        """difference/tau, of coefficient functions, arrays or matrices: the only place with 1/tau."""
+        return difference / (self.tau if isinstance(difference, CoefficientFunction) else self.tau.Get())
+
     def average(self, value: CoefficientFunction) -> CoefficientFunction:
-        """1/tau int over the step by two Gauss points in time (exact for cubic functions of time)."""
+        """The mean over ``loads_over`` by two Gauss points in time (exact for cubic functions of time;
+        paper: g^k_{delta tau}).
+        """
         spread = 0.5 / 3**0.5
-        early, late = (value.Replace({time: self.t_old + s * self.tau}) for s in (0.5 - spread, 0.5 + spread))
+        early, late = (
+            value.Replace({time: self.loads_from + s * self.loads_over}) for s in (0.5 - spread, 0.5 + spread)
+        )
         return 0.5 * (early + late)
 
     def normal_velocity(self, v: CoefficientFunction) -> CoefficientFunction:
@@ -122,10 +171,12 @@ def periodic_facets(mesh: Mesh) -> set[int]:
 
 
 def inner_facets(mesh: Mesh) -> GridFunction:
-    """1 on facets between two cells, also identified ones, 0 on walls: nothing is carried through a wall."""
-    space = FacetFESpace(mesh, order=0)
-    indicator = GridFunction(space)
-    wall = mask_of(space.GetDofs(mesh.Boundaries(".*")))
+    """1 on facets between two cells, also identified ones and interfaces, 0 on walls.
+
+    Nothing is carried through a wall.
+    """
+    indicator = GridFunction(FacetFESpace(mesh, order=0))
+    wall = boundary_facets(mesh) & ~facets_with_two_sides(mesh)
     wall[list(periodic_facets(mesh))] = False
     indicator.vec.FV().NumPy()[:] = ~wall
     return indicator

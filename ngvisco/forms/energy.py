@@ -7,13 +7,15 @@ approximation) they are computed at the quadrature points and kept there: with t
 
 which at z = z_k is the slope and has its exact derivative, all that a residual and its Jacobian need.
 ``refresh`` makes them those of the present state, and is asked for before every use.  They depend on z
-alone, so that checkpoints need not have them.  The minimisers as unknowns at the points, condensed cell by
-cell, are the alternative: with F and J 72 of them in a triangle and 240 in a tetrahedron.  Measured, of the
-two equations z -> zeta on 6 triangles (12 tetrahedra): 6 (124) ms for a linearisation against 0.5 (12) ms
-here and 7 (22) ms for the minimisers.
+alone, so that checkpoints need not have them.  Further states (``follow``) have values of their own.  The
+minimisers as unknowns at the points, condensed cell by cell, are the alternative: with F and J 72 of them
+in a triangle and 240 in a tetrahedron.  Measured, of the two equations z -> zeta on 6 triangles (12
+tetrahedra): 6 (124) ms for a linearisation against 0.5 (12) ms here and 7 (22) ms for the minimisers.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from ngsolve import L2, CoefficientFunction, GridFunction, VectorValued
@@ -30,7 +32,7 @@ from ngvisco.physics.material import (
     conjugates,
     tensors_of,
 )
-from ngvisco.physics.pointwise import Respond, Response
+from ngvisco.physics.pointwise import Respond
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values
 
@@ -69,8 +71,11 @@ class StoredEnergy:
         """phi(z), Pa, of initial values at the sampler's points; may raise InitialDataError."""
         return sampler.values(self.material.energy(z))
 
-    def refresh(self) -> bool:
-        """Make the energy that of the present state; whether anything changed."""
+    def follow(self, u: Fields) -> None:
+        """Make phi(z) and phi'(z) available at ``u``, the fields of grid functions, too."""
+
+    def refresh(self, u: Fields | None = None) -> bool:
+        """Make the energy that of ``u``, by default the present state; whether anything changed."""
         return False
 
     def require(self) -> None:
@@ -78,38 +83,36 @@ class StoredEnergy:
 
 
 class PointwiseEnergy(StoredEnergy):
-    """phi and phi' of a material with a response at points, at the new state and the old one."""
+    """phi and phi' of a material with a response at points, at the present state and at those followed."""
 
     def __init__(
-        self,
-        material: Material,
-        response: Respond,
-        quadrature: Quadrature,
-        now: Fields,
-        old: Fields,
-        order: int,
+        self, material: Material, response: Respond, quadrature: Quadrature, now: Fields, order: int
     ) -> None:
         """``quadrature`` is of an even degree; ``order`` is that of the projected energy."""
         super().__init__(material, quadrature.mesh.dim)
-        self.response, self.fields, self.old_fields = response, now, old
+        self.response, self.fields = response, now
         points = IntegrationRuleSpace(quadrature.mesh, order=quadrature.volume_degree // 2)
-        size = component_count(material, self.dim)
-        self._state = GridFunction(VectorValued(points, size))
-        self._state_old = GridFunction(VectorValued(points, size))
-        self._slope = GridFunction(VectorValued(points, size))
-        self._hessian = GridFunction(VectorValued(points, size * size))
-        self._energy, self._energy_old = GridFunction(points), GridFunction(points)
-        self._size = size
-        self._last: np.ndarray | None = None
-        self._last_old: np.ndarray | None = None
+        self._size = component_count(material, self.dim)
+        self._points, self._vectors = points, VectorValued(points, self._size)
+        self._values: dict[Fields, _Values] = {}
+        self.follow(now)
+        self._hessian = GridFunction(VectorValued(points, self._size * self._size))
         self.projected = GridFunction(L2(quadrature.mesh, order=order))
 
+    def follow(self, u: Fields) -> None:
+        self._values[u] = _Values(
+            GridFunction(self._points), *(GridFunction(self._vectors) for _ in range(2))
+        )
+
     def density(self, u: Fields) -> CoefficientFunction:
-        return self._energy_old if u is self.old_fields else self._energy
+        return self._values.get(u, self._values[self.fields]).energy
 
     def slope(self, u: Fields) -> CoefficientFunction:
+        if u is not self.fields and u in self._values:
+            return self._values[u].slope
+        now = self._values[self.fields]  # also of trial functions, whose derivative by z is that at the state
         hessian = self._hessian.Reshape((self._size, self._size))
-        return self._slope + hessian * (u.z - self._state)
+        return now.slope + hessian * (u.z - now.state)
 
     def tested_slope(self, u: Fields, w: Fields) -> list[CoefficientFunction]:
         slope = tensors_of(self.material, self.slope(u), self.dim)
@@ -126,19 +129,30 @@ class PointwiseEnergy(StoredEnergy):
             raise InitialDataError("stored energy", response.failure, "finite values")
         return response.energy
 
-    def refresh(self) -> bool:
-        old = self._values(self._state_old, self.old_fields)
-        if self._last_old is None or not np.array_equal(old, self._last_old):
-            same = self._last is not None and np.array_equal(old, self._last)
-            # the old state is mostly the last new one
-            energy = _array(self._energy)[0].copy() if same else self.response(old.T).energy
-            _array(self._energy_old)[0] = energy
-            self._last_old = old
-        new = self._values(self._state, self.fields)
-        if self._last is not None and np.array_equal(new, self._last):
+    def refresh(self, u: Fields | None = None) -> bool:
+        u = self.fields if u is None else u
+        mine = self._values[u]
+        mine.state.Interpolate(u.z)
+        states = _array(mine.state)
+        if mine.at is not None and np.array_equal(states, mine.at):
             return False
-        self._store(self.response(new.T))
-        self._last = new
+        if u is self.fields:
+            response = self.response(states.T)
+            self.failure = response.failure
+            self.last_failure = response.failure or self.last_failure
+            _array(self._hessian)[:] = response.hessian.reshape(len(response.energy), -1).T
+            energy, slope = response.energy, response.slope.T
+        else:  # mostly a state that has been met
+            known = (v for v in self._values.values() if v.at is not None and np.array_equal(states, v.at))
+            met = next(known, None)
+            if met is None:
+                response = self.response(states.T)
+                energy, slope = response.energy, response.slope.T
+            else:
+                energy, slope = _array(met.energy)[0].copy(), _array(met.slope).copy()
+        _array(mine.energy)[0] = energy
+        _array(mine.slope)[:] = slope
+        mine.at = states.copy()
         return True
 
     def require(self) -> None:
@@ -146,16 +160,15 @@ class PointwiseEnergy(StoredEnergy):
         if self.failure is not None:
             raise StepError(self.failure)
 
-    def _store(self, response: Response) -> None:
-        self.failure = response.failure
-        self.last_failure = response.failure or self.last_failure
-        _array(self._energy)[0] = response.energy
-        _array(self._slope)[:] = response.slope.T
-        _array(self._hessian)[:] = response.hessian.reshape(len(response.energy), -1).T
 
-    def _values(self, target: GridFunction, u: Fields) -> np.ndarray:
-        target.Interpolate(u.z)
-        return _array(target).copy()
+@dataclass
+class _Values:
+    """phi, the state and phi' at the quadrature points, and the state they were computed at."""
+
+    energy: GridFunction
+    state: GridFunction
+    slope: GridFunction
+    at: np.ndarray | None = None
 
 
 def _array(function: GridFunction) -> np.ndarray:

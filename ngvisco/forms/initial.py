@@ -16,18 +16,19 @@ from ngsolve import (
     specialcf,
 )
 
-from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError
+from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
 from ngvisco.forms.context import Integrand
+from ngvisco.forms.data_checks import warn_of_mismatch
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.mesh_arrays import mask_of
-from ngvisco.forms.projections import project_velocity, set_traces
+from ngvisco.forms.projections import set_traces
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Fields
 from ngvisco.forms.system import Step
-from ngvisco.forms.wall_terms import Impenetrability
+from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.material import components_of, conjugates
-from ngvisco.physics.model import VectorLike, as_vector
+from ngvisco.physics.model import VectorLike, as_tensor, as_vector
 from ngvisco.physics.tensors import inner, square, tensor_space
 
 ScalarLike: TypeAlias = float | CoefficientFunction
@@ -44,7 +45,7 @@ class Initial:
     velocity : vector of the mesh's dimension, optional
         v_0, m/s; default zero.  It is projected so that v.n = 0 holds on walls,
         and vanishes on walls without slip; on moving walls it keeps its tangential part.
-    F : 3x3 coefficient function, optional
+    F : 3x3 coefficient function or array, optional
         Initial elastic distortion, det F_0 > 0, default I; every variable's start value is derived
         from it (J_0 = det F_0, E_0 = sym F_0 - I, ...).  In 2D its 13, 23, 31, 32 entries must be 0.
     values : mapping of variable names to coefficient functions, optional
@@ -55,6 +56,10 @@ class Initial:
     velocity: VectorLike | None = None
     F: CoefficientFunction | None = None
     values: Mapping[str, CoefficientFunction] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.values, Mapping):
+            raise ParameterError("Initial.values", self.values, "a mapping of variable names to functions")
 
 
 def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
@@ -91,14 +96,14 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
         sampler.require(inner(step.now.z, step.now.z), "material variables")
         sampler.require(step.now.rho, "projected density rho_0", minimum=0.0)
         for variable in step.model.material.variables:
-            value = variable.positive(step.now.z_tensors[variable.name])
-            if value is not None:
-                name = variable.name if variable.kind == "scalar" else f"det {variable.name}"
+            for name, value in variable.positive(step.now.z_tensors[variable.name]).items():
                 sampler.require(value, f"projected {name}_0", minimum=0.0)
         if not np.isfinite(step.energy.samples(step.now.z_tensors, sampler)).all():
             raise InitialDataError("stored energy", "not finite somewhere", "finite values")
         complete(step)
+    warn_of_mismatch(step, sampler, values)
     step.state_old.vec.data = step.state.vec
+    step.start_from_old()
 
 
 def _initial_values(step: Step, initial: Initial, F: CoefficientFunction) -> dict[str, CoefficientFunction]:
@@ -117,8 +122,12 @@ def _as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> Coeffic
     expected = (
         "a 3x3 coefficient function, also in 2D" if shape else "a number or a scalar coefficient function"
     )
-    if isinstance(value, (int, float)) and not isinstance(value, bool) and not shape:
-        return CF(float(value))
+    number = as_number(value)
+    if not shape and (number is not None or isinstance(value, float)):
+        return CF(float(value))  # type: ignore[arg-type]  # NaN and inf are found where data are sampled
+    if len(shape) == 2 and not isinstance(value, CoefficientFunction):
+        tensor = as_tensor(value, (shape[0], shape[1]))
+        value = value if tensor is None else tensor
     if not isinstance(value, CoefficientFunction):
         raise ParameterError(field_name, value, expected)
     if tuple(value.dims) != shape:
@@ -158,7 +167,7 @@ def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
     for name, (_, mask) in step.moving_walls.moving.items():
         n = specialcf.normal(step.mesh.dim)
         v[mask] = step.moving_walls.interpolate(name, v_0 - (v_0 * n) * n)[mask]
-    term = next((term for term in step.terms if isinstance(term, Impenetrability)), None)
+    term = step.impenetrability
     # on a periodic mesh ``Set`` counts a vertex twice in a cell that meets its own image
     if term is not None or step.layout.periodic:
         project_velocity(step.layout, step.state, v_0, term, step.quadrature)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from ngsolve import VOL, BitArray, Mesh, Projector
+from ngsolve import ET, VOL, BitArray, Mesh, Projector
 from ngsolve.la import CreateVVector
 
 SIMPLICES = (10, 12, 20, 21)
@@ -16,6 +16,18 @@ def mask_of(bits: BitArray) -> np.ndarray:
     ones[:] = 1.0
     Projector(bits, True).Project(ones)
     return ones.FV().NumPy() != 0
+
+
+_KNOWN = {2: {ET.TRIG, ET.QUAD}, 3: {ET.TET}}
+_WORDS = {ET.PYRAMID: "pyramids", ET.PRISM: "prisms", ET.HEX: "hexahedra"}
+
+
+def unknown_cells(mesh: Mesh) -> list[str]:
+    """Types of cells, in words, for which there are no spaces and rules here."""
+    if is_simplicial(mesh):
+        return []
+    found = {cell.type for cell in mesh.Elements(VOL)} - _KNOWN[mesh.dim]
+    return sorted(_WORDS.get(kind, str(kind)) for kind in found)
 
 
 def _cells(mesh: Mesh) -> np.ndarray:

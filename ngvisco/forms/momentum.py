@@ -3,11 +3,13 @@
 Adding -1/2 v.w times the continuity equation to the paper's momentum equation gives, with the mass
 flux m = rho v,
 
-    int (rho v - rho_old v_old)/tau . w - 1/2 (rho - rho_old)/tau v . w
+    int (rho v - m_old)/tau . w - 1/2 (rho - rho_old)/tau v . w
       + 1/2 m . [(L^T w) - (grad w)^T v] + ... = 0,
 
-so that w = v returns exactly the change of kinetic energy plus 1/2 int rho_old |v - v_old|^2, the
-remainder of the paper's convexity inequality (Euler-ED-basic-convexity-calculus).
+m_old the old momentum.  With m_old = rho_old v_old, w = v returns exactly the change of kinetic energy plus
+1/2 int rho_old |v - v_old|^2, the remainder of the paper's convexity inequality
+(Euler-ED-basic-convexity-calculus); in general E'(U)[U - u_old] of the kinetic energy
+E(rho, m) = max_w <m, w> - 1/2 int rho |w|^2, which is convex.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ class Continuity:
         c = self.context
         carried = carried_density(u, self.regularisation)
         q, q_hat = w.rho, w.rho_hat
-        storage = Integrand((u.rho - c.old.rho) / c.tau * q)
+        storage = Integrand(c.rate(u.rho - c.old.rho) * q)
         convection = Integrand(-carried * (u.v * w.grad_rho))
         a = c.normal_velocity(u.v)
         flux = 0.5 * ((c.modulus(a) + a) * carried - (c.modulus(a) - a) * u.rho_hat)
@@ -55,19 +57,21 @@ class Continuity:
 
 @dataclass(frozen=True)
 class Inertia:
-    """(rho v - rho_old v_old)/tau . w - 1/2 (rho - rho_old)/tau v . w."""
+    """(rho v - m_old)/tau . w - 1/2 (rho - rho_old)/tau v . w."""
 
     context: Context
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
         c = self.context
-        rate = (u.rho * u.v - c.old.rho * c.old.v) - 0.5 * (u.rho - c.old.rho) * u.v
-        return [Integrand(inner(rate, w.v) / c.tau)]
+        change = (u.rho * u.v - c.momentum_old) - 0.5 * (u.rho - c.old.rho) * u.v
+        return [Integrand(c.rate(inner(change, w.v)))]
 
     def entries(self, u: Fields) -> list[Entry]:
-        """1/2 rho_old |v - v_old|^2, what the implicit step dissipates of kinetic energy."""
-        old = self.context.old
-        return [Entry("inertial", "numerical", Integrand(0.5 * old.rho * square(u.v - old.v)))]
+        return []
+
+    def distance(self, a: Fields, b: Fields) -> Entry:
+        """1/2 rho_a |v_a - v_b|^2; with a the old state what an implicit Euler step dissipates."""
+        return Entry("inertial", "numerical", Integrand(0.5 * a.rho * square(a.v - b.v)))
 
 
 @dataclass(frozen=True)

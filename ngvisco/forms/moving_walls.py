@@ -28,7 +28,7 @@ from ngvisco.physics.model import as_vector
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.walls import PrescribedTangential
 
-_OPEN = 1e-3  # |V.n|^2/|V|^2 that the geometry's approximation may leave of a tangential velocity
+OPEN = 1e-3  # |V.n|^2/|V|^2 that the geometry's approximation may leave of a tangential velocity
 
 
 class MovingWalls:
@@ -82,7 +82,7 @@ class MovingWalls:
         normal = velocity * n
         size = Integrate(velocity * velocity, mesh, BND, definedon=region)
         through = Integrate(normal * normal, mesh, BND, definedon=region)
-        if not through <= _OPEN * size:
+        if not through <= OPEN * size:
             raise ParameterError(
                 f"walls[{name!r}].velocity",
                 f"normal part {through**0.5:.3g} of {size**0.5:.3g} in L2",

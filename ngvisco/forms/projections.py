@@ -1,15 +1,12 @@
 """L2 projections of start values, each on its own space: no matrix over all unknowns of a step.
 
 A facet unknown's mass matrix is one block a facet, a cell unknown's one block a cell, and components
-of a vector share it; only the velocity with its wall multiplier needs a sparse factorisation.
+of a vector share it.  The velocity's is in ``velocity``.
 """
 
 from __future__ import annotations
 
-import numpy as np
 from ngsolve import (
-    CF,
-    BaseMatrix,
     BaseVector,
     BilinearForm,
     CoefficientFunction,
@@ -20,14 +17,10 @@ from ngsolve import (
     NormalFacetFESpace,
     Periodic,
 )
-from ngsolve.la import SparseMatrixd
 
 from ngvisco.forms.context import Context
-from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.quadrature import Quadrature
-from ngvisco.forms.spaces import Fields, Layout
-from ngvisco.forms.wall_terms import Impenetrability
-from ngvisco.physics.tensors import inner
+from ngvisco.forms.spaces import Layout
 
 
 class FacetProjection:
@@ -78,48 +71,3 @@ def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature
 
 def _identified(layout: Layout, space: FESpace) -> FESpace:
     return Periodic(space) if layout.periodic else space
-
-
-def project_velocity(
-    layout: Layout,
-    state: GridFunction,
-    v_0: CoefficientFunction,
-    term: Impenetrability | None,
-    quadrature: Quadrature,
-) -> None:
-    """v as the L2 projection of v_0 on the velocities with (v.n, mu) = 0 for all multipliers mu.
-
-    Prescribed coefficients of v are kept as they are; ``term`` is None where there are no multipliers.
-    """
-    names = ("v",) if term is None else ("v", "wall_stress")
-    space = FESpace([layout.blocks[name] for name in names])
-    trial, test = space.TnT()
-    u, w = (Fields(layout, dict(zip(names, parts, strict=True))) for parts in (trial, test))
-    mass, load = BilinearForm(space), LinearForm(space)
-    mass += inner(u.v, w.v) * quadrature.cells
-    load += inner(CF(v_0), w.v) * quadrature.cells
-    for part in term.form(u, w) if term is not None else ():
-        mass += part.facets * quadrature.facets
-    mass.Assemble()
-    load.Assemble()
-    inverse = _without_zeros(mass.mat).Inverse(space.FreeDofs(), inverse="umfpack")
-    where = space.Range(0)
-    solution = GridFunction(space)
-    array = solution.vec.FV().NumPy()
-    v = state.vec.FV().NumPy()[layout.ranges["v"]]
-    array[where.start : where.stop] = v
-    array[mask_of(space.FreeDofs())] = 0.0
-    load.vec.data -= mass.mat * solution.vec
-    solution.vec.data += inverse * load.vec
-    v[:] = array[where.start : where.stop]
-
-
-def _without_zeros(matrix: BaseMatrix) -> BaseMatrix:
-    """The matrix without the entries between components of v that a mass matrix does not have.
-
-    NGSolve allocates and factorises them: 37 s for UMFPACK on 6,848 tetrahedra, and 5 s without.
-    """
-    rows, columns, values = (np.asarray(part) for part in matrix.COO())
-    kept = np.abs(values) > 0
-    triples = (part[kept] for part in (rows, columns, values))
-    return SparseMatrixd.CreateFromCOO(*triples, matrix.height, matrix.width)

@@ -5,7 +5,8 @@ Every rate is affine in z and linear in L and Pi (ngvisco.physics.variables), so
     rate(z; X)_n = sum_x X_x (C_xn + sum_m T_xnm z_m)
 
 in components, with constants that are read off here by evaluating the rates at unit arguments.  L has the
-dim^2 entries L_ij, row by row, and Pi the components of the trace-free tensors.
+dim^2 entries L_ij, row by row, and Pi the components of the trace-free tensors (of the symmetric ones by a
+law of creep with a trace).
 """
 
 from __future__ import annotations
@@ -15,9 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued
 
-from ngvisco.physics.material import Material, component_count, components_of, tensors_of
+from ngvisco.physics.material import (
+    Material,
+    component_count,
+    component_slices,
+    components_of,
+    creep_tensors,
+    tensors_of,
+)
 from ngvisco.physics.pointwise import squares
-from ngvisco.physics.tensors import embed_gradient, trace_free_tensors
+from ngvisco.physics.rheology import Creep
+from ngvisco.physics.tensors import embed_gradient, tensor_space
 
 
 @dataclass(frozen=True)
@@ -30,9 +39,9 @@ class RateTensors:
     """How many of the X are entries of L; the others are components of Pi."""
 
     @classmethod
-    def of(cls, material: Material, dim: int) -> RateTensors:
+    def of(cls, material: Material, dim: int, creep: Creep | None = None) -> RateTensors:
         """Read off from ``material.variables`` at z = 0 and at unit vectors of the components."""
-        n, space = component_count(material, dim), trace_free_tensors(dim)
+        n, space = component_count(material, dim), creep_tensors(creep, dim)
         zero = _constant(np.zeros((3, 3)))
         directions = []
         for unit in np.eye(dim * dim):
@@ -92,6 +101,35 @@ class RateTensors:
             else:
                 product *= factor
                 target += product
+
+
+@dataclass(frozen=True)
+class Mobility:
+    """Local creep in components, Pi = a M + D zeta, with M of ``RateTensors``: a = R by the paper's law."""
+
+    of_mandel: float
+    of_conjugates: np.ndarray | None
+    """D, (components of Pi, n), 1/(Pa s); None for zero."""
+
+    @classmethod
+    def of(cls, material: Material, dim: int, creep: Creep) -> Mobility:
+        """Of a law of creep whose rate is local."""
+        a, b = creep.weights
+        if b == 0:
+            return cls(creep.R * a, None)
+        assert material.conformation is not None
+        space = creep_tensors(creep, dim)
+        direct = np.zeros((space.size, component_count(material, dim)))
+        where = component_slices(material, dim)[material.conformation]
+        direct[:, where] = creep.R * b * space.columns.T @ tensor_space("symmetric", dim).columns
+        return cls(creep.R * a, direct)
+
+    def __call__(self, against: np.ndarray, zeta: np.ndarray) -> np.ndarray:
+        """Pi at points, (components, points), of -M, which is overwritten, and zeta (n, points)."""
+        against *= -self.of_mandel
+        if self.of_conjugates is not None:
+            against += self.of_conjugates @ zeta
+        return against
 
 
 def _constant(array: np.ndarray) -> CoefficientFunction:

@@ -4,7 +4,7 @@ R(u; w) = 0, every term a left-hand side (paper: Euler-small-viscoelastodyn+disc
 Euler-large-viscoelastodyn+disc for F, J, ...):
 
     continuity           (rho - rho_old)/tau + div(rho v)                         = 0
-    momentum             (rho v - rho_old v_old)/tau + div(rho v x v)
+    momentum             (rho v - m_old)/tau + div(rho v x v)
                          - div(T + D eps(v) - div S) - f                          = 0
     hyperstress          S - (mu_1 + mu |hess v|^{p-2}) hess v                    = 0
     kinematics           (z - z_old)/tau + (v.grad) z - rate(z; grad v, Pi)       = 0
@@ -12,14 +12,19 @@ Euler-large-viscoelastodyn+disc for F, J, ...):
     upwind traces        z_hat - z on the outflow side                            = 0
 
 with Pi = R M the creep rate, or its own equation where nu > 0, and the regularising terms if asked for.
+The old momentum m_old is rho_old v_old for the paper's scheme; others start from combinations of states,
+which are linear in (rho, m, z).
 ``Step`` owns the spaces, the fields and the compiled forms; it knows no solver and no time loop.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-from ngsolve import BilinearForm, GridFunction, Mesh
+import numpy as np
+from ngsolve import BilinearForm, GridFunction, Mesh, VectorValued
+from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.forms.boundaries import check_mesh
 from ngvisco.forms.context import Context, Entry, Integrand, Term
@@ -33,13 +38,27 @@ from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.regularisation import regularising_terms
 from ngvisco.forms.spaces import Discretisation, Fields, Layout
 from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
-from ngvisco.forms.wall_terms import wall_terms
+from ngvisco.forms.wall_terms import Impenetrability, wall_terms
 from ngvisco.forms.walls import Conditions, Walls
 from ngvisco.physics.model import Model
 
 
+@dataclass(frozen=True)
+class Evolved:
+    """What of a state has a time derivative, and the velocity: copies of coefficients.
+
+    ``momentum`` is rho v at the points of the forms' rule, (dim, points), kg/(m^2 s): for tests w of the
+    velocity its integral against w is the momentum functional.
+    """
+
+    v: np.ndarray
+    rho: np.ndarray
+    z: np.ndarray
+    momentum: np.ndarray
+
+
 class Step:
-    """Spaces, fields and forms of the step (rho, v, z)_old -> (rho, v, z).
+    """Spaces, fields and forms of the step (rho, m, z)_old -> (rho, v, z).
 
     Parameters
     ----------
@@ -82,8 +101,11 @@ class Step:
         self.quadrature = Quadrature.for_orders(mesh, k, m, bonus)
         self.energy = StoredEnergy(model.material, mesh.dim)
         if response is not None:
-            self.energy = PointwiseEnergy(model.material, response, self.quadrature, self.now, self.old, m)
-        self.context = Context(mesh, self.old, self.energy)
+            self.energy = PointwiseEnergy(model.material, response, self.quadrature, self.now, m)
+        points = IntegrationRuleSpace(mesh, order=self.quadrature.volume_degree // 2)
+        self.momentum_old = GridFunction(VectorValued(points, mesh.dim), name="momentum_old")
+        self._momentum = GridFunction(VectorValued(points, mesh.dim))
+        self.context = Context(mesh, self.old, self.energy, self.momentum_old)
         self.terms = self._terms(sources)
         self.sources = sources
         self.residual = self._residual()
@@ -123,6 +145,32 @@ class Step:
         for term in self.terms:
             self.quadrature.add(form, term.form(u, w))
         return form
+
+    @property
+    def impenetrability(self) -> Impenetrability | None:
+        """The multipliers' term, where there are oblique or curved walls."""
+        return next((term for term in self.terms if isinstance(term, Impenetrability)), None)
+
+    def evolved(self) -> Evolved:
+        """Copies of what the present state evolves by."""
+        self._momentum.Interpolate(self.now.rho * self.now.v)
+        state, ranges = self.state.vec.FV().NumPy(), self.layout.ranges
+        v, rho, z = (state[ranges[name]].copy() for name in ("v", "rho", "z"))
+        return Evolved(v, rho, z, self._momentum.vec.FV().NumPy().copy())
+
+    def start_from(self, parts: Sequence[tuple[float, Evolved]]) -> None:
+        """Let the step start from the sum of weight times state, linear in (rho, m, z).
+
+        No term reads the velocity of ``old`` then; it is the sum of the velocities.
+        """
+        old, ranges = self.state_old.vec.FV().NumPy(), self.layout.ranges
+        for name in ("v", "rho", "z"):
+            old[ranges[name]] = sum(weight * getattr(part, name) for weight, part in parts)
+        self.momentum_old.vec.FV().NumPy()[:] = sum(weight * part.momentum for weight, part in parts)
+
+    def start_from_old(self) -> None:
+        """Let the step start from the state that ``state_old`` holds: m_old = rho_old v_old."""
+        self.momentum_old.Interpolate(self.old.rho * self.old.v)
 
     def entries(self, fields: Fields | None = None) -> list[Entry]:
         """All entries of the energy ledger at ``fields`` (default: the present state)."""

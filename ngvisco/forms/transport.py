@@ -17,7 +17,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.context import Context, Entry, Integrand, negative
 from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.spaces import Fields
-from ngvisco.physics.material import mandel_stress
+from ngvisco.physics.material import local_creep_rate, mandel_stress, rate_power
 from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner, square
@@ -57,11 +57,13 @@ class Transport:
         return mandel_stress(self.material, u.z_tensors, u.zeta_tensors, self.dim)
 
     def creep_rate(self, u: Fields) -> CoefficientFunction | None:
-        """Pi, 3x3, 1/s: R M at every point or the field of its own; None without creep."""
+        """Pi, 3x3, 1/s: local, R M or by another law, or the field of its own; None without creep."""
         creep = self.model.creep
         if creep is None or creep.R == 0:
             return None
-        return creep.R * self.mandel(u) if creep.is_local else u.Pi
+        if not creep.is_local:
+            return u.Pi
+        return local_creep_rate(self.material, creep, u.z_tensors, u.zeta_tensors, self.dim)
 
 
 class Kinematics(Transport):
@@ -75,7 +77,7 @@ class Kinematics(Transport):
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
         c, G, G_tensors = self.context, w.z, w.z_tensors
-        storage = Integrand(inner(u.z - c.old.z, G) / c.tau)
+        storage = Integrand(c.rate(inner(u.z - c.old.z, G)))
         transport = self.operator(u, u, G, G_tensors, u)
         return [storage, *negative(transport), *negative(self._creep(u, G_tensors))]
 
@@ -91,16 +93,22 @@ class Kinematics(Transport):
         ]
 
     def entries(self, u: Fields) -> list[Entry]:
-        """Creep's dissipation and the Bregman distance phi(z_old) - phi(z) - phi'(z):(z_old - z)."""
-        phi, phi_old = self.energy.density(u), self.energy.density(self.context.old)
-        slope = self.energy.slope(u)
-        bregman = phi_old - phi - inner(slope, self.context.old.z - u.z)
-        entries = [Entry("bregman", "numerical", Integrand(bregman))]
-        if self.model.creep is not None and self.model.creep.is_local and self.model.creep.R > 0:
-            R = self.model.creep.R
-            creep = Integrand(R * square(self.mandel(u)))
+        """Creep's dissipation, where it has no equation of its own."""
+        entries = []
+        Pi = self.creep_rate(u)
+        if self.model.creep is not None and self.model.creep.is_local and Pi is not None:
+            if self.model.creep.law == "mandel":
+                power = self.model.creep.R * square(self.mandel(u))
+            else:
+                power = -rate_power(self.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi)
+            creep = Integrand(power)
             entries.append(Entry("dissipation_creep", "dissipation", creep))
         return entries
+
+    def distance(self, a: Fields, b: Fields) -> Entry:
+        """phi(z_a) - phi(z_b) - phi'(z_b):(z_a - z_b)."""
+        bregman = self.energy.density(a) - self.energy.density(b) - inner(self.energy.slope(b), a.z - b.z)
+        return Entry("bregman", "numerical", Integrand(bregman))
 
 
 class UpwindTrace(Transport):

@@ -19,6 +19,7 @@ from ngvisco.errors import ParameterError
 from ngvisco.forms.boundaries import (
     axis_parallel_walls,
     check_boundary_names,
+    interior_boundaries,
     pattern,
     periodic_boundaries,
 )
@@ -36,14 +37,15 @@ class Walls:
     ----------
     mesh : ngsolve.Mesh
     conditions : mapping of boundary names (or tuples of them) to Wall objects, or pairs of these
-        Boundaries that are not named slip; boundaries that the mesh identifies are no walls.
+        Boundaries that are not named slip; boundaries that the mesh identifies, and interfaces between
+        cells, are no walls.
 
     Raises
     ------
     UnknownNameError
         For a name that the mesh does not have.
     ParameterError
-        If a boundary is given two conditions, is periodic, or the condition is no Wall.
+        If a boundary is given two conditions, is periodic or an interface, or the condition is no Wall.
     MeshError
         If a wall that has to be curved is not (``kinks``).
     """
@@ -58,7 +60,12 @@ class Walls:
                 raise ParameterError(
                     f"walls[{name!r}]", given[name], "no condition: it is a periodic boundary"
                 )
-        names = sorted(set(mesh.GetBoundaries()) - self.periodic)
+        interfaces = interior_boundaries(mesh)
+        for name in interfaces.intersection(given):
+            raise ParameterError(
+                f"walls[{name!r}]", given[name], "no condition: it lies between two cells and is no wall"
+            )
+        names = sorted(set(mesh.GetBoundaries()) - self.periodic - interfaces)
         self.conditions: dict[str, Wall] = {name: given.get(name, Slip()) for name in names}
         self.axis, self.oblique = axis_parallel_walls(mesh)
         self.axis = [[name for name in group if name in self.conditions] for group in self.axis]

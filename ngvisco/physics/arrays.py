@@ -124,6 +124,17 @@ class Array:
         identity = np.eye(3)[:, :, None]
         return Array(np.einsum("iip->p", self.value), [(self, lambda g: g * identity)])
 
+    def entry(self, i: int, j: int) -> Array:
+        """The scalars A_ij."""
+        self._require_tensor()
+
+        def pull(g: np.ndarray) -> np.ndarray:
+            result = np.zeros((3, 3, g.shape[-1]), g.dtype)
+            result[i, j] = g
+            return result
+
+        return Array(self.value[i, j], [(self, pull)])
+
     def log(self) -> Array:
         """The natural logarithm of scalars."""
         if not self.is_scalar:
@@ -140,7 +151,7 @@ class Array:
 
     def _require_tensor(self) -> None:
         if self.is_scalar:
-            raise TypeError("a scalar has no transpose and no trace")
+            raise TypeError("a scalar has no transpose, trace or entries")
 
 
 def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:

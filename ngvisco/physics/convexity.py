@@ -14,13 +14,13 @@ discrete variables drift apart.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued
 
-from ngvisco.errors import require_positive
+from ngvisco.errors import ParameterError, as_integer, require_positive, require_type
 from ngvisco.physics.material import (
     Material,
     component_count,
@@ -74,8 +74,8 @@ class ConvexityReport:
     def __str__(self) -> str:
         if self.point is None or self.direction is None:
             return f"no violation of convexity in {self.samples} samples"
-        at = ", ".join(f"{name} = {_text(value)}" for name, value in self.point.items())
-        along = ", ".join(f"{name}: {_text(value)}" for name, value in self.direction.items())
+        at = ", ".join(f"{name} = {array_text(value)}" for name, value in self.point.items())
+        along = ", ".join(f"{name}: {array_text(value)}" for name, value in self.direction.items())
         who = "which a motion can reach" if self.reachable else "which no motion reaches exactly"
         where = "the nearest state of the run's start" if self.from_run else "rest"
         far = f"{who}, {self.distance:.2g} from {where} in the norm of all variables"
@@ -111,9 +111,15 @@ def check_convexity(
     -------
     ConvexityReport
     """
-    require_positive(check_convexity, spread=spread)
-    rng = np.random.default_rng(seed)
-    sampling = _Sampling(material, dim)
+    require_type("check_convexity.material", material, Material)
+    require_positive("check_convexity", spread=spread)
+    dim, number = as_integer(dim) or 0, as_integer(seed)
+    if dim not in (2, 3):
+        raise ParameterError("check_convexity.dim", dim, "2 or 3")
+    if number is None or number < 0:
+        raise ParameterError("check_convexity.seed", seed, "an integer >= 0")
+    rng = np.random.default_rng(number)
+    sampling = StateSampling(material, dim)
     fitting = sampling.fitting_states(rng, spread)
     a = sampling.changed(fitting, rng, spread)
     other = sampling.fitting_states(rng, spread)
@@ -154,7 +160,7 @@ def check_convexity(
     return report
 
 
-class _Sampling:
+class StateSampling:
     """Evaluates a material at many states at once, as cellwise constants on a mesh of squares."""
 
     def __init__(self, material: Material, dim: int) -> None:
@@ -233,6 +239,17 @@ class _Sampling:
         values = self._evaluate(self.outputs)
         return values[:, 0], values[:, 1:]
 
+    def energies(self, states: np.ndarray) -> np.ndarray:
+        """phi at states, Pa; NaN outside its domain."""
+        return self.energy_and_slope(states)[0]
+
+    def mapped(
+        self, states: np.ndarray, f: Callable[[CoefficientFunction], CoefficientFunction]
+    ) -> np.ndarray:
+        """The components f(z) for the components z of states."""
+        _set(self.state, states)
+        return self._evaluate(f(self.state))
+
     def weakest_directions(self, states: np.ndarray) -> np.ndarray:
         """Unit eigenvectors of the smallest eigenvalue of the Hessian (central differences of the slope)."""
         hessian = np.empty((len(states), self.size, self.size))
@@ -260,5 +277,6 @@ def _set(gf: GridFunction, values: np.ndarray) -> None:
         component.vec.FV().NumPy()[:] = values[:, i]
 
 
-def _text(value: np.ndarray) -> str:
+def array_text(value: np.ndarray) -> str:
+    """An array for messages, in one line."""
     return np.array2string(np.asarray(value), precision=3, suppress_small=True).replace("\n", "")

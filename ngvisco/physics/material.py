@@ -16,21 +16,40 @@ the variables z; this is the "generalised polyconvexity" of the paper's Section 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError
-from ngvisco.physics.tensors import IDENTITY, inner, tensor_space, trace_free_tensors
+from ngvisco.physics.rheology import Creep
+from ngvisco.physics.tensors import (
+    IDENTITY,
+    TensorSpace,
+    inner,
+    symmetric_tensors,
+    tensor_space,
+    trace_free_tensors,
+)
 from ngvisco.physics.variables import Values, Variable
 
 if TYPE_CHECKING:
     from ngvisco.physics.pointwise import Respond
 
 
+ElasticState: TypeAlias = Literal["F", "B"]
+
+
 class Material(ABC):
-    """What a constitutive law supplies: ``variables`` and ``energy``."""
+    """What a constitutive law supplies: ``variables`` and ``energy``.
+
+    Attributes
+    ----------
+    energy_parameter : str
+        The parameter that the energy is given by, for messages; ``"energy"`` where it is the method itself.
+    """
+
+    energy_parameter = "energy"
 
     @property
     @abstractmethod
@@ -40,6 +59,15 @@ class Material(ABC):
     @abstractmethod
     def energy(self, z: Values) -> CoefficientFunction:
         """Stored energy per actual volume, Pa, from the variables' values by name."""
+
+    def with_elastic_state(self, state: ElasticState) -> Material:
+        """The same material by F or by B = F F^T where it has the choice and left it open; else itself."""
+        return self
+
+    @property
+    def conformation(self) -> str | None:
+        """The variable that is a conformation tensor: its conjugate vanishes at rest, z = I.  Or None."""
+        return None
 
     def response(self, dim: int) -> Respond | None:
         """None where ``energy`` is an expression (the rule); otherwise what replaces it.
@@ -51,8 +79,11 @@ class Material(ABC):
 
 def check_material(material: Material) -> None:
     """Raise ParameterError when a material's list of variables does not make sense."""
-    names = [v.name for v in material.variables]
     owner = type(material).__name__
+    for variable in material.variables:
+        if not isinstance(variable, Variable):
+            raise ParameterError(f"{owner}.variables", variable, "Variable objects, e.g. Distortion()")
+    names = [v.name for v in material.variables]
     if not names:
         raise ParameterError(f"{owner}.variables", names, "at least one variable")
     if len(set(names)) < len(names):
@@ -63,6 +94,14 @@ def check_material(material: Material) -> None:
                 raise ParameterError(
                     f"{owner}.variables", names, f"{other!r} too: the rate of {variable.name!r} reads it"
                 )
+    frames = {v.frame: v.name for v in material.variables if v.frame is not None}
+    if len(frames) > 1:
+        raise ParameterError(
+            f"{owner}.variables",
+            names,
+            f"tensors of one frame: the creep rate of {frames['relaxed']!r} is that of the relaxed "
+            f"configuration, that of {frames['actual']!r} of the actual one",
+        )
 
 
 def conjugates(material: Material, z: Values) -> dict[str, CoefficientFunction]:
@@ -128,6 +167,24 @@ def mandel_stress(material: Material, z: Values, zeta: Values, dim: int) -> Coef
         ]
         entries.append(-sum(powers[1:], powers[0]) if powers else CF(0.0))
     return space.tensor(CF(tuple(entries)))
+
+
+def creep_tensors(creep: Creep | None, dim: int) -> TensorSpace:
+    """The tensors among which Pi is: trace-free ones but for a law of creep with a trace."""
+    return symmetric_tensors(dim) if creep is not None and creep.has_trace else trace_free_tensors(dim)
+
+
+def local_creep_rate(
+    material: Material, creep: Creep, z: Values, zeta: Values, dim: int
+) -> CoefficientFunction:
+    """Pi = R (a M + b zeta) at a point, 3x3, 1/s; a and b by the law of creep, zeta of the conformation."""
+    a, b = creep.weights
+    if b == 0:
+        return creep.R * mandel_stress(material, z, zeta, dim)
+    assert material.conformation is not None
+    space = creep_tensors(creep, dim)
+    direct = creep.R * b * space.tensor(space.components(zeta[material.conformation]))
+    return direct if a == 0 else creep.R * a * mandel_stress(material, z, zeta, dim) + direct
 
 
 def component_slices(material: Material, dim: int) -> dict[str, slice]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
+import numpy as np
 from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 
-from ngvisco.errors import ParameterError, _is_number, require_positive
-from ngvisco.physics.material import Material, check_material
+from ngvisco.errors import ParameterError, _is_number, as_number, require_number, require_positive
+from ngvisco.physics.material import ElasticState, Material, check_material
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.physics.state_function import check_energy
 
 VectorLike: TypeAlias = CoefficientFunction | Sequence[float | CoefficientFunction]
 
@@ -70,12 +73,14 @@ class CentralGravity:
     name: str = "gravity"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", tuple(self.centre))
-        if len(self.centre) not in (2, 3) or not all(_is_number(c) for c in self.centre):
+        try:
+            centre = [as_number(c) for c in self.centre]
+        except TypeError:
+            centre = []
+        if len(centre) not in (2, 3) or None in centre:
             raise ParameterError("CentralGravity.centre", self.centre, "two or three finite numbers")
-        for field_name, value in (("strength", self.strength), ("exponent", self.exponent)):
-            if not _is_number(value):
-                raise ParameterError(f"CentralGravity.{field_name}", value, "a finite number")
+        object.__setattr__(self, "centre", tuple(centre))
+        require_number(self, strength=self.strength, exponent=self.exponent)
         require_positive(self, radius=self.radius)
 
     @property
@@ -96,6 +101,8 @@ class Model:
     Parameters
     ----------
     material : Material
+        Isotropic ones at finite strain that leave ``elastic_state`` open are by B = F F^T where there is
+        creep, by F where there is none.
     viscosity : StokesViscosity, optional
     hyperviscosity : HyperViscosity, optional
     creep : Creep, optional
@@ -107,8 +114,10 @@ class Model:
     Raises
     ------
     ParameterError
-        If a part is of the wrong type, two loads share a name, or the material's list of variables
-        makes no sense.
+        If a part is of the wrong type, two loads share a name, the material's list of variables
+        makes no sense, or the law of creep needs a conformation tensor that the material does not have.
+    UnknownNameError
+        If a ``WithQuadratic`` names variables that its material does not have in the form for this model.
     """
 
     material: Material
@@ -135,10 +144,32 @@ class Model:
         for load in self.loads:
             if not isinstance(load, (Gravity, CentralGravity, BodyForce)):
                 raise ParameterError("Model.loads", load, "Gravity, CentralGravity or BodyForce objects")
+            _check_name(load)
         names = [load.name for load in self.loads]
         if len(set(names)) < len(names):
             raise ParameterError("Model.loads", names, "distinct names")
         check_material(self.material)
+        law = "mandel" if self.creep is None else self.creep.law
+        if law != "mandel" and self.material.conformation is None:
+            raise ParameterError("Model.creep", f"law = {law!r}", "a material with a conformation tensor")
+        state = default_elastic_state(self.creep)
+        object.__setattr__(self, "material", self.material.with_elastic_state(state))
+        check_energy(self.material)
+
+
+def default_elastic_state(creep: Creep | None) -> ElasticState:
+    """How a material that leaves it open knows of its elastic state: by B where there is creep, else by F."""
+    return "B" if creep is not None and creep.R > 0 else "F"
+
+
+_NAME = re.compile(r"(?!traction_|wall_)[A-Za-z][A-Za-z0-9_]*")
+"""Names of loads: power_<name> is a column's name, and those of walls are power_traction_<wall> and so on."""
+
+
+def _check_name(load: Load) -> None:
+    if not (isinstance(load.name, str) and _NAME.fullmatch(load.name)):
+        expected = "a name of letters, digits and _, not beginning with traction_ or wall_"
+        raise ParameterError(f"{type(load).__name__}.name", load.name, expected)
 
 
 def as_vector(value: VectorLike, dim: int, field_name: str) -> CoefficientFunction:
@@ -147,12 +178,32 @@ def as_vector(value: VectorLike, dim: int, field_name: str) -> CoefficientFuncti
         vector = value
     else:
         try:
-            parts: tuple[Any, ...] = tuple(value)
+            parts: tuple[Any, ...] = tuple(np.asarray(value).ravel() if _is_matrix(value) else value)
         except TypeError:
             raise ParameterError(field_name, value, f"a vector of length {dim}") from None
         if not all(isinstance(p, CoefficientFunction) or _is_number(p) for p in parts):
             raise ParameterError(field_name, value, "finite numbers or coefficient functions")
-        vector = CF(parts)
+        vector = CF(tuple(p if isinstance(p, CoefficientFunction) else float(p) for p in parts) or 0.0)
     if vector.dim != dim:
         raise ParameterError(field_name, value, f"a vector of length {dim}, not {vector.dim}")
     return vector
+
+
+def _is_matrix(value: object) -> bool:
+    """Whether it is a row or a column of NumPy, (1, n) or (n, 1)."""
+    return isinstance(value, np.ndarray) and value.ndim == 2 and 1 in value.shape
+
+
+def as_tensor(value: object, shape: tuple[int, int]) -> CoefficientFunction | None:
+    """An array, or rows of numbers and coefficient functions, as a tensor; None if it is none."""
+    entries: list[Any] = []
+    try:
+        for row in np.asarray(value) if isinstance(value, np.ndarray) else value:  # type: ignore[attr-defined]
+            entries += [e if isinstance(e, CoefficientFunction) else as_number(e) for e in row]
+            if len(entries) % shape[1]:
+                return None
+    except TypeError:
+        return None
+    if len(entries) != shape[0] * shape[1] or any(entry is None for entry in entries):
+        return None
+    return CF(tuple(entries), dims=shape)

@@ -6,6 +6,7 @@ whose energy has no expression, such as a Yosida approximation, supplies a ``Res
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -15,7 +16,7 @@ import numpy as np
 from ngsolve import CF, ET, L2, VOL, GridFunction, IntegrationRule, VectorValued
 from ngsolve.meshes import MakeStructured2DMesh
 
-from ngvisco.physics.material import Material, component_count, tensors_of
+from ngvisco.physics.material import Material, component_count, components_of, tensors_of
 from ngvisco.physics.tensors import tensor_space
 
 _CELLS = 64  # squares a side of the mesh on which a batch of states is evaluated
@@ -48,6 +49,36 @@ class Response:
 
 Respond: TypeAlias = Callable[[np.ndarray], Response]
 """The response at states of shape (n, N)."""
+
+
+_KNOWN_BY = 8  # states at which an energy is looked at to know it again
+
+
+def sampled_energies(material: Material, dim: int) -> str:
+    """Energies at fixed states, Pa, as a text: the same for the same energy, whatever it is called.
+
+    Nine digits are kept, so that other libraries' rounding makes no difference.
+    """
+    rng = np.random.default_rng(2024)
+    F = np.eye(3) + 0.25 * rng.uniform(-1, 1, (_KNOWN_BY, 3, 3))
+    if dim == 2:
+        F[:, 2, :2] = F[:, :2, 2] = 0.0
+    return " ".join(f"{value:.8e}" for value in energies_at(material, F, dim))
+
+
+def energies_at(material: Material, F: np.ndarray, dim: int) -> np.ndarray:
+    """Energies, Pa, of n states that follow from distortions F, (n, 3, 3); NaN where there is none."""
+    mesh, points = squares(math.isqrt(len(F) - 1) + 1)
+    field = GridFunction(VectorValued(L2(mesh, order=0), 9))
+    field.vec.FV().NumPy().reshape(9, -1)[:, : len(F)] = F.reshape(-1, 9).T
+    tensor = field.Reshape((3, 3))
+    z = {v.name: v.from_distortion(tensor) for v in material.variables}
+    response = material.response(dim)
+    with np.errstate(all="ignore"):
+        if response is not None:
+            states = np.asarray(components_of(material, z, dim)(points)).reshape(len(points), -1)
+            return response(states[: len(F)]).energy
+        return np.asarray(material.energy(z)(points)).reshape(-1)[: len(F)]
 
 
 def respond(material: Material, dim: int) -> Respond:

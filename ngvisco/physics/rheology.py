@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, require_above, require_nonnegative, require_positive
+from ngvisco.errors import (
+    ParameterError,
+    require_above,
+    require_choice,
+    require_nonnegative,
+    require_positive,
+)
 from ngvisco.physics.tensors import IDENTITY, Scalar, dev, power_of_square, square, tr
 
 
@@ -87,12 +94,26 @@ class HyperViscosity:
         return 0.5 * (self.p - 2) * self.mu * power_of_square(s, 0.5 * (self.p - 4), self.floor)
 
 
+CreepLaw: TypeAlias = Literal["mandel", "conformation", "leonov"]
+
+_LAWS = {"mandel": (1.0, 0.0), "conformation": (0.0, 2.0), "leonov": (0.5, 1.0)}
+"""Weights of M and of zeta (its deviator where Pi is trace-free) in G_m Pi."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Creep:
     """Maxwellian creep G_m Pi - div(nu |grad Pi|^{q-2} grad Pi) = M (paper: ED-Euler-large3).
 
     With nu = 0 (default) that is Pi = R M at every point, R = 1/G_m; with nu > 0, Pi is a continuous field
     with (n . grad) Pi = 0 on walls.
+
+    ``law`` says what drives Pi at every point; the others than the paper's need a conformation tensor B with
+    the conjugate zeta (``OldroydB``, ``FENEP``), are local (nu = 0), and agree with it at small elastic
+    strains, where zeta = M/2 for incompressible ones:
+
+    * ``"mandel"``: G_m Pi = M,
+    * ``"conformation"``: G_m Pi = 2 zeta, with a trace, so that det B relaxes too (Oldroyd-B, FENE-P),
+    * ``"leonov"``: G_m Pi = M/2 + dev zeta (Leonov).
 
     In the linearised model this is E_ZJ = eps(v) - R dev S (paper: Euler-small-viscoelastodyn+2).
     The sign is that of the energy balance; the paper's flow rules print G_m Pi = -M.
@@ -113,14 +134,20 @@ class Creep:
         Its exponent, > 1; the paper's analysis wants q > 3.  Default 4.
     floor : float
         Regularisation of |grad Pi| at zero for exponents that are no even integers, 1/(m s), > 0.
+    law : str
+        ``"mandel"`` (default), ``"conformation"`` or ``"leonov"``.
     """
 
     G_m: float
     nu: float = 0.0
     q: float = 4.0
     floor: float = 1e-10
+    law: CreepLaw = "mandel"
 
     def __post_init__(self) -> None:
+        require_choice(self, tuple(_LAWS), law=self.law)
+        if self.law != "mandel" and self.nu != 0:
+            raise ParameterError("Creep.nu", self.nu, f"0 for law = {self.law!r}, which is local")
         if self.G_m != math.inf:
             require_positive(self, G_m=self.G_m)
         require_nonnegative(self, nu=self.nu)
@@ -138,6 +165,16 @@ class Creep:
     def R(self) -> float:
         """Reciprocal creep modulus 1/G_m, 1/(Pa s)."""
         return 1 / self.G_m
+
+    @property
+    def weights(self) -> tuple[float, float]:
+        """(a, b) of G_m Pi = a M + b zeta."""
+        return _LAWS[self.law]
+
+    @property
+    def has_trace(self) -> bool:
+        """Whether tr Pi is not zero: the determinant of B is then not that of a distortion."""
+        return self.law == "conformation"
 
     @property
     def is_local(self) -> bool:

@@ -14,6 +14,12 @@ inelastic distortion rate Pi (symmetric, tr Pi = 0).  Every rate is linear in z,
 | H = J^b Cof F | (1 + b)(tr L) H - L^T H + H Pi^T      | exa-Mooney-Rivlin-ref          |
 | A = 1/J       | -(tr L) A                             | DT-det-inverse                 |
 | K = ln J / J  | (tr L)(A - K)                         | exa-neo-Hookean-ref            |
+| J^a F F^T     | L B + B L^T + a (tr L) B - 2 sym(Pi B) | none, see ``LeftCauchyGreen``  |
+| J^b Cof F F^T | (2 + b)(tr L) N - 2 sym(N L) + 2 sym(Pi N) | none, see ``CofactorLeftCauchyGreen`` |
+
+The two last ones are for isotropic energies: they do not know of the rotation in F, which creep never
+relaxes and whose gradient grows for ever in a flow.  Their Pi is the creep rate in the actual frame, that
+of F the one in the relaxed frame; one material has variables of one frame only (``frame``).
 
 The cofactor rows are the paper's (Cof' F)(L F - F Pi) written out: d/dt (J F^-T) with tr Pi = 0.
 The paper's line for Mooney-Rivlin prints (Cof' F)((grad v)H - H Pi) - (7/6)(div v)H, which is a slip:
@@ -25,6 +31,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from ngsolve import CoefficientFunction, Cof, Det, log
 
@@ -68,18 +75,35 @@ class Variable(ABC):
         """Names of other variables that the rate reads."""
         return ()
 
-    def positive(self, value: CoefficientFunction) -> CoefficientFunction | None:
-        """The scalar of the variable's value that must stay > 0 (J, det F, ...), or None.
+    def positive(self, value: CoefficientFunction) -> Values:
+        """The scalars of the variable's value that must stay > 0, by what they are (``"det F"``).
 
         The implicit equations of a long step have solutions of the wrong sign too; a step that ends in
         one is refused (paper: the local non-interpenetration of Euler-large-ass-phi).
         """
-        return None
+        return {}
 
     @property
     def creeps(self) -> bool:
         """Whether the rate depends on Pi; functions of J do not, since tr Pi = 0."""
         return self.kind != "scalar"
+
+    @property
+    def frame(self) -> Literal["relaxed", "actual"] | None:
+        """Where the rate's Pi lives; None for variables that do not creep.
+
+        dF/dt = L F - F Pi has the creep rate Pi of the relaxed (intermediate) configuration.  That of E and
+        of F F^T lives in the actual one: it is Q Pi Q^T with the polar factor Q of F.
+        """
+        return "actual" if self.creeps else None
+
+    def turned(self, value: CoefficientFunction, Q: CoefficientFunction) -> CoefficientFunction:
+        """The value that an observer turned by the rotation Q (3x3) sees."""
+        return Q * value * Q.trans if self.creeps else value
+
+    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
+        """(d, n) with d = J^n for a variable that belongs to a distortion of determinant J, or None."""
+        return None
 
 
 @dataclass(frozen=True)
@@ -122,8 +146,18 @@ class Distortion(Variable):
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
         return Det(F) ** float(self.exponent) * F if self.exponent else F
 
-    def positive(self, value: CoefficientFunction) -> CoefficientFunction | None:
-        return Det(value)
+    def positive(self, value: CoefficientFunction) -> Values:
+        return {f"det {self.name}": Det(value)}
+
+    @property
+    def frame(self) -> Literal["relaxed", "actual"] | None:
+        return "relaxed"
+
+    def turned(self, value: CoefficientFunction, Q: CoefficientFunction) -> CoefficientFunction:
+        return Q * value
+
+    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
+        return Det(value), 3 * self.exponent + 1
 
 
 @dataclass(frozen=True)
@@ -148,8 +182,96 @@ class Cofactor(Variable):
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
         return Det(F) ** float(self.exponent) * Cof(F) if self.exponent else Cof(F)
 
-    def positive(self, value: CoefficientFunction) -> CoefficientFunction | None:
-        return Det(value)
+    def positive(self, value: CoefficientFunction) -> Values:
+        return {f"det {self.name}": Det(value)}
+
+    @property
+    def frame(self) -> Literal["relaxed", "actual"] | None:
+        return "relaxed"
+
+    def turned(self, value: CoefficientFunction, Q: CoefficientFunction) -> CoefficientFunction:
+        return Q * value
+
+    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
+        return Det(value), 3 * self.exponent + 2
+
+
+@dataclass(frozen=True)
+class LeftCauchyGreen(Variable):
+    """B = J^exponent F F^T, the left Cauchy-Green tensor of the elastic distortion F.
+
+    From dF/dt = L F - F Pi_R and dJ/dt = (tr L) J,
+
+        dB/dt = L B + B L^T + a (tr L) B - 2 J^a F Pi_R F^T,   a = exponent.
+
+    Pi_R is coaxial with F^T F where the energy is isotropic (G_m Pi_R = M is so).  With the polar
+    decomposition F = V Q, Pi = Q Pi_R Q^T is then coaxial with V, and F Pi_R F^T = V Pi V = Pi V^2: the creep
+    term is -Pi B - B Pi, with Pi symmetric, trace-free and of the same size, G_m Pi = dev 2 sym(zeta B).
+
+    The rotation Q is gone, and with it what winds up in a flow that goes on.  B is positive definite and
+    det B = J^(3a + 2).  The implicit step promises neither; the leading minors are checked.
+    Isotropic energies are functions of B and J: |J^(a/2) F|^2 = tr B.
+    """
+
+    name: str = "B"
+    kind: str = "symmetric"
+    exponent: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_finite("LeftCauchyGreen.exponent", self.exponent)
+
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+        B = z[self.name]
+        half = (L - Pi) * B
+        rate = half + half.trans
+        return rate + self.exponent * tr(L) * B if self.exponent else rate
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        B = F * F.trans
+        return Det(F) ** float(self.exponent) * B if self.exponent else B
+
+    def positive(self, value: CoefficientFunction) -> Values:
+        return _leading_minors(self.name, value)
+
+    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
+        return Det(value), 3 * self.exponent + 2
+
+
+@dataclass(frozen=True)
+class CofactorLeftCauchyGreen(Variable):
+    """N = J^exponent Cof(F F^T), what ``LeftCauchyGreen`` is to F for the cofactor of F.
+
+    Cof(F F^T) = J^2 (F F^T)^-1, and from dB/dt = (L - Pi) B + B (L - Pi)^T follows
+    dB^-1/dt = -B^-1 (L - Pi) - (L - Pi)^T B^-1, so that with b = exponent
+
+        dN/dt = (2 + b)(tr L) N - L^T N - N L + Pi N + N Pi.
+
+    N is positive definite, det N = J^(3b + 4), and |J^(b/2) Cof F|^2 = tr N.
+    """
+
+    name: str = "N"
+    kind: str = "symmetric"
+    exponent: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_finite("CofactorLeftCauchyGreen.exponent", self.exponent)
+
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+        N = z[self.name]
+        half = (L.trans - Pi) * N
+        return (2 + self.exponent) * tr(L) * N - half - half.trans
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        N = Cof(F) * Cof(F).trans
+        return Det(F) ** float(self.exponent) * N if self.exponent else N
+
+    def positive(self, value: CoefficientFunction) -> Values:
+        return _leading_minors(self.name, value)
+
+    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
+        return Det(value), 3 * self.exponent + 4
 
 
 @dataclass(frozen=True)
@@ -165,8 +287,11 @@ class Jacobian(Variable):
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
         return Det(F)
 
-    def positive(self, value: CoefficientFunction) -> CoefficientFunction | None:
-        return value
+    def positive(self, value: CoefficientFunction) -> Values:
+        return {self.name: value}
+
+    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
+        return value, 1.0
 
 
 @dataclass(frozen=True)
@@ -182,8 +307,11 @@ class ReciprocalJacobian(Variable):
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
         return 1 / Det(F)
 
-    def positive(self, value: CoefficientFunction) -> CoefficientFunction | None:
-        return value
+    def positive(self, value: CoefficientFunction) -> Values:
+        return {self.name: value}
+
+    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
+        return value, -1.0
 
 
 @dataclass(frozen=True)
@@ -203,6 +331,15 @@ class LogJacobian(Variable):
     @property
     def requires(self) -> tuple[str, ...]:
         return (self.reciprocal,)
+
+
+def _leading_minors(name: str, A: CoefficientFunction) -> Values:
+    """What is positive exactly where the symmetric tensor A is positive definite."""
+    return {
+        f"{name}_11": A[0, 0],
+        f"{name}_11 {name}_22 - {name}_12^2": A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0],
+        f"det {name}": Det(A),
+    }
 
 
 def _require_finite(field: str, value: float) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, _is_number, require_nonnegative
+from ngvisco.errors import ParameterError, as_number, require_nonnegative
 from ngvisco.physics.model import VectorLike
 
 
@@ -61,7 +61,7 @@ class Traction(Wall):
     ----------
     f : vector of the mesh's dimension
         Traction, Pa, a function of x and ``ngvisco.time``, averaged over the step; its normal part has
-        no power and is dropped.
+        no power and is left out, which an ``InputWarning`` says.
     friction : float
         eps >= 0, Pa s/m.
     straight : bool
@@ -93,8 +93,15 @@ class NavierFriction(Wall):
 
     def __post_init__(self) -> None:
         if isinstance(self.coefficient, CoefficientFunction):
+            if self.coefficient.dim != 1:
+                shape = f"a function of shape {tuple(self.coefficient.dims)}"
+                raise ParameterError(
+                    "NavierFriction.coefficient", shape, "a number >= 0 or a scalar function"
+                )
             return
-        if not (_is_number(self.coefficient) and self.coefficient >= 0):
+        number = as_number(self.coefficient)
+        if number is None or number < 0:
             raise ParameterError(
                 "NavierFriction.coefficient", self.coefficient, "a number >= 0 or a function"
             )
+        object.__setattr__(self, "coefficient", number)

@@ -2,15 +2,20 @@
 
 Layout::
 
-    /                               attributes: format, ngvisco, mesh, spaces, material and any that the
+    /                               attributes: format, ngvisco, mesh, spaces, material, energies (Pa, at
+                                    fixed states, by which an energy is known again), scheme and any that the
                                     caller adds (``case``, the hash of a case file's physics)
     /ledger/<column>                one value a step, attribute ``unit``
     /checkpoints/<step>/state       all coefficients of the step's space; attributes time (s), step,
                                     energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s)
-    /checkpoints/<step>/solver      where the Jacobian was factorised (attributes t_old, tau, last_tau;
-                                    data sets state, state_old), empty if there is none
+    /checkpoints/<step>/solver      where the Jacobian was factorised (attributes tau, end, loads_from,
+                                    loads_over, last_tau; data sets state, state_old), and the last two
+                                    solutions, which start values are extrapolated from; empty for none
     /checkpoints/<step>/stepping    what the choice of the next step depends on, empty for fixed steps
     /checkpoints/<step>/passive     coefficients of the run's passive fields, if any
+
+The ledger and each checkpoint have the attribute ``checksum``, the SHA-256 of all their numbers: a file in
+which a bit has changed is refused.
 
 The file is made in memory, written beside and renamed, so that a kill or a full disk at any moment
 leaves the last one readable.  A restart factorises the Jacobian where the run had done so, and goes
@@ -24,7 +29,7 @@ import hashlib
 import importlib.metadata
 import io
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,20 +37,25 @@ import h5py
 import numpy as np
 from ngsolve import Mesh
 
-from ngvisco.errors import CheckpointError, ParameterError
+from ngvisco.errors import CheckpointError, require_count, require_path
 from ngvisco.forms.mesh_arrays import coordinates, vertices
 from ngvisco.physics.material import Material
+from ngvisco.physics.pointwise import sampled_energies
 from ngvisco.run.files import write_atomically
 from ngvisco.run.ledger import Balance, unit
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
-FORMAT = 2
-UNITS = "time, tau, dt, t_old: s; energy: J; mass: kg; velocity_scale: m/s (per metre in plane strain)"
+FORMAT = 3
+UNITS = (
+    "time, tau, dt, end, loads_from, loads_over, *_time, known_*: s; energy: J; mass: kg; "
+    "velocity_scale: m/s (per metre in plane strain)"
+)
 """Of the checkpoints' attributes, as the file says itself; those of the ledger stand at its columns."""
 _WHOLE = ("step", "newton_iterations", "rejections")
 """Ledger columns of whole numbers."""
+_CHECKSUM = "checksum"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +64,14 @@ class Snapshot:
 
     numbers: dict[str, dict[str, float]]
     arrays: dict[str, dict[str, np.ndarray]]
+
+    @property
+    def checksum(self) -> str:
+        """SHA-256 of all of it."""
+        return _digest(
+            {f"{part}/{k}": v for part, named in self.numbers.items() for k, v in named.items()},
+            {f"{part}/{k}": v for part, named in self.arrays.items() for k, v in named.items()},
+        )
 
 
 class Checkpoints:
@@ -79,9 +97,9 @@ class Checkpoints:
         attributes: Mapping[str, str] | None = None,
     ) -> None:
         for name, value in (("every", every), ("keep", keep)):
-            if not (isinstance(value, int) and value >= 1):
-                raise ParameterError(f"Checkpoints.{name}", value, "an integer >= 1")
-        self.path, self.every, self.keep = Path(path), every, keep
+            require_count("Checkpoints", **{name: value})
+        self.path = require_path("Checkpoints.path", path)
+        self.every, self.keep = int(every), int(keep)
         self.attributes = dict(attributes or {})
         self._kept: dict[int, Snapshot] = {}
 
@@ -110,6 +128,7 @@ class Checkpoints:
             for column in simulation.ledger.columns:
                 data = group.create_dataset(column, data=simulation.ledger.column(column))
                 data.attrs["unit"] = unit(column)
+            group.attrs[_CHECKSUM] = _digest({}, {name: np.array(data) for name, data in group.items()})
             for number, one in kept.items():
                 _store(file.create_group(f"checkpoints/{number:08d}"), one)
         write_atomically(self.path, image.getvalue())
@@ -117,6 +136,7 @@ class Checkpoints:
 
 
 def _store(group: h5py.Group, one: Snapshot) -> None:
+    group.attrs[_CHECKSUM] = one.checksum
     for name, numbers in one.numbers.items():
         part = group.require_group(name) if name else group
         part.attrs.update(numbers)
@@ -124,20 +144,45 @@ def _store(group: h5py.Group, one: Snapshot) -> None:
             part.create_dataset(key, data=array)
 
 
-def _load(group: h5py.Group) -> Snapshot:
+def _load(path: Path, group: h5py.Group) -> Snapshot:
     parts = {"": group} | {name: group[name] for name in ("solver", "stepping", "passive")}
-    numbers = {name: {k: float(v) for k, v in part.attrs.items()} for name, part in parts.items()}
+    numbers = {
+        name: {k: float(v) for k, v in part.attrs.items() if k != _CHECKSUM} for name, part in parts.items()
+    }
     arrays = {
         name: {key: np.array(data) for key, data in part.items() if isinstance(data, h5py.Dataset)}
         for name, part in parts.items()
     }
-    return Snapshot(numbers, arrays)
+    one = Snapshot(numbers, arrays)
+    _verify(path, group, one.checksum)
+    return one
+
+
+def _digest(numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 of named numbers and arrays."""
+    digest = hashlib.sha256()
+    for name, value in sorted(numbers.items()):
+        digest.update(f"{name}={float(value).hex()};".encode())
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name}:{array.dtype.str}{array.shape};".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _verify(path: Path, group: h5py.Group, checksum: str) -> None:
+    """Raise CheckpointError unless the group's checksum is this one."""
+    found = group.attrs.get(_CHECKSUM)
+    if found != checksum:
+        what = "has no checksum" if found is None else "is damaged (its checksum differs)"
+        raise CheckpointError(f"{path}: {group.name.lstrip('/')} {what}; go on from another copy of the file")
 
 
 def _read_snapshots(path: Path) -> dict[int, Snapshot]:
     try:
         with h5py.File(path, "r") as file:
-            return {int(name): _load(group) for name, group in file["checkpoints"].items()}
+            return {int(name): _load(path, group) for name, group in file["checkpoints"].items()}
+    except CheckpointError:
+        raise
     except _UNREADABLE as error:
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
 
@@ -179,20 +224,24 @@ def restore(
         If the file is missing or damaged, has no such checkpoint, or belongs to another mesh,
         discretisation or material, or other ``attributes``; the message says which.
     """
+    path = require_path("restore.path", path)
     expected = identity(simulation) | dict(attributes or {})
-    one = read_checkpoint(Path(path), expected, step)
+    one = read_checkpoint(path, expected, step)
     vector, state = simulation.rothe_step.state.vec, state_of(one, simulation, path)
     numbers = one.numbers[""]
     number = int(numbers["step"])
-    rows = [row for row in read_ledger_rows(Path(path)) if row["step"] <= number]
+    simulation.ledger.keep(dict.fromkeys(read_ledger(path), 0.0))
+    rows = [row for row in read_ledger_rows(path, simulation.ledger.columns) if row["step"] <= number]
+    if [row["step"] for row in rows] != list(range(number + 1)):
+        raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
     simulation.passive.load(one.arrays["passive"])
     vector.FV().NumPy()[:] = state
     simulation.rothe_step.state_old.vec.data = vector
+    simulation.rothe_step.start_from_old()
     simulation.set_time(numbers["time"], number)
     simulation.set_velocity_scale(numbers["velocity_scale"])
     simulation.solver.recall(one.numbers["solver"], one.arrays["solver"])
-    simulation.stepper.recall(one.numbers["stepping"], one.arrays["stepping"])
-    simulation.ledger.keep(rows[-1] if rows else {})
+    simulation.stepper.recall(simulation, one.numbers["stepping"], one.arrays["stepping"])
     simulation.ledger.resume(balance_of(one), rows)
 
 
@@ -202,8 +251,7 @@ def balance_of(one: Snapshot) -> Balance:
 
 
 def state_of(one: Snapshot, simulation: Simulation, path: str | os.PathLike[str]) -> np.ndarray:
-    """The coefficients of a checkpoint; raises CheckpointError if they are not as many as the
-    simulation's."""
+    """The coefficients of a checkpoint; raises CheckpointError if they are not as many as the run's."""
     state, expected = one.arrays[""]["state"], len(simulation.rothe_step.state.vec)
     if state.shape != (expected,):
         raise CheckpointError(f"{path}: the state has {state.size} coefficients, not {expected}")
@@ -225,13 +273,17 @@ def read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> S
                 found = file.attrs.get(name)
                 if name != "ngvisco" and found != value:
                     found = found.item() if isinstance(found, np.generic) else found
-                    raise CheckpointError(f"{path}: its {name} is {found!r}, this run's is {value!r}")
+                    verb = "are" if name == "energies" else "is"
+                    message = f"its {name} {verb} {found!r}, this run's {verb} {value!r}"
+                    raise CheckpointError(f"{path}: {message}")
             names = sorted(file["checkpoints"])
+            if not names:
+                raise CheckpointError(f"{path}: it holds no checkpoint: start the run anew")
             name = names[-1] if step is None else f"{step:08d}"
             if name not in names:
                 steps = ", ".join(str(int(n)) for n in names)
                 raise CheckpointError(f"{path}: no checkpoint of step {step} (there are {steps})")
-            return _load(file["checkpoints"][name])
+            return _load(path, file["checkpoints"][name])
     except CheckpointError:
         raise
     except _UNREADABLE as error:
@@ -239,24 +291,43 @@ def read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> S
 
 
 def read_ledger(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """The ledger of a run's HDF5 file, an array a column."""
+    """The ledger of a run's HDF5 file, an array a column.
+
+    Raises
+    ------
+    CheckpointError
+        If the file cannot be read, or its ledger is not as it was written.
+    """
+    path = require_path("read_ledger.path", path)
+    if not path.exists():
+        raise CheckpointError(f"{path}: no such file")
     try:
         with h5py.File(path, "r") as file:
-            return {name: np.array(data) for name, data in file["ledger"].items()}
+            columns = {name: np.array(data) for name, data in file["ledger"].items()}
+            _verify(path, file["ledger"], _digest({}, columns))
+            return columns
+    except CheckpointError:
+        raise
     except _UNREADABLE as error:
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
 
 
-def read_ledger_rows(path: Path) -> list[dict[str, float]]:
-    """The same as rows."""
-    columns = read_ledger(path)
-    count = len(next(iter(columns.values()), ()))
+def read_ledger_rows(path: Path, columns: Sequence[str]) -> list[dict[str, float]]:
+    """The same as rows of the given columns; CheckpointError for one that is missing or too short."""
+    found = read_ledger(path)
+    if missing := [name for name in columns if name not in found]:
+        raise CheckpointError(f"{path}: its ledger has no column {', '.join(missing)}")
+    if len({found[name].shape for name in columns}) != 1 or found[columns[0]].ndim != 1:
+        raise CheckpointError(f"{path}: the columns of its ledger have different lengths")
     kinds = {name: int if name in _WHOLE else float for name in columns}
-    return [{name: kinds[name](data[i]) for name, data in columns.items()} for i in range(count)]
+    return [{name: kinds[name](found[name][i]) for name in columns} for i in range(len(found[columns[0]]))]
 
 
 def identity(simulation: Simulation) -> dict[str, Any]:
-    """What must be equal for a checkpoint to fit: format, mesh, spaces and material."""
+    """What must be equal for a checkpoint to fit: format, mesh, spaces and material.
+
+    A material is its parameters and energies at some states: functions of one name are different energies.
+    """
     layout = simulation.rothe_step.layout
     spaces = ", ".join(f"{name} {layout.blocks[name].ndof}" for name in layout.names)
     return {
@@ -265,6 +336,8 @@ def identity(simulation: Simulation) -> dict[str, Any]:
         "mesh": mesh_hash(simulation.mesh),
         "spaces": spaces,
         "material": material_signature(simulation.model.material),
+        "scheme": scheme_signature(simulation),
+        "energies": sampled_energies(simulation.model.material, simulation.mesh.dim),
     }
 
 
@@ -289,6 +362,16 @@ def material_signature(material: object) -> str:
             text = getattr(value, "__qualname__", None) or repr(value)
         values.append(f"{field.name}={text}")
     return f"{type(material).__name__}({', '.join(values)})"
+
+
+def scheme_signature(simulation: Simulation) -> str:
+    """Name and tableau of the time scheme, and its startup and relaxation where there are such."""
+    integrator = simulation.integrator
+    scheme = integrator.scheme
+    text = f"{scheme.name}, A = {scheme.A}, b = {scheme.b}"
+    if integrator.startup:
+        text += f", startup = {integrator.startup}"
+    return text + (", relaxed" if integrator.relaxed else "")
 
 
 def _version() -> str:

@@ -26,7 +26,7 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 def append(path: Path, text: str) -> None:
     """Add text to the end of a file."""
-    with _named(path), path.open("a", newline="") as file:
+    with _named(path), path.open("a", newline="", encoding="utf-8") as file:
         file.write(text)
 
 

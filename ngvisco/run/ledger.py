@@ -3,14 +3,17 @@
     E - E_old + tau (sum of dissipations - sum of powers) + inertial + bregman = closure
 
 is zero for the exact solution of a step (paper: Euler-ED-basic-energy-balance-disc and
-Euler-large-energy-balance-disc, with their inequalities' remainders written out).  ``inertial`` =
-1/2 int rho_old |v - v_old|^2 and ``bregman`` = int phi(z_old) - phi(z) - phi'(z):(z_old - z) are what
-the implicit step dissipates numerically; bregman >= 0 where the energy is convex.
+Euler-large-energy-balance-disc, with their inequalities' remainders written out).  Dissipations and powers
+are weighted as the time scheme does.  ``inertial`` and ``bregman`` are the kinetic and the stored part of
+what it dissipates numerically, sums of Bregman distances (``ngvisco.timestepping.scheme``): for the
+implicit Euler step 1/2 int rho_old |v - v_old|^2 and int phi(z_old) - phi(z) - phi'(z):(z_old - z), the
+latter >= 0 where the energy is convex; of either sign for schemes of second order.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -22,9 +25,18 @@ from ngvisco.errors import UnknownNameError
 from ngvisco.forms.context import Entry, Integrand, Kind
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.physics.defects import relative_defects
+from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
 from ngvisco.run.notebook import data_frame, ledger_html
+from ngvisco.timestepping.integrator import StepTaken
+
+NUMERICAL = ("inertial", "bregman")
+"""Columns of the scheme's own dissipation, J a step: its kinetic and its stored part."""
+
+RATES = ("dissipation", "power")
+"""Kinds of entries that enter the balance times the step's length."""
 
 UNITS = {
     "step": "1",
@@ -37,10 +49,13 @@ UNITS = {
     "rho_max": "kg/m^3",
     "J_min": "1",
     "J_defect": "m^(d/2)",
+    "defect_rms": "1",
+    "defect_max": "1",
     "v_max": "m/s",
     "newton_iterations": "1",
     "rejections": "1",
     "cfl": "1",
+    "error_estimate": "1",
     "density_diffusion": "kg^2/m^3/s",
     "cutoff_volume": "m^3",
 }
@@ -67,6 +82,14 @@ class Balance:
     initial_mass: float
 
 
+WARNING_DEFECT = 0.01
+"""Relative root mean square of a defect from which on a run warns."""
+
+
+class DefectWarning(UserWarning):
+    """Variables that stand for one thing have parted: the solution is wrong though the ledger closes."""
+
+
 class Ledger:
     """Evaluates a row after every step.
 
@@ -79,14 +102,15 @@ class Ledger:
 
     def __init__(self, step: Step, sampler: Sampler) -> None:
         self.step, self.sampler = step, sampler
-        self.entries = step.entries()
+        self.entries = [*step.entries(), *(Entry(name, "numerical", Integrand()) for name in NUMERICAL)]
         _check_names(self.entries)
-        self._cells, self._cell_names = self._cell_integrands()
-        self._facets = [
-            (e.name, e.integrand.facets.Compile()) for e in self.entries if e.integrand.facets is not None
-        ]
+        self._state = _Integrals(step, self._state_integrands())
+        self._rates = _Integrals(step, {e.name: e for e in self.entries if e.kind in RATES})
         self._monitors = self._monitor_functions()
+        self._has_warned = False
         self.rows: list[dict[str, float]] = []
+        self._kept: list[str] = []
+        self._pending = 0.0
         self.balance: Balance | None = None
 
     @property
@@ -96,8 +120,9 @@ class Ledger:
             *("step", "time", "dt", "kinetic", "stored"),
             *(entry.name for entry in self.entries),
             *("closure", "closure_relative", "mass", "mass_drift"),
-            *("rho_min", "rho_max", "J_min", "J_defect", "v_max", "newton_iterations", "rejections"),
-            "cfl",
+            *("rho_min", "rho_max", "J_min", "J_defect", "defect_rms", "defect_max"),
+            *("v_max", "newton_iterations", "rejections"),
+            *("cfl", "error_estimate"),
         ]
 
     def column(self, name: str) -> np.ndarray:
@@ -115,12 +140,14 @@ class Ledger:
 
     def start(self, time: float) -> dict[str, float]:
         """Row 0: the initial state, with no exchange."""
-        values = self._integrals()
+        self.step.energy.require()
+        values = self._state()
         energy = values["kinetic"] + values["stored"]
         self.balance = Balance(energy, values["mass"], values["mass"])
         idle = dict.fromkeys((entry.name for entry in self.entries), 0.0)
-        row = {"step": 0, "time": time, "dt": 0.0, **values, **idle, "closure": 0.0}
-        return self._append(row | {"closure_relative": 0.0, "mass_drift": 0.0}, 0, 0, 0.0)
+        row = {"step": 0, "time": time, "dt": 0.0, **idle, **values, "closure": 0.0}
+        row |= {"closure_relative": 0.0, "mass_drift": 0.0, "error_estimate": math.nan}
+        return self._append(row, 0, 0, 0.0)
 
     def resume(self, balance: Balance, rows: list[dict[str, float]]) -> None:
         """Go on from a checkpoint's balance and the rows up to its step."""
@@ -128,7 +155,8 @@ class Ledger:
 
     def energy(self) -> float:
         """Kinetic plus stored energy at the present state, J."""
-        values = self._integrals()
+        self.step.energy.require()
+        values = self._state()
         return values["kinetic"] + values["stored"]
 
     def keep(self, row: Mapping[str, float]) -> None:
@@ -137,14 +165,41 @@ class Ledger:
             if name not in self.columns and name.startswith(("dissipation_", "power_", TRANSFER)):
                 kind: Kind = "numerical" if name == TRANSFER else "dissipation"
                 kind = "power" if name.startswith("power_") else kind
-                self.entries.append(Entry(name, kind, Integrand(), lambda: 0.0))
+                self.entries.append(Entry(name, kind, Integrand()))
+                self._kept.append(name)
+
+    def note_transfer(self, lost: float) -> None:
+        """Have ``lost``, J, in the next row's column ``transfer``, and 0 in the others."""
+        self.keep({TRANSFER: 0.0})
+        self._pending = lost
+
+    def _kept_values(self) -> dict[str, float]:
+        values = dict.fromkeys(self._kept, 0.0)
+        if TRANSFER in values:
+            values[TRANSFER], self._pending = self._pending, 0.0
+        return values
+
+    def rates(self) -> dict[str, float]:
+        """Dissipations and powers at the present state, W, by columns."""
+        self.step.energy.require()
+        return self._rates()
 
     def record(
-        self, number: int, time: float, tau: float, iterations: int, rejections: int = 0
+        self,
+        number: int,
+        time: float,
+        taken: StepTaken,
+        rejections: int = 0,
+        error: float | None = None,
     ) -> dict[str, float]:
-        """The row of the step that has just been solved, from ``time - tau`` to ``time``."""
+        """The row of the step ``taken`` to the present state, which is that of ``time``, s.
+
+        ``error`` is the estimate of the step's relative error, None where there is none.
+        """
         assert self.balance is not None
-        values = self._integrals()
+        tau, iterations = taken.tau, len(taken.history)
+        self.step.energy.require()
+        values = self._kept_values() | self._state() | taken.rates | taken.numerical
         energy = values["kinetic"] + values["stored"]
         dissipated, worked = self._sum(values, "dissipation"), self._sum(values, "power")
         remainder = self._sum(values, "numerical")
@@ -157,7 +212,7 @@ class Ledger:
         row = {
             **{"step": number, "time": time, "dt": tau, **values},
             **{"closure": closure, "closure_relative": closure / scale if scale else closure},
-            "mass_drift": drift,
+            **{"mass_drift": drift, "error_estimate": math.nan if error is None else error},
         }
         return self._append(row, iterations, rejections, tau)
 
@@ -171,29 +226,16 @@ class Ledger:
         self.rows.append({name: row[name] for name in self.columns})
         return self.rows[-1]
 
-    def _cell_integrands(self) -> tuple[CoefficientFunction, list[str]]:
+    def _state_integrands(self) -> dict[str, Entry]:
+        """What is integrated of a state: energies, mass, and what is for information."""
         u = self.step.now
         named = {
             "kinetic": 0.5 * u.rho * square(u.v),
             "stored": self.step.energy.density(u),
             "mass": u.rho,
         }
-        for entry in self.entries:
-            if entry.integrand.cells is not None:
-                named[entry.name] = entry.integrand.cells
-        return CF(tuple(named.values())).Compile(), list(named)
-
-    def _integrals(self) -> dict[str, float]:
-        quadrature = self.step.quadrature
-        self.step.energy.require()
-        totals = quadrature.integrate_cells(self._cells)
-        values = {name: float(t) for name, t in zip(self._cell_names, totals, strict=True)}
-        for name, integrand in self._facets:
-            values[name] = values.get(name, 0.0) + quadrature.integrate_facets(integrand)
-        for entry in self.entries:
-            if entry.evaluate is not None:
-                values[entry.name] = entry.evaluate()
-        return values
+        entries = {name: Entry(name, "monitor", Integrand(value)) for name, value in named.items()}
+        return entries | {e.name: e for e in self.entries if e.kind == "monitor"}
 
     def _monitor_functions(self) -> CoefficientFunction:
         """rho, J (NaN where the material has none), (J - det F)^2, |v|, |v|/h."""
@@ -210,6 +252,10 @@ class Ledger:
                 F = value
         has_both = F is not None and J is not nan
         self._defect = ((J - Det(F)) * (J - Det(F))).Compile() if has_both else None
+        defects = relative_defects(self.step.model.material, z, self.step.model.creep)
+        self._defects = CF(tuple(defects.values())).Compile() if defects else None
+        self._defect_squares = CF((1.0, *(d * d for d in defects.values()))).Compile()
+        self._defect_names = list(defects)
         if F is not None and J is nan:
             J = Det(F)
         speed = sqrt(square(u.v))
@@ -220,14 +266,71 @@ class Ledger:
         defect = math.nan
         if self._defect is not None:
             defect = math.sqrt(self.step.quadrature.integrate_cells(self._defect))
+        rms, largest = self._relative_defects()
         return {
             "rho_min": float(values[:, 0].min()),
             "rho_max": float(values[:, 0].max()),
             "J_min": float(values[:, 1].min()),
             "J_defect": defect,
+            "defect_rms": rms,
+            "defect_max": largest,
             "v_max": float(values[:, 2].max()),
             "cfl": tau * float(values[:, 3].max()),
         }
+
+    def _relative_defects(self) -> tuple[float, float]:
+        """Largest root mean square and largest value of the relative defects; warns once from 1 % on."""
+        if self._defects is None:
+            return math.nan, math.nan
+        values = self.sampler.values(self._defects)
+        largest = np.abs(values.reshape(len(values), -1)).max(axis=0)
+        volume, *squares = self.step.quadrature.integrate_cells(self._defect_squares)
+        rms = np.sqrt(np.array(squares) / volume)
+        worst = int(np.argmax(rms))
+        if rms[worst] >= WARNING_DEFECT and not self._has_warned:
+            self._has_warned = True
+            warnings.warn(
+                _winding_message(self._defect_names[worst], rms[worst], largest[worst], self.step),
+                DefectWarning,
+                stacklevel=2,
+            )
+        return float(rms.max()), float(largest.max())
+
+
+def _winding_message(pair: str, rms: float, largest: float, step: Step) -> str:
+    material = step.model.material
+    winds = any(v.frame == "relaxed" for v in material.variables)
+    remedy = "shorter steps and a finer mesh"
+    if winds and isinstance(material, IsotropicElastic):
+        remedy = f'elastic_state="B" where the body flows, in which nothing winds up, or {remedy}'
+    elif winds:
+        remedy = f"variables by B = F F^T where the body flows and the energy is isotropic, or {remedy}"
+    return (
+        f"{pair} differ by {rms:.1%} in the mean square, {largest:.1%} at most: the variables no longer "
+        "belong to one distortion, and the stress is wrong by as much, though the ledger closes; the remedy "
+        f"is {remedy}"
+    )
+
+
+class _Integrals:
+    """Integrals of entries at the present state of a step, compiled together."""
+
+    def __init__(self, step: Step, entries: dict[str, Entry]) -> None:
+        self.step = step
+        cells = {name: e.integrand.cells for name, e in entries.items() if e.integrand.cells is not None}
+        self._cell_names = list(cells)
+        self._cells = CF((*cells.values(), 0.0, 0.0)).Compile()  # a vector, however few there are
+        facets = {name: e.integrand.facets for name, e in entries.items() if e.integrand.facets is not None}
+        self._facets = {name: integrand.Compile() for name, integrand in facets.items()}
+        self._evaluated = {name: e.evaluate for name, e in entries.items() if e.evaluate is not None}
+
+    def __call__(self) -> dict[str, float]:
+        quadrature = self.step.quadrature
+        totals = quadrature.integrate_cells(self._cells)
+        values = {name: float(t) for name, t in zip(self._cell_names, totals, strict=False)}
+        for name, integrand in self._facets.items():
+            values[name] = values.get(name, 0.0) + quadrature.integrate_facets(integrand)
+        return values | {name: evaluate() for name, evaluate in self._evaluated.items()}
 
 
 def _check_names(entries: list[Entry]) -> None:

@@ -6,6 +6,7 @@ names only when they are complete (written beside and renamed).
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import errno
 import io
@@ -19,7 +20,17 @@ from typing import TYPE_CHECKING, TextIO
 
 from ngsolve import CF, CoefficientFunction, VTKOutput
 
-from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.errors import (
+    ParameterError,
+    UnknownNameError,
+    as_integer,
+    as_times,
+    require_count,
+    require_names,
+    require_path,
+    require_positive,
+)
+from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.files import append, write_atomically
 
 if TYPE_CHECKING:
@@ -41,8 +52,9 @@ class Progress:
     """
 
     def __init__(self, until: float, every: int = 1, stream: TextIO | None = None) -> None:
-        _require_count("Progress.every", every)
-        self.until, self.every, self.stream = until, every, stream
+        require_count("Progress", every=every)
+        require_positive("Progress", until=until)
+        self.until, self.every, self.stream = float(until), int(every), stream
 
     def start(self, simulation: Simulation) -> None:
         self._began, self._from = clock.perf_counter(), simulation.t
@@ -51,7 +63,7 @@ class Progress:
         steps = (
             "adaptive steps" if simulation.is_adaptive else f"{self._total[1:]} steps of {simulation.dt:g} s"
         )
-        self._print(f"{cells} cells, {unknowns} unknowns, {steps}")
+        self._print(f"{cells} cells, {unknowns} unknowns, {steps}, {simulation.scheme}")
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
         number = simulation.number
@@ -74,10 +86,17 @@ class Progress:
         )
 
     def finish(self, simulation: Simulation) -> None:
-        self._print(f"stopped at t = {simulation.t:g} s after {simulation.number} steps")
+        finished = simulation.t >= self.until * (1 - 1e-9)
+        word = "finished" if finished else "stopped"
+        self._print(f"{word} at t = {simulation.t:g} s after {simulation.number} steps")
+        advice = dissipation_advice(simulation)
+        if advice is not None:
+            self._print(advice)
 
     def _print(self, line: str) -> None:
-        print(line, file=self.stream or sys.stdout, flush=True)
+        # a reader that has gone, or a terminal that cannot take it, does not end a run
+        with contextlib.suppress(OSError, ValueError):
+            print(line, file=self.stream or sys.stdout, flush=True)
 
 
 class LedgerCSV:
@@ -87,7 +106,7 @@ class LedgerCSV:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
+        self.path = require_path("LedgerCSV.path", path)
 
     def start(self, simulation: Simulation) -> None:
         columns = simulation.ledger.columns
@@ -137,9 +156,14 @@ class VTKSeries:
         times: Sequence[float] = (),
     ) -> None:
         if every is not None:
-            _require_count("VTKSeries.every", every)
-        self.directory, self.every, self.times = Path(directory), every, tuple(times)
-        self.names, self.subdivision = fields, subdivision
+            require_count("VTKSeries", every=every)
+        if as_integer(subdivision) is None or subdivision < 0:
+            raise ParameterError("VTKSeries.subdivision", subdivision, "an integer >= 0")
+        self.directory, self.every = require_path("VTKSeries.directory", directory), every
+        self.times = tuple(as_times("VTKSeries.times", times))
+        if fields is not None:
+            require_names("VTKSeries.fields", fields)
+        self.names, self.subdivision = fields, int(subdivision)
         self.written: list[tuple[float, str]] = []
 
     def start(self, simulation: Simulation) -> None:
@@ -215,7 +239,7 @@ def read_pvd(path: Path) -> list[tuple[float, str]]:
     """(time, file) of every data set that a .pvd of ours lists; empty if there is none."""
     if not path.exists():
         return []
-    found = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text())
+    found = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text(encoding="utf-8"))
     return [(float(time), name) for time, name in found]
 
 
@@ -233,8 +257,3 @@ def _label_components(path: Path, fields: dict[str, CoefficientFunction]) -> Non
         attributes = "".join(f' ComponentName{i}="{label}"' for i, label in enumerate(labels))
         text = text.replace(f'Name="{name}" ', f'Name="{name}"{attributes} ')
     path.write_bytes(text.encode() + mark + tail)
-
-
-def _require_count(field: str, value: object) -> None:
-    if not (isinstance(value, int) and not isinstance(value, bool) and value >= 1):
-        raise ParameterError(field, value, "an integer >= 1")

@@ -1,4 +1,4 @@
-"""Passive fields: carried along by the flow after each accepted step, without any effect on it.
+"""Passive fields: carried along by the flow, without any effect on it, by the run's own time scheme.
 
 | name          | equation                                              | start |
 |---------------|-------------------------------------------------------|-------|
@@ -6,8 +6,9 @@
 | reference_map | dt xi + (v . grad) xi = 0, where a point came from, m | x     |
 | creep_strain  | dt kappa + (v . grad) kappa = sqrt(2/3) |Pi|          | 0     |
 
-Each is a linear problem with the step's velocity: implicit Euler and upwinding by traces on discontinuous
-P_k, k the velocity's order, as the scheme does for its own variables (with P_1 the gradient of xi in the
+Each stage of the scheme is a linear problem with the stage's velocity, implicit Euler from the combination of
+earlier stages that the scheme prescribes, with upwinding by traces on discontinuous P_k, k the velocity's
+order, as the scheme does for its own variables (with P_1 the gradient of xi in the
 cells is less than half of what it should be at h = 0.2).  The columns of F_tot share one matrix, the
 components of the others a second one; GMRES takes 10 to 20 iterations.  In place of xi the displacement
 x - xi is carried, which is periodic where the flow is; xi may then lie outside the cell.
@@ -28,7 +29,6 @@ from ngsolve import (
     Grad,
     GridFunction,
     LinearForm,
-    Parameter,
     Periodic,
     Preconditioner,
     Projector,
@@ -72,17 +72,17 @@ class PassiveFields:
             if name not in NAMES:
                 raise UnknownNameError("passive field", name, NAMES)
         self.step, self.names = step, tuple(dict.fromkeys(names))
-        self.tau = Parameter(1.0)
         dim = step.mesh.dim
+        self._stages: list[dict[str, np.ndarray]] = []
         self._parts: dict[str, GridFunction] = {}
         self._sources: dict[str, CoefficientFunction] = {}
         self._solvers: dict[str, _Carrier] = {}
         if "F_tot" in self.names:
-            self._add_group("F_tot", dim, _Carrier(step, True, self.tau, step.now.grad_v))
+            self._add_group("F_tot", dim, _Carrier(step, True, step.now.grad_v))
             for j in range(dim):
                 unit = CF(tuple(float(i == j) for i in range(dim)))
                 self._parts[f"F_tot_{j + 1}"].Set(unit)
-        flow = _Carrier(step, False, self.tau, None)
+        flow = _Carrier(step, False, None)
         if "reference_map" in self.names:
             self._add_group("displacement", dim, flow)
             for i in range(dim):
@@ -122,13 +122,26 @@ class PassiveFields:
             result["creep_strain"] = parts["creep_strain_1"]
         return result
 
-    def advance(self, tau: float) -> None:
-        """Carry all fields over the step of length ``tau`` that has just been accepted."""
-        self.tau.Set(tau)
+    def begin(self) -> None:
+        """A step begins: forget the stages since the last accepted one."""
+        self._stages = [self.arrays()]
+
+    def stage(self, weights: np.ndarray) -> None:
+        """Carry all fields over a stage that starts from these weights of the stages so far.
+
+        The present state, with the length in the step's context, is the stage's.
+        """
         for carrier in dict.fromkeys(self._solvers.values()):
             carrier.update()
+        carried = {}
+        for key, solver in self._solvers.items():
+            carried[key] = solver.carry(key, _combined(weights, self._stages, key), self._sources.get(key))
+        self._stages.append(carried)
+
+    def end(self, weights: np.ndarray) -> None:
+        """The step is accepted: take these weights of its stages."""
         for key, field in self._parts.items():
-            self._solvers[key].carry(field, tau, self._sources.get(key))
+            field.vec.FV().NumPy()[:] = _combined(weights, self._stages, key)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What a checkpoint has to keep: copies of all coefficients by name."""
@@ -148,13 +161,18 @@ class PassiveFields:
             field.vec.FV().NumPy()[:] = arrays[key]
 
 
+def _combined(weights: np.ndarray, stages: Sequence[Mapping[str, np.ndarray]], key: str) -> np.ndarray:
+    """The sum of weight times stage; stages that there are not yet have no weight."""
+    return sum(weight * stage[key] for weight, stage in zip(weights, stages, strict=False) if weight != 0)
+
+
 class _Carrier:
     """f/tau + (v . grad) f - A f = f_old/tau + source, with upwind traces; one matrix for many fields.
 
     The cells' unknowns are condensed: what is solved for are the traces, which cells hand on to each other.
     """
 
-    def __init__(self, step: Step, vector: bool, tau: Parameter, rate: CoefficientFunction | None) -> None:
+    def __init__(self, step: Step, vector: bool, rate: CoefficientFunction | None) -> None:
         """``rate`` is A, (dim, dim), or None for none; ``vector`` fields have dim components."""
         mesh, order, c, v = step.mesh, step.discretisation.k, step.context, step.now.v
         self.cells = VectorL2(mesh, order=order) if vector else L2(mesh, order=order)
@@ -166,7 +184,7 @@ class _Carrier:
         if rate is not None:
             convected = convected - rate * f
         inflow, rules = c.inflow(v), step.quadrature
-        cells = (1 / tau) * inner(f, g) + inner(convected, g)
+        cells = c.rate(inner(f, g)) + inner(convected, g)
         # the cell that v enters takes the trace, and the trace is what the other cell has
         entering = (v * c.normal) * inflow * inner(f_hat - f, g)
         trace = inner((1 - 0.5 * c.inner) * f_hat - (1 - inflow) * f, g_hat)
@@ -177,7 +195,7 @@ class _Carrier:
         # the old value by the rule of the matrix: another one lets errors grow at rest
         self._old = GridFunction(self.cells)
         self._load = LinearForm(self.space)
-        self._load += inner(self._old, g) * rules.cells
+        self._load += c.rate(inner(self._old, g)) * rules.cells
         self._tests, self._rules = g, rules
         self._traces = Projector(self.space.FreeDofs(True), True)
         self._solution = GridFunction(self.space)
@@ -186,8 +204,8 @@ class _Carrier:
         """Assemble for the present velocity and step length."""
         self.form.Assemble()
 
-    def carry(self, field: GridFunction, tau: float, source: CoefficientFunction | None) -> None:
-        """Take ``field``, on ``cells``, over the step of length ``tau`` with the matrix of ``update``.
+    def carry(self, name: str, old: np.ndarray, source: CoefficientFunction | None) -> np.ndarray:
+        """What the field with coefficients ``old`` on ``cells`` becomes by the matrix of ``update``.
 
         Raises
         ------
@@ -195,8 +213,8 @@ class _Carrier:
             If the linear system is not solved.
         """
         form, solution = self.form, self._solution
-        self._old.vec.data = field.vec
-        rhs = ((1 / tau) * self._load.Assemble().vec).Evaluate()
+        self._old.vec.FV().NumPy()[:] = old
+        rhs = self._load.Assemble().vec
         if source is not None:
             rhs += LinearForm(source * self._tests * self._rules.cells).Assemble().vec
         reduced = (rhs + form.harmonic_extension_trans * rhs).Evaluate()
@@ -213,9 +231,8 @@ class _Carrier:
             solution.vec.data = solver * reduced
             if not solver.residuals[-1] <= ENOUGH * solver.residuals[0]:
                 raise StepError(
-                    f"{field.name}: its transport was not solved in {ITERATIONS} iterations: "
-                    "take a smaller step"
+                    f"{name}: its transport was not solved in {ITERATIONS} iterations: take a smaller step"
                 )
         solution.vec.data += form.harmonic_extension * solution.vec
         solution.vec.data += form.inner_solve * rhs
-        field.vec.data = solution.components[0].vec
+        return solution.components[0].vec.FV().NumPy().copy()

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ngvisco.errors import CheckpointError, UnknownNameError
+from ngvisco.errors import CheckpointError, UnknownNameError, require_count
 from ngvisco.run.files import append, write_atomically
-from ngvisco.run.observers import _require_count
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -39,7 +38,7 @@ class Series:
     """Whether there is something to note of the state before the first step."""
 
     def __init__(self, path: str | os.PathLike[str] | None, every: int) -> None:
-        _require_count(f"{type(self).__name__}.every", every)
+        require_count(type(self).__name__, every=every)
         self.path = None if path is None else Path(path)
         self.every = every
         self.columns: list[str] = []

@@ -15,8 +15,16 @@ from typing import Protocol
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, Mesh
 
-from ngvisco.errors import InitialDataError, ParameterError, _is_number, require_type
+from ngvisco.errors import (
+    InitialDataError,
+    ParameterError,
+    as_number,
+    as_times,
+    require_positive,
+    require_type,
+)
 from ngvisco.forms.context import Term, time
+from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
 from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.forms.momentum import Loading
@@ -30,7 +38,9 @@ from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, Wit
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
+from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.fields import output_fields
+from ngvisco.run.inputs import check_arguments, check_observer, times_of
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
 from ngvisco.run.passive import PassiveFields
@@ -38,6 +48,8 @@ from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, Reje
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.threads import computing
+from ngvisco.timestepping.integrator import Integrator
+from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
 
 
 class Observer(Protocol):
@@ -68,6 +80,15 @@ class Simulation:
         Length tau of the Rothe steps, s, > 0; with ``stepping`` that of the first one.
     stepping : AdaptiveSteps, optional
         Chooses the steps' lengths; default None is steps of the one length ``dt``.
+    scheme : str or TimeScheme
+        ``"backward-euler"`` (default, the paper's), ``"midpoint"``, ``"theta"`` or ``"sdirk2"``; see
+        ``ngvisco.timestepping.scheme``.
+    theta : float, optional
+        Of the scheme ``"theta"``, in [1/2, 1].
+    startup : int
+        So many first steps of the run are of the backward Euler scheme, which damps rough initial data.
+    relaxation : bool
+        With ``"midpoint"`` and ``stepping``: end each step where the scheme's own dissipation is zero.
     discretisation : Discretisation, optional
     newton : NewtonOptions, optional
     solver : str, optional
@@ -95,6 +116,10 @@ class Simulation:
         *,
         dt: float,
         stepping: AdaptiveSteps | None = None,
+        scheme: str | TimeScheme = "backward-euler",
+        theta: float | None = None,
+        startup: int = 0,
+        relaxation: bool = False,
         initial: Initial | None = None,
         walls: Conditions | None = None,
         discretisation: Discretisation | None = None,
@@ -113,14 +138,16 @@ class Simulation:
             ("newton", newton, NewtonOptions),
         ):
             require_type(f"Simulation.{name}", kind() if value is None else value, kind)
-        if not (_is_number(dt) and dt > 0):
-            raise ParameterError("Simulation.dt", dt, "a finite number > 0")
-        if velocity_scale is not None and not (_is_number(velocity_scale) and velocity_scale > 0):
-            raise ParameterError("Simulation.velocity_scale", velocity_scale, "a number > 0")
+        require_positive("Simulation", dt=dt)
+        if velocity_scale is not None:
+            require_positive("Simulation", velocity_scale=velocity_scale)
+        check_arguments(observers, walls, stepping, passive, sources)
+        chosen = _checked_scheme(scheme, theta, startup, relaxation, stepping)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
+        self.check_data([0.0])
         self.observers = list(observers)
         self.t, self.number = 0.0, 0
         try:
@@ -129,22 +156,24 @@ class Simulation:
             self._check_convexity(None)  # it may be the reason
             raise
         self._check_convexity(self.sampler.values(self.rothe_step.now.z))
-        self.set_velocity_scale(velocity_scale or self._typical_velocity())
+        warn_of_normal_parts(self.rothe_step, None if initial is None else initial.velocity)
+        self.set_velocity_scale(float(velocity_scale or self._typical_velocity()))
         options = newton or NewtonOptions()
         if solver is not None:
             options = replace(options, method=solver)
         self.solver = RotheSolver(self.rothe_step, options, self.defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
+        self.closure_check = ClosureCheck(options.tolerance)
         u, variables = self.rothe_step.now, model.material.variables
-        scalars = {v: v.positive(u.z_tensors[v.name]) for v in variables}
-        positive = {
-            v.name if v.kind == "scalar" else f"det {v.name}": value
-            for v, value in scalars.items()
-            if value is not None
-        }
+        positive: dict[str, CoefficientFunction] = {}
+        for variable in variables:
+            positive |= variable.positive(u.z_tensors[variable.name])
         self._positive_names = ("rho", *positive)
         self._positive_values = CF((u.rho, *positive.values()))
         self.passive = PassiveFields(self.rothe_step, passive)
+        self.integrator = Integrator(
+            self.solver, chosen, self.ledger.rates, [self.passive], startup, relaxation
+        )
         self.wall_time = 0.0
         self.stop_requested = False
 
@@ -171,6 +200,11 @@ class Simulation:
 
     def _repr_html_(self) -> str:
         return simulation_html(self)
+
+    @property
+    def scheme(self) -> TimeScheme:
+        """The time scheme of the run (after its startup)."""
+        return self.integrator.scheme
 
     @property
     def is_adaptive(self) -> bool:
@@ -206,7 +240,7 @@ class Simulation:
         return {**output_fields(self.rothe_step), **self.passive.fields}
 
     def advance(self, stop: float = math.inf) -> dict[str, float]:
-        """One accepted Rothe step, which with adaptive lengths ends at ``stop`` (s) at the latest.
+        """One accepted step of the scheme, which with adaptive lengths ends at ``stop`` (s) at the latest.
 
         Returns
         -------
@@ -224,9 +258,10 @@ class Simulation:
             self._start_ledger()
             began = clock.perf_counter()
             step = self.stepper.advance(self, stop)
-            row = self.ledger.record(self.number + 1, step.time, step.tau, step.iterations, step.rejections)
-            self.passive.advance(step.tau)
+            self.integrator.accept()
             self.set_time(step.time, self.number + 1)
+            row = self.ledger.record(self.number, step.time, step.taken, step.rejections, step.error)
+            self.closure_check.step(self, row)
             self.wall_time += clock.perf_counter() - began
             return row
 
@@ -245,8 +280,13 @@ class Simulation:
         StepError
             As ``advance``; observers are finished first.
         """
-        if not (_is_number(until) and until >= self.t):
+        end = as_number(until)
+        if end is None or end < self.t:
             raise ParameterError("until", until, f"a finite number >= {self.t:g}")
+        until, stops = end, as_times("stops", stops)
+        for observer in self.observers:
+            check_observer(observer)
+        self.check_data(times_of(self.t, until))
         for name, value in [("until", until), *(("stops", stop) for stop in stops)]:
             self.stepper.check(name, value)
         targets = sorted({*(stop for stop in stops if self.t < stop < until), until})
@@ -262,6 +302,14 @@ class Simulation:
         if failure is not None:
             raise failure
         return self.ledger
+
+    def check_data(self, times: Sequence[float]) -> None:
+        """Raise ParameterError for loads and walls that are not what they must be at one of the times, s.
+
+        ``run`` does so before its first step.
+        """
+        check_loads(self.rothe_step, self.sampler, times)
+        check_walls(self.rothe_step, times)
 
     def request_stop(self) -> None:
         """Let ``run`` end after the present step, with its observers finished."""
@@ -320,6 +368,31 @@ class Simulation:
         """Diagonal of the mesh's bounding box, m."""
         points = coordinates(self.mesh)
         return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
+
+
+def _checked_scheme(
+    scheme: str | TimeScheme,
+    theta: float | None,
+    startup: int,
+    relaxation: bool,
+    stepping: AdaptiveSteps | None,
+) -> TimeScheme:
+    """The scheme; raises ParameterError for what does not fit it."""
+    try:
+        chosen = scheme_of(scheme, theta)
+    except ParameterError as error:
+        field = error.field if "." in error.field else f"Simulation.{error.field}"
+        raise ParameterError(field, error.value, error.expected) from error
+    if isinstance(startup, bool) or not isinstance(startup, int) or startup < 0:
+        raise ParameterError("Simulation.startup", startup, "a whole number of backward Euler steps, >= 0")
+    require_type("Simulation.relaxation", relaxation, bool)
+    if relaxation and stepping is None:
+        expected = "False with steps of one length: a relaxed step ends where it is without dissipation"
+        raise ParameterError("Simulation.relaxation", relaxation, expected)
+    if relaxation and chosen.A != midpoint().A:
+        expected = f"False with the scheme {chosen.name!r}: only the midpoint rule is relaxed"
+        raise ParameterError("Simulation.relaxation", relaxation, expected)
+    return chosen
 
 
 def _innermost(material: Material) -> Material:

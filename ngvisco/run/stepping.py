@@ -1,16 +1,20 @@
 """How the time loop chooses its steps: fixed, as in the paper, or adaptive.
 
-Adaptive.  A step is rejected, and its length halved, when Newton fails, when rho, J (or A) is not
-positive at a sampling point, or when the estimated local error of the implicit Euler formula is above
-the tolerance.  After ``patience`` accepted steps the length is doubled, if the estimate allows it.
-The error is estimated from the linear extrapolation of the last two states, which costs nothing:
-with u'' constant, u_n - u(t_n) = tau^2 u''/2 and u_extrapolated - u(t_n) = -tau (tau + tau_old) u''/2, so
+Adaptive.  A step is rejected, and its length halved, when Newton fails, or when rho, J (or A) is not
+positive at a sampling point.  With a tolerance, the estimated relative error e of each step
+(``ngvisco.timestepping.error``) is held below it: a step above it is rejected and tried again with the
+length
 
-    error = tau / (2 tau + tau_old) |u_n - u_extrapolated|.
+    tau (0.9 tolerance/e)^(1/(p+1)),
 
-Norm.  The largest of |e_v|/(|v| + v_s sqrt(volume)), |e_rho|/|rho| and |e_z|/(|z| + sqrt(volume)), with
-L2 norms over the domain and v_s the run's velocity scale; so the tolerance is a relative one.
-The first step of a run has no estimate.  The energy identity holds for any sequence of lengths.
+p the scheme's order, and an accepted one is followed by the length of a PI controller (Gustafsson),
+
+    tau (0.9 tolerance/e)^(0.7/(p+1)) (e_old/(0.9 tolerance))^(0.4/(p+1)),
+
+within a factor of 2, and kept where that is within 10 %, since another length costs a new factorisation.
+After a rejection no length grows at once.  Without a tolerance, or while there is no estimate (the first p
+steps), the length is doubled after ``patience`` accepted steps.  The energy identity holds for any sequence
+of lengths.
 """
 
 from __future__ import annotations
@@ -20,17 +24,24 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
-from ngsolve import CF, GridFunction
 
-from ngvisco.errors import ParameterError, StepError, require_above, require_positive
-from ngvisco.physics.tensors import square
+from ngvisco.errors import ParameterError, StepError, require_count, require_positive
+from ngvisco.timestepping.error import ErrorEstimate
+from ngvisco.timestepping.integrator import StepTaken
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
 _ROUNDING = 1e-9
-_GROWTH_MARGIN = 0.8
-"""Share of the tolerance that a doubled step's estimate may be expected to take."""
+
+SAFETY = 0.9
+"""Share of the tolerance that the controller aims at."""
+
+INTEGRAL, PROPORTIONAL = 0.7, 0.4
+"""Exponents of the PI controller, times the order of the local error."""
+
+LARGEST_CHANGE, UNCHANGED = 2.0, 0.1
+"""Factor by which a length changes at most, and the share of it below which it is kept."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,10 +54,11 @@ class AdaptiveSteps:
         Bounds of the length, s, 0 < dt_min <= dt_max.  A step may be shorter than ``dt_min`` to meet
         an output time.
     tolerance : float, optional
-        Of the estimated error of one step, in the norm of the module's docstring; None (default) rejects
-        only steps that cannot be solved.
+        Relative error of one step, e.g. 1e-3: of velocity, density and elastic variables in L2, as estimated
+        by the scheme (the ledger's ``error_estimate``); None (default) rejects only steps that cannot be
+        solved.
     patience : int
-        Accepted steps in a row before the length is doubled.
+        Accepted steps in a row before the length is doubled, where no error is estimated.
     """
 
     dt_min: float
@@ -60,7 +72,7 @@ class AdaptiveSteps:
             raise ParameterError("AdaptiveSteps.dt_max", self.dt_max, f"at least dt_min = {self.dt_min:g}")
         if self.tolerance is not None:
             require_positive(self, tolerance=self.tolerance)
-        require_above(self, 0, patience=self.patience)
+        require_count(self, patience=self.patience)
 
 
 @dataclass(frozen=True)
@@ -74,12 +86,12 @@ class Rejection:
 
 @dataclass(frozen=True)
 class Accepted:
-    """What the ledger records of an accepted step, besides the state."""
+    """What the ledger records of an accepted step, besides the state; ``time`` is its end, s."""
 
     time: float
-    tau: float
-    iterations: int
-    rejections: int
+    taken: StepTaken
+    rejections: int = 0
+    error: float | None = None
 
 
 @runtime_checkable
@@ -105,7 +117,9 @@ class Stepper(Protocol):
     def memory(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         """Numbers and arrays that a restart needs."""
 
-    def recall(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
+    def recall(
+        self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
+    ) -> None:
         """Take up what ``memory`` gave."""
 
     def begin(self, time: float, number: int) -> None:
@@ -121,6 +135,11 @@ def make_stepper(dt: float, adaptive: AdaptiveSteps | None) -> Stepper:
         expected = f"a number between dt_min = {adaptive.dt_min:g} and dt_max = {adaptive.dt_max:g}"
         raise ParameterError("Simulation.dt", dt, expected)
     return AdaptiveStepper(dt, adaptive)
+
+
+def _estimate_for(simulation: Simulation) -> ErrorEstimate:
+    order = simulation.integrator.scheme.order
+    return ErrorEstimate(simulation.rothe_step, lambda: simulation.velocity_scale, order)
 
 
 class FixedStepper:
@@ -144,28 +163,29 @@ class FixedStepper:
         return simulation.number - self._first >= round((time - self._start) / self.dt)
 
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
-        history = simulation.solver.advance(simulation.t, self.dt)
+        taken = simulation.integrator.advance(simulation.t, self.dt, simulation.number)
         # (n + 1) dt, not a running sum: times are the same in a restarted run
         time = self._start + (simulation.number - self._first + 1) * self.dt
-        return Accepted(time, self.dt, len(history), 0)
+        return Accepted(time, taken)
 
     def memory(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         return {"start": self._start, "first": float(self._first)}, {}
 
-    def recall(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
+    def recall(
+        self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
+    ) -> None:
         if "first" in numbers:
             self.begin(numbers["start"], int(numbers["first"]))
 
 
 class AdaptiveStepper:
-    """Steps of halved and doubled lengths; see the module's docstring."""
+    """Steps of lengths that follow the error and what can be solved; see the module's docstring."""
 
     def __init__(self, dt: float, options: AdaptiveSteps) -> None:
         self.options = options
         self.dt, self.streak = dt, 0
-        self._last_tau = 0.0
-        self._last_increment: np.ndarray | None = None
-        self._difference: GridFunction | None = None
+        self._last_error: float | None = None
+        self._estimate: ErrorEstimate | None = None
 
     def begin(self, time: float, number: int) -> None:
         """Nothing: lengths do not depend on the number of a step."""
@@ -178,28 +198,48 @@ class AdaptiveStepper:
 
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
         rejections: list[Rejection] = []
-        solver, tolerance = simulation.solver, self.options.tolerance
+        integrator, tolerance, t = simulation.integrator, self.options.tolerance, simulation.t
+        scheme = integrator.scheme_of(simulation.number)
+        estimate = self._estimate_of(simulation)
         while True:
-            t = simulation.t
             tau, new_time = self._length(t, stop)
-            error = None
             try:
-                history = solver.advance(t, tau, with_continuation=False)
+                taken = integrator.advance(
+                    t, tau, simulation.number, with_continuation=False, meets=new_time == stop
+                )
             except StepError as failure:
-                reason, iterations = str(failure), failure.history
+                # the cause, which does not say again which step it was
+                reason = str(failure.__cause__ or failure)
+                iterations, shorter = failure.history, tau / 2
             else:
-                error = self._estimate(simulation, tau)
+                if new_time != stop:
+                    new_time = t + taken.tau
+                error = None if estimate is None else estimate(new_time, scheme)
                 if error is None or tolerance is None or error <= tolerance:
                     break
                 reason, iterations = f"estimated error {error:.2e} is above {tolerance:.2e}", ()
-                solver.undo(t)
+                fraction = (SAFETY * tolerance / error) ** (1 / (scheme.order + 1))
+                shorter = tau * max(1 / LARGEST_CHANGE, fraction)
+                integrator.undo()
             rejections.append(Rejection(t, tau, reason))
             simulation.notify_rejection(rejections[-1])
-            self.dt, self.streak = tau / 2, 0
+            self.dt, self.streak = shorter, 0
             if self.dt < self.options.dt_min:
                 raise StepError(self._give_up(rejections), iterations)
-        self._accept(simulation, tau, error)
-        return Accepted(new_time, tau, len(history), len(rejections))
+        if estimate is not None:
+            estimate.keep(new_time)
+        self._choose(tau, error, scheme.order, bool(rejections))
+        return Accepted(new_time, taken, len(rejections), error)
+
+    def _estimate_of(self, simulation: Simulation) -> ErrorEstimate | None:
+        """The error estimate, which knows the present state; None without a tolerance."""
+        if self.options.tolerance is None:
+            return None
+        if self._estimate is None:
+            self._estimate = _estimate_for(simulation)
+        if not self._estimate.is_current(simulation.t):
+            self._estimate.restart(simulation.t)
+        return self._estimate
 
     def _length(self, t: float, stop: float) -> tuple[float, float]:
         """Length and end of the next step: ``stop`` exactly, or half way where little is left."""
@@ -209,30 +249,24 @@ class AdaptiveStepper:
         tau = left / 2 if 2 * self.dt > left else self.dt
         return tau, t + tau
 
-    def _accept(self, simulation: Simulation, tau: float, error: float | None) -> None:
-        now, old = simulation.rothe_step.state.vec, simulation.rothe_step.state_old.vec
-        self._last_tau, self._last_increment = tau, now.FV().NumPy() - old.FV().NumPy()
+    def _choose(self, tau: float, error: float | None, order: int, was_rejected: bool) -> None:
+        """The next step's length after an accepted one of length ``tau``."""
+        tolerance, last = self.options.tolerance, self._last_error
+        self._last_error = error
         self.streak += 1
-        tolerance = self.options.tolerance
-        calm = tolerance is None or error is None or 4 * error <= _GROWTH_MARGIN * tolerance
-        if self.streak >= self.options.patience and calm:
-            self.dt, self.streak = min(2 * self.dt, self.options.dt_max), 0
-
-    def _estimate(self, simulation: Simulation, tau: float) -> float | None:
-        step = simulation.rothe_step
-        if self._last_increment is None or self.options.tolerance is None:
-            return None
-        if self._difference is None:
-            self._difference = GridFunction(step.layout.space)
-        now, old = (part.vec.FV().NumPy() for part in (step.state, step.state_old))
-        increment = now - old - tau / self._last_tau * self._last_increment
-        self._difference.vec.FV().NumPy()[:] = tau / (2 * tau + self._last_tau) * increment
-        e, u = step.layout.fields(self._difference.components), step.now
-        squares = [square(e.v), e.rho * e.rho, square(e.z), square(u.v), u.rho * u.rho, square(u.z), CF(1.0)]
-        norms = np.sqrt(np.asarray(step.quadrature.integrate_cells(CF(tuple(squares)))))
-        root_volume = norms[6]
-        scales = (norms[3] + simulation.velocity_scale * root_volume, norms[4], norms[5] + root_volume)
-        return float(max(norms[i] / scales[i] for i in range(3)))
+        if tolerance is None or error is None:
+            if self.streak >= self.options.patience:
+                self.dt, self.streak = min(2 * self.dt, self.options.dt_max), 0
+            return
+        aim, floor = SAFETY * tolerance, 1e-3 * tolerance  # an error of zero says nothing of its order
+        power = 1 / (order + 1)
+        factor = (aim / max(error, floor)) ** (INTEGRAL * power)
+        if last is not None:
+            factor *= (max(last, floor) / aim) ** (PROPORTIONAL * power)
+        factor = min(max(factor, 1 / LARGEST_CHANGE), 1.0 if was_rejected else LARGEST_CHANGE)
+        if abs(factor - 1) > UNCHANGED and (factor < 1 or tau >= self.dt * (1 - _ROUNDING)):
+            # a step that was shortened to meet a time does not say what the next one may be
+            self.dt = min(max(factor * tau, self.options.dt_min), self.options.dt_max)
 
     def _give_up(self, rejections: list[Rejection]) -> str:
         tried = "; ".join(f"{r.tau:g} s: {r.reason}" for r in rejections)
@@ -242,12 +276,19 @@ class AdaptiveStepper:
         )
 
     def memory(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        numbers = {"dt": self.dt, "streak": float(self.streak), "last_tau": self._last_tau}
-        arrays = {} if self._last_increment is None else {"last_increment": self._last_increment}
+        numbers, arrays = ({}, {}) if self._estimate is None else self._estimate.memory()
+        numbers |= {"dt": self.dt, "streak": float(self.streak)}
+        if self._last_error is not None:
+            numbers["last_error"] = self._last_error
         return numbers, arrays
 
-    def recall(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
+    def recall(
+        self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
+    ) -> None:
         if "streak" not in numbers:  # the checkpoint is of a run with fixed steps
             return
         self.dt, self.streak = numbers["dt"], int(numbers["streak"])
-        self._last_tau, self._last_increment = numbers["last_tau"], arrays.get("last_increment")
+        self._last_error = numbers.get("last_error")
+        if arrays and self.options.tolerance is not None:
+            self._estimate = _estimate_for(simulation)
+            self._estimate.recall(numbers, arrays)

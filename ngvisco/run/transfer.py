@@ -22,12 +22,10 @@ import numpy as np
 from ngsolve import CF, L2, GridFunction, Integrate
 
 from ngvisco.errors import InitialDataError, MeshError, ParameterError
-from ngvisco.forms.context import Entry, Integrand
 from ngvisco.forms.given import QuadraturePoints
 from ngvisco.forms.initial import complete
 from ngvisco.forms.locating import locate
-from ngvisco.forms.projections import project_velocity
-from ngvisco.forms.wall_terms import Impenetrability
+from ngvisco.forms.velocity import project_velocity
 from ngvisco.run import checkpoint
 from ngvisco.run.ledger import TRANSFER
 
@@ -102,14 +100,14 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     _require_positive(target)
     complete(new)
     new.state_old.vec.data = new.state.vec
+    new.start_from_old()
     target.set_time(source.t, 0)
     target.stepper.begin(source.t, 0)
     target.set_velocity_scale(source.velocity_scale)
     target.solver.forget()
     ledger = target.ledger
     ledger.rows, ledger.balance = [], None
-    if TRANSFER not in ledger.columns:
-        ledger.keep({TRANSFER: 0.0})
+    ledger.note_transfer(0.0)
     row = ledger.start(source.t)
     result = Transfer(row["mass"], scaled, before, row["kinetic"] + row["stored"])
     row[TRANSFER] = result.lost
@@ -166,8 +164,7 @@ def _set_velocity(source: Simulation, target: Simulation, points: QuadraturePoin
     new.state.vec.FV().NumPy()[where] = 0.0
     target.set_time(source.t, 0)
     new.moving_walls.set_values()
-    term = next((term for term in new.terms if isinstance(term, Impenetrability)), None)
-    project_velocity(new.layout, new.state, v, term, new.quadrature)
+    project_velocity(new.layout, new.state, v, new.impenetrability, new.quadrature)
 
 
 def _carry_passive(source: Simulation, target: Simulation, points: QuadraturePoints, at: np.ndarray) -> None:
@@ -206,27 +203,23 @@ def resume_changed(
         As ``Simulation.restore``.
     """
     expected = checkpoint.identity(simulation) | dict(attributes or {})
-    del expected["material"]
+    del expected["material"], expected["energies"]
     one = checkpoint.read_checkpoint(Path(path), expected, None)
     numbers, step = one.numbers[""], simulation.rothe_step
     step.state.vec.FV().NumPy()[:] = checkpoint.state_of(one, simulation, path)
     simulation.passive.load(one.arrays["passive"])
     complete(step)
     step.state_old.vec.data = step.state.vec
+    step.start_from_old()
     number = int(numbers["step"])
     simulation.set_time(numbers["time"], number)
     simulation.stepper.begin(numbers["time"], number)
-    rows = [row for row in checkpoint.read_ledger_rows(Path(path)) if row["step"] <= number]
     ledger, balance = simulation.ledger, checkpoint.balance_of(one)
+    found = checkpoint.read_ledger(Path(path))
+    ledger.keep({name: 0.0 for name in found if name != TRANSFER})
     lost = balance.energy - ledger.energy()
-    ledger.keep({name: 0.0 for name in (rows[-1] if rows else {}) if name != TRANSFER})
-    _add_entry(simulation, lost)
+    ledger.note_transfer(lost)
+    known = [name for name in ledger.columns if name in found]
+    rows = [row for row in checkpoint.read_ledger_rows(Path(path), known) if row["step"] <= number]
     ledger.resume(balance, [{name: row.get(name, 0.0) for name in ledger.columns} for row in rows])
     return lost
-
-
-def _add_entry(simulation: Simulation, lost: float) -> None:
-    """The ledger's column of a transfer: ``lost`` in the next row, 0 in those after it."""
-    pending = [lost]
-    note = Entry(TRANSFER, "numerical", Integrand(), lambda: pending.pop() if pending else 0.0)
-    simulation.ledger.entries.append(note)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
-from ngvisco.errors import ParameterError, require_choice, require_positive
+from ngvisco.errors import ParameterError, require_choice, require_count, require_positive
 
 METHODS = ("auto", "coupled", "split")
+INVERSES = ("umfpack", "pardiso", "mumps")
+_ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +27,8 @@ class NewtonOptions:
     min_damping : float
         Smallest step length tried.
     inverse : str
-        NGSolve's name of a sparse direct solver for nonsymmetric matrices.
+        NGSolve's name of a sparse direct solver for nonsymmetric matrices: ``"umfpack"``, and ``"pardiso"``
+        (``pip install mkl``) or ``"mumps"`` where the installation has them.
     method : str
         ``"coupled"``: all unknowns at once; ``"split"``: one problem for the velocity, with the fields as
         functions of it, whose cost grows like the mesh; ``"auto"`` (default): the faster one for the
@@ -45,14 +49,35 @@ class NewtonOptions:
             refresh=self.refresh,
             min_damping=self.min_damping,
         )
-        if not isinstance(self.max_iterations, int) or self.max_iterations < 1:
-            raise ParameterError("NewtonOptions.max_iterations", self.max_iterations, "an integer >= 1")
-        for name, value in (("refresh", self.refresh), ("min_damping", self.min_damping)):
-            if value >= 1:
-                raise ParameterError(f"NewtonOptions.{name}", value, "a number in (0, 1)")
+        require_count(self, max_iterations=self.max_iterations)
+        if self.tolerance < _ROUNDING:
+            raise ParameterError(
+                "NewtonOptions.tolerance", self.tolerance, f"at least {_ROUNDING:g}, which rounding leaves"
+            )
+        for name in ("tolerance", "refresh", "min_damping"):
+            if getattr(self, name) >= 1:
+                raise ParameterError(f"NewtonOptions.{name}", getattr(self, name), "a number in (0, 1)")
         # sparsecholesky returns nonsense for nonsymmetric matrices, silently
-        require_choice(self, ("umfpack", "pardiso", "mumps"), inverse=self.inverse)
+        require_choice(self, INVERSES, inverse=self.inverse)
+        if not is_available(self.inverse):
+            have = ", ".join(filter(is_available, INVERSES))
+            expected = f"{have}: this installation of NGSolve has no other one ready"
+            raise ParameterError("NewtonOptions.inverse", self.inverse, expected)
         require_choice(self, METHODS, method=self.method)
+
+
+@cache
+def is_available(inverse: str) -> bool:
+    """Whether NGSolve, as it is installed, has this sparse direct solver: found by asking it for one."""
+    if inverse == "umfpack":
+        return True
+    from ngsolve.la import SparseMatrixd
+
+    try:
+        SparseMatrixd.CreateFromCOO([0, 1], [0, 1], [1.0, 1.0], 2, 2).Inverse(inverse=inverse)
+    except Exception:  # NGSolve raises NgException and RuntimeError
+        return False
+    return True
 
 
 @dataclass(frozen=True)

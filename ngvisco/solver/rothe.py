@@ -1,9 +1,9 @@
-"""One Rothe step: from the state at t_old to the one at t_old + tau, or an error and the old state."""
+"""One Rothe step: from (rho, m, z)_old to the state that a step of length tau leads to, or an error."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from ngsolve import BaseVector
@@ -39,8 +39,30 @@ steps change such signs as damped ones cannot.
 """
 
 
+@dataclass(frozen=True)
+class Interval:
+    """A Rothe step in time, s: its length, where it begins and ends, and over what its loads are averaged.
+
+    For the paper's scheme ``tau`` = end - begin, and loads are averaged over the same.  A stage of another
+    scheme may start from a combination of states, which belongs to no time: ``begin`` is then that of the
+    state which is its start value.
+    """
+
+    tau: float
+    begin: float
+    end: float
+    loads_from: float
+    loads_over: float
+
+    def shortened(self, fraction: float) -> Interval:
+        """The step with a part of the length, as a start value of the whole one."""
+        end = self.end if fraction == 1.0 else self.begin + fraction * (self.end - self.begin)
+        loads_from = self.loads_from if self.loads_over > 0 else end
+        return Interval(fraction * self.tau, self.begin, end, loads_from, fraction * self.loads_over)
+
+
 class RotheSolver:
-    """Advances a Step by the implicit Euler formula (paper: Euler-large-viscoelastodyn+disc)."""
+    """Solves a Step, the implicit Euler formula (paper: Euler-large-viscoelastodyn+disc)."""
 
     def __init__(
         self, step: Step, options: NewtonOptions, defect: Callable[[], str | None] | None = None
@@ -50,7 +72,7 @@ class RotheSolver:
         The equations of a long step have solutions of negative density too; they are not accepted.
         """
         self.step, self.options = step, options
-        self._defect = defect or (lambda: None)
+        self.defect = defect or (lambda: None)
         self.h_min = min(step.context.h.vec)
         self.norm = BlockNorm(step.layout.ranges, {"v": 0.0, "rho": 0.0, "z": 1.0})
         self.newton: Newton | Split
@@ -62,85 +84,89 @@ class RotheSolver:
         """Steps that the split solver gave up and the coupled one was asked for."""
         self._last_tau: float | None = None
         self._factorised = {name: step.state.vec.CreateVector() for name in ("state", "state_old")}
-        self._factorised_at = {"t_old": 0.0, "tau": 0.0}
+        self._factorised_at = {"tau": 0.0, "end": 0.0, "loads_from": 0.0, "loads_over": 0.0}
+        self._start = step.state.vec.CreateVector()
         self.extrapolation = Extrapolation(step)
 
-    def advance(self, t_old: float, tau: float, with_continuation: bool = True) -> list[NewtonIteration]:
-        """Solve the step; ``step.state`` becomes the new state, ``step.state_old`` the old one.
+    def solve(self, interval: Interval, with_continuation: bool = True) -> list[NewtonIteration]:
+        """Solve the step from ``step.old``; ``step.state``, the start value, becomes its solution.
 
-        ``with_continuation`` False gives up where Newton fails from the old state, as is cheaper for
+        ``with_continuation`` False gives up where Newton fails from the start value, as is cheaper for
         a caller that tries a shorter step.
 
         Raises
         ------
         StepError
-            When Newton or the positivity of rho and J fails, with both continuations too; both
-            grid functions then hold the old state.  A step that the split solver fails is
-            retried with wide upwinding, then by the coupled one where the mesh is small enough for that.
+            When Newton or the positivity of rho and J fails, with both continuations too; the state is then
+            the start value again.  A step that the split solver fails is retried with wide upwinding, then
+            by the coupled one where the mesh is small enough for that.
         """
         step = self.step
-        step.state_old.vec.data = step.state.vec
-        if tau != self._last_tau:
+        self._start.data = step.state.vec
+        if interval.tau != self._last_tau:
             self.forget()
-            self._last_tau = tau
+            self._last_tau = interval.tau
         history: list[NewtonIteration] = []
         split = self.newton
         try:
             if isinstance(split, Split):
-                if self._solved_split(t_old, tau, history, with_continuation):
+                if self._solved_split(interval, history, with_continuation):
                     return history
-                self._restore(step.state_old.vec)
+                self._restore(self._start)
                 self.newton = self._coupled(lambda: None)
                 self.retried += 1
             for solve in (self._solve_directly, self._soften):
                 try:
-                    solve(t_old, tau, history)
+                    solve(interval, history)
                     return history
                 except StepError:
                     if not with_continuation:
                         raise
-                    self._restore(step.state_old.vec)
-            self._lengthen(t_old, tau, history)
+                    self._restore(self._start)
+            self._lengthen(interval, history)
             return history
         except BaseException as error:  # also an interrupt: never leave an iterate behind
-            self.undo(t_old)
+            self.extrapolation.drop()
+            self._restore(self._start)
             if isinstance(error, StepError):
-                raise StepError(f"step of length {tau:g} s from t = {t_old:g} s: {error}", history) from error
+                raise StepError(str(error), history) from error
             raise
         finally:
             self.newton = split
 
     def _solved_split(
-        self, t_old: float, tau: float, history: list[NewtonIteration], with_continuation: bool
+        self, interval: Interval, history: list[NewtonIteration], with_continuation: bool
     ) -> bool:
         """Solve the step by the split solver; False where the coupled one is to be asked instead."""
         try:
-            self._solve_split(t_old, tau, history)
+            self._solve_split(interval, history)
             return True
         except StepError:
             if not with_continuation:
                 raise
-        self._restore(self.step.state_old.vec)
+        self._restore(self._start)
         try:
-            self._soften(t_old, tau, history)
+            self._soften(interval, history)
             return True
         except StepError:
             if not is_affordable(self.step.mesh):
                 raise
         return False
 
-    def _solve_split(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
-        """Solve from extrapolated values where there are such, from the old state where that fails."""
-        extrapolated = self.extrapolation.start(tau)
+    def _solve_split(self, interval: Interval, history: list[NewtonIteration]) -> None:
+        """Solve from extrapolated values where there are such, from the start value where that fails."""
+        if self.extrapolation.is_empty:
+            self.extrapolation.keep(interval.begin)
+        extrapolated = self.extrapolation.start(interval.end)
         try:
-            self._solve_directly(t_old, tau, history)
+            self._solve_directly(interval, history)
         except StepError:
             self.extrapolation.drop()
             if not extrapolated:
                 raise
-            self._restore(self.step.state_old.vec)
-            self._solve_directly(t_old, tau, history)
-        self.extrapolation.keep(tau)
+            self._restore(self._start)
+            self._solve_directly(interval, history)
+        self.extrapolation.keep(interval.end)
 
     def _coupled(self, on_factorise: Callable[[], None]) -> Newton:
         step = self.step
@@ -155,16 +181,16 @@ class RotheSolver:
         )
 
     def _solve_directly(
-        self, t_old: float, tau: float, history: list[NewtonIteration], full_steps: int | None = None
+        self, interval: Interval, history: list[NewtonIteration], full_steps: int | None = None
     ) -> None:
         """Solve the step from the present state, and record the iterations, also failed ones."""
         try:
-            history += self._solve(t_old, tau, full_steps)
+            history += self._solve(interval, full_steps)
         except StepError as error:
             history += error.history
             raise
 
-    def _soften(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
+    def _soften(self, interval: Interval, history: list[NewtonIteration]) -> None:
         """Solve the step with wide upwinding and narrow it to the scheme's."""
         eta = self.step.context.eta
         width = eta.Get()
@@ -172,16 +198,16 @@ class RotheSolver:
         def solve(factor: float) -> None:
             eta.Set(factor * width)
             try:
-                self._solve_directly(t_old, tau, history)
+                self._solve_directly(interval, history)
             except StepError:
                 if factor < WIDEST or isinstance(self.newton, Split):
                     raise
-                self._restore(self.step.state_old.vec)
-                self._lengthen(t_old, tau, history)
+                self._restore(self._start)
+                self._lengthen(interval, history)
 
         def leap() -> None:
             eta.Set(width)
-            self._solve_directly(t_old, tau, history, FULL_STEPS)
+            self._solve_directly(interval, history, FULL_STEPS)
 
         way = Way(first=WIDE, retreat=WIDEST / WIDE, furthest=WIDEST, ratio=0.1)
         try:
@@ -192,11 +218,11 @@ class RotheSolver:
         finally:
             eta.Set(width)
 
-    def _lengthen(self, t_old: float, tau: float, history: list[NewtonIteration]) -> None:
-        """Solve steps of growing length from t_old, each the start value of the next, up to tau."""
+    def _lengthen(self, interval: Interval, history: list[NewtonIteration]) -> None:
+        """Solve steps of growing length, each the start value of the next, up to the whole one."""
 
         def solve(fraction: float) -> None:
-            self._solve_directly(t_old, fraction * tau, history)
+            self._solve_directly(interval.shortened(fraction), history)
 
         self._follow(solve, Way(first=0.25, retreat=1 / 8, furthest=0.25 / 8**5, ratio=4.0))
 
@@ -205,11 +231,10 @@ class RotheSolver:
     ) -> None:
         follow(solve, way, self.step.state.vec, self._restore, leap)
 
-    def undo(self, t_old: float) -> None:
-        """Put both grid functions into the state before the last ``advance``, at ``t_old``."""
+    def return_to(self, values: BaseVector) -> None:
+        """Make ``values`` the present state, which the solutions since then do not lead on from."""
         self.extrapolation.drop()
-        self._restore(self.step.state_old.vec)
-        time.Set(t_old)
+        self._restore(values)
 
     def forget(self) -> None:
         """Drop the factorisation, so that the next solve makes a new one."""
@@ -236,7 +261,7 @@ class RotheSolver:
         kept = {name: getattr(step, name).vec.FV().NumPy().copy() for name in self._factorised}
         for name in self._factorised:
             getattr(step, name).vec.FV().NumPy()[:] = arrays[name]
-        self._set_context(numbers["t_old"], numbers["tau"])
+        self._set_context(**{name: numbers[name] for name in self._factorised_at})
         step.eliminate.refresh()
         self.newton.jacobian.factorise(step.state.vec)
         self._remember()
@@ -247,20 +272,18 @@ class RotheSolver:
 
     def _remember(self) -> None:
         context = self.step.context
-        self._factorised_at = {"t_old": context.t_old.Get(), "tau": context.tau.Get()}
+        parameters = {name: getattr(context, name).Get() for name in ("tau", "loads_from", "loads_over")}
+        self._factorised_at = parameters | {"end": time.Get()}
         for name, vector in self._factorised.items():
             vector.data = getattr(self.step, name).vec
 
-    def _set_context(self, t_old: float, tau: float) -> None:
-        context = self.step.context
-        context.t_old.Set(t_old)
-        context.tau.Set(tau)
-        time.Set(t_old + tau)
+    def _set_context(self, tau: float, end: float, loads_from: float, loads_over: float) -> None:
+        self.step.context.set_step(tau, end, loads_from, loads_over)
         self.step.moving_walls.set_values()
 
-    def _solve(self, t_old: float, tau: float, full_steps: int | None = None) -> list[NewtonIteration]:
-        self._set_context(t_old, tau)
-        self.norm.units["v"] = self.h_min / tau
+    def _solve(self, interval: Interval, full_steps: int | None = None) -> list[NewtonIteration]:
+        self._set_context(interval.tau, interval.end, interval.loads_from, interval.loads_over)
+        self.norm.units["v"] = self.h_min / interval.tau
         energy = self.step.energy
         energy.last_failure = None
         try:
@@ -273,7 +296,7 @@ class RotheSolver:
             raise StepError(f"{error}; {energy.last_failure}", error.history) from error
         if energy.failure is not None:  # of the last increment, which is added without a test
             raise StepError(energy.failure, history)
-        reason = self._defect()
+        reason = self.defect()
         if reason is not None:
             raise StepError(f"{reason}: take a smaller step or a finer mesh", history)
         return history

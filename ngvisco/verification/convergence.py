@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from ngsolve import GridFunction
 
 from ngvisco.forms.context import Integrand, time
@@ -18,6 +20,9 @@ from ngvisco.verification.models import material, model
 from ngvisco.verification.problems import Problem, Source, distance, refinements
 from ngvisco.verification.rates import RateTable
 from ngvisco.verification.sources import Sources
+
+SHORT = 1e-6
+"""Difference in time of the sources, s, where the order in time is measured: its error is of this size."""
 
 
 def transport_rates(kind: str, dim: int, m: int, maxh: float, levels: int, tau: float = 0.25) -> RateTable:
@@ -94,13 +99,29 @@ def errors(simulation: Simulation, exact: Exact) -> dict[str, float]:
     }
 
 
-def free_solution(kind: str, steps: int, duration: float, maxh: float = 0.6) -> Simulation:
-    """A run without sources from the manufactured initial state, with creep, gravity and viscosity."""
-    system = model(kind, 2, None)
+def free_solution(
+    kind: str,
+    steps: int,
+    duration: float,
+    maxh: float = 0.6,
+    *,
+    p: float | None = None,
+    driven: bool = False,
+    **options: Any,
+) -> Simulation:
+    """A run from the manufactured initial state, with creep, gravity and viscosity.
+
+    ``driven`` has all terms and the manufactured sources, whose difference in time is far shorter than any
+    step; ``p`` is the hyperviscosity's exponent, None for none; ``options`` are the simulation's.
+    """
+    system = model(kind, 2, p, regularised=driven)
     time.Set(0.0)
     exact = Exact(system, 2, 0.0)
     initial = Initial(density=exact.rho, velocity=exact.v, values=exact.values)
-    simulation = Simulation(box((1, 1), maxh), system, dt=duration / steps, initial=initial)
+    sources = Sources(system, 2, SHORT) if driven else None
+    simulation = Simulation(
+        box((1, 1), maxh), system, dt=duration / steps, initial=initial, sources=sources, **options
+    )
     simulation.run(duration)
     return simulation
 

@@ -17,7 +17,7 @@ def material(kind: str) -> Material:
     """The linearised model's or the finite-strain model's material."""
     if kind == "linear":
         return LinearElastic(K_e=2.0, G_e=1.0)
-    return NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5)
+    return NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5, elastic_state="F")
 
 
 def hyperviscosity(p: float | None) -> HyperViscosity | None:

@@ -119,6 +119,5 @@ class Problem:
     def advance(self, t_old: float) -> None:
         """One step from t_old; with terms without a time derivative, their stationary problem."""
         self.state_old.vec.data = self.state.vec
-        self.context.t_old.Set(t_old)
-        time.Set(t_old + self.tau)
+        self.context.set_step(self.tau, t_old + self.tau, t_old, self.tau)
         self.newton.solve()

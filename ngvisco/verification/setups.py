@@ -36,7 +36,7 @@ def material(kind: str) -> Material:
     """LinearElastic or the paper's neo-Hookean material."""
     if kind == "linearised":
         return LinearElastic(K_e=10.0, G_e=5.0)
-    return NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+    return NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
 
 
 @cache

@@ -1,8 +1,8 @@
 """What a Rothe step costs: ``python -m tests.benchmarks [-o DIRECTORY] [--sizes ...]`` in the project's root.
 
-The neo-Hookean swirl (P2 velocity, DG1 fields, p = 4, tau = 0.02 s) in series of meshes, by both solvers.
-Every row is a process of its own, so that its peak memory is its own.  Times compare within one call
-only: ratios are what is meant to be quoted.
+The neo-Hookean swirl (P2 velocity, DG1 fields, p = 4, tau = 0.02 s) in series of meshes, by both solvers,
+and with creep by F and by B.  Every row is a process of its own, so that its peak memory is its own.  Times
+compare within one call only: ratios are what is meant to be quoted.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import argparse
 import json
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 from tests.benchmarks.case import FIFTY_THOUSAND
@@ -21,11 +22,22 @@ SIZES = {
     "3D": [0.3, 0.18, 0.13, 0.112, 0.07, 0.0515, FIFTY_THOUSAND],
     "2D coupled": [0.1, 0.055, 0.032],
     "3D coupled": [0.5, 0.3],
+    "2D creep": [0.055],
+    "3D creep": [0.18],
 }
-QUICK = {"2D": [0.3], "3D": [0.7], "2D coupled": [0.3], "3D coupled": [0.7]}
+QUICK = {
+    "2D": [0.3],
+    "3D": [0.7],
+    "2D coupled": [0.3],
+    "3D coupled": [0.7],
+    "2D creep": [0.3],
+    "3D creep": [0.7],
+}
 
 
-def measure(dim: int, maxh: float, method: str, threads: int, steps: int, timeout: float) -> dict:
+def measure(
+    dim: int, maxh: float, method: str, threads: int, steps: int, timeout: float, creeping: str = ""
+) -> dict:
     """One row, from a process of its own."""
     command = [
         sys.executable,
@@ -36,6 +48,7 @@ def measure(dim: int, maxh: float, method: str, threads: int, steps: int, timeou
         method,
         str(threads),
         str(steps),
+        *([creeping] if creeping else []),
     ]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
@@ -60,10 +73,11 @@ def main(arguments: list[str] | None = None) -> int:
     for series in chosen.series:
         dim, method = int(series[0]), "coupled" if "coupled" in series else "split"
         sizes = [h for h in (QUICK if chosen.quick else SIZES)[series] if h >= (chosen.largest or 0)]
-        for maxh in sizes:
-            rows.append(measure(dim, maxh, method, chosen.threads, chosen.steps, chosen.timeout))
+        forms = ("F", "B") if "creep" in series else ("",)
+        for maxh, creeping in product(sizes, forms):
+            rows.append(measure(dim, maxh, method, chosen.threads, chosen.steps, chosen.timeout, creeping))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)
-        if method == "split":  # two threads over one, in the middle of the series
+        if method == "split" and "creep" not in series:  # two threads over one, in the middle of the series
             middle, others = sizes[len(sizes) // 2], 3 - chosen.threads
             rows.append(measure(dim, middle, method, others, chosen.steps, chosen.timeout))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)

@@ -31,9 +31,11 @@ def domain(dim: int, maxh: float) -> Mesh:
     return mesh
 
 
-def swirl(dim: int, maxh: float, method: str) -> nv.Simulation:
+def swirl(dim: int, maxh: float, method: str, creeping: str = "") -> nv.Simulation:
+    """``creeping`` is "F" or "B": with creep, the elastic state by F or by B; "" is without creep."""
     model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state=creeping or "F"),
+        creep=nv.Creep(G_m=5.0) if creeping else None,
         viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
         hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
         loads=[nv.Gravity((0.0,) * (dim - 1) + (-1.0,))],
@@ -44,11 +46,18 @@ def swirl(dim: int, maxh: float, method: str) -> nv.Simulation:
     return nv.Simulation(domain(dim, maxh), model, dt=0.02, initial=initial, solver=method)
 
 
-def main(dim: int, maxh: float, method: str, threads: int, steps: int) -> dict:
+def main(dim: int, maxh: float, method: str, threads: int, steps: int, creeping: str = "") -> dict:
     SetNumThreads(threads)
     began = time.perf_counter()
-    run = swirl(dim, maxh, method)
-    row = {"dim": dim, "maxh": maxh, "method": method, "threads": threads, "cells": run.mesh.ne}
+    run = swirl(dim, maxh, method, creeping)
+    row = {
+        "creeping": creeping,
+        "dim": dim,
+        "maxh": maxh,
+        "method": method,
+        "threads": threads,
+        "cells": run.mesh.ne,
+    }
     row["set-up"] = time.perf_counter() - began
     newton = run.solver.newton
     row["unknowns"] = run.rothe_step.layout.space.ndof
@@ -109,5 +118,5 @@ def direct_floor(run: nv.Simulation) -> float:
 
 if __name__ == "__main__":
     values = sys.argv[1:]
-    result = main(int(values[0]), float(values[1]), values[2], int(values[3]), int(values[4]))
+    result = main(int(values[0]), float(values[1]), values[2], int(values[3]), int(values[4]), *values[5:])
     print(json.dumps(result))

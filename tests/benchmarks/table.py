@@ -34,6 +34,8 @@ def markdown(rows: list[dict]) -> str:
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for row in rows:
         name = f"{row['dim']}D {row['method']}, h = {row['maxh']:g}"
+        if row.get("creeping"):
+            name += f", creep by {row['creeping']}"
         if "failed" in row:
             lines.append(f"| {name} | {row['failed']} |" + " |" * (len(head) - 2))
             continue
@@ -60,6 +62,12 @@ def summary(rows: list[dict]) -> str:
     """Ratios within the call, and exponents of cost and memory in the number of cells."""
     done = [row for row in rows if "failed" not in row]
     lines = []
+    creeping = {(r["dim"], r["maxh"], r["creeping"]): r["step"] for r in done if r.get("creeping")}
+    for (dim, maxh, form), seconds in creeping.items():
+        if form == "B" and (dim, maxh, "F") in creeping:
+            ratio = seconds / creeping[dim, maxh, "F"]
+            lines.append(f"- {dim}D, h = {maxh:g}, with creep: a step by B over one by F {ratio:.2f}")
+    done = [row for row in done if not row.get("creeping")]
     for row in done:
         partner = [
             other

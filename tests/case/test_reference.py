@@ -110,6 +110,8 @@ def test_every_example_is_admitted(entry, kind, schema):
     data = placed(entry, kind)
     if entry.name == "time.adaptive.dt_max":
         data["time"]["adaptive"]["dt_min"] = 0.001
+    if entry.name == "time.theta":
+        data["time"]["scheme"] = "theta"
     loaded = CaseSections.model_validate(data)
     assert loaded.time.dt
     schema.validate(data)
@@ -153,7 +155,7 @@ def test_what_a_template_offers_is_admitted():
     start = lines.index("[material]")
     for number in range(start, len(lines)):
         before, line = lines[:number], lines[number]
-        if not line.startswith("# ") or "=" not in line or number < start:
+        if not line.startswith("# ") or "=" not in line or "of the scheme" in line:
             continue
         table = next(text for text in reversed(before) if text.lstrip("# ").startswith("["))
         if table.startswith("#"):

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import time
 import tomllib
 
@@ -12,6 +13,7 @@ from command import CASE
 from ngsolve import GridFunction
 
 import ngvisco as nv
+from ngvisco.case.directory import RunDirectory
 from ngvisco.cli.main import main, parser
 
 
@@ -149,7 +151,8 @@ def test_progress_bar_shows_time_energy_closure_and_what_is_left(capsys, case_fi
         (("run", "CASE", "--set", "nonsense"), "expected key.path=value"),
         (("run", "CASE", "--set", "time.until=-1"), "time.until (set on the command line): -1.0"),
         (("run", "CASE", "--threads", "0"), "expected a whole number >= 1"),
-        (("run", "CASE", "--threads", "many"), "invalid"),
+        (("run", "CASE", "--threads", "many"), "many: expected a whole number >= 1"),
+        (("run", "CASE", "--threads", "100000"), "100000: expected at most"),
         (("run", "CASE", "--set", "walls.lef.kind=Slip"), "unknown boundary 'lef'"),
         (("run", "CASE", "--set", "initial.density=log(x-2)"), "initial.density"),
         (("check", "CASE", "--set", "domain.maxh=0"), "domain.maxh"),
@@ -192,3 +195,92 @@ def test_a_case_with_output_times_writes_them(tmp_path):
 
     assert [time for time, _ in read_pvd(tmp_path / "out/vtk/fields.pvd")] == [0.0, 0.03, 0.06, 0.08]
     assert np.isin([0.03, 0.06, 0.08], nv.read_ledger(tmp_path / "out/run.h5")["time"]).all()
+
+
+REFUSED = {
+    "wrong key": "material.Ge=1",
+    "wrong value": "time.dt=-1",
+    "unknown wall": "walls.lef.kind=Slip",
+    "start": "initial.density=x - 0.5",
+    "load": "loads.0.g=[0, 'log(x - 2)']",
+    "later load": "loads.0.g=[0, 'sqrt(0.05 - t)']",
+    "output": "output.vtk.fields=['Jj']",
+    "mesh": "domain.maxh=1e-9",
+    "length": "domain.size=[1, 1e-12]",
+    "solver": "solver.inverse=mumps",
+    "energy": "material.epsilon=1e300",
+    "friction": "walls.top={kind='NavierFriction', coefficient='x - 0.5'}",
+    "moving wall": "walls.top={kind='PrescribedTangential', velocity=[0, 1]}",
+}
+
+
+@pytest.mark.parametrize("setting", REFUSED.values(), ids=REFUSED)
+def test_a_refused_case_leaves_nothing_and_cites_the_users_file(setting, case_file, tmp_path, capsys):
+    out = tmp_path / "results" / "out"
+    assert ended("run", case_file, "-o", out, "--set", setting) == 2
+    assert not out.exists() and sorted(tmp_path.iterdir()) == [case_file]
+    said = capsys.readouterr().err
+    assert said.startswith(f"ngvisco: {case_file}: ") or said.startswith(f"ngvisco: {case_file}:")
+    assert "(set on the command line)" in said or setting == REFUSED["energy"]  # of three moduli together
+
+
+def test_force_removes_nothing_for_a_case_that_is_refused(half, case_file):
+    before = {path: path.read_bytes() for path in half.rglob("*") if path.is_file()}
+    for setting in ("time.dt=-1", "walls.lef.kind=Slip", "loads.0.g=[0, 'sqrt(0.05 - t)']"):
+        assert ended("run", case_file, "-o", half, "--force", "--set", setting) == 2
+    assert {path: path.read_bytes() for path in half.rglob("*") if path.is_file()} == before
+
+
+@pytest.fixture
+def half(tmp_path, finished):
+    return shutil.copytree(finished, tmp_path / "half")
+
+
+def test_a_lock_is_there_only_while_it_is_held(tmp_path, case_file, half):
+    (half / "run.h5").write_bytes(b"damaged")
+    assert ended("resume", half) == 3
+    assert ended("run", case_file, "-o", half) == 2
+    assert not (half / "lock").exists()
+    place = RunDirectory(tmp_path / "new")
+    with place.locked():
+        assert place.lock_file.read_text().startswith("process ")
+        with pytest.raises(nv.RunDirectoryError, match="in use by process"), place.locked():
+            pass
+    assert not place.path.exists()
+
+
+def test_a_huge_file_is_not_read(tmp_path, capsys):
+    path = tmp_path / "huge.toml"
+    with path.open("wb") as file:
+        file.truncate(3_000_000_000)  # no blocks are written
+    assert ended("check", path) == 2
+    assert "longer than 1000000 bytes" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_ledger_that_does_not_close_is_loud(case_file, tmp_path, capsys, monkeypatch):
+    from ngvisco.forms.momentum import Inertia
+
+    monkeypatch.setattr(Inertia, "entries", lambda self, u: [])
+    assert ended("run", case_file, "-o", tmp_path / "out", "--quiet") == 4
+    said = capsys.readouterr()
+    assert said.err.count("THE LEDGER DOES NOT CLOSE") == 2  # when it is found, and in the end
+    assert "ngvisco: warning: THE LEDGER DOES NOT CLOSE in 1 step" in said.err
+    log = (tmp_path / "out" / "log.txt").read_text(encoding="utf-8")
+    assert "ClosureWarning: THE LEDGER" in log and "DOES NOT CLOSE in 4 steps" in log
+
+
+def test_the_end_says_that_it_is_one_and_what_closure_is(case_file, tmp_path, capsys):
+    assert ended("run", case_file, "-o", tmp_path / "out") == 0
+    printed = capsys.readouterr().out
+    assert "finished: t = 0.08 s after 4 steps; largest |closure|" in printed
+    assert "finished at t = 0.08 s" in printed and "stopped" not in printed
+    assert "what the terms leave of a step's energy balance" in printed
+
+
+@pytest.mark.filterwarnings("default")
+def test_warnings_are_in_the_log(case_file, tmp_path, capsys):
+    setting = "walls.top={kind='Traction', f=[0, 1]}"
+    assert ended("run", case_file, "-o", tmp_path / "out", "--quiet", "--set", setting) == 0
+    assert "ngvisco: warning: walls['top'].f: 100% of the traction" in capsys.readouterr().err
+    assert "InputWarning: walls['top'].f: 100%" in (tmp_path / "out" / "log.txt").read_text()

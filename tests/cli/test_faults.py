@@ -5,12 +5,14 @@ import random
 import resource
 import shutil
 import signal
+import subprocess
+import sys
 import time
 
 import h5py
 import numpy as np
 import pytest
-from command import CASE, command, rows, start, wait_for
+from command import CASE, command, environment, rows, start, wait_for
 
 import ngvisco as nv
 
@@ -127,7 +129,7 @@ def test_a_damaged_or_foreign_checkpoint_is_refused_with_the_reason(damage, half
     elif damage == "version":
         with h5py.File(path, "a") as file:
             file.attrs["format"] = 1
-        reason = "its format is 1, this run's is 2"
+        reason = "its format is 1, this run's is 3"
     elif damage == "case":
         text = (half / "case.toml").read_text()
         (half / "case.toml").write_text(text.replace("G_v = 0.01", "G_v = 0.02"))
@@ -140,6 +142,42 @@ def test_a_damaged_or_foreign_checkpoint_is_refused_with_the_reason(damage, half
     code, _, err = command("resume", half, "--until", 0.08)
     assert code == BAD_FILE and reason in err
     assert path.read_bytes() == before
+
+
+def test_only_the_checksummed_is_read_of_a_run_file_without_parts(half):
+    for group in ("checkpoints", "ledger/kinetic"):
+        path = half / "run.h5"
+        whole = path.read_bytes()
+        with h5py.File(path, "a") as file:
+            del file[group]
+            if group == "checkpoints":
+                file.create_group(group)
+        code, _, err = command("resume", half, "--until", 0.08)
+        assert code == BAD_FILE and ("holds no checkpoint" in err or "ledger is damaged" in err)
+        path.write_bytes(whole)
+
+
+@pytest.mark.parametrize("shell", ["{} >&-", "{} | head -n 1", "{} > /dev/full", "{} >&- 2>&-"])
+def test_an_output_that_nobody_takes_does_not_end_a_run(shell, tmp_path, case_file):
+    run = f"{sys.executable} -m ngvisco.cli.main run {case_file} -o {tmp_path / 'out'}"
+    code = f"set -o pipefail; {shell.format(run)}; code=${{PIPESTATUS[0]}}; exit $code"
+    result = subprocess.run(["bash", "-c", code], env=environment(), capture_output=True, text=True)
+    assert result.returncode == DONE, result.stderr
+    assert not result.stderr
+    assert rows(tmp_path / "out") == 5
+
+
+def test_texts_are_utf_8_whatever_the_locale(tmp_path, case_file):
+    title = "Würfel, größer als 1 m: Δt → 0"
+    case_file.write_text(CASE.replace("a small swirl", title), encoding="utf-8")
+    latin = environment() | {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
+    out = tmp_path / "out"
+    for words in (("run", case_file, "-o", out), ("info", out), ("scene", out), ("resume", out)):
+        command = [sys.executable, "-m", "ngvisco.cli.main", *map(str, words)]
+        result = subprocess.run(command, env=latin, capture_output=True)
+        assert result.returncode == DONE, result.stderr
+    for name in ("case.toml", "log.txt", "scene.html"):
+        assert title in (out / name).read_text(encoding="utf-8")
 
 
 def test_two_runs_in_one_directory_do_not_meet(tmp_path, case_file):

@@ -106,7 +106,7 @@ def test_convection_is_powerless(case: Case) -> None:
 
 @by_case
 def test_inertia_returns_kinetic_energy_and_its_remainder(case: Case) -> None:
-    """tau <R, v> = kinetic - kinetic_old + 1/2 int rho_old |v - v_old|^2."""
+    """tau <R, v> = kinetic - kinetic_old + 1/2 int rho_old |v - v_old|^2, for m_old = rho_old v_old."""
     step = step_of(case)
     randomise(step, 3)
     power = block(step, rows(step, "Inertia"), "v") @ coefficients(step, "v")
@@ -247,8 +247,8 @@ def test_gravity_is_averaged_over_the_step() -> None:
     """g = (0, t^3): the force is rho times 1/tau int t^3 over the step, exact by two Gauss points."""
     model = Model(material=Case().model.material, loads=(Gravity((0, time**3)),))
     step = Step(small_box(2), model, Discretisation())
-    step.context.t_old.Set(0.2)
-    step.context.tau.Set(0.5)
+    step.context.loads_from.Set(0.2)
+    step.context.loads_over.Set(0.5)
     parts_of(step)["rho"].Set(2.0)
     force = block(step, rows(step, "Loading"), "v")
     parts_of(step)["v"].Set(CF((0, 1)))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ngsolve import BND, CF, BilinearForm, Integrate, cos, dx, exp, pi, sin, specialcf, sqrt, x, y
+from ngsolve import BND, CF, BilinearForm, IfPos, Integrate, cos, dx, exp, pi, sin, specialcf, sqrt, x, y
 
 import ngvisco as nv
 from ngvisco.forms.boundaries import facet_indicator
@@ -251,8 +251,50 @@ def test_lid_power_is_the_work_done():
 
 def test_normal_part_of_a_traction_is_powerless():
     walls = {"top": nv.Traction(f=(0.0, 7.0))}
-    run = nv.Simulation(box((1, 1), 0.5), model(), dt=0.01, walls=walls)
+    with pytest.warns(nv.InputWarning, match=r"walls\['top'\].f: 100% of the traction .* left out"):
+        run = nv.Simulation(box((1, 1), 0.5), model(), dt=0.01, walls=walls)
     assert run.run(0.01).column("v_max")[-1] < 1e-12
+
+
+def test_a_start_velocity_through_walls_is_projected_and_that_is_said_once():
+    initial = nv.Initial(velocity=(x, 0.0))
+    with pytest.warns(
+        nv.InputWarning, match=r"initial velocity: .* normal to the walls right \(100%\)"
+    ) as said:
+        run = nv.Simulation(box((1, 1), 0.5), model(), dt=0.01, initial=initial)
+    assert len(said) == 1
+    through = run.fields["velocity"][0]
+    assert Integrate(through * through, run.mesh, BND, definedon=run.mesh.Boundaries("right")) < 1e-20
+
+
+@pytest.mark.parametrize(
+    ("wall", "message"),
+    [
+        (nv.NavierFriction(0.5 - x), r"coefficient = .*a function >= 0; at t = 0 s it is -0\.\d+ somewhere"),
+        (nv.NavierFriction(1 / (x - x)), "coefficient = .*finite values"),
+        (nv.Traction(f=(sqrt(x - 0.5), 0)), "f = .*finite values; at t = 0 s"),
+        (nv.PrescribedTangential((sqrt(x - 0.5), 0)), "velocity = .*finite values"),
+        (nv.PrescribedTangential((0, 1)), "velocity = .normal part 1 of 1"),
+    ],
+)
+def test_wall_data_are_looked_at_before_the_first_step(wall, message):
+    with pytest.raises(nv.ParameterError, match=r"walls\['top'\]." + message):
+        nv.Simulation(box((1, 1), 0.5), model(), dt=0.1, walls={"top": wall})
+
+
+@pytest.mark.parametrize(
+    "wall",
+    [
+        nv.NavierFriction(0.3 - nv.time),
+        nv.Traction(f=(sqrt(0.3 - nv.time), 0)),
+        nv.PrescribedTangential((0, IfPos(nv.time - 0.3, 1, 0))),
+    ],
+)
+def test_wall_data_are_looked_at_over_the_run_s_time(wall):
+    run = nv.Simulation(box((1, 1), 0.5), model(), dt=0.1, walls={"top": wall})
+    with pytest.raises(nv.ParameterError, match=r"walls\['top'\]"):
+        run.run(0.4)
+    assert run.number == 0
 
 
 def test_identified_facets_carry_and_walls_do_not():

@@ -11,7 +11,13 @@ from ngsolve import CF, Mesh, VectorH1
 from ngsolve.meshes import Make1DMesh, MakeStructured2DMesh, MakeStructured3DMesh
 
 from ngvisco import MeshError, UnknownNameError
-from ngvisco.forms.boundaries import axis_parallel_walls, check_boundary_names, check_mesh, slip_constraints
+from ngvisco.forms.boundaries import (
+    axis_parallel_walls,
+    check_boundary_names,
+    check_mesh,
+    interior_boundaries,
+    slip_constraints,
+)
 from ngvisco.geometries import box
 
 
@@ -122,14 +128,42 @@ def test_unknown_boundary_name_raises_with_the_nearest() -> None:
         disc,
         lambda: Mesh(occ.OCCGeometry(occ.Sphere(occ.Pnt(0, 0, 0), 1)).GenerateMesh(maxh=1.0)).Curve(2),
         lambda: MakeStructured2DMesh(quads=True, nx=2, ny=2),
-        lambda: MakeStructured3DMesh(hexes=True, nx=2),
-        lambda: MakeStructured3DMesh(prism=True, nx=1),
         lambda: MakeStructured2DMesh(quads=False, nx=3, ny=3, periodic_x=True),
     ],
-    ids=["box", "box3d", "disc", "sphere", "quads", "hexes", "prisms", "periodic"],
+    ids=["box", "box3d", "disc", "sphere", "quads", "periodic"],
 )
 def test_sound_meshes_pass(mesh) -> None:
     check_mesh(mesh())
+
+
+@pytest.mark.parametrize("kind", ["hexahedra", "prisms"])
+def test_cells_without_spaces_are_refused(kind) -> None:
+    mesh = MakeStructured3DMesh(hexes=kind == "hexahedra", prism=kind == "prisms", nx=1)
+    with pytest.raises(MeshError, match=f"cells of the types {kind}: expected triangles"):
+        check_mesh(mesh)
+
+
+@pytest.mark.parametrize("solver", ["coupled", "split"])
+def test_an_interface_between_cells_is_no_wall(solver) -> None:
+    """The run on a square of two glued parts has the ledger of one on a square of the same cells."""
+    import ngvisco as nv
+
+    left, right = occ.Rectangle(0.5, 1).Face(), occ.MoveTo(0.5, 0).Rectangle(0.5, 1).Face()
+    for part in (left, right):
+        part.edges.name = "wall"
+    left.edges.Max(occ.X).name = "interface"
+    mesh = Mesh(occ.OCCGeometry(occ.Glue([left, right]), dim=2).GenerateMesh(maxh=0.4))
+    assert "interface" in mesh.GetBoundaries()
+    assert interior_boundaries(mesh) == {"interface"}
+    model = nv.Model(material=nv.NeoHookean(K_e=1, G_e=1, epsilon=0.1), loads=[nv.Gravity((1, 0))])
+    run = nv.Simulation(mesh, model, dt=0.1, solver=solver)
+    ledger = run.run(0.2)
+    assert abs(ledger.column("closure_relative")).max() < 1e-13
+    assert abs(ledger.column("mass_drift")).max() < 1e-14
+    at_interface = run.fields["velocity"](mesh(0.5, 0.4))
+    assert at_interface[0] > 0.02  # it is carried through
+    with pytest.raises(nv.ParameterError, match="it lies between two cells"):
+        nv.Simulation(mesh, model, dt=0.1, walls={"interface": nv.NoSlip()})
 
 
 SQUARE = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]

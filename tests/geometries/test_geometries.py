@@ -47,6 +47,84 @@ def test_measure_and_walls_are_those_of_the_domain(name):
         assert Integrate(CF(1.0), mesh, BND, definedon=mesh.Boundaries(wall)) > 0
 
 
+SIZES = [1e-3, 6e5, 1.3e7, 1e12]
+SCALED = {
+    "box": lambda L: g.box((L, 2 * L), L / 2, periodic="x", refine={"top": L / 4}),
+    "channel3d": lambda L: g.channel(L, L, L / 2, width=L),
+    "bar": lambda L: g.bar(2 * L, L / 2, L / 2),
+    "hole": lambda L: g.block_with_hole((2 * L, L), L / 4, L / 3, fillet=L / 10),
+    "annulus": lambda L: g.annulus(L, 2 * L, L / 2),
+    "shell": lambda L: g.spherical_shell(L, 2 * L, L),
+}
+
+
+@pytest.mark.parametrize("name", SCALED)
+def test_a_domain_is_the_same_in_every_unit_of_length(name):
+    """Squares of 6e5 m ended the process, small ones lost their walls."""
+    unit = SCALED[name](1.0)
+    straight = name in ("box", "channel3d", "bar")
+    for size in [1e-12, *SIZES] if straight else [2e-3, *SIZES[1:]]:
+        mesh = SCALED[name](size)
+        assert sorted(mesh.GetBoundaries()) == sorted(unit.GetBoundaries())
+        volume = Integrate(CF(1.0), mesh) / size**mesh.dim
+        assert volume == pytest.approx(Integrate(CF(1.0), unit), rel=1e-12 if straight else 3e-3)
+        g.refine_walls(mesh, [mesh.GetBoundaries()[0]])
+        refined = Integrate(CF(1.0), mesh) / size**mesh.dim
+        assert refined == pytest.approx(volume, rel=1e-12 if straight else 3e-3)
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: g.box((1, 1), 1e-9), "box.maxh"),
+        (lambda: g.box((1, 1, 1), 1e-20), "box.maxh"),
+        (lambda: g.box((1e7, 1e7, 1e7), 1.0), "box.maxh"),
+        (lambda: g.disc(1, 0.5, refine={"wall": 1e-9}), "disc.refine['wall']"),
+        (lambda: g.sphere(1, 0.5, refine={"wall": 1e-4}), "sphere.refine['wall']"),
+    ],
+)
+def test_meshes_without_end_are_refused_with_a_size_that_has_one(make, field):
+    with pytest.raises(ParameterError, match=r"at least \S+: this one makes about \S+ cells") as error:
+        make()
+    assert error.value.field == field
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: g.box((1, 1e-8), 0.5), "box.size"),
+        (lambda: g.annulus(1, 1 + 1e-9, 0.5), "annulus.thickness"),
+        (lambda: g.disc(1e-6, 1e-7), "disc.radius"),
+        (lambda: g.sphere(1e-4, 1e-4), "sphere.radius"),
+        (lambda: g.block_with_hole((1, 1), 1e-8, 0.5), "block_with_hole.radius"),
+        (lambda: g.box((1e200, 1), 0.5), "box.size"),
+        (lambda: g.disc(1, 0.5, order=11), "disc.order"),
+        (lambda: g.disc(1, 0.5, order=2.5), "disc.order"),
+        (lambda: g.box(1.0, 0.5), "box.size"),
+        (lambda: g.box("ab", 0.5), "box.size"),
+    ],
+)
+def test_lengths_that_netgen_cannot_hold_apart_are_refused(make, field):
+    with pytest.raises(ParameterError) as error:
+        make()
+    assert error.value.field == field
+
+
+def test_a_mesh_that_netgen_left_half_empty_is_refused():
+    with pytest.raises(MeshError, match=r"fills 0\.\d+ of the shape"):
+        g.box((1, 2e-5), 0.5)
+
+
+def test_what_may_crash_netgen_is_tried_apart():
+    mesh = g.box((1, 5e-4), 0.5)
+    assert Integrate(CF(1.0), mesh) == pytest.approx(5e-4, rel=1e-10)
+    from ngvisco.geometries import meshing
+
+    with pytest.raises(MeshError, match="Netgen cannot mesh it"):
+        shape = Circle((0, 0), 1).Face() - Circle((0, 0), 2).Face()  # nothing is left
+        meshing._try_apart("shape", shape, 2, 0.5)
+
+
 @pytest.mark.parametrize("periodic", ["x", "y", "xy", "xyz"])
 def test_identified_walls_have_pairs(periodic):
     from ngvisco.forms.boundaries import periodic_boundaries

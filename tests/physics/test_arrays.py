@@ -14,7 +14,7 @@ from ngvisco.physics.materials.neo_hookean import NeoHookean
 from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.pointwise import ExpressionResponse
 from ngvisco.physics.tensors import dev, if_positive, inner, log, sph, square, sym, tensor_space, tr
-from ngvisco.physics.variables import Distortion, Jacobian
+from ngvisco.physics.variables import Distortion, Jacobian, SmallStrain
 
 EXAMPLES = {example.constructor: example.material for example in examples()}
 EXAMPLES["WithQuadratic"] = WithQuadratic(
@@ -29,7 +29,7 @@ def states(material, dim, count=7):
     for variable, where in zip(material.variables, component_slices(material, dim).values(), strict=True):
         space = tensor_space(variable.kind, dim)
         rest = np.ones(1) if space.is_scalar else space.columns.T @ np.eye(3).ravel()
-        z[where] += (0.0 if variable.kind == "symmetric" else 1.0) * rest[:, None]
+        z[where] += (0.0 if isinstance(variable, SmallStrain) else 1.0) * rest[:, None]
     return z
 
 

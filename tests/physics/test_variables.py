@@ -9,11 +9,13 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from support import plane_strain, random_rotation, tensor, tensors, trace_free, value
 
-from ngvisco.physics.tensors import inner, tensor_space
+from ngvisco.physics.tensors import inner, log_det, tensor_space
 from ngvisco.physics.variables import (
     Cofactor,
+    CofactorLeftCauchyGreen,
     Distortion,
     Jacobian,
+    LeftCauchyGreen,
     LogJacobian,
     ReciprocalJacobian,
     SmallStrain,
@@ -28,6 +30,10 @@ LISTS = {
     "K": [ReciprocalJacobian(), LogJacobian()],
     **{f"J^{a:.3g} F": [Distortion(exponent=a)] for a in EXPONENTS},
     **{f"J^{b:.3g} Cof F": [Cofactor(exponent=b)] for b in EXPONENTS},
+}
+SPATIAL: dict[str, Variable] = {
+    **{f"J^{a:.3g} F F^T": LeftCauchyGreen(exponent=a) for a in (-5 / 3, -2 / 3, 0.0, 0.7)},
+    **{f"J^{b:.3g} Cof(F F^T)": CofactorLeftCauchyGreen(exponent=b) for b in (-7 / 3, -4 / 3, 0.0, 0.7)},
 }
 TIME = 0.7
 
@@ -113,6 +119,93 @@ def test_creep_flag_says_whether_the_rate_reads_the_creep_rate(name: str) -> Non
     for variable in LISTS[name]:
         change = value(variable.rate(z, tensor(L), tensor(Pi)) - variable.rate(z, tensor(L), 0 * tensor(Pi)))
         assert (np.abs(change).max() > 0.1) == variable.creeps
+
+
+# --- left Cauchy-Green tensors -----------------------------------------------------------------------
+
+
+def spatially_creeping(L: np.ndarray, Pi: np.ndarray, F_0: np.ndarray) -> np.ndarray:
+    """F at TIME by dF/dt = (L - Pi) F: any Pi of the actual frame, coaxial or not; dJ/dt = (tr L) J."""
+
+    def rate(t: float, F: np.ndarray) -> np.ndarray:
+        return ((L - Pi) @ F.reshape(3, 3)).ravel()
+
+    return integrate(rate, F_0.ravel()).reshape(3, 3)
+
+
+@pytest.mark.parametrize("creep", [False, True], ids=["elastic", "creep"])
+@pytest.mark.parametrize("name", SPATIAL)
+def test_left_cauchy_green_rate_follows_the_integrated_distortion(name: str, creep: bool) -> None:
+    """From a start F_0 that is not coaxial with L and Pi, and B stays symmetric."""
+    variable = SPATIAL[name]
+    for seed in range(3):
+        L, Pi, F_0 = motion(seed, creep)
+        expected = pack([variable], spatially_creeping(L, Pi, F_0))
+        found = transported([variable], L, Pi, F_0)
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        # negative control: another exponent is seen
+        other = type(variable)(exponent=variable.exponent + 0.1)
+        start = pack([variable], F_0)
+        A, b = linear_rate([other], start.size, L, Pi)
+        wrong = integrate(lambda t, z, A=A, b=b: A @ z + b, start)
+        assert np.abs(wrong - expected).max() > 1e-2 * np.abs(expected).max()
+
+
+def test_creep_of_both_frames_is_one_for_an_isotropic_energy() -> None:
+    """F' = L F - F Pi_R with G_m Pi_R = dev(F^T S) gives the F F^T of B' with G_m Pi = dev 2 sym(zeta B).
+
+    For phi = tr(B) + (tr B)^2/9, from a start that is not coaxial with L: the derivation in the docstring.
+    """
+    L, _, F_0 = motion(12, True)
+    B_of = LeftCauchyGreen()
+
+    def weight(B: np.ndarray) -> float:
+        return 1 + 2 * np.trace(B) / 9
+
+    def by_F(t: float, F: np.ndarray) -> np.ndarray:
+        F = F.reshape(3, 3)
+        Pi = trace_free(2 * weight(F @ F.T) * F.T @ F) / 3.0
+        return (L @ F - F @ Pi).ravel()
+
+    def by_B(t: float, B: np.ndarray) -> np.ndarray:
+        B = B.reshape(3, 3)
+        Pi = trace_free(2 * weight(B) * B) / 3.0
+        return value(B_of.rate({"B": tensor(B)}, tensor(L), tensor(Pi))).ravel()
+
+    F = integrate(by_F, F_0.ravel()).reshape(3, 3)
+    B = integrate(by_B, (F_0 @ F_0.T).ravel()).reshape(3, 3)
+    assert pytest.approx(F @ F.T, rel=1e-9, abs=1e-9) == B
+    assert np.abs(F @ F.T - expm(TIME * L) @ F_0 @ F_0.T @ expm(TIME * L).T).max() > 0.1  # creep matters
+
+
+@pytest.mark.parametrize("name", SPATIAL)
+def test_left_cauchy_green_start_is_symmetric_positive_definite_and_turns(name: str) -> None:
+    rng = np.random.default_rng(13)
+    _, _, F_0 = motion(13, False)
+    variable, Q = SPATIAL[name], random_rotation(rng)
+    B = value(variable.from_distortion(tensor(F_0)))
+    assert pytest.approx(B.T, abs=1e-12) == B
+    assert np.linalg.eigvalsh(B).min() > 0
+    turned = value(variable.from_distortion(tensor(Q @ F_0)))
+    assert turned == pytest.approx(value(variable.turned(tensor(B), tensor(Q))), rel=1e-10, abs=1e-10)
+    # and does not see a rotation of the relaxed configuration, which F keeps
+    assert value(variable.from_distortion(tensor(F_0 @ Q))) == pytest.approx(B, rel=1e-10, abs=1e-10)
+    det, n = variable.volume_ratio(tensor(B))
+    assert float(value(det)) == pytest.approx(np.linalg.det(F_0) ** n, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    "eigenvalues", [(-1.0, 1, 1), (1, -1.0, 1), (1, 1, -1.0), (-1.0, -1.0, 1), (1, -1.0, -1.0), (-1, 1, -1.0)]
+)
+def test_minors_see_every_tensor_that_is_not_positive_definite(eigenvalues: tuple[float, ...]) -> None:
+    """Also those with two negative eigenvalues, whose determinant is positive; ln det is NaN there."""
+    Q = random_rotation(np.random.default_rng(14))
+    B = tensor(Q @ np.diag(eigenvalues) @ Q.T)
+    assert min(float(value(m)) for m in LeftCauchyGreen().positive(B).values()) < 0
+    assert np.isnan(value(log_det(B)))
+    good = tensor(Q @ np.diag(np.abs(eigenvalues) * (1, 2, 3)) @ Q.T)
+    assert min(float(value(m)) for m in LeftCauchyGreen().positive(good).values()) > 0
+    assert float(value(log_det(good))) == pytest.approx(np.log(6), rel=1e-12)
 
 
 class PrintedMooneyRivlin(Cofactor):
@@ -231,10 +324,10 @@ def test_superposed_rotation_turns_the_left_leg_only(name: str) -> None:
 # --- plane strain ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["E", *LISTS])
+@pytest.mark.parametrize("name", ["E", *LISTS, *SPATIAL])
 def test_plane_strain_components_reproduce_the_3d_rate(name: str) -> None:
     """The subspace with a free 33 entry is closed under every rate, and loses nothing of it."""
-    variables: list[Variable] = [SmallStrain()] if name == "E" else LISTS[name]
+    variables: list[Variable] = [SmallStrain()] if name == "E" else LISTS.get(name) or [SPATIAL[name]]
     rng = np.random.default_rng(10)
     L = plane_strain(rng.standard_normal((3, 3)))
     L[2, 2] = 0.0  # v_3 = 0 and nothing depends on x_3

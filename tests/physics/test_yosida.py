@@ -9,7 +9,7 @@ from support import tensor, values
 
 import ngvisco as nv
 from ngvisco.errors import NgviscoError, ParameterError
-from ngvisco.physics.convexity import _Sampling, check_convexity
+from ngvisco.physics.convexity import StateSampling, check_convexity
 from ngvisco.physics.material import conjugates
 from ngvisco.physics.materials import examples
 from ngvisco.physics.pointwise import Response, respond
@@ -22,7 +22,7 @@ NEO_HOOKEAN = EXAMPLES["NeoHookean"]
 
 def states(material: nv.Material, dim: int, spread: float = 0.4) -> np.ndarray:
     """Random states with J > 0."""
-    return _Sampling(material, dim).random_states(np.random.default_rng(1), spread)[:40]
+    return StateSampling(material, dim).random_states(np.random.default_rng(1), spread)[:40]
 
 
 def approximation(material: nv.Material, eps: float, z: np.ndarray, dim: int) -> Response:

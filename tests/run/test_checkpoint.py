@@ -90,3 +90,41 @@ def test_a_damaged_file_is_refused(tmp_path, damage):
         path.write_bytes(b"" if damage == "empty" else b"not an HDF5 file")
     with pytest.raises(nv.CheckpointError, match=r"run\.h5"):
         simulation().restore(path)
+
+
+def test_a_changed_bit_is_refused_or_changes_nothing(tmp_path):
+    """Bytes of the file are of data, of names, or unused: none of them may make another state."""
+    path = tmp_path / "run.h5"
+    simulation([nv.Checkpoints(path)]).run(0.02)
+    run = simulation()
+    run.restore(path)
+    state, row = run.rothe_step.state.vec.FV().NumPy().copy(), run.ledger.rows[-1]
+    whole, chance = path.read_bytes(), np.random.default_rng(7)
+    refused = 0
+    for where in chance.choice(len(whole), 60, replace=False):
+        damaged = bytearray(whole)
+        damaged[where] ^= 1 << int(chance.integers(8))
+        path.write_bytes(bytes(damaged))
+        try:
+            run.restore(path)
+        except nv.CheckpointError:
+            refused += 1
+        assert np.array_equal(run.rothe_step.state.vec.FV().NumPy(), state)
+        assert run.ledger.rows[-1] == pytest.approx(row, rel=0, abs=0, nan_ok=True)
+    assert refused >= 10  # most of the file is data
+
+
+def test_an_energy_is_known_by_its_values_not_by_its_name(tmp_path):
+    from ngvisco.physics.tensors import square
+    from ngvisco.physics.variables import Distortion, Jacobian
+
+    def material(stiffness):
+        def energy(F, J):
+            return stiffness * square(F) / J ** (2 / 3) + 10 * (J - 1) * (J - 1) + 0.1 / J + 0.1 * J
+
+        return nv.CustomMaterial(transported=(Distortion(), Jacobian()), stored_energy=energy)
+
+    simulation([nv.Checkpoints(tmp_path / "run.h5")], material(5.0)).run(0.02)
+    simulation(material=material(5.0)).restore(tmp_path / "run.h5")
+    with pytest.raises(nv.CheckpointError, match="its energies are"):
+        simulation(material=material(5.000001)).restore(tmp_path / "run.h5")

@@ -14,8 +14,8 @@ from ngvisco.physics.pointwise import Response, respond
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian
 
-NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
-REFERENTIAL = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
+REFERENTIAL = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
 
 
 def foam(F, J):

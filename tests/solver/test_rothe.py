@@ -135,7 +135,7 @@ def test_continuation_leaps_where_the_way_folds() -> None:
 def test_full_steps_are_taken_whatever_the_increments() -> None:
     """From a rough start: increments that grow are kept, none is damped, and there are so many at most."""
     run = simulation("neo_hookean", speed=100.0, F=JUMP, dt=5.0)
-    run.solver._set_context(0.0, 5.0)
+    run.rothe_step.context.set_step(5.0, 5.0, 0.0, 5.0)
     run.solver.norm.units["v"] = run.solver.h_min / 5.0
     with pytest.raises(StepError, match="too many iterations") as error:
         run.solver.newton.solve(full_steps=4)
@@ -150,7 +150,7 @@ def test_solution_with_a_defect_is_not_accepted() -> None:
     """What solves the equations but has rho or J <= 0 somewhere is no step."""
     run = simulation()
     before = state(run)
-    run.solver._defect = lambda: "rho is not positive (minimum -1.000e-03)"
+    run.solver.defect = lambda: "rho is not positive (minimum -1.000e-03)"
     with pytest.raises(StepError, match=r"rho is not positive .*take a smaller step"):
         run.advance()
     assert np.array_equal(state(run), before)
@@ -165,7 +165,7 @@ def test_interrupt_inside_a_step_restores_the_state() -> None:
     def interrupt() -> None:
         raise KeyboardInterrupt
 
-    run.solver._defect = interrupt
+    run.solver.defect = interrupt
     with pytest.raises(KeyboardInterrupt):
         run.advance()
     assert np.array_equal(state(run), before)
@@ -185,7 +185,7 @@ def test_change_of_the_step_length_assembles_anew() -> None:
     run = simulation()
     run.advance()
     assert run.solver.newton.jacobian.exists
-    history = run.solver.advance(run.t, 0.02)
+    history = run.integrator.advance(run.t, 0.02).history
     assert history[0].fresh_jacobian
 
 
@@ -198,6 +198,6 @@ def test_stiff_body_that_drifts_is_solved_in_long_steps() -> None:
     run = Simulation(mesh, model, dt=10.0, initial=initial, solver="coupled")
     u = run.rothe_step.now
     before = [Integrate(u.rho * u.v[i], mesh) for i in range(2)]
-    history = run.solver.advance(0.0, 10.0, with_continuation=False)
+    history = run.integrator.advance(0.0, 10.0, with_continuation=False).history
     assert 10e-10 < history[-1].increment < 100e-10
     assert [Integrate(u.rho * u.v[i], mesh) for i in range(2)] == pytest.approx(before, abs=2e-8)

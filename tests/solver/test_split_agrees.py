@@ -29,7 +29,10 @@ def model(material=None, dim=2, **parts):
         "creep": nv.Creep(G_m=2.0),
         "loads": [nv.Gravity((0.0,) * (dim - 1) + (-1.0,))],
     }
-    return nv.Model(material=material or nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), **(settings | parts))
+    return nv.Model(
+        material=material or nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
+        **(settings | parts),
+    )
 
 
 def residual(run):
@@ -75,6 +78,24 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
 def test_for_every_material_with_creep(name, dim):
     mesh = box((1,) * dim, maxh=0.4 if dim == 2 else 1)
     assert_both_agree(mesh, model(EXAMPLES[name], dim))
+
+
+@pytest.mark.parametrize("law", ["conformation", "leonov"])
+@pytest.mark.parametrize("name", ["OldroydB", "FENEP"])
+def test_for_laws_of_creep(name, law):
+    creep = nv.Creep(G_m=2.0, law=law)
+    assert_both_agree(box((1, 1), maxh=0.4), model(EXAMPLES[name], creep=creep))
+
+
+BY_B = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B")
+
+
+def test_by_left_cauchy_green_in_three_dimensions():
+    assert_both_agree(box((1, 1, 1), maxh=1), model(BY_B, dim=3))
+
+
+def test_by_left_cauchy_green_with_a_creep_rate_field():
+    assert_both_agree(box((1, 1), maxh=0.4), model(BY_B, creep=nv.Creep(G_m=2.0, nu=1e-3, q=4)))
 
 
 def test_in_three_dimensions():

@@ -30,7 +30,7 @@ PARTS = {
 
 def simulation(mesh=None, discretisation=None, **parts):
     settings = {
-        "material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        "material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
         "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1),
         "hyperviscosity": nv.HyperViscosity(mu=1e-4, p=4),
         "creep": nv.Creep(G_m=2.0),
@@ -91,6 +91,12 @@ def test_of_every_material(name):
     assert_is_the_derivative(simulation(material=EXAMPLES[name]))
 
 
+@pytest.mark.parametrize("law", ["conformation", "leonov"])
+def test_of_laws_of_creep(law):
+    creep = nv.Creep(G_m=2.0, law=law)
+    assert_is_the_derivative(simulation(material=EXAMPLES["FENEP"], creep=creep))
+
+
 @pytest.mark.parametrize("kind", ["by its response", "by an expression"])
 def test_of_energies_without_arrays(kind, monkeypatch):
     material = EXAMPLES["NeoHookean"]
@@ -102,7 +108,7 @@ def test_of_energies_without_arrays(kind, monkeypatch):
 
 
 def test_in_three_dimensions():
-    material = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+    material = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
     model = {"material": material, "loads": [nv.Gravity((0.0, 0.0, -1.0))]}
     assert_is_the_derivative(simulation(box((1, 1, 1), maxh=1), **model), bound=1e-8)
 

@@ -21,7 +21,7 @@ from ngvisco.solver.split.solver import Split
 
 def simulation(maxh=0.4, mesh=None, hyperviscosity=None, regularisation=None, speed=0.0, **options):
     model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
         hyperviscosity=hyperviscosity or nv.HyperViscosity(mu=1e-4, p=4),
         creep=nv.Creep(G_m=2.0),
@@ -91,9 +91,10 @@ DELTA = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1)
 @pytest.mark.parametrize("options", [{}, {"sources": EveryRow(), "regularisation": DELTA}])
 def test_residual_is_the_coupled_one_away_from_a_solution(options):
     run = simulation(**options)
-    run.solver._set_context(0.0, 0.02)
+    run.rothe_step.context.set_step(0.02, 0.02, 0.0, 0.02)
     step, split = run.rothe_step, run.solver.newton
     step.state_old.vec.data = step.state.vec
+    step.start_from_old()
     noise = np.random.default_rng(0).standard_normal(split.unknowns.size)
     free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
     split.unknowns.unpack(split.unknowns.pack() + 1e-3 * noise)
@@ -161,7 +162,9 @@ def in_units_of(length, density, seconds):
     """The swirl with these units, of a box of 1 in them."""
     modulus = density * (length / seconds) ** 2
     model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0 * modulus, G_e=5.0 * modulus, epsilon=0.1 * modulus),
+        material=nv.NeoHookean(
+            K_e=10.0 * modulus, G_e=5.0 * modulus, epsilon=0.1 * modulus, elastic_state="F"
+        ),
         viscosity=nv.StokesViscosity(K_v=0.1 * modulus * seconds, G_v=0.1 * modulus * seconds),
         hyperviscosity=nv.HyperViscosity(mu=1e-4 * modulus * length**4 * seconds**3, p=4),
         creep=nv.Creep(G_m=2.0 * modulus * seconds),

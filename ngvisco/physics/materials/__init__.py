@@ -2,6 +2,7 @@
 
 from ngvisco.physics.materials.barotropic import BarotropicFluid
 from ngvisco.physics.materials.catalogue import examples, table
+from ngvisco.physics.materials.conformation import FENEP, OldroydB
 from ngvisco.physics.materials.custom import CustomMaterial
 from ngvisco.physics.materials.linearised import HardeningElastic, IsotropicStrainEnergy, LinearElastic
 from ngvisco.physics.materials.mooney_rivlin import MooneyRivlin, ReferentialMooneyRivlin
@@ -15,6 +16,7 @@ from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.materials.yosida import Yosida
 
 __all__ = [
+    "FENEP",
     "BarotropicFluid",
     "CustomMaterial",
     "HardeningElastic",
@@ -24,6 +26,7 @@ __all__ = [
     "LogarithmicNeoHookean",
     "MooneyRivlin",
     "NeoHookean",
+    "OldroydB",
     "ReferentialMooneyRivlin",
     "ReferentialNeoHookean",
     "WithQuadratic",

@@ -5,12 +5,14 @@ The README's table is ``table()``; a test runs every example.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from ngsolve import Trace
 
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.barotropic import BarotropicFluid
+from ngvisco.physics.materials.conformation import FENEP, OldroydB
 from ngvisco.physics.materials.custom import CustomMaterial
 from ngvisco.physics.materials.linearised import HardeningElastic, IsotropicStrainEnergy, LinearElastic
 from ngvisco.physics.materials.mooney_rivlin import MooneyRivlin, ReferentialMooneyRivlin
@@ -21,18 +23,28 @@ from ngvisco.physics.materials.referential import (
     ReferentialNeoHookean,
 )
 from ngvisco.physics.tensors import dev, square
-from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, Variable
+from ngvisco.physics.variables import (
+    Cofactor,
+    CofactorLeftCauchyGreen,
+    Distortion,
+    Jacobian,
+    LeftCauchyGreen,
+    Variable,
+)
 
 
 @dataclass(frozen=True)
 class Example:
-    """A row of the table: a material with sample parameters, its energy in words, and where it stands."""
+    """A row of the table: a material with sample parameters, its energy in words, and where it stands.
+
+    ``paper`` is None for what the paper does not have.
+    """
 
     material: Material
     constructor: str
     energy: str
     convexity: str
-    paper: str
+    paper: str | None
 
 
 def examples() -> tuple[Example, ...]:
@@ -62,60 +74,75 @@ def examples() -> tuple[Example, ...]:
             "Euler-small-ass-phi",
         ),
         Example(
-            NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+            NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
             "NeoHookean",
             "K_e/2 (J − 1 + ε/K_e)² + G_e J^(−2/3) |F|² − ε ln J",
             "joint",
             "neo-Hookean-potential-actual",
         ),
         Example(
-            NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2),
+            NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2, elastic_state="F"),
             "NeoHookean(kappa=ϰ)",
             "K_e/2 (J − 1 + ϰε/K_e)² + G_e J^(−2/3) |F|² + ε/J^ϰ",
             "joint",
             "exa-polyconvex-general",
         ),
         Example(
-            MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1),
+            MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F"),
             "MooneyRivlin",
             "K_e/2 (J − 1 + ε/K_e)² + G_e J^(−2/3) |F|² + 2/(3√3) G_mr J^(−2) |Cof F|³ − ε ln J",
             "joint",
             "rem-polyconvex-general",
         ),
         Example(
-            ReferentialNeoHookean(K_e=10.0, G_e=5.0),
+            ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="F"),
             "ReferentialNeoHookean",
             "K_e/2 (J − 2 + 1/J) + G_e |H|²",
             "joint, strong in H",
             "exa-neo-Hookean-ref",
         ),
         Example(
-            ReferentialNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2),
+            ReferentialNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2, elastic_state="F"),
             "ReferentialNeoHookean(epsilon=ε, kappa=ϰ)",
             "K_e/2 (J − 1 + ϰε/K_e)²/J + G_e |H|² + ε/J^(ϰ+1)",
             "joint, strong in H",
             "exa-neo-Hookean-ref",
         ),
         Example(
-            IsochoricNeoHookean(K_e=10.0, G_e=5.0),
+            IsochoricNeoHookean(K_e=10.0, G_e=5.0, elastic_state="F"),
             "IsochoricNeoHookean",
             "K_e/2 (J − 2 + 1/J) + G_e |H|²/J",
             "joint",
             "exa-neo-Hookean-ref",
         ),
         Example(
-            LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+            LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
             "LogarithmicNeoHookean",
             "K_e/2 (1/A − 2 + 2ε/K_e + (1 − ε/K_e)² A) + G_e |H|² − ε K",
             "joint, strong in H",
             "exa-neo-Hookean-ref, DT-det-inverse",
         ),
         Example(
-            ReferentialMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0),
+            ReferentialMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, elastic_state="F"),
             "ReferentialMooneyRivlin",
             "K_e/2 (J − 2 + 1/J) + G_e |H|² + G_mr |N|²",
             "joint, strong in (H, N)",
             "exa-Mooney–Rivlin-ref",
+        ),
+        *_by_left_cauchy_green(),
+        Example(
+            OldroydB(K_e=10.0, G_e=5.0),
+            "OldroydB",
+            "K_e/2 (J − 2 + 1/J) + G_e (tr B − ln det B − 3)",
+            "strict",
+            None,
+        ),
+        Example(
+            FENEP(K_e=10.0, G_e=5.0, b=30.0),
+            "FENEP",
+            "K_e/2 (J − 2 + 1/J) − G_e ((b − 3) ln((b − tr B)/(b − 3)) + ln det B)",
+            "strict",
+            None,
         ),
         Example(
             BarotropicFluid(B=10.0, gamma=1.4),
@@ -144,6 +171,68 @@ def examples() -> tuple[Example, ...]:
     )
 
 
+def _by_left_cauchy_green() -> tuple[Example, ...]:
+    """The isotropic materials at finite strain in their form by B = J^a F F^T."""
+    return (
+        Example(
+            NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B"),
+            'NeoHookean(elastic_state="B")',
+            "K_e/2 (J − 1 + ε/K_e)² + G_e tr B − ε ln J",
+            "joint, strict in J",
+            "neo-Hookean-potential-actual",
+        ),
+        Example(
+            NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2, elastic_state="B"),
+            'NeoHookean(kappa=ϰ, elastic_state="B")',
+            "K_e/2 (J − 1 + ϰε/K_e)² + G_e tr B + ε/J^ϰ",
+            "joint, strict in J",
+            "exa-polyconvex-general",
+        ),
+        Example(
+            MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="B"),
+            'MooneyRivlin(elastic_state="B")',
+            "K_e/2 (J − 1 + ε/K_e)² + G_e tr B + 2/(3√3) G_mr (tr N)^(3/2) − ε ln J",
+            "joint, strict in J",
+            "rem-polyconvex-general",
+        ),
+        Example(
+            ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="B"),
+            'ReferentialNeoHookean(elastic_state="B")',
+            "K_e/2 (J − 2 + 1/J) + G_e tr B",
+            "joint, strict in J",
+            "exa-neo-Hookean-ref",
+        ),
+        Example(
+            ReferentialNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2, elastic_state="B"),
+            'ReferentialNeoHookean(epsilon=ε, kappa=ϰ, elastic_state="B")',
+            "K_e/2 (J − 1 + ϰε/K_e)²/J + G_e tr B + ε/J^(ϰ+1)",
+            "joint, strict in J",
+            "exa-neo-Hookean-ref",
+        ),
+        Example(
+            IsochoricNeoHookean(K_e=10.0, G_e=5.0, elastic_state="B"),
+            'IsochoricNeoHookean(elastic_state="B")',
+            "K_e/2 (J − 2 + 1/J) + G_e tr B",
+            "joint, strict in J",
+            "exa-neo-Hookean-ref",
+        ),
+        Example(
+            LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B"),
+            'LogarithmicNeoHookean(elastic_state="B")',
+            "K_e/2 (1/A − 2 + 2ε/K_e + (1 − ε/K_e)² A) + G_e tr B − ε K",
+            "joint, strict in A",
+            "exa-neo-Hookean-ref, DT-det-inverse",
+        ),
+        Example(
+            ReferentialMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, elastic_state="B"),
+            'ReferentialMooneyRivlin(elastic_state="B")',
+            "K_e/2 (J − 2 + 1/J) + G_e tr B + G_mr tr N",
+            "joint, strict in J",
+            "exa-Mooney–Rivlin-ref",
+        ),
+    )
+
+
 def table() -> str:
     """A Markdown table of all materials: variables, energy per actual volume, convexity, paper's label."""
     head = ("material", "variables", "φ(z), Pa", "convexity", "paper")
@@ -152,7 +241,8 @@ def table() -> str:
         names = ", ".join(_describe(v) for v in example.material.variables)
         # a bar would end the cell
         energy = example.energy.replace("|", "\\|")
-        rows.append((f"`{example.constructor}`", names, energy, example.convexity, f"`{example.paper}`"))
+        label = f"`{example.paper}`" if example.paper else "—"
+        rows.append((f"`{example.constructor}`", names, energy, example.convexity, label))
     return "\n".join(f"| {' | '.join(row)} |" for row in rows) + "\n"
 
 
@@ -162,11 +252,15 @@ def _describe(variable: Variable) -> str:
     if isinstance(variable, Cofactor):
         factor = f"J^({_fraction(variable.exponent)}) " if variable.exponent else ""
         return f"{variable.name} = {factor}Cof F"
+    if isinstance(variable, (LeftCauchyGreen, CofactorLeftCauchyGreen)):
+        factor = f"J^({_fraction(variable.exponent)}) " if variable.exponent else ""
+        square = "F Fᵀ" if isinstance(variable, LeftCauchyGreen) else "Cof(F Fᵀ)"
+        return f"{variable.name} = {factor}{square}"
     meaning = {"J": "det F", "A": "1/J", "K": "ln J / J"}.get(variable.name)
     return f"{variable.name} = {meaning}" if meaning else variable.name
 
 
 def _fraction(exponent: float) -> str:
     numerator = round(6 * exponent)
-    divisor = 2 if numerator % 2 == 0 else 1
+    divisor = math.gcd(numerator, 6)
     return f"{'−' if numerator < 0 else ''}{abs(numerator) // divisor}/{6 // divisor}"

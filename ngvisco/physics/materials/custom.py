@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError
+from ngvisco.physics.isotropy import require_isotropy
 from ngvisco.physics.material import Material, check_material
+from ngvisco.physics.state_function import check_energy
 from ngvisco.physics.variables import Values, Variable
 
 
@@ -42,18 +44,35 @@ class CustomMaterial(Material):
         Takes the variables' values by name and returns the energy per actual volume, Pa, e.g.
         ``lambda F, J: 5 * square(F) / J ** (2/3) + 10 * (J - 1) ** 2``.  Convex jointly in all of
         them if the ledger's Bregman column is to be >= 0.
+
+    Raises
+    ------
+    ParameterError
+        If ``transported`` is no list of variables, or the energy raises, returns anything but a real scalar,
+        or reads anything but the variables (the position, the time, a grid function, ...); or if the energy
+        of a spatial tensor (E, B = F F^T) is not isotropic: the message then has the rotation that shows it.
     """
+
+    energy_parameter = "stored_energy"
 
     transported: tuple[Variable, ...]
     stored_energy: Callable[..., CoefficientFunction]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "transported", tuple(self.transported))
+        try:
+            object.__setattr__(self, "transported", tuple(self.transported))
+        except TypeError:
+            raise ParameterError(
+                "CustomMaterial.transported", self.transported, "a sequence of Variable objects"
+            ) from None
         if not callable(self.stored_energy):
             raise ParameterError(
                 "CustomMaterial.stored_energy", self.stored_energy, "a function of the variables"
             )
         check_material(self)
+        check_energy(self)
+        if any(v.frame == "actual" for v in self.transported):
+            require_isotropy(self, "CustomMaterial.stored_energy", self.stored_energy)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

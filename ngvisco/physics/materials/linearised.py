@@ -9,6 +9,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, require_above, require_nonnegative, require_positive
 from ngvisco.physics.material import Material
+from ngvisco.physics.state_function import check_energy
 from ngvisco.physics.tensors import dev, power_of_square, sph, square, tr
 from ngvisco.physics.variables import SmallStrain, Values, Variable
 
@@ -60,11 +61,14 @@ class IsotropicStrainEnergy(Material):
         ``lambda E: 0.5*K*Trace(E)**2 + G*square(dev(E)) + c*square(dev(E))**2``.
     """
 
+    energy_parameter = "strain_energy"
+
     strain_energy: Callable[[CoefficientFunction], CoefficientFunction]
 
     def __post_init__(self) -> None:
         if not callable(self.strain_energy):
             raise ParameterError("IsotropicStrainEnergy.strain_energy", self.strain_energy, "a function of E")
+        check_energy(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

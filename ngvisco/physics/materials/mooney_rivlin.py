@@ -9,12 +9,20 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import require_nonnegative, require_positive
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials.neo_hookean import NeoHookean, volumetric
+from ngvisco.physics.materials.elastic_state import IsotropicElastic
+from ngvisco.physics.materials.neo_hookean import NeoHookean, first_invariant, volumetric
 from ngvisco.physics.materials.referential import referential_volume
 from ngvisco.physics.materials.singular import check_continuation
-from ngvisco.physics.tensors import square
-from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, Values, Variable
+from ngvisco.physics.tensors import square, tr
+from ngvisco.physics.variables import (
+    Cofactor,
+    CofactorLeftCauchyGreen,
+    Distortion,
+    Jacobian,
+    LeftCauchyGreen,
+    Values,
+    Variable,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,9 +39,12 @@ class MooneyRivlin(NeoHookean):
     hydrostatic, T = phi(rest) I with phi(rest) = 3 G_e + 2 G_mr + epsilon^2/(2 K_e).  G_e + G_mr is half
     the usual shear modulus, and the bulk modulus is ``NeoHookean``'s.
 
+    With ``elastic_state="B"`` the two invariants are tr B and (tr N)^{3/2}, B = J^{-2/3} F F^T and
+    N = J^{-4/3} Cof(F F^T): linear and convex, so that phi is jointly convex in (B, N, J).
+
     Parameters
     ----------
-    K_e, G_e, epsilon, kappa, J_min
+    K_e, G_e, epsilon, kappa, J_min, elastic_state
         As for ``NeoHookean``.
     G_mr : float
         Weight of the cofactor's part, Pa, >= 0.
@@ -52,17 +63,19 @@ class MooneyRivlin(NeoHookean):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
+        if self.is_by_B:
+            return (LeftCauchyGreen(exponent=-2 / 3), CofactorLeftCauchyGreen(exponent=-4 / 3), Jacobian())
         return (Distortion(), Cofactor(), Jacobian())
 
     def energy(self, z: Values) -> CoefficientFunction:
         J = z["J"]
-        first = self.G_e * J ** (-2 / 3) * square(z["F"])
-        second = 2 / (3 * math.sqrt(3)) * self.G_mr * square(z["H"]) ** 1.5 / (J * J)
-        return volumetric(self, J) + first + second
+        second = tr(z["N"]) ** 1.5 if self.is_by_B else square(z["H"]) ** 1.5 / (J * J)
+        first = self.G_e * first_invariant(self, z)
+        return volumetric(self, J) + first + 2 / (3 * math.sqrt(3)) * self.G_mr * second
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReferentialMooneyRivlin(Material):
+class ReferentialMooneyRivlin(IsotropicElastic):
     """phi(H, N, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2 + G_mr |N|^2 (paper: exa-Mooney–Rivlin-ref),
 
     H = J^{-5/6} F and N = J^{-7/6} Cof F: the compressible Mooney-Rivlin material with the invariants of
@@ -77,7 +90,7 @@ class ReferentialMooneyRivlin(Material):
         Pa, > 0.
     G_mr : float
         Pa, >= 0.
-    epsilon, kappa, J_min
+    epsilon, kappa, J_min, elastic_state
         As for ``ReferentialNeoHookean``.
 
     Raises
@@ -94,14 +107,19 @@ class ReferentialMooneyRivlin(Material):
     J_min: float | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self, K_e=self.K_e, G_e=self.G_e)
         require_nonnegative(self, G_mr=self.G_mr, epsilon=self.epsilon, kappa=self.kappa)
         check_continuation(self, self.J_min)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
+        if self.is_by_B:
+            return (LeftCauchyGreen(exponent=-5 / 3), CofactorLeftCauchyGreen(exponent=-7 / 3), Jacobian())
         return (Distortion("H", exponent=-5 / 6), Cofactor("N", exponent=-7 / 6), Jacobian())
 
     def energy(self, z: Values) -> CoefficientFunction:
         volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)
+        if self.is_by_B:
+            return volume + self.G_e * tr(z["B"]) + self.G_mr * tr(z["N"])
         return volume + self.G_e * square(z["H"]) + self.G_mr * square(z["N"])

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import require_positive
-from ngvisco.physics.material import Material
+from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.singular import check_continuation, inverse_power, minus_log
-from ngvisco.physics.tensors import square
-from ngvisco.physics.variables import Distortion, Jacobian, Values, Variable
+from ngvisco.physics.tensors import square, tr
+from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen, Values, Variable
 
 
 @dataclass(frozen=True, kw_only=True)
-class NeoHookean(Material):
+class NeoHookean(IsotropicElastic):
     """The actual polyconvex neo-Hookean energy (paper: neo-Hookean-potential-actual).
 
         phi(F, J) = K_e/2 (J - 1 + epsilon/K_e)^2 + G_e J^{-2/3} |F|^2 - epsilon ln J
@@ -30,6 +30,9 @@ class NeoHookean(Material):
     the paper's G_e is half the usual shear modulus: in simple shear F = I + gamma e1 x e2, T_12 is
     2 G_e gamma.
 
+    With ``elastic_state="B"`` the shear energy is G_e tr B, B = J^{-2/3} F F^T: linear, so that phi is convex
+    in (B, J), strictly in J.
+
     Parameters
     ----------
     K_e, G_e, epsilon : float
@@ -40,11 +43,13 @@ class NeoHookean(Material):
     J_min : float, optional
         Where given, the singular term is continued linearly below it (paper: rem-neo-Hookean-ref).
         G_e J^{-2/3} |F|^2 stays as it is.
+    elastic_state : str, optional
+        ``"F"`` or ``"B"``; see ``IsotropicElastic``.
 
     Raises
     ------
     ParameterError
-        If a parameter is not a finite positive number.
+        If a parameter is not a finite positive number, or ``elastic_state`` is another.
     """
 
     K_e: float
@@ -54,6 +59,7 @@ class NeoHookean(Material):
     J_min: float | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self, K_e=self.K_e, G_e=self.G_e, epsilon=self.epsilon)
         if self.kappa is not None:
             require_positive(self, kappa=self.kappa)
@@ -61,10 +67,15 @@ class NeoHookean(Material):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        return (Distortion(), Jacobian())
+        return (LeftCauchyGreen(exponent=-2 / 3) if self.is_by_B else Distortion(), Jacobian())
 
     def energy(self, z: Values) -> CoefficientFunction:
-        return volumetric(self, z["J"]) + self.G_e * z["J"] ** (-2 / 3) * square(z["F"])
+        return volumetric(self, z["J"]) + self.G_e * first_invariant(self, z)
+
+
+def first_invariant(material: NeoHookean, z: Values) -> CoefficientFunction:
+    """J^{-2/3} |F|^2."""
+    return tr(z["B"]) if material.is_by_B else z["J"] ** (-2 / 3) * square(z["F"])
 
 
 def volumetric(material: NeoHookean, J: CoefficientFunction) -> CoefficientFunction:

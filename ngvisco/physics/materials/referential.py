@@ -7,6 +7,10 @@ convex neither in F nor in (F, J) but in each of the pairs of variables below.
 A body at rest is free of stress, T(I) = 0, because the referential energy is stationary there.  K_e is the
 usual bulk modulus at J = 1 (up to c and s); G_e is half the usual shear modulus: T_12 = 2 G_e gamma in
 simple shear.
+
+With ``elastic_state="B"`` all three have G_e tr B with the one B = J^{-5/3} F F^T: linear in it, convex in
+(B, J) or (B, A, K), strictly in J or A.  (|H|^2/J = tr(J^{-2/3} F F^T)/J is not convex in that tensor and J,
+so that there is no second form by B.)
 """
 
 from __future__ import annotations
@@ -16,21 +20,24 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import require_nonnegative, require_positive
-from ngvisco.physics.material import Material
+from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.singular import check_continuation, inverse_power
-from ngvisco.physics.tensors import square
+from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import (
     Distortion,
     Jacobian,
+    LeftCauchyGreen,
     LogJacobian,
     ReciprocalJacobian,
     Values,
     Variable,
 )
 
+_BY_B = LeftCauchyGreen(exponent=-5 / 3)
+
 
 @dataclass(frozen=True, kw_only=True)
-class ReferentialNeoHookean(Material):
+class ReferentialNeoHookean(IsotropicElastic):
     """phi(H, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2, H = J^{-5/6} F (paper: exa-neo-Hookean-ref).
 
     With epsilon > 0 the referential term epsilon/J^kappa is added, i.e. epsilon/J^{kappa + 1} to phi, and
@@ -50,6 +57,8 @@ class ReferentialNeoHookean(Material):
         Its exponent, >= 0; default 1.
     J_min : float, optional
         Where given, all terms singular in J are continued linearly below it (paper: rem-neo-Hookean-ref).
+    elastic_state : str, optional
+        ``"F"`` or ``"B"``; see ``IsotropicElastic``.
 
     Raises
     ------
@@ -64,26 +73,27 @@ class ReferentialNeoHookean(Material):
     J_min: float | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self, K_e=self.K_e, G_e=self.G_e)
         require_nonnegative(self, epsilon=self.epsilon, kappa=self.kappa)
         check_continuation(self, self.J_min)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        return (Distortion("H", exponent=-5 / 6), Jacobian())
+        return (_BY_B if self.is_by_B else Distortion("H", exponent=-5 / 6), Jacobian())
 
     def energy(self, z: Values) -> CoefficientFunction:
         volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)
-        return volume + self.G_e * square(z["H"])
+        return volume + self.G_e * (tr(z["B"]) if self.is_by_B else square(z["H"]))
 
 
 @dataclass(frozen=True, kw_only=True)
-class IsochoricNeoHookean(Material):
+class IsochoricNeoHookean(IsotropicElastic):
     """phi(H, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2/J, H = J^{-1/3} F (paper: exa-neo-Hookean-ref).
 
     The same material as ``ReferentialNeoHookean`` by the isochoric part of F.  Jointly convex in (H, J),
-    though not strongly (|H|^2/J is the perspective of a square).  Stress at rest, moduli, and ``epsilon``
-    and ``kappa`` as there.
+    though not strongly (|H|^2/J is the perspective of a square).  By B the two have the same variables.
+    Stress at rest, moduli, and ``epsilon`` and ``kappa`` as there.
 
     Parameters
     ----------
@@ -93,6 +103,8 @@ class IsochoricNeoHookean(Material):
         Weight (Pa) and exponent of the singular term, >= 0; default none.
     J_min : float, optional
         Where given, the terms singular in J alone are continued linearly below it.
+    elastic_state : str, optional
+        ``"F"`` or ``"B"``; see ``IsotropicElastic``.
 
     Raises
     ------
@@ -107,21 +119,22 @@ class IsochoricNeoHookean(Material):
     J_min: float | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self, K_e=self.K_e, G_e=self.G_e)
         require_nonnegative(self, epsilon=self.epsilon, kappa=self.kappa)
         check_continuation(self, self.J_min)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        return (Distortion("H", exponent=-1 / 3), Jacobian())
+        return (_BY_B if self.is_by_B else Distortion("H", exponent=-1 / 3), Jacobian())
 
     def energy(self, z: Values) -> CoefficientFunction:
         volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)
-        return volume + self.G_e * square(z["H"]) / z["J"]
+        return volume + self.G_e * (tr(z["B"]) if self.is_by_B else square(z["H"]) / z["J"])
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogarithmicNeoHookean(Material):
+class LogarithmicNeoHookean(IsotropicElastic):
     """neo-Hookean-potential-actual per referential volume, with -epsilon ln J (paper: exa-neo-Hookean-ref).
 
         phi(H, A, K) = K_e/2 (1/A - 2(1 - c) + (1 - c)^2 A) + G_e |H|^2 - epsilon K,   c = epsilon/K_e,
@@ -135,6 +148,8 @@ class LogarithmicNeoHookean(Material):
     ----------
     K_e, G_e, epsilon : float
         Bulk modulus, half the shear modulus, weight of the singular term, all Pa, > 0.
+    elastic_state : str, optional
+        ``"F"`` or ``"B"``; see ``IsotropicElastic``.
 
     Raises
     ------
@@ -147,16 +162,19 @@ class LogarithmicNeoHookean(Material):
     epsilon: float
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self, K_e=self.K_e, G_e=self.G_e, epsilon=self.epsilon)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        return (Distortion("H", exponent=-5 / 6), ReciprocalJacobian(), LogJacobian())
+        by_F = Distortion("H", exponent=-5 / 6)
+        return (_BY_B if self.is_by_B else by_F, ReciprocalJacobian(), LogJacobian())
 
     def energy(self, z: Values) -> CoefficientFunction:
         A, rest = z["A"], 1 - self.epsilon / self.K_e
         volume = 0.5 * self.K_e * (1 / A - 2 * rest + rest * rest * A)
-        return volume + self.G_e * square(z["H"]) - self.epsilon * z["K"]
+        shear = tr(z["B"]) if self.is_by_B else square(z["H"])
+        return volume + self.G_e * shear - self.epsilon * z["K"]
 
 
 def referential_volume(

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 
 import numpy as np
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, UnknownNameError, require_positive
-from ngvisco.physics.material import Material, component_count, component_slices
+from ngvisco.errors import ParameterError, UnknownNameError, require_names, require_positive
+from ngvisco.physics.material import ElasticState, Material, component_count, component_slices
 from ngvisco.physics.pointwise import Respond, Response
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values, Variable
@@ -46,10 +46,24 @@ class WithQuadratic(Material):
         if not isinstance(self.material, Material):
             raise ParameterError("WithQuadratic.material", self.material, "a Material")
         require_positive(self, delta=self.delta)
-        names = [v.name for v in self.material.variables]
+        if self.only is not None:
+            require_names("WithQuadratic.only", self.only)
+        known = {v.name for form in self._forms() for v in form.variables}
+        for name in self.only or ():
+            if name not in known:
+                raise UnknownNameError("material variable", name, known)
+
+    def _forms(self) -> list[Material]:
+        """The material in the forms that it may still take."""
+        return [self.material.with_elastic_state("F"), self.material.with_elastic_state("B")]
+
+    def with_elastic_state(self, state: ElasticState) -> WithQuadratic:
+        material = self.material.with_elastic_state(state)
+        names = [v.name for v in material.variables]
         for name in self.only or ():
             if name not in names:
-                raise UnknownNameError("material variable", name, names)
+                raise UnknownNameError(f"material variable for elastic_state = {state!r}", name, names)
+        return replace(self, material=material)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id
 
 from ngvisco.errors import NgviscoError, ParameterError, require_positive
-from ngvisco.physics.material import Material, component_slices, components_of
+from ngvisco.physics.material import ElasticState, Material, component_slices, components_of
 from ngvisco.physics.pointwise import Respond, Response, respond, squares
 from ngvisco.physics.variables import Values, Variable
 
@@ -60,6 +60,13 @@ class Yosida(Material):
     def variables(self) -> tuple[Variable, ...]:
         return self.material.variables
 
+    def with_elastic_state(self, state: ElasticState) -> Yosida:
+        return replace(self, material=self.material.with_elastic_state(state))
+
+    @property
+    def conformation(self) -> str | None:
+        return self.material.conformation
+
     def energy(self, z: Values) -> CoefficientFunction:
         raise NgviscoError(
             "a Yosida approximation has no expression: use ngvisco.physics.pointwise.respond(material, dim), "
@@ -84,7 +91,7 @@ class _Approximation:
 
     def _is_bounded(self, variable: Variable, slices: dict[str, slice]) -> bool:
         """Whether y must be kept positive: J or A in an energy that is singular at 0 or undefined below."""
-        if variable.kind != "scalar" or variable.positive(CF(1.0)) is None:
+        if variable.kind != "scalar" or not variable.positive(CF(1.0)):
             return False
         states = np.tile(self.rest, (3, 1))
         states[:, slices[variable.name].start] = (0.0, -0.01, -1.0)

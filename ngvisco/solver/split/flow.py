@@ -45,7 +45,7 @@ class FlowOperator:
         if not everything:
             return
         concurrently(self.p.update, self.sweep.update, self.op.points.count * self.t.n**2)
-        inertia = self.m.op.z(0.5 / self.t.context.tau.Get() * (self.t.rho + self.t.rho_old))
+        inertia = self.m.op.z(self.t.context.rate(0.5 * (self.t.rho + self.t.rho_old)))
         self.elements.update(self._base(), inertia)
         self.rest = self._rest()
 

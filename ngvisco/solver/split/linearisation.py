@@ -77,7 +77,7 @@ class Linearisation:
         t, op = self.t, self.op
         if self._density is not None:
             return self._density_rows @ np.concatenate([dv.ravel(), d[self.u.density_slice]])
-        rows = t.mass @ (drho / t.context.tau.Get()) + self.facets.density(drho)
+        rows = t.mass @ t.context.rate(drho) + self.facets.density(drho)
         change = op.z(drho)
         for j, D in enumerate(op.dz):
             rows -= D.test(change * t.v_q[j] + self._rho * self._v[j])
@@ -85,7 +85,7 @@ class Linearisation:
 
     def _of_fields(self, d: np.ndarray, dz: np.ndarray) -> np.ndarray:
         t, op, rates = self.t, self.op, self.t.rates
-        r = self._z * (-1 / t.context.tau.Get())
+        r = -t.context.rate(self._z)
         X, change, Pi = t.L_q, self._L, self._Pi
         if Pi is not None:
             X, change = np.concatenate([X, Pi]), np.concatenate([change, self._creep(d)])
@@ -97,11 +97,11 @@ class Linearisation:
         return rows if t.diffusion is None else rows + apply(t.diffusion, dz)
 
     def _creep(self, d: np.ndarray) -> np.ndarray:
-        t, creep = self.t, self.t.step.model.creep
+        t = self.t
         if t.Pi is not None:
             return t.creep_values(d[self.u.slices["Pi"]].reshape(t.Pi.shape))
-        assert creep is not None
-        return -creep.R * self._against_creep()
+        assert t.mobility is not None
+        return t.mobility(self._against_creep(), self._zeta)
 
     def _against_creep(self) -> np.ndarray:
         """Of d(zeta : rate)/dPi, the negative Mandel stress, (components of Pi, points)."""
@@ -113,9 +113,9 @@ class Linearisation:
 
     def _of_momentum(self, drho: np.ndarray, dgrad_rho: np.ndarray) -> np.ndarray:
         """Rows of v of what acts at the cells' points, (dim, .)."""
-        m, t, op, tau = self.m, self.t, self.op, self.t.context.tau.Get()
+        m, t, op = self.m, self.t, self.op
         d, v, L, dv, dL, rho = m.dim, t.v_q, t.L_q, self._v, self._L, self._rho
-        value = (0.5 * drho * v + (rho - 0.5 * (rho - m.rho_old_q)) * dv) / tau
+        value = t.context.rate(0.5 * drho * v + (rho - 0.5 * (rho - m.rho_old_q)) * dv)
         flux, change = self._flux, self._of_mass_flux(drho, dgrad_rho)
         gradient = np.zeros((d * d, op.points.count))
         for i in range(d):

@@ -25,7 +25,6 @@ class Momentum:
     def __init__(self, step: Step, transport: Transport, unknowns: Unknowns) -> None:
         self.step, self.transport, self.op = step, transport, transport.op
         self.dim, self.context = step.mesh.dim, step.context
-        self.v_old = step.state_old.vec.FV().NumPy()[step.layout.ranges["v"]].reshape(self.dim, -1)
         self.stokes = self._viscosity_matrix()
         others = [term for term in step.terms if isinstance(term, BY_FORMS)]
         self.by_forms = Subsystem(step, unknowns.flow, others) if others else None
@@ -48,10 +47,9 @@ class Momentum:
         return np.array(columns).T
 
     def start(self) -> None:
-        """What is known through a step: the old momentum and the averaged loads at the points."""
-        op = self.op
-        self.v_old_q = op.v(self.v_old)
-        self.rho_old_q = op.z(self.transport.rho_old)
+        """What is known through a step: old momentum and density, and the averaged loads, at the points."""
+        self.momentum_old_q = self.op.points.read(self.step.momentum_old, self.dim)
+        self.rho_old_q = self.op.z(self.transport.rho_old)
         for load, values in self.loads:
             vector = load.g if isinstance(load, (Gravity, CentralGravity)) else load.force
             values.Interpolate(self.context.average(as_vector(vector, self.dim, "load")))
@@ -71,10 +69,10 @@ class Momentum:
 
     def residual(self) -> np.ndarray:
         """The rows of the flow's unknowns, block after block."""
-        t, op, tau = self.transport, self.op, self.context.tau.Get()
+        t, op = self.transport, self.op
         d, v, L = self.dim, t.v_q, t.L_q
         rho = op.z(t.rho)
-        value = ((rho * v - self.rho_old_q * self.v_old_q) - 0.5 * (rho - self.rho_old_q) * v) / tau
+        value = self.context.rate((rho * v - self.momentum_old_q) - 0.5 * (rho - self.rho_old_q) * v)
         flux = self.mass_flux(rho, v, op)
         gradient = np.zeros((d * d, op.points.count))
         for i in range(d):
@@ -90,7 +88,7 @@ class Momentum:
             f = values.vec.FV().NumPy().reshape(d, -1)
             value -= rho * f if isinstance(load, (Gravity, CentralGravity)) else f
         result = np.zeros(self.rows) if self.by_forms is None else self.by_forms.residual()
-        rows = result[: self.v_old.size].reshape(d, -1)
+        rows = result[: t.v.size].reshape(d, -1)
         rows += t.facets.elastic_force(t.zeta)
         rows += op.v.test(value)
         for j, D in enumerate(op.dv):

@@ -32,7 +32,7 @@ class Reversal:
         # the jump of z is what both sides together are away from its trace
         z_jump = np.bincount(facet, weights * np.linalg.norm(f.jump, axis=0))
         area = np.bincount(facet, weights)
-        inertia = np.bincount(facet, weights * abs(f.z(rho)) * f.h) / f.context.tau.Get()
+        inertia = f.context.rate(np.bincount(facet, weights * abs(f.z(rho)) * f.h))
         # of the force, slope * z_jump * the jump of zeta, the last is formed only where the others are large
         force = abs(slope) * z_jump[facet]
         possible = force * self._largest(zeta) > SUDDEN * inertia[facet]

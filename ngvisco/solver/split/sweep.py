@@ -42,10 +42,10 @@ class Sweep:
 
     def update(self) -> None:
         """Form the matrices and invert at the present state."""
-        t, f, tau = self.t, self.t.facets, self.t.context.tau.Get()
+        t, f, storage = self.t, self.t.facets, self.t.context.rate(self._mass)
         convection = self._convection()
         own, across = self.coupling.blocks(-f.carried, 1 - f.inflow, f.carried, f.trace_mass)
-        own += self._mass / tau + convection
+        own += storage + convection
         if self._whole is not None:
             self._whole.factorise((self._sparse(own, across) + t.diffusion).tocsr())
             self._cells = np.linalg.inv(own).astype(precision.SINGLE)
@@ -53,7 +53,7 @@ class Sweep:
             self._cells, self._carried = _sweep(own, across)
         if self._own is None:
             own, across = self.coupling.blocks(f.up, f.up, -f.down, f.density_mass)
-            own += self._mass / tau - convection.transpose(0, 2, 1)
+            own += storage - convection.transpose(0, 2, 1)
             self._rho_cells, self._rho_carried = _sweep(own, across)
 
     def _convection(self) -> np.ndarray:

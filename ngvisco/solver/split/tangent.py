@@ -40,11 +40,13 @@ class PointTangent:
         # -(w . grad z) : zeta with its share of the facets is  phi'(z) : dz div w  to leading order
         for i in range(t.step.mesh.dim):
             force[:, i * (t.step.mesh.dim + 1)] += self.zeta.T
-        creep = t.step.model.creep
-        if creep is not None and creep.R > 0 and creep.is_local:
-            Pi = -creep.R * np.einsum("np,pnx->px", self.zeta, columns[:, :, g:], optimize=True)
-            K += np.einsum("xnm,px->pnm", rates.linear[g:], Pi, optimize=True)
-            K -= creep.R * columns[:, :, g:] @ force[:, g:]
+        if t.mobility is not None:
+            by_Pi = columns[:, :, g:]
+            Pi = t.mobility(np.einsum("np,pnx->xp", self.zeta, by_Pi, optimize=True), self.zeta)
+            K += np.einsum("xnm,xp->pnm", rates.linear[g:], Pi, optimize=True)
+            K -= t.mobility.of_mandel * by_Pi @ force[:, g:]
+            if t.mobility.of_conjugates is not None:
+                K += by_Pi @ (t.mobility.of_conjugates @ slopes)
         self.resolvent = np.linalg.inv(np.eye(t.n)[None] - tau * K)
         self.force, self.columns = force, columns
         self.dz = op.gradients(op.dz, t.z)

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from ngsolve import grad
 
 from ngvisco.forms.momentum import Continuity
-from ngvisco.forms.rate_tensors import RateTensors
+from ngvisco.forms.rate_tensors import Mobility, RateTensors
 from ngvisco.forms.regularisation import DensityDiffusion, penalty_weight
 from ngvisco.forms.system import Step
 from ngvisco.physics.material import component_count
@@ -32,7 +32,12 @@ class Transport:
     def __init__(self, step: Step, operators: Operators, unknowns: Unknowns) -> None:
         self.step, self.op, self.context = step, operators, step.context
         self.n = n = component_count(step.model.material, step.mesh.dim)
-        self.rates = RateTensors.of(step.model.material, step.mesh.dim)
+        material, dim, creep = step.model.material, step.mesh.dim, step.model.creep
+        self.rates = RateTensors.of(material, dim, creep)
+        self.mobility: Mobility | None = None
+        """Of local creep; None without creep or where Pi is a field."""
+        if creep is not None and creep.R > 0 and creep.is_local:
+            self.mobility = Mobility.of(material, dim, creep)
         self.conjugation = Conjugation(step, operators.points)
         ranges = step.layout.ranges
         state, old = step.state.vec.FV().NumPy(), step.state_old.vec.FV().NumPy()
@@ -109,22 +114,20 @@ class Transport:
         self.zeta_q = op.z(self.zeta)
 
     def creep(self) -> np.ndarray | None:
-        """Pi at the points in trace-free components, (p, points)."""
+        """Pi at the points in components, (p, points)."""
         if self.Pi is not None:
             return self.creep_values(self.Pi)
-        creep = self.step.model.creep
-        if creep is None or creep.R == 0:
+        if self.mobility is None:
             return None
         rates = self.rates
         M = np.zeros((len(rates.constant) - rates.gradients, self.op.points.count))
         rates.stress(self.z_q, self.zeta_q, M, first=rates.gradients)
-        M *= -creep.R
-        return M
+        return self.mobility(M, self.zeta_q)
 
     def residual(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows of the density's unknowns and of z, the latter (n, cells' unknowns)."""
-        op, tau = self.op, self.context.tau.Get()
-        r = op.z((self.z_old - self.z) / tau)
+        op, rate = self.op, self.context.rate
+        r = op.z(rate(self.z_old - self.z))
         Pi = self.creep()
         self.rates.rate(self.z_q, self.L_q if Pi is None else np.concatenate([self.L_q, Pi]), r)
         for j, v_j in enumerate(self.v_q):
@@ -135,7 +138,7 @@ class Transport:
             rows += apply(self.diffusion, self.z)
         if self.density is not None:
             return self.density.residual(), rows
-        rho = self.mass @ ((self.rho - self.rho_old) / tau)
+        rho = self.mass @ rate(self.rho - self.rho_old)
         rho_q = op.z(self.rho)
         for D, v_j in zip(op.dz, self.v_q, strict=True):
             rho -= D.test(rho_q * v_j)

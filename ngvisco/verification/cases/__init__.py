@@ -2,6 +2,7 @@
 
 from ngvisco.verification.cases import (
     comparison,
+    conformation,
     couette,
     dependent,
     estimates,
@@ -16,9 +17,11 @@ from ngvisco.verification.cases import (
     pulse,
     rheology,
     robustness,
+    schemes,
     shear,
     stability,
     waves,
+    winding,
 )
 
 MODULES = (
@@ -31,6 +34,8 @@ MODULES = (
     maxwell,
     shear,
     rheology,
+    conformation,
+    winding,
     waves,
     fronts,
     pulse,
@@ -38,6 +43,7 @@ MODULES = (
     couette,
     manufactured,
     manufactured_space,
+    schemes,
     robustness,
     comparison,
 )

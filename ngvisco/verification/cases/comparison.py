@@ -22,7 +22,7 @@ CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's ite
 MAXH = 0.35
 SMALL = {
     "linearised": LinearElastic(K_e=10.0, G_e=5.0),
-    "finite": ReferentialNeoHookean(K_e=10.0, G_e=2.5),
+    "finite": ReferentialNeoHookean(K_e=10.0, G_e=2.5, elastic_state="F"),
 }
 """Equal bulk and shear moduli: the neo-Hookean G_e is half the usual shear modulus."""
 
@@ -123,7 +123,7 @@ def fluid(kind: str) -> Outcome:
     def material(G: float) -> Material:
         if kind == "linearised":
             return LinearElastic(K_e=K_e, G_e=G)
-        return ReferentialNeoHookean(K_e=K_e, G_e=G / 2)
+        return ReferentialNeoHookean(K_e=K_e, G_e=G / 2, elastic_state="F")
 
     newtonian = block(
         kind, 0.02, mesh=mesh, of=material(1e-9), speed=0.2, viscosity=eta, discretisation=orders

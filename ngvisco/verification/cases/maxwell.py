@@ -74,25 +74,34 @@ def _relaxation() -> Outcome:
 AMPLITUDE, OMEGA = 1e-3, PI / 2
 
 
+def oscillating(
+    steps: int, scheme: str = "backward-euler"
+) -> tuple[Simulation, np.ndarray, np.ndarray, np.ndarray]:
+    """Shear rate AMPLITUDE sin(omega t); the body force keeps v linear in y, as without inertia.
+
+    Returns the run, times, T_12 over eta times AMPLITUDE and the closed form of it.
+    """
+    material = LinearElastic(K_e=2.0, G_e=1.0)
+    force = AMPLITUDE * OMEGA * cos(OMEGA * time) * y
+    model = Model(material=material, creep=Creep(G_m=2.0), loads=(Gravity((force, 0.0)),))
+    wall = PrescribedTangential((AMPLITUDE * sin(OMEGA * time), 0.0))
+    run = Simulation(
+        channel(1, 1, maxh=0.5), model, dt=8 / steps, walls={"top": wall, "bottom": NoSlip()}, scheme=scheme
+    )
+    rows = []
+    for _ in range(steps):
+        run.advance()
+        rows.append((run.t, stresses(run)[0] / AMPLITUDE))
+    t, found = np.array(rows).T
+    exact = (np.sin(OMEGA * t) - OMEGA * np.cos(OMEGA * t) + OMEGA * np.exp(-t)) / (1 + OMEGA**2)
+    return run, t, found, exact
+
+
 def _oscillation() -> Outcome:
-    """Shear rate AMPLITUDE sin(omega t); the body force keeps v linear in y, as without inertia."""
     table, curves, closures = RateTable("largest error, relative to eta gamma_0"), [], []
-    De = OMEGA
     for steps in (40, 80, 160):
-        material = LinearElastic(K_e=2.0, G_e=1.0)
-        force = AMPLITUDE * OMEGA * cos(OMEGA * time) * y
-        model = Model(material=material, creep=Creep(G_m=2.0), loads=(Gravity((force, 0.0)),))
-        wall = PrescribedTangential((AMPLITUDE * sin(OMEGA * time), 0.0))
-        run = Simulation(
-            channel(1, 1, maxh=0.5), model, dt=8 / steps, walls={"top": wall, "bottom": NoSlip()}
-        )
-        rows = []
-        for _ in range(steps):
-            run.advance()
-            rows.append((run.t, stresses(run)[0] / AMPLITUDE))
+        run, t, found, exact = oscillating(steps)
         closures.append(float(np.abs(run.ledger.column("closure_relative")).max()))
-        t, found = np.array(rows).T
-        exact = (np.sin(OMEGA * t) - De * np.cos(OMEGA * t) + De * np.exp(-t)) / (1 + De**2)
         table.add(8 / steps, tau_12=float(np.abs(found - exact).max()))
         curves.append(Curve(f"{steps} steps", [float(s) for s in t], [float(s) for s in found], "."))
     curves.append(Curve("exact", [float(s) for s in t], [float(s) for s in exact], "k-"))

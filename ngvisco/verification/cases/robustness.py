@@ -55,14 +55,14 @@ class FirstTry(FixedStepper):
         self.directly = self.helped = 0
 
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
-        solver = simulation.solver
+        integrator = simulation.integrator
         try:
-            history = solver.advance(simulation.t, self.dt, with_continuation=False)
+            taken = integrator.advance(simulation.t, self.dt, with_continuation=False)
             self.directly += 1
         except StepError:
-            history = solver.advance(simulation.t, self.dt)
+            taken = integrator.advance(simulation.t, self.dt)
             self.helped += 1
-        return Accepted((simulation.number + 1) * self.dt, self.dt, len(history), 0)
+        return Accepted((simulation.number + 1) * self.dt, taken)
 
 
 @dataclass
@@ -94,7 +94,7 @@ def material(kind: str, stiffness: float, ratio: float) -> Material:
     """Shear modulus ``stiffness``, bulk modulus ``ratio`` times that."""
     if kind == "linearised":
         return LinearElastic(K_e=ratio * stiffness, G_e=stiffness)
-    return ReferentialNeoHookean(K_e=ratio * stiffness, G_e=stiffness / 2)
+    return ReferentialNeoHookean(K_e=ratio * stiffness, G_e=stiffness / 2, elastic_state="F")
 
 
 def attempt(kind: str, stiffness: float, ratio: float, viscosity: float, tau: float) -> tuple[Tally, str]:

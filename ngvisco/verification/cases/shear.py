@@ -13,7 +13,7 @@ from ngvisco.geometries import channel
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, NeoHookean
 from ngvisco.physics.model import Model
-from ngvisco.physics.rheology import Creep, StokesViscosity
+from ngvisco.physics.rheology import Creep, CreepLaw, StokesViscosity
 from ngvisco.physics.walls import NoSlip, PrescribedTangential
 from ngvisco.run.simulation import Simulation
 from ngvisco.verification.case import Bound, Case, Curve, Outcome, Plot, Table
@@ -43,6 +43,8 @@ def sheared(
     viscosity: float = 0.0,
     density: float = 1.0,
     mesh: Mesh | None = None,
+    scheme: str = "backward-euler",
+    law: CreepLaw = "mandel",
 ) -> tuple[Simulation, np.ndarray]:
     """A channel of 1 m x 1 m between a resting wall and one that slides at ``rate``.
 
@@ -51,12 +53,14 @@ def sheared(
     """
     model = Model(
         material=material,
-        creep=None if G_m is None else Creep(G_m=G_m),
+        creep=None if G_m is None else Creep(G_m=G_m, law=law),
         viscosity=StokesViscosity(K_v=viscosity, G_v=viscosity) if viscosity else None,
     )
     walls: Conditions = {"top": PrescribedTangential((rate, 0.0)), "bottom": NoSlip()}
     initial = Initial(velocity=(rate * y, 0), density=density)
-    run = Simulation(mesh or channel(1, 1, maxh=0.5), model, dt=dt, walls=walls, initial=initial)
+    run = Simulation(
+        mesh or channel(1, 1, maxh=0.5), model, dt=dt, walls=walls, initial=initial, scheme=scheme
+    )
     rows = [(0.0, 0.0, 0.0, 0.0)]
     while run.t < until - dt / 2:
         run.advance()

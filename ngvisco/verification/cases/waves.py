@@ -31,7 +31,7 @@ def material(kind: str) -> Material:
     """Bulk modulus K_E and shear modulus G_E in both models (the neo-Hookean G_e is half of it)."""
     if kind == "linearised":
         return LinearElastic(K_e=K_E, G_e=G_E)
-    return ReferentialNeoHookean(K_e=K_E, G_e=G_E / 2)
+    return ReferentialNeoHookean(K_e=K_E, G_e=G_E / 2, elastic_state="F")
 
 
 def dispersion(k: float, wave: str, mu: float, viscous: bool = True) -> complex:
@@ -42,7 +42,14 @@ def dispersion(k: float, wave: str, mu: float, viscous: bool = True) -> complex:
 
 
 def standing_wave(
-    kind: str, wave: str, k: float, dt: float, steps: int, mu: float = MU, viscous: bool = True
+    kind: str,
+    wave: str,
+    k: float,
+    dt: float,
+    steps: int,
+    mu: float = MU,
+    viscous: bool = True,
+    scheme: str = "backward-euler",
 ) -> tuple[Simulation, np.ndarray]:
     """Amplitudes of the velocity in a strip of one wave length, periodic in x and y, after every step."""
     length = 2 * math.pi / k
@@ -61,6 +68,7 @@ def standing_wave(
         initial=Initial(velocity=CF(velocity)),
         discretisation=Discretisation(k=3, m=2),
         velocity_scale=1.0,
+        scheme=scheme,
     )
     component, values = 1 if wave == "shear" else 0, [1.0]
     for _ in range(steps):

@@ -1,0 +1,44 @@
+"""Standard output that may be closed, full, gone or of another encoding: it never ends a run."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from typing import Any
+
+
+def make_safe() -> None:
+    """Let standard output and error take every text, and be there even where the shell closed them."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # started with >&-
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (for the process)
+        elif hasattr(stream, "reconfigure"):
+            with contextlib.suppress(ValueError):
+                stream.reconfigure(errors="backslashreplace")
+
+
+def write(text: str) -> None:
+    """Write to standard output at once; where that cannot be, the text is lost and nothing else."""
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except (OSError, ValueError):
+        give_up(sys.stdout)
+
+
+def complain(message: str) -> None:
+    """Print a message to standard error, its lines after the command's name."""
+    try:
+        print("\n".join(f"ngvisco: {line}" for line in message.splitlines()), file=sys.stderr, flush=True)
+    except (OSError, ValueError):
+        give_up(sys.stderr)
+
+
+def give_up(stream: Any) -> None:
+    """Send what is left, and what follows, to nowhere: Python would fail on it when it ends."""
+    with contextlib.suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)

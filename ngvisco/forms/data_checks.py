@@ -1,0 +1,188 @@
+"""What loads, walls and initial data must be, looked at where the forms look: at points and at times.
+
+What cannot be right is refused.  What the model has no place for, a normal part of a traction or a start
+velocity through a wall, is left out by the projections, and that is said by an ``InputWarning``.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+from ngsolve import (
+    BND,
+    CF,
+    ET,
+    BoundaryFromVolumeCF,
+    CoefficientFunction,
+    Det,
+    Integrate,
+    IntegrationRule,
+    Mesh,
+    specialcf,
+)
+
+from ngvisco.errors import InputWarning, ParameterError
+from ngvisco.forms.boundaries import pattern
+from ngvisco.forms.moving_walls import OPEN
+from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.system import Step
+from ngvisco.physics.model import BodyForce, CentralGravity, VectorLike, as_vector
+from ngvisco.physics.tensors import square
+from ngvisco.physics.time import time
+from ngvisco.physics.variables import Distortion
+from ngvisco.physics.walls import NavierFriction, PrescribedTangential, Traction
+
+_FLAT = 1e-12  # |a.n|^2/|a|^2 on walls parallel to the axes, whose normals are exact
+_ROUNDING = 1e-20  # of the mean of |a|^2 in the domain: sin(pi x) at x = 1 is 1e-16
+_MATCH = 1e-8
+_DEGREE = 6  # of the rule whose points are looked at on walls
+
+
+def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
+    """Raise ParameterError for a load that is not finite at a sampling point at one of the times (s)."""
+    dim, times = step.mesh.dim, list(times)
+    for load in step.model.loads:
+        if isinstance(load, CentralGravity) and len(load.centre) != dim:
+            expected = f"{dim} numbers, as many as the mesh has dimensions"
+            raise ParameterError("CentralGravity.centre", load.centre, expected)
+        name, value = ("force", load.force) if isinstance(load, BodyForce) else ("g", load.g)
+        vector = as_vector(value, dim, f"{type(load).__name__}.{name}")
+        for t in _at(times):
+            if not np.isfinite(sampler.values(vector)).all():
+                expected = f"finite values; at t = {t:g} s it is not finite somewhere"
+                if isinstance(load, CentralGravity):
+                    expected = f"centre, strength, radius and exponent that give {expected}"
+                    raise ParameterError(f"loads[{load.name!r}]", load, expected)
+                raise ParameterError(f"loads[{load.name!r}].{name}", value, expected)
+
+
+def check_walls(step: Step, times: Iterable[float]) -> None:
+    """Look at the data of walls at the times (s).
+
+    Raises
+    ------
+    ParameterError
+        For what is not finite, for a friction that is negative somewhere, and for a prescribed velocity
+        with a normal part.
+    """
+    dim, times = step.mesh.dim, list(times)
+    for name, wall in step.walls.conditions.items():
+        owner = f"walls[{name!r}]"
+        if isinstance(wall, PrescribedTangential):
+            velocity = as_vector(wall.velocity, dim, f"{owner}.velocity")
+            for t in _at(times):
+                _require_finite(step.mesh, name, velocity, f"{owner}.velocity", wall.velocity, t)
+                step.moving_walls.interpolate(name, velocity)
+        if isinstance(wall, Traction):
+            f = as_vector(wall.f, dim, f"{owner}.f")
+            for t in _at(times):
+                _require_finite(step.mesh, name, f, f"{owner}.f", wall.f, t)
+        if isinstance(wall, NavierFriction):
+            friction = CF(wall.coefficient)
+            for t in _at(times):
+                where = f"{owner}.coefficient"
+                values = _require_finite(step.mesh, name, friction, where, wall.coefficient, t)
+                if values.min(initial=0.0) < 0:
+                    expected = (
+                        f"a function >= 0; at t = {t:g} s it is {values.min():.3g} somewhere on the wall"
+                    )
+                    raise ParameterError(where, wall.coefficient, expected)
+
+
+def warn_of_normal_parts(step: Step, velocity: VectorLike | None) -> None:
+    """Say which parts of tractions and of the start velocity are not used; at the present time."""
+    if step.sources is not None:  # manufactured states need not fit
+        return
+    conditions = step.walls.conditions
+    for name, wall in conditions.items():
+        if isinstance(wall, Traction):
+            share = _normal_share(step, name, as_vector(wall.f, step.mesh.dim, "Traction.f"))
+            if share > 0:
+                _warn(
+                    f"walls[{name!r}].f: {share:.0%} of the traction (in L2) is normal to the wall; walls "
+                    "are impenetrable: this part has no power and is left out, only the tangential part acts"
+                )
+    if velocity is None:
+        return
+    v_0 = as_vector(velocity, step.mesh.dim, "Initial.velocity")
+    # a function of the cells, such as one from an array, has no values on the boundary of its own
+    shares = {name: _normal_share(step, name, v_0, BoundaryFromVolumeCF(v_0)) for name in conditions}
+    through = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
+    if through:
+        _warn(
+            f"initial velocity: parts of it (in L2) are normal to the walls {through}; walls are "
+            "impenetrable: the run starts with its projection to v.n = 0"
+        )
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, InputWarning, stacklevel=5)
+
+
+def warn_of_mismatch(step: Step, sampler: Sampler, values: Mapping[str, CoefficientFunction]) -> None:
+    """Say that start values of the variables, by name, are not those of one elastic distortion."""
+    variables = step.model.material.variables
+    distortion = next((v for v in variables if isinstance(v, Distortion)), None)
+    if distortion is None or step.sources is not None:  # manufactured states need not fit
+        return
+    F = _distortion_of(values[distortion.name], distortion.exponent)
+    if F is None:
+        return
+    for variable in variables:
+        expected = variable.from_distortion(F)
+        scale = 1 + sampler.extrema(square(expected))[1]
+        worst = sampler.extrema(square(values[variable.name] - expected))[1]
+        if worst > _MATCH**2 * scale:
+            _warn(
+                f"initial values: {variable.name} is not that of {distortion.name} (they differ by up to "
+                f"{worst**0.5:.3g}); both are transported as they are given, as variables of their own"
+            )
+
+
+def _distortion_of(H: CoefficientFunction, exponent: float) -> CoefficientFunction | None:
+    """F of H = (det F)^exponent F, where it can be told from H alone."""
+    if exponent == 0:
+        return H
+    power = 3 * exponent + 1  # det H = (det F)^power
+    return None if abs(power) < 1e-12 else Det(H) ** (-exponent / power) * H
+
+
+def _normal_share(
+    step: Step, name: str, a: CoefficientFunction, on_wall: CoefficientFunction | None = None
+) -> float:
+    """|a.n| over |a| in L2 on a wall; 0 where it is not more than the geometry's approximation leaves."""
+    b = a if on_wall is None else on_wall
+    flat = any(name in names for names in step.walls.axis)
+    n = specialcf.normal(step.mesh.dim)
+    region = step.mesh.Boundaries(pattern([name]))
+    squares = CF((CF(1.0), b * b, (b * n) * (b * n)))
+    area, size, through = Integrate(squares, step.mesh, BND, definedon=region)
+    volume, inside = Integrate(CF((CF(1.0), a * a)), step.mesh)
+    if through / area <= _ROUNDING * inside / volume or through <= (_FLAT if flat else OPEN) * size:
+        return 0.0
+    return float(np.sqrt(through / size))
+
+
+def _require_finite(
+    mesh: Mesh, name: str, f: CoefficientFunction, field: str, value: object, t: float
+) -> np.ndarray:
+    """Values at points of a wall; raises ParameterError unless all are finite."""
+    facets = (ET.SEGM,) if mesh.dim == 2 else (ET.TRIG, ET.QUAD)
+    rules = {et: IntegrationRule(et, _DEGREE) for et in facets}
+    values = np.asarray(f(mesh.MapToAllElements(rules, mesh.Boundaries(pattern([name])))))
+    if not np.isfinite(values).all():
+        raise ParameterError(field, value, f"finite values; at t = {t:g} s it is not finite on the wall")
+    return values
+
+
+def _at(times: Iterable[float]) -> Iterator[float]:
+    """Set the run's time to each of the times, and back in the end."""
+    present = time.Get()
+    try:
+        for t in times:
+            time.Set(t)
+            yield t
+    finally:
+        time.Set(present)

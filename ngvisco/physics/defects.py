@@ -1,0 +1,77 @@
+"""What is left of the relations between variables that stand for one thing.
+
+J is det F and H is Cof F for exact solutions; the discrete ones are transported each by itself and part,
+slowly in a solid and without end where F winds up (``materials.elastic_state``).  The ledger does not see
+it: the scheme's energy identity takes them for independent variables.
+"""
+
+from __future__ import annotations
+
+from ngsolve import CoefficientFunction, Cof, log, sqrt
+
+from ngvisco.physics.material import Material
+from ngvisco.physics.rheology import Creep
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import (
+    Cofactor,
+    CofactorLeftCauchyGreen,
+    Distortion,
+    Jacobian,
+    LeftCauchyGreen,
+    LogJacobian,
+    ReciprocalJacobian,
+    Values,
+    Variable,
+)
+
+
+def relative_defects(
+    material: Material, z: Values, creep: Creep | None = None
+) -> dict[str, CoefficientFunction]:
+    """Relative defects of the variables' relations by what is compared; empty where there are none.
+
+    * ``"det F and J"``: det z J^-n - 1 for every tensor, n by its exponent (also where n = 0),
+    * ``"H and Cof F"``: |H - Cof F|/|Cof F|, with the factors of J, also for N and B,
+    * ``"A and J"``: A J - 1, and ``"K and A"``: K/A + ln A.
+
+    A law of ``creep`` with a trace relaxes det B, which then is no function of J.
+    """
+    variables = {v.name: v for v in material.variables}
+    found: dict[str, CoefficientFunction] = {}
+    volume = next((v for v in material.variables if isinstance(v, (Jacobian, ReciprocalJacobian))), None)
+    free = creep is not None and creep.has_trace
+    for variable in material.variables:
+        ratio = variable.volume_ratio(z[variable.name])
+        if variable == volume or ratio is None or (free and variable.name == material.conformation):
+            continue
+        det, n = ratio
+        if abs(n) < 1e-12:
+            found[f"det {variable.name} and 1"] = det - 1
+        elif volume is not None:
+            J = z[volume.name] if isinstance(volume, Jacobian) else 1 / z[volume.name]
+            name = f"det {variable.name}" if variable.creeps else variable.name
+            found[f"{name} and {volume.name}"] = det * J ** float(-n) - 1
+    for name, variable in variables.items():
+        if isinstance(variable, LogJacobian):
+            A = z[variable.reciprocal]
+            found[f"{name} and {variable.reciprocal}"] = z[name] / A + log(A)
+        partner = _partner(variable, material)
+        if partner is not None:
+            cofactor = Cof(z[partner.name])
+            # J^b Cof F of z = J^a F, as a multiple of Cof z; its size is free where J is not known
+            scale = sqrt(square(z[name]) / square(cofactor))
+            gap = sqrt(square(z[name] - scale * cofactor) / square(z[name]))
+            found[f"{name} and Cof {partner.name}"] = gap
+    return found
+
+
+def _partner(variable: Variable, material: Material) -> Variable | None:
+    """The tensor of which this one is the cofactor, up to powers of J."""
+    kind: type[Variable]
+    if isinstance(variable, Cofactor):
+        kind = Distortion
+    elif isinstance(variable, CofactorLeftCauchyGreen):
+        kind = LeftCauchyGreen
+    else:
+        return None
+    return next((v for v in material.variables if isinstance(v, kind)), None)

@@ -1,0 +1,101 @@
+"""A stored energy must be a function of the state alone: what else one may read by mistake is refused.
+
+The ledger's conjugates are derivatives by the state.  An energy that also depends on the place, on the time,
+on a grid function or on the mesh has a rate that no term of the equations holds.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction
+from ngsolve.meshes import MakeStructured2DMesh
+
+from ngvisco.errors import NgviscoError, ParameterError
+from ngvisco.physics.material import Material
+from ngvisco.physics.time import time
+from ngvisco.physics.variables import Values
+
+_OTHERS = {
+    r"coordinate": "the position",
+    r"GridFunction": "a grid function",
+    r"MeshSize": "the size of the cells",
+    r"normal vector|tangential vector|Curvature": "the direction of a facet",
+    r"DomainWise|RegionCF": "the region of the mesh",
+    r"Voxel": "values on a grid",
+    r"ReferenceCoordinate|Jacobian": "the map of the cells",
+    r"ProxyFunction": "a trial or test function",
+}
+"""What NGSolve calls the leaves of an expression, and what they are."""
+
+_PLACES = (0.1, 0.35, 0.6, 0.9)
+
+
+def check_energy(material: Material) -> None:
+    """Raise ParameterError unless ``material.energy`` is a scalar function of the variables' values alone."""
+    inner = getattr(material, "material", None)
+    if isinstance(inner, Material):  # a wrapper's energy is made of that of another material
+        check_energy(inner)
+        return
+    owner = f"{type(material).__name__}.{material.energy_parameter}"
+    function = getattr(material, material.energy_parameter)
+    names = ", ".join(v.name for v in material.variables)
+    F = CF((1.2, 0.1, 0, -0.2, 0.9, 0, 0, 0, 1.05), dims=(3, 3))  # a state without symmetries
+    z = {v.name: v.from_distortion(F).MakeVariable() for v in material.variables}
+    phi = _evaluated(material, z, owner, function, names)
+    text = str(phi)
+    for pattern, what in _OTHERS.items():
+        if re.search(pattern, text):
+            raise ParameterError(owner, function, f"a function of {names} alone; it reads {what}")
+    if "ParameterCoefficientFunction" in text and not _is_the_same_always(phi):
+        raise ParameterError(owner, function, f"a function of {names} alone; it reads the time")
+    if not _is_one_value(_samples(phi)):
+        expected = f"a function of {names} alone; it differs from place to place at one state"
+        raise ParameterError(owner, function, expected)
+
+
+def _evaluated(
+    material: Material, z: Values, owner: str, function: object, names: str
+) -> CoefficientFunction:
+    try:
+        phi = material.energy(z)
+    except NgviscoError:
+        raise
+    except Exception as error:  # whatever a function of the user raises
+        expected = f"a function of {names}; it raises {type(error).__name__}: {error}"
+        raise ParameterError(owner, function, expected) from error
+    if not isinstance(phi, CoefficientFunction):
+        expected = f"a function of {names} that returns a coefficient function, not {phi!r:.60}"
+        raise ParameterError(owner, function, expected)
+    if phi.dim != 1 or phi.is_complex:
+        what = "a complex number" if phi.is_complex else f"an array of shape {tuple(phi.dims)}"
+        raise ParameterError(owner, function, f"a function of {names} that returns a real scalar, not {what}")
+    return phi
+
+
+def _is_the_same_always(phi: CoefficientFunction) -> bool:
+    present, found = time.Get(), []
+    try:
+        for t in (present, present + 0.37, 2 * present + 1.9):
+            time.Set(t)
+            found.append(_samples(phi)[0])
+    finally:
+        time.Set(present)
+    return _is_one_value(found)
+
+
+def _samples(phi: CoefficientFunction) -> list[float]:
+    """The values at places in cells of different sizes; inf and NaN together where there is none."""
+    found = []
+    for cells in (1, 3):
+        mesh = MakeStructured2DMesh(quads=False, nx=cells, ny=cells)
+        try:
+            found += [phi(mesh(place, 0.5 * place)) for place in _PLACES]
+        except Exception:  # NGSolve's own, for what cannot be evaluated on any mesh
+            return [np.inf, np.nan]
+    return found
+
+
+def _is_one_value(found: list[float]) -> bool:
+    return bool(np.allclose(found, found[0], rtol=1e-12, atol=0.0, equal_nan=True))

@@ -1,0 +1,100 @@
+"""The local error of a step, from the extrapolation of the states before it.
+
+A scheme of order p leaves u_n - u(t_n) = C tau^(p+1) u^(p+1) in a step from the exact state, C its error
+constant. The polynomial through the last p + 1 states misses u(t_n) by -P u^(p+1)/(p+1)!, P = prod_j (t_n -
+t_{n-1-j}).  So
+
+    error = C tau^(p+1) / (C tau^(p+1) + P/(p+1)!) |u_n - u_extrapolated|,
+
+which costs no solve (for the implicit Euler scheme tau/(2 tau + tau_old) times the difference).  Until p + 1
+states are known there is no estimate.
+
+Norm.  The largest of |e_v|/(|v| + v_s sqrt(volume)), |e_rho|/|rho| and |e_z|/(|z| + sqrt(volume)), with
+L2 norms over the domain and v_s the run's velocity scale: a relative error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from ngsolve import CF, FESpace, GridFunction
+
+from ngvisco.forms.spaces import Fields
+from ngvisco.forms.system import Step
+from ngvisco.physics.tensors import square
+from ngvisco.timestepping.scheme import TimeScheme
+
+_EVOLVED = ("v", "rho", "z")
+
+
+class ErrorEstimate:
+    """Estimates the error of the last step; keeps the states that it needs, as a restart has to.
+
+    Parameters
+    ----------
+    step : Step
+    velocity_scale : callable
+        Gives v_s, m/s.
+    order : int
+        The highest order of a scheme that is asked for.
+    """
+
+    def __init__(self, step: Step, velocity_scale: Callable[[], float], order: int) -> None:
+        self.step, self.velocity_scale = step, velocity_scale
+        self._enough = order + 1
+        self._times: list[float] = []
+        self._states: list[np.ndarray] = []
+        space = FESpace([step.layout.blocks[name] for name in _EVOLVED])
+        self._difference = GridFunction(space)
+        e = Fields(step.layout, dict(zip(_EVOLVED, self._difference.components, strict=True)))
+        u = step.now
+        squares = [square(e.v), e.rho * e.rho, square(e.z), square(u.v), u.rho * u.rho, square(u.z), CF(1.0)]
+        self._squares = CF(tuple(squares)).Compile()
+
+    def is_current(self, time: float) -> bool:
+        """Whether the last state that is kept is that of ``time``, s."""
+        return bool(self._times) and self._times[-1] == time
+
+    def restart(self, time: float) -> None:
+        """Know only the present state, which is that of ``time``, s."""
+        self._times, self._states = [], []
+        self.keep(time)
+
+    def keep(self, time: float) -> None:
+        """The present state is that of ``time``, s, and accepted."""
+        self._times.append(time)
+        self._states.append(self._values())
+        del self._times[: -self._enough], self._states[: -self._enough]
+
+    def __call__(self, time: float, scheme: TimeScheme) -> float | None:
+        """The relative error of the step to the present state at ``time``, s; None if unknown."""
+        p = scheme.order
+        if len(self._times) < p + 1:
+            return None
+        times = np.array(self._times[-p - 1 :])
+        weights = [np.prod([(time - s) / (t - s) for s in times if s != t]) for t in times]
+        missed = np.prod(time - times) / math.factorial(p + 1)
+        own = scheme.error_constant * (time - times[-1]) ** (p + 1)
+        extrapolated = sum(w * u for w, u in zip(weights, self._states[-p - 1 :], strict=True))
+        self._difference.vec.FV().NumPy()[:] = own / (own + missed) * (self._values() - extrapolated)
+        norms = np.sqrt(np.asarray(self.step.quadrature.integrate_cells(self._squares)))
+        root_volume = norms[6]
+        scales = (norms[3] + self.velocity_scale() * root_volume, norms[4], norms[5] + root_volume)
+        return float(max(norms[i] / scales[i] for i in range(3)))
+
+    def _values(self) -> np.ndarray:
+        state, ranges = self.step.state.vec.FV().NumPy(), self.step.layout.ranges
+        return np.concatenate([state[ranges[name]] for name in _EVOLVED])
+
+    def memory(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+        """Numbers and arrays for a restart."""
+        numbers = {f"known_{i}": t for i, t in enumerate(self._times)}
+        return numbers, {f"known_{i}": state.copy() for i, state in enumerate(self._states)}
+
+    def recall(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
+        """Take up what ``memory`` gave."""
+        kept = sorted(name for name in arrays if name.startswith("known_"))
+        self._times = [numbers[name] for name in kept]
+        self._states = [arrays[name] for name in kept]

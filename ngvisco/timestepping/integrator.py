@@ -1,0 +1,310 @@
+"""One step of a time scheme: its stages, each a Rothe step, and the state at the step's end.
+
+The same for both solvers.  What a stage dissipates is metered at its solution, so that the ledger closes to
+rounding for every scheme; see ``scheme`` for the identity.  Where the end is not the last stage's solution,
+rho, z and the momentum functional are combined, v follows from the momentum (``VelocityOfMomentum``) with
+moving walls at the end's time, and the unknowns that have no time derivative (traces, multipliers, the creep
+rate field) stay those of the last stage.
+
+Moving walls.  In the rows of v that are prescribed, m_1 = int rho_1 v_1 . w is not the combination of the
+stages' momenta: the difference is an impulse of the wall, which works on the last stage's velocity.  It is
+added to the wall's power.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.optimize import root_scalar
+
+from ngvisco.errors import StepError
+from ngvisco.forms.context import time
+from ngvisco.forms.distance import BregmanDistance
+from ngvisco.forms.system import Evolved
+from ngvisco.forms.velocity import VelocityOfMomentum
+from ngvisco.solver.options import NewtonIteration
+from ngvisco.solver.rothe import Interval, RotheSolver
+from ngvisco.timestepping.scheme import TimeScheme, backward_euler
+
+_RELAXED = (1.5, 2.5)
+"""Where the end of a relaxed midpoint step is looked for, in units of its Rothe step; 2 is unrelaxed."""
+
+_RELAXATION_TOLERANCE = 1e-12
+"""Of that number: R changes by this share of the distance B(u_0, U) itself, which is of order tau^2."""
+
+_MEETINGS, _MEETING = 6, 1e-13
+"""Rothe steps tried until a relaxed step ends at a given time, and what of it may be missed."""
+
+
+class Carried(Protocol):
+    """What is carried along by the same scheme, with the stages' velocities."""
+
+    def begin(self) -> None:
+        """A step begins, or begins anew: forget the stages."""
+
+    def stage(self, weights: np.ndarray) -> None:
+        """The present state is that of a stage, whose own old value has these weights of y_0, y_1, ..."""
+
+    def end(self, weights: np.ndarray) -> None:
+        """The step is accepted: its end has these weights."""
+
+
+@dataclass(frozen=True)
+class StepTaken:
+    """What a step exchanged, besides the state that it left.
+
+    ``tau`` is its length, s; ``rates`` are dissipations and powers, W, weighted as the scheme does;
+    ``numerical`` is R by ledger columns, J.
+    """
+
+    tau: float
+    history: list[NewtonIteration]
+    rates: dict[str, float]
+    numerical: dict[str, float]
+
+
+class Integrator:
+    """Takes steps of a scheme with a Rothe solver.
+
+    Parameters
+    ----------
+    rothe : RotheSolver
+    scheme : TimeScheme
+    meter : callable
+        Gives dissipations and powers at the present state, W, by ledger columns.
+    carried : sequence of Carried
+    startup : int
+        So many first steps of the run are of the backward Euler scheme, which damps rough initial data
+        (Rannacher).
+    relaxed : bool
+        Whether the midpoint rule's end is where the numerical remainder R is zero; steps have other lengths
+        than asked for then.
+    """
+
+    def __init__(
+        self,
+        rothe: RotheSolver,
+        scheme: TimeScheme,
+        meter: Callable[[], dict[str, float]],
+        carried: Sequence[Carried] = (),
+        startup: int = 0,
+        relaxed: bool = False,
+    ) -> None:
+        self.rothe, self.step, self.scheme = rothe, rothe.step, scheme
+        self.meter, self.carried, self.startup, self.relaxed = meter, carried, startup, relaxed
+        self.distance = BregmanDistance(self.step)
+        self._before = self.step.state.vec.CreateVector()
+        self._t = 0.0
+        self._velocity: VelocityOfMomentum | None = None
+
+    def scheme_of(self, number: int) -> TimeScheme:
+        """The scheme of the step after step ``number``."""
+        return backward_euler() if number < self.startup else self.scheme
+
+    def advance(
+        self, t: float, tau: float, number: int = 0, with_continuation: bool = True, meets: bool = False
+    ) -> StepTaken:
+        """Take the step after step ``number`` from ``t`` over ``tau``, s.
+
+        Parameters
+        ----------
+        with_continuation : bool
+            As of ``RotheSolver.solve``.
+        meets : bool
+            Whether a relaxed step has to end at t + tau.
+
+        Raises
+        ------
+        StepError
+            When a stage is not solved, or the end's density or Jacobian is not positive; the state is then
+            that before the step.
+        """
+        self._before.data = self.step.state.vec
+        self._t = t
+        history: list[NewtonIteration] = []
+        try:
+            scheme = self.scheme_of(number)
+            if not (self.relaxed and scheme is self.scheme):
+                return self._taken(scheme, t, tau, history, with_continuation)
+            return self._relaxed(scheme, t, tau, history, with_continuation, meets)
+        except BaseException as error:  # also an interrupt: never leave half a step behind
+            self.undo()
+            if isinstance(error, StepError):
+                message = f"step of length {tau:g} s from t = {t:g} s: {error}"
+                raise StepError(message, [*history, *error.history]) from error
+            raise
+
+    def undo(self) -> None:
+        """Put the state before the last ``advance`` back."""
+        self.rothe.return_to(self._before)
+        self.step.state_old.vec.data = self._before
+        self.step.start_from_old()
+        time.Set(self._t)
+        for one in self.carried:
+            one.begin()
+
+    def accept(self) -> None:
+        """Let what is carried along follow the last step, which is not taken back."""
+        for one in self.carried:
+            one.end(self._end)
+
+    def _taken(
+        self,
+        scheme: TimeScheme,
+        t: float,
+        tau: float,
+        history: list[NewtonIteration],
+        with_continuation: bool,
+    ) -> StepTaken:
+        states, rates = self._stages(scheme, t, tau, history, with_continuation)
+        numerical = self._stage_distances(scheme, states)
+        self._end = scheme.end
+        if not scheme.ends_at_last_stage:
+            end = self._combined(scheme.end, states, t + tau, tau, rates)
+            _add(numerical, -1.0, self.distance(end, states[-1]))
+            self._complete()
+        return StepTaken(tau, history, rates, numerical)
+
+    def _stages(
+        self,
+        scheme: TimeScheme,
+        t: float,
+        tau: float,
+        history: list[NewtonIteration],
+        with_continuation: bool,
+    ) -> tuple[list[Evolved], dict[str, float]]:
+        """y_0 ... y_s and the weighted rates of the stages; the state is that of the last one."""
+        states = [self.step.evolved()]
+        rates: dict[str, float] = defaultdict(float)
+        for one in self.carried:
+            one.begin()
+        begin = t
+        for i in range(scheme.stages):
+            own, end = scheme.A[i][i] * tau, t + scheme.c[i] * tau
+            window = (t, tau) if scheme.averages_loads else (end, 0.0)
+            self.step.start_from(list(zip(scheme.starts[i], states, strict=False)))
+            history += self.rothe.solve(Interval(own, begin, end, *window), with_continuation)
+            begin = end
+            states.append(self.step.evolved())
+            _add(rates, scheme.b[i], self.meter())
+            for one in self.carried:
+                one.stage(scheme.starts[i])
+        return states, dict(rates)
+
+    def _stage_distances(self, scheme: TimeScheme, states: Sequence[Evolved]) -> dict[str, float]:
+        """The sum of c_ik B(y_k, U_i), by ledger columns."""
+        total: dict[str, float] = defaultdict(float)
+        for i, row in enumerate(scheme.distances):
+            for k, weight in enumerate(row):
+                if weight != 0:
+                    _add(total, weight, self.distance(states[k], states[i + 1]))
+        return dict(total)
+
+    def _combined(
+        self, weights: np.ndarray, states: Sequence[Evolved], t: float, tau: float, rates: dict[str, float]
+    ) -> Evolved:
+        """Make the combination of states the present one, at ``t``; adds to the walls' power in ``rates``.
+
+        Raises
+        ------
+        StepError
+            When its density or Jacobian is not positive.
+        """
+        step, ranges = self.step, self.step.layout.ranges
+        parts = list(zip(weights, states, strict=True))
+        step.start_from(parts)  # where the momentum and the fields are combined
+        state, old = step.state.vec.FV().NumPy(), step.state_old.vec.FV().NumPy()
+        for name in ("rho", "z", "v"):
+            state[ranges[name]] = old[ranges[name]]
+        time.Set(t)
+        step.moving_walls.set_values()
+        self._require_positive()
+        if self._velocity is None:
+            self._velocity = VelocityOfMomentum(
+                step.layout,
+                step.state,
+                step.now.rho,
+                step.momentum_old,
+                step.impenetrability,
+                step.quadrature,
+            )
+        impulse = self._velocity()
+        for name, (_, mask) in step.moving_walls.moving.items():
+            work = float(impulse[mask] @ states[-1].v[mask])
+            rates[f"power_wall_{name}"] += work / tau
+        return step.evolved()
+
+    def _complete(self) -> None:
+        """Make the local unknowns those of the combined state; raises StepError where it has no energy."""
+        self.step.eliminate()
+        if self.step.energy.failure is not None:
+            raise StepError(self.step.energy.failure)
+
+    def _require_positive(self) -> None:
+        """Raise StepError where the present state is not admissible."""
+        reason = self.rothe.defect()
+        if reason is not None:
+            raise StepError(f"{reason} at the end of the step: take a smaller step or a finer mesh")
+
+    def _relaxed(
+        self,
+        scheme: TimeScheme,
+        t: float,
+        tau: float,
+        history: list[NewtonIteration],
+        with_continuation: bool,
+        meets: bool,
+    ) -> StepTaken:
+        """A midpoint step that ends at u_0 + omega (U - u_0), omega near 2, where R = 0."""
+        own = scheme.A[0][0] * tau
+        for _ in range(_MEETINGS):
+            # of a step of two Rothe steps' length, over which loads are averaged
+            states, rates = self._stages(scheme, t, own / scheme.A[0][0], history, with_continuation)
+            omega, numerical, rates = self._relaxed_end(states, t, own, rates)
+            if not meets or abs(omega * own - tau) <= _MEETING * tau:
+                self._complete()
+                self._end = np.array([1 - omega, omega])
+                return StepTaken(omega * own, history, rates, numerical)
+            own = tau / omega
+            self.rothe.return_to(self._before)
+        raise StepError("the relaxed step does not meet its end: take a smaller step", history)
+
+    def _relaxed_end(
+        self, states: Sequence[Evolved], t: float, own: float, rates: dict[str, float]
+    ) -> tuple[float, dict[str, float], dict[str, float]]:
+        """omega with R = 0, R's parts and the rates there; the state is then u_0 + omega (U - u_0)."""
+        from_start = self.distance(*states)
+        lost = sum(from_start.values())
+
+        def end_at(omega: float) -> tuple[dict[str, float], dict[str, float]]:
+            of_end, length = dict(rates), omega * own
+            end = self._combined(np.array([1 - omega, omega]), states, t + length, length, of_end)
+            numerical = dict(from_start)
+            _add(numerical, -1.0, self.distance(end, states[-1]))
+            return numerical, of_end
+
+        omega = 2.0
+        if lost > 0:
+            try:
+                found = root_scalar(
+                    lambda omega: sum(end_at(omega)[0].values()) / lost,
+                    bracket=_RELAXED,
+                    method="brentq",
+                    xtol=_RELAXATION_TOLERANCE,
+                )
+            except ValueError as error:
+                message = "no end of the relaxed step is without numerical dissipation: take a smaller step"
+                raise StepError(message) from error
+            omega = float(found.root)
+        numerical, of_end = end_at(omega)
+        return omega, numerical, of_end
+
+
+def _add(total: dict[str, float], weight: float, values: dict[str, float]) -> None:
+    """total += weight values."""
+    for name, value in values.items():
+        total[name] = total.get(name, 0.0) + weight * value

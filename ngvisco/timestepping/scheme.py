@@ -1,0 +1,214 @@
+"""Time schemes: diagonally implicit Runge-Kutta tableaux, each stage a Rothe step.
+
+With u = (rho, m, z), m the momentum functional, f = du/dt and a_ii > 0, a step of length tau is
+
+    u_i* = u_0 + tau sum_{j<i} a_ij f_j,     U_i = rothe(u_i*, a_ii tau),     f_i = (U_i - u_i*)/(a_ii tau),
+    u_1  = u_0 + tau sum_i b_i f_i.
+
+All of these are affine combinations of the states y_0 = u_0, y_i = U_i, with weights that sum up to one:
+
+    u_i* = sum_{k<i} w_ik y_k,     u_1 = sum_k omega_k y_k,     w_i, omega = e_0 + sum_j (a_ij, b_j)/a_jj
+    (e_j - w_j).
+
+A Rothe step from u_i* to U_i satisfies E'(U_i)[U_i - u_i*] = -a_ii tau (D_i - P_i) exactly, D the
+dissipations, P the powers.  Summed up with b_i/a_ii, and with the Bregman distances B(a, b) = E(a) - E(b) -
+E'(b)[a - b], that is
+
+    E_1 - E_0 + tau sum_i b_i (D_i - P_i) + R = 0,     R = sum_i sum_k c_ik B(y_k, U_i) - [B(u_1, U_s)]:
+
+no difference of energies is taken, so that nothing cancels.  The last term is there where u_1 is not U_s.
+For the paper's scheme, a = b = 1, R is B(u_0, U) (Euler-ED-basic-energy-balance-disc, with the inequality's
+remainder).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ngvisco.errors import ParameterError, UnknownNameError, _is_number
+
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class TimeScheme:
+    """A diagonally implicit Runge-Kutta scheme.
+
+    Parameters
+    ----------
+    name : str
+        As it is listed and written into files.
+    A : tuple of rows, (s, s)
+        Lower triangular, with a positive diagonal.
+    b : tuple, (s,)
+        Weights, with the sum 1.
+    averages_loads : bool
+        Whether loads are averages over the step, as in the paper, and not values at the stages' times; for
+        schemes of one stage.
+
+    Raises
+    ------
+    ParameterError
+        For a tableau that is no such scheme.
+    """
+
+    name: str
+    A: tuple[tuple[float, ...], ...]
+    b: tuple[float, ...]
+    averages_loads: bool = False
+
+    def __post_init__(self) -> None:
+        s = len(self.b)
+        expected = "rows of numbers, lower triangular with a positive diagonal, one for each weight of b"
+        if not s or len(self.A) != s or any(len(row) != s for row in self.A):
+            raise ParameterError("TimeScheme.A", self.A, expected)
+        if not all(_is_number(a) for a in (*self.b, *(a for row in self.A for a in row))):
+            raise ParameterError("TimeScheme.A", self.A, "finite numbers")
+        upper = any(self.A[i][j] != 0 for i in range(s) for j in range(i + 1, s))
+        if upper or any(self.A[i][i] <= 0 for i in range(s)):
+            raise ParameterError("TimeScheme.A", self.A, expected)
+        if not math.isclose(sum(self.b), 1.0, rel_tol=_ROUNDING):
+            raise ParameterError("TimeScheme.b", self.b, "weights whose sum is 1")
+        if self.averages_loads and s > 1:
+            raise ParameterError("TimeScheme.averages_loads", True, "False for a scheme of several stages")
+
+    @property
+    def stages(self) -> int:
+        """The number s of stages: Rothe steps that are solved in a step."""
+        return len(self.b)
+
+    @cached_property
+    def c(self) -> tuple[float, ...]:
+        """The stages' times, in units of the step from its start."""
+        return tuple(float(sum(row)) for row in self.A)
+
+    @cached_property
+    def starts(self) -> np.ndarray:
+        """w_ik: what each stage starts from, (stages, stages + 1), weights of y_0 ... y_s."""
+        rows: list[np.ndarray] = []
+        for i in range(self.stages):
+            rows.append(self._affine([self.A[i][j] for j in range(i)], rows))
+        return np.array(rows)
+
+    @cached_property
+    def end(self) -> np.ndarray:
+        """omega_k: what u_1 is of y_0 ... y_s, (stages + 1,)."""
+        return self._affine(self.b, list(self.starts))
+
+    def _affine(self, weights: list[float] | tuple[float, ...], starts: list[np.ndarray]) -> np.ndarray:
+        """e_0 + sum_j weights_j/a_jj (e_j - w_j)."""
+        unit = np.eye(self.stages + 1)
+        total = unit[0].copy()
+        for j, weight in enumerate(weights):
+            total += weight / self.A[j][j] * (unit[j + 1] - starts[j])
+        return total
+
+    @cached_property
+    def ends_at_last_stage(self) -> bool:
+        """Whether u_1 is U_s (stiffly accurate): its positivity is then the solver's."""
+        return bool(np.allclose(self.end, np.eye(self.stages + 1)[-1], rtol=0, atol=_ROUNDING))
+
+    @cached_property
+    def distances(self) -> np.ndarray:
+        """c_ik: the weight of B(y_k, U_i) in R, (stages, stages + 1)."""
+        share = np.array([b / self.A[i][i] for i, b in enumerate(self.b)])
+        result = share[:, None] * self.starts
+        if not self.ends_at_last_stage:
+            result[-1] += self.end
+        for i in range(self.stages):
+            result[i, i + 1] = 0.0  # of a state to itself
+        return result
+
+    def moment(self, k: int) -> float:
+        """b . A^(k-1) 1, the coefficient of z^k in the stability function; exact is 1/k!."""
+        vector = np.ones(self.stages)
+        for _ in range(k - 1):
+            vector = np.array(self.A) @ vector
+        return float(np.array(self.b) @ vector)
+
+    @cached_property
+    def order(self) -> int:
+        """Order in time: 1, 2 or 3, by the conditions on the tableau."""
+        if abs(self.moment(2) - 1 / 2) > _ROUNDING:
+            return 1
+        squares = float(np.array(self.b) @ np.array(self.c) ** 2)
+        return 3 if abs(self.moment(3) - 1 / 6) <= _ROUNDING >= abs(squares - 1 / 3) else 2
+
+    @cached_property
+    def error_constant(self) -> float:
+        """C of the local error C tau^(p+1) u^(p+1), p the order, of u' = lambda u."""
+        p = self.order
+        return self.moment(p + 1) - 1 / math.factorial(p + 1)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def backward_euler() -> TimeScheme:
+    """The paper's scheme (Euler-small-viscoelastodyn+disc): order 1, L-stable; dissipates at every step."""
+    return TimeScheme("backward-euler", ((1.0,),), (1.0,), averages_loads=True)
+
+
+def midpoint() -> TimeScheme:
+    """The implicit midpoint rule: order 2, one solve a step, R = O(tau^3) of either sign; damps nothing."""
+    return TimeScheme("midpoint", ((0.5,),), (1.0,), averages_loads=True)
+
+
+def theta_scheme(theta: float) -> TimeScheme:
+    """The one-leg scheme U = rothe(u_0, theta tau), u_1 = u_0 + (U - u_0)/theta.
+
+    Raises
+    ------
+    ParameterError
+        Unless 1/2 <= theta <= 1: below it is unstable, above inconsistent with its name.
+    """
+    if not (_is_number(theta) and 0.5 <= theta <= 1.0):
+        raise ParameterError("theta", theta, "a number in [1/2, 1]: 1/2 is midpoint, 1 backward-euler")
+    return TimeScheme("theta", ((float(theta),),), (1.0,), averages_loads=True)
+
+
+def sdirk2() -> TimeScheme:
+    """Alexander's two-stage scheme, gamma = 1 - 1/sqrt(2): order 2, L-stable, stiffly accurate."""
+    gamma = 1 - 1 / math.sqrt(2)
+    return TimeScheme("sdirk2", ((gamma, 0.0), (1 - gamma, gamma)), (1 - gamma, gamma))
+
+
+SCHEMES: dict[str, Callable[..., TimeScheme]] = {
+    "backward-euler": backward_euler,
+    "midpoint": midpoint,
+    "theta": theta_scheme,
+    "sdirk2": sdirk2,
+}
+"""The schemes that ``Simulation(scheme=...)`` and ``[time] scheme`` name; ``theta`` takes its parameter."""
+
+
+def scheme_of(scheme: str | TimeScheme, theta: float | None = None) -> TimeScheme:
+    """The scheme of a name, with ``theta`` where it is ``"theta"``.
+
+    Raises
+    ------
+    UnknownNameError
+        For any other name.
+    ParameterError
+        For a theta outside [1/2, 1], one that is missing, or one that the scheme does not have.
+    """
+    if isinstance(scheme, TimeScheme):
+        if theta is not None:
+            raise ParameterError("theta", theta, f"nothing: the scheme {scheme.name!r} is given whole")
+        return scheme
+    if not isinstance(scheme, str):
+        raise ParameterError("scheme", scheme, f"one of {', '.join(SCHEMES)}, or a TimeScheme")
+    if scheme not in SCHEMES:
+        raise UnknownNameError("time scheme", scheme, SCHEMES)
+    if scheme == "theta":
+        if theta is None:
+            raise ParameterError("theta", theta, "a number in [1/2, 1] for the scheme 'theta'")
+        return theta_scheme(theta)
+    if theta is not None:
+        raise ParameterError("theta", theta, f"nothing with the scheme {scheme!r}: it belongs to 'theta'")
+    return SCHEMES[scheme]()

@@ -1,0 +1,218 @@
+"""Every key of the schema with wrong values: a case runs, or is refused under the key at fault.
+
+The keys are read from the schema, so that a new one is in the sweep without being named here.
+"""
+
+import copy
+import datetime
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from ngvisco.case import CaseError
+from ngvisco.case.build import parse_case
+from ngvisco.case.catalogue import GEOMETRIES, LOADS, MATERIALS, MECHANISMS, WALLS, WRAPPERS
+from ngvisco.case.schema import CaseSections
+from ngvisco.case.toml import write
+
+WRONG = {
+    "text": "many",
+    "empty text": "",
+    "long text": "x" * 3000,
+    "true": True,
+    "empty array": [],
+    "array": [1.0, 2.0, 3.0, 4.0],
+    "matrix": [[1.0, 2.0], [3.0, 4.0]],
+    "ragged": [[1.0], [2.0, 3.0]],
+    "array of texts": ["a", "b"],
+    "table": {"a": 1},
+    "date": datetime.date(2024, 1, 1),
+    "fraction": 1.5,
+    "minus one": -1,
+    "minus": -0.5,
+    "zero": 0,
+    "nan": float("nan"),
+    "inf": float("inf"),
+    "minus inf": float("-inf"),
+    "huge": 1e300,
+    "tiny": 1e-300,
+    "huge integer": 10**400,
+    "with a unit": "5 kPa",
+    "expression": "x - 0.5",
+    "nowhere finite": "sqrt(x - 5)",
+    "later infinite": "1/(0.05 - t)",
+    "division by zero": "1/0",
+    "unknown name": "q + 1",
+    "code": "__import__('os')",
+}
+
+BASE = {
+    "title": "a case",
+    "domain": {"geometry": "box", "size": [1.0, 1.0], "maxh": 2.0},
+    "material": {"kind": "BarotropicFluid", "B": 1.0, "gamma": 1.4},
+    "time": {"dt": 0.02, "until": 0.1},
+}
+"""Sizes and other values that are needed, by table and key; all others have their defaults."""
+NEEDED = {
+    "annulus": {"inner": 0.5, "outer": 1.0, "maxh": 1.0},
+    "bar": {"length": 2.0, "thickness": 1.0, "maxh": 2.0},
+    "block_with_hole": {"size": [1.0, 1.0], "radius": 0.25, "maxh": 1.0},
+    "box": {"size": [1.0, 1.0], "maxh": 2.0},
+    "channel": {"length": 2.0, "height": 1.0, "maxh": 1.0},
+    "cylinder": {"radius": 1.0, "height": 1.0, "maxh": 2.0},
+    "disc": {"radius": 1.0, "maxh": 1.0},
+    "file": {"path": "missing.vol"},
+    "sphere": {"radius": 1.0, "maxh": 2.0},
+    "spherical_shell": {"inner": 0.5, "outer": 1.0, "maxh": 1.0},
+    "BarotropicFluid": {"B": 1.0, "gamma": 1.4},
+    "HardeningElastic": {"K_e": 10.0, "G_e": 5.0, "K_h": 1.0, "G_h": 1.0},
+    "LinearElastic": {"K_e": 10.0, "G_e": 5.0},
+    "ReferentialMooneyRivlin": {"K_e": 10.0, "G_e": 5.0, "G_mr": 1.0},
+    "MooneyRivlin": {"K_e": 10.0, "G_e": 5.0, "G_mr": 1.0, "epsilon": 0.1},
+    "Yosida": {"eps": 1e-3, "material": {"kind": "LinearElastic", "K_e": 10.0, "G_e": 5.0}},
+    "WithQuadratic": {"delta": 1e-3, "material": {"kind": "LinearElastic", "K_e": 10.0, "G_e": 5.0}},
+    "viscosity": {"K_v": 0.1, "G_v": 0.1},
+    "hyperviscosity": {"mu": 1e-3},
+    "creep": {"G_m": 5.0},
+    "BodyForce": {"force": [0.0, 1.0]},
+    "CentralGravity": {"strength": 1.0, "centre": [-1.0, 0.5]},
+    "Gravity": {"g": [0.0, -1.0]},
+    "NavierFriction": {"coefficient": 1.0},
+    "PrescribedTangential": {"velocity": [1.0, 0.0]},
+    "Traction": {"f": [1.0, 0.0]},
+    "adaptive": {"dt_min": 1e-3, "dt_max": 0.1},
+}
+ELASTIC = {"K_e": 10.0, "G_e": 5.0, "epsilon": 0.1}
+
+
+def tables():
+    """(path in the case, what stands there) of every table that a case can have."""
+    for name in GEOMETRIES:
+        yield ("domain",), {"geometry": name, **NEEDED[name]}
+    for name in {**MATERIALS, **WRAPPERS}:
+        yield ("material",), {"kind": name, **NEEDED.get(name, ELASTIC)}
+    for name in MECHANISMS:
+        yield ("rheology", name), NEEDED.get(name, {})
+    for name in LOADS:
+        yield ("loads", 0), {"kind": name, **NEEDED[name]}
+    for name in WALLS:
+        yield ("walls", "top"), {"kind": name, **NEEDED.get(name, {})}
+    yield ("time",), BASE["time"]
+    yield ("time", "adaptive"), NEEDED["adaptive"]
+    for name in ("discretisation", "initial", "solver", "output"):
+        yield (name,), {}
+    yield ("output", "vtk"), {}
+    yield ("output", "checkpoint"), {}
+    yield (), BASE
+
+
+def with_table(path, table):
+    """The base case with one table replaced."""
+    data = copy.deepcopy(BASE)
+    node = data
+    for part in path[:-1]:
+        node = node.setdefault(part, [{}] if part == "loads" else {})
+    if path:
+        node[path[-1]] = copy.deepcopy(table)
+    return data
+
+
+@cache
+def keys():
+    """(table's path, table, key) of every key of the schema."""
+    found = []
+    for path, table in tables():
+        data = with_table(path, table)
+        node = CaseSections.model_validate(data)
+        for part in path:
+            node = node[part] if isinstance(node, (list, dict)) else getattr(node, part)
+        found += [(path, table, key) for key in type(node).model_fields]
+    return found
+
+
+def placed(path, table, key, value):
+    data = with_table(path, table)
+    node = data
+    for part in path:
+        node = node[part]
+    node[key] = value
+    return data
+
+
+@cache
+def square():
+    return parse_case(write(BASE), "case.toml", Path(".")).mesh()
+
+
+def outcome(data, is_built, on_square):
+    """None where the case is valid, and, if it is built, can be run; the error where it is refused."""
+    try:
+        case = parse_case(write(data), "case.toml", Path("."))
+        if is_built:
+            mesh = square() if on_square else case.mesh()
+            if on_square:
+                case.simulation(mesh)
+    except CaseError as error:
+        return error
+    return None
+
+
+def is_blamed(fault, where):
+    """Whether a fault is that of the key, or names it as one of two that do not fit."""
+    here = re.sub(r"\.\d+(?=\.|$)", "", fault.key) if where[-1] != 0 else fault.key
+    path = [str(part) for part in where if not isinstance(part, int)]
+    own = here.split(".")[: len(path)] == path
+    return own or re.search(rf"\b{re.escape(path[-1])}\b", f"{fault.key} {fault.message}")
+
+
+def name_of(path, table):
+    parts = (".".join(map(str, path)), table.get("kind") or table.get("geometry"))
+    return " ".join(filter(None, parts)) or "case"
+
+
+def faults_of(path, table, key, what, both):
+    """What is wrong with the case that has a wrong value, beyond what is wrong without it."""
+    value, number = WRONG[what], [k for p, t, k in keys() if (p, t) == (path, table)].index(key)
+    # numbers that the schema lets pass are all alike but for the extremes, which are looked at in turns
+    extremes = ("huge", "tiny") if both else (("huge", "tiny")[number % 2],)
+    is_built = what in extremes or isinstance(value, (str, list, dict))
+    error = outcome(placed(path, table, key, value), is_built, path[:1] != ("domain",))
+    return error.faults if error else ()
+
+
+def swept(name, both):
+    count, wrong = 0, []
+    for path, table, key in keys():
+        if name_of(path, table) != name:
+            continue
+        without = outcome(with_table(path, table), name == "domain file", False)
+        known = {fault.message for fault in without.faults} if without else set()
+        for what in WRONG:
+            count += 1
+            for fault in faults_of(path, table, key, what, both):
+                if fault.message not in known and not is_blamed(fault, (*path, key)):
+                    wrong.append(f"{key} = {what}: {fault}")
+    assert count and not wrong, "\n".join(wrong)
+
+
+NAMES = sorted({name_of(path, table) for path, table, _ in keys()})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_wrong_value_is_refused_under_its_key_or_runs(name, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    swept(name, both=False)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", NAMES)
+def test_both_extremes_of_every_number(name, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    swept(name, both=True)
+
+
+def test_the_sweep_has_every_key():
+    assert len(keys()) > 150 and len(keys()) * len(WRONG) > 4000

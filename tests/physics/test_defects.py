@@ -1,0 +1,62 @@
+"""Relative defects: zero for variables of one distortion, the perturbation's size for others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support import tensor, tensors, value, values
+
+from ngvisco import Creep
+from ngvisco.physics.defects import relative_defects
+from ngvisco.physics.materials import examples
+
+EXAMPLES = {e.constructor: e.material for e in examples()}
+PAIRED = {
+    name: material
+    for name, material in EXAMPLES.items()
+    if not name.startswith(("LinearElastic", "Hardening", "IsotropicStrain", "Barotropic"))
+}
+F = np.eye(3) + 0.3 * np.random.default_rng(0).uniform(-1, 1, (3, 3))
+
+
+def state(material):
+    return values({v.name: v.from_distortion(tensor(F)) for v in material.variables})
+
+
+def defects(material, z, creep=None):
+    return {name: float(value(d)) for name, d in relative_defects(material, tensors(z), creep).items()}
+
+
+@pytest.mark.parametrize("name", PAIRED)
+def test_variables_of_one_distortion_have_none(name):
+    found = defects(PAIRED[name], state(PAIRED[name]))
+    assert found and max(map(abs, found.values())) < 1e-12
+
+
+@pytest.mark.parametrize("name", PAIRED)
+def test_each_variable_that_parts_is_seen(name):
+    """5 % of any one variable is a defect of about that size; 5 % of one entry of a cofactor too."""
+    z = state(PAIRED[name])
+    for variable in PAIRED[name].variables:
+        changed = z | {variable.name: 1.05 * z[variable.name]}
+        if variable.name == "K":
+            changed["K"] = z["K"] + 0.05 * z["A"]
+        assert 0.02 < max(map(abs, defects(PAIRED[name], changed).values())) < 0.5, variable.name
+
+
+def test_a_cofactor_of_another_shape_is_seen_at_its_determinant():
+    z = state(EXAMPLES["ReferentialMooneyRivlin"])
+    stretch = np.diag([1.1, 1 / 1.1, 1.0])
+    found = defects(EXAMPLES["ReferentialMooneyRivlin"], z | {"N": z["N"] @ stretch})
+    assert abs(found["det N and J"]) < 1e-12 and found["N and Cof H"] > 0.03
+
+
+@pytest.mark.parametrize("name", ["LinearElastic", "BarotropicFluid"])
+def test_materials_with_one_variable_have_none(name):
+    assert defects(EXAMPLES[name], state(EXAMPLES[name])) == {}
+
+
+def test_relaxing_determinant_is_no_defect():
+    z = state(EXAMPLES["OldroydB"])
+    assert "det B and 1" in defects(EXAMPLES["OldroydB"], z, Creep(G_m=1.0))
+    assert defects(EXAMPLES["OldroydB"], z, Creep(G_m=1.0, law="conformation")) == {}

@@ -1,0 +1,248 @@
+"""The elastic state by F and by B = F F^T: the same material where nothing winds up; what each one loses."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+from ngsolve import CF, IfPos, cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.physics.tensors import dev, square, tr
+from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen
+from ngvisco.verification.cases.conformation import FLUIDS, G_M
+from ngvisco.verification.cases.rheology import startup_ode
+from ngvisco.verification.cases.shear import sheared
+
+SCHEMES = {"backward-euler": 1, "midpoint": 2, "sdirk2": 2}
+"""Orders in tau."""
+
+TWO_FORMED = {
+    "NeoHookean": lambda **state: nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, **state),
+    "MooneyRivlin": lambda **state: nv.MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, **state),
+    "ReferentialNeoHookean": lambda **state: nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, **state),
+    "IsochoricNeoHookean": lambda **state: nv.IsochoricNeoHookean(K_e=10.0, G_e=5.0, **state),
+    "LogarithmicNeoHookean": lambda **state: nv.LogarithmicNeoHookean(
+        K_e=10.0, G_e=5.0, epsilon=0.1, **state
+    ),
+    "ReferentialMooneyRivlin": lambda **state: nv.ReferentialMooneyRivlin(
+        K_e=10.0, G_e=3.0, G_mr=2.0, **state
+    ),
+}
+
+
+def names(material):
+    return [v.name for v in material.variables]
+
+
+# --- which form a model has --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", TWO_FORMED)
+def test_model_with_creep_is_by_B_and_one_without_by_F(name):
+    material, creep = TWO_FORMED[name](), nv.Creep(G_m=1.0)
+    assert "B" in names(nv.Model(material=material, creep=creep).material)
+    for none in (None, nv.Creep(G_m=math.inf)):
+        assert "B" not in names(nv.Model(material=material, creep=none).material)
+    for state in ("F", "B"):
+        given = TWO_FORMED[name](elastic_state=state)
+        assert nv.Model(material=given, creep=creep).material == given
+        assert nv.Model(material=given).material == given
+
+
+def test_wrapped_materials_take_the_form_of_their_model():
+    inner = TWO_FORMED["NeoHookean"]()
+    wrapped = nv.WithQuadratic(material=nv.Yosida(material=inner, eps=1e-3), delta=0.1, only=("B",))
+    found = nv.Model(material=wrapped, creep=nv.Creep(G_m=1.0)).material
+    assert found.material.material.elastic_state == "B"
+    with pytest.raises(nv.UnknownNameError, match="for elastic_state = 'F' 'B'"):
+        nv.Model(material=wrapped)
+
+
+def test_bad_input_is_refused_with_what_would_be_right():
+    with pytest.raises(nv.ParameterError, match=r"NeoHookean.elastic_state = 'C': expected one of F, B"):
+        TWO_FORMED["NeoHookean"](elastic_state="C")
+    with pytest.raises(nv.ParameterError, match=r"rotation \[\[.*\]\] of B = "):
+        nv.CustomMaterial(
+            transported=(LeftCauchyGreen(), Jacobian()), stored_energy=lambda B, J: B[0, 0] + tr(B) + J * J
+        )
+    with pytest.raises(nv.ParameterError, match="tensors of one frame"):
+        nv.CustomMaterial(
+            transported=(LeftCauchyGreen(), Distortion()), stored_energy=lambda B, F: tr(B) + square(F)
+        )
+    with pytest.raises(nv.ParameterError, match="a material with a conformation tensor"):
+        nv.Model(material=TWO_FORMED["NeoHookean"](), creep=nv.Creep(G_m=1.0, law="conformation"))
+    with pytest.raises(nv.ParameterError, match=r"Creep\.nu"):
+        nv.Creep(G_m=1.0, nu=0.1, law="leonov")
+    with pytest.raises(nv.ParameterError, match=r"FENEP\.b = 3: expected a finite number > 3"):
+        nv.FENEP(K_e=1.0, G_e=1.0, b=3)
+    not_positive = CF((1, 2, 0, 2, 1, 0, 0, 0, 1), dims=(3, 3))
+    model = nv.Model(material=TWO_FORMED["NeoHookean"](elastic_state="B"))
+    with pytest.raises(nv.InitialDataError, match=r"projected B_11 B_22 - B_12\^2_0"):
+        nv.Simulation(box((1, 1), maxh=1), model, dt=0.1, initial=nv.Initial(values={"B": not_positive}))
+
+
+# --- the two forms agree -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[] if name == "NeoHookean" else pytest.mark.long) for name in TWO_FORMED],
+)
+def test_creep_in_homogeneous_shear_is_the_same_in_the_limit_of_dt(name):
+    """Start-up of shear to 0.3, Maxwell time 0.5 s, extrapolated three times from dt = 0.2 s."""
+
+    def limit(state):
+        material = TWO_FORMED[name](elastic_state=state)
+        runs = [sheared(material, 0.2 / n, 0.6, rate=0.5, G_m=10.0, viscosity=0.1) for n in (1, 2, 4, 8)]
+        for run, _ in runs:
+            assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
+        a, b, c, d = (rows[-1, 1:] for _, rows in runs)
+        return (64 * d - 56 * c + 14 * b - a) / 21, a
+
+    (by_F, coarse_F), (by_B, coarse_B) = limit("F"), limit("B")
+    assert by_B == pytest.approx(by_F, rel=1e-3)
+    assert np.abs(coarse_B / coarse_F - 1).max() > 1e-3  # each step has its own error of time
+
+
+def swirl(state, dt, maxh, creep=None, until=0.04, **options):
+    model = nv.Model(
+        material=TWO_FORMED["NeoHookean"](elastic_state=state),
+        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+        creep=creep,
+    )
+    initial = nv.Initial(velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))
+    run = nv.Simulation(box((1, 1), maxh=maxh), model, dt=dt, initial=initial, **options)
+    run.run(until)
+    return run
+
+
+@pytest.mark.parametrize("creep", [None, nv.Creep(G_m=2.0)], ids=["elastic", "creep"])
+def test_short_runs_agree_at_first_order_in_time(creep):
+    """Halving tau (and h) halves the difference of the stresses; velocities agree to 1 %."""
+    gaps = []
+    for dt, maxh in ((0.02, 0.35), (0.01, 0.175)):
+        by_F, by_B = (swirl(state, dt, maxh, creep) for state in "FB")
+        T, S = (run.sampler.values(dev(run.fields["cauchy_stress"])) for run in (by_F, by_B))
+        gaps.append(np.linalg.norm(T - S) / np.linalg.norm(T))
+        v, w = (run.sampler.values(run.fields["velocity"]) for run in (by_F, by_B))
+        assert np.linalg.norm(v - w) <= 0.01 * np.linalg.norm(v)
+    assert gaps[1] < 0.6 * gaps[0]
+    assert gaps[1] > 1e-6  # they are discretised differently
+
+
+def test_B_stores_what_F_dissipates_in_the_step():
+    """B^k = B + tau (L B + B L^T) misses tau^2 L B L^T of F F^T, which F loses as ``bregman``.
+
+    Measured: the difference of the stored energies is 0.985 and 0.98 of F's bregman at 0.02 and 0.01 s.
+    """
+    stored = []
+    for dt in (0.02, 0.01):
+        by_F, by_B = (swirl(state, dt, 0.35, until=0.2).ledger for state in "FB")
+        lost = by_F.column("bregman").sum()
+        gap = by_B.column("stored")[-1] - by_F.column("stored")[-1]
+        assert gap == pytest.approx(lost, rel=0.1)
+        assert by_B.column("bregman").sum() < 0.05 * lost
+        stored.append(gap)
+    assert stored[0] / stored[1] == pytest.approx(2, rel=0.25)  # of first order in tau
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_determinant_and_trace_of_B_at_the_order_of_the_scheme(scheme):
+    """Elastic simple shear at a rate that changes, to gamma = 1.17: det B = 1, tr B = 3 + gamma^2.
+
+    B is a polynomial of second degree in gamma; in t it is none, or the midpoint rule would be exact.  A body
+    force takes inertia away, so that the shear stays homogeneous.
+    """
+    errors = []
+    for steps in (10, 20):
+        model = nv.Model(
+            material=nv.NeoHookean(K_e=100.0, G_e=1.0, epsilon=0.1, elastic_state="B"),
+            viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+            loads=[nv.Gravity((sin(2 * nv.time) * y, 0))],
+        )
+        nv.time.Set(0.0)
+        walls = {"top": nv.PrescribedTangential((1 + sin(nv.time) ** 2, 0.0)), "bottom": nv.NoSlip()}
+        run = nv.Simulation(
+            box((1, 1), 0.5, periodic="x"),
+            model,
+            dt=1 / steps,
+            walls=walls,
+            initial=nv.Initial(velocity=(y, 0)),
+            scheme=scheme,
+        )
+        run.run(1.0)
+        B = np.reshape(run.fields["B"](run.mesh(0.4, 0.4)), (3, 3))
+        gamma = 1.5 - np.sin(2) / 4
+        errors.append((abs(np.linalg.det(B) - 1), abs(np.trace(B) - 3 - gamma**2)))
+        assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
+    rates = np.log2(np.array(errors[0]) / np.array(errors[1]))
+    assert rates.min() > SCHEMES[scheme] - 0.2
+
+
+def test_B_stores_no_more_than_F_by_the_midpoint_rule():
+    """What is left of the gap of the next test is of the space: 0.9 % of it at 0.02 s."""
+    gaps = {}
+    for scheme in ("backward-euler", "midpoint"):
+        by_F, by_B = (swirl(state, 0.02, 0.35, until=0.2, scheme=scheme).ledger for state in "FB")
+        gaps[scheme] = abs(by_B.column("stored")[-1] - by_F.column("stored")[-1])
+    assert gaps["midpoint"] < 0.02 * gaps["backward-euler"]
+
+
+def test_jeffreys_start_up_by_B_follows_its_ode():
+    material = nv.ReferentialNeoHookean(K_e=50.0, G_e=0.5, elastic_state="B")
+    errors = []
+    for steps in (20, 40):
+        _, rows = sheared(material, 4 / steps, 4.0, rate=1.0, G_m=2.0, viscosity=0.25)
+        errors.append(np.abs(rows[:, 1:3] - startup_ode("finite", 1.0, rows[:, 0])).max())
+    assert errors[1] < 0.1 and np.log2(errors[0] / errors[1]) > 0.8
+
+
+@pytest.mark.parametrize("name", FLUIDS)
+def test_conformation_fluids_have_their_steady_shear_stresses(name):
+    material, law, exact, _ = FLUIDS[name]
+    _, rows = sheared(material, 1.0, 25.0, rate=2.0, G_m=G_M, law=law)
+    assert rows[-1, 1:3] == pytest.approx(exact(2.0), rel=1e-5)
+    # by another law of creep it is another fluid
+    _, other = sheared(material, 1.0, 25.0, rate=2.0, G_m=G_M)
+    assert abs(other[-1, 2] / exact(2.0)[1] - 1) > 0.1
+
+
+# --- what winds up says so ---------------------------------------------------------------------------
+
+
+def under_a_lid(state):
+    """Ten Maxwell times of the creeping body of the verification's ``winding-lid``, on a coarse mesh."""
+    model = nv.Model(
+        material=nv.ReferentialNeoHookean(K_e=20.0, G_e=0.05, elastic_state=state),
+        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
+        creep=nv.Creep(G_m=0.005),
+    )
+    nv.time.Set(0.0)
+    ramp = IfPos(nv.time - 0.2, 1, nv.time / 0.2)
+    lid = nv.PrescribedTangential((ramp * 16 * x * x * (1 - x) * (1 - x), 0.0))
+    walls = {"top": lid, ("left", "right", "bottom"): nv.NoSlip()}
+    return nv.Simulation(box((1, 1), maxh=0.3), model, dt=0.05, walls=walls, velocity_scale=1.0)
+
+
+def test_run_that_winds_up_warns_once_and_names_the_remedy():
+    run = under_a_lid("F")
+    with pytest.warns(nv.DefectWarning) as caught:
+        run.run(0.5)
+    messages = [str(w.message) for w in caught if w.category is nv.DefectWarning]
+    assert len(messages) == 1 and 'elastic_state="B"' in messages[0] and "det H and J" in messages[0]
+    ledger = run.ledger
+    assert ledger.column("defect_rms")[-1] > 0.05 and ledger.column("defect_max")[-1] > 0.2
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10  # which does not see it
+
+
+def test_run_by_B_does_not_wind_up():
+    run = under_a_lid("B")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ledger = run.run(0.5)
+    assert ledger.column("defect_rms").max() < 0.01
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10

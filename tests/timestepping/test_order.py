@@ -1,0 +1,142 @@
+"""Second order in time of v, rho and z: all materials, loads and lids that change in time, passive fields.
+
+One mesh, steps tau, tau/2, tau/4: successive differences fall by 4.  The upwinding is smooth here (eta = 0.3
+m/s): where v.n changes sign within a facet the sharp one makes the equations in time only piecewise smooth.
+"""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from ngsolve import cos, pi, sin, x, y
+from test_ledger_of_schemes import ALL_TERMS, EXAMPLES, NEO_HOOKEAN
+
+import ngvisco as nv
+from ngvisco.geometries import box, disc
+
+ORDER = {"midpoint": 2, "sdirk2": 2, "backward-euler": 1}
+
+
+def run_to(until, steps, scheme, material=NEO_HOOKEAN, mesh=None, creep=2.0, **options):
+    model = nv.Model(
+        material=material,
+        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+        hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
+        creep=nv.Creep(G_m=creep),
+        loads=options.pop("loads", [nv.Gravity((0.0, -cos(20 * nv.time)))]),
+        regularisation=options.pop("regularisation", None),
+    )
+    swirl = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+    run = nv.Simulation(
+        mesh or box((1, 1), maxh=0.5),
+        model,
+        dt=until / steps,
+        initial=options.pop("initial", nv.Initial(velocity=swirl)),
+        scheme=scheme,
+        **options,
+    )
+    run.rothe_step.context.eta.Set(0.3)
+    run.run(until)
+    return run
+
+
+def evolved(run):
+    state, ranges = run.rothe_step.state.vec.FV().NumPy(), run.rothe_step.layout.ranges
+    return {name: state[ranges[name]].copy() for name in ("v", "rho", "z")}
+
+
+def rates(values):
+    """Rates of the differences of successive solutions, each with half the step."""
+    differences = [{name: np.linalg.norm(a[name] - b[name]) for name in a} for a, b in pairwise(values)]
+    return [{name: math.log2(a[name] / b[name]) for name in a} for a, b in pairwise(differences)]
+
+
+def in_time(scheme, until=0.08, steps=(8, 16, 32), of=evolved, **options):
+    return rates([of(run_to(until, n, scheme, **options)) for n in steps])[-1]
+
+
+STIFFER = {"CustomMaterial": 0.04}
+"""Shorter runs, with shorter steps."""
+
+
+SLOW = (
+    "MooneyRivlin",
+    "ReferentialMooneyRivlin",
+    "CustomMaterial",
+    "ReferentialNeoHookean(epsilon=ε, kappa=ϰ)",
+)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long if name in SLOW else ()) for name in EXAMPLES]
+)
+def test_midpoint_is_of_second_order_for_every_material(name):
+    found = in_time("midpoint", STIFFER.get(name, 0.08), material=EXAMPLES[name])
+    assert min(found.values()) >= 1.9, found
+
+
+@pytest.mark.parametrize("name", ["LinearElastic", 'BarotropicFluid(form="A")'])
+def test_sdirk2_is_of_second_order(name):
+    found = in_time("sdirk2", material=EXAMPLES[name])
+    assert min(found.values()) >= 1.9, found
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_sdirk2_is_of_second_order_for_every_material(name):
+    found = in_time("sdirk2", STIFFER.get(name, 0.08), material=EXAMPLES[name])
+    assert min(found.values()) >= 1.9, found
+
+
+def test_backward_euler_is_of_first_order():
+    found = in_time("backward-euler")
+    assert max(found.values()) <= 1.2 and min(found.values()) >= 0.75, found
+
+
+def test_a_load_at_the_wrong_time_costs_an_order(monkeypatch):
+    """Negative control: loads of the stages' ends in place of means over the step."""
+    from ngvisco.forms.context import Context, time
+
+    late = lambda self, value: value.Replace({time: self.loads_from + self.loads_over})  # noqa: E731
+    monkeypatch.setattr(Context, "average", late)
+    assert min(in_time("midpoint").values()) <= 1.3
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", pytest.param("sdirk2", marks=pytest.mark.long)])
+def test_second_order_with_all_terms(scheme):
+    found = in_time(scheme, 0.04, regularisation=ALL_TERMS)
+    assert min(found.values()) >= 1.9, found
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "sdirk2"])
+def test_second_order_under_a_lid_that_is_accelerated(scheme):
+    lid = {"top": nv.PrescribedTangential((16 * x**2 * (1 - x) ** 2 * sin(10 * nv.time) ** 2, 0.0))}
+    found = in_time(scheme, 0.1, walls=lid, initial=nv.Initial(), loads=[])
+    assert min(found.values()) >= 1.9, found
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", pytest.param("sdirk2", marks=pytest.mark.long)])
+def test_second_order_with_traction_on_a_curved_slip_wall(scheme):
+    walls = {"wall": nv.Traction(f=(-y * sin(20 * nv.time), x * sin(20 * nv.time)), friction=0.1)}
+    steps = (4, 8, 16)
+    found = in_time(scheme, 0.04, steps, mesh=disc(1, 0.8), walls=walls, initial=nv.Initial(), loads=[])
+    assert min(found.values()) >= 1.9, found
+
+
+def passive(run):
+    return run.passive.arrays()
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", pytest.param("sdirk2", marks=pytest.mark.long)])
+def test_passive_fields_are_of_the_schemes_order(scheme):
+    found = in_time(scheme, 0.08, of=passive, passive=("F_tot", "reference_map", "creep_strain"))
+    assert min(found.values()) >= 1.9, found
+    first = in_time("backward-euler", 0.08, of=passive, passive=("F_tot",))
+    assert max(first.values()) <= 1.3
+
+
+@pytest.mark.parametrize("startup", [1, 2])
+def test_a_few_euler_steps_at_the_start_keep_the_order(startup):
+    found = in_time("midpoint", startup=startup)
+    assert min(found.values()) >= 1.8, found

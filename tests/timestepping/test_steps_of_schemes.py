@@ -1,0 +1,283 @@
+"""Steps of the schemes: restarts, start-up, relaxation, stiff parts, refusals, adaptive lengths, advice."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from ngsolve import CF, IfPos, cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.run.advice import dissipation_advice
+from ngvisco.run.ledger import NUMERICAL
+
+SECOND_ORDER = ("midpoint", "sdirk2")
+SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+
+
+def simulation(dt=0.02, scheme="midpoint", **options):
+    model = nv.Model(
+        material=options.pop("material", nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)),
+        viscosity=options.pop("viscosity", nv.StokesViscosity(K_v=0.01, G_v=0.01)),
+        hyperviscosity=options.pop("hyperviscosity", nv.HyperViscosity(mu=1e-4)),
+        creep=options.pop("creep", None),
+        loads=options.pop("loads", [nv.Gravity((0.0, sin(3 * nv.time)))]),
+    )
+    initial = options.pop("initial", nv.Initial(velocity=SWIRL))
+    return nv.Simulation(box((1, 1), maxh=0.5), model, dt=dt, initial=initial, scheme=scheme, **options)
+
+
+def state(run):
+    return run.rothe_step.state.vec.FV().NumPy().copy()
+
+
+class StopAt:
+    def __init__(self, number):
+        self.number = number
+
+    def start(self, simulation):
+        pass
+
+    def step(self, simulation, row):
+        if simulation.number == self.number:
+            simulation.request_stop()
+
+    def finish(self, simulation):
+        pass
+
+
+# --- restarts ------------------------------------------------------------------------------------------
+
+RESTARTED = {
+    "midpoint, split": {"scheme": "midpoint", "solver": "split"},
+    "midpoint, coupled": {"scheme": "midpoint", "solver": "coupled"},
+    "theta": {"scheme": "theta", "theta": 0.6, "solver": "split"},
+    "sdirk2, split": {"scheme": "sdirk2", "solver": "split"},
+    "sdirk2, coupled": {"scheme": "sdirk2", "solver": "coupled"},
+    "startup": {"scheme": "midpoint", "startup": 2, "solver": "split"},
+    "passive": {"scheme": "sdirk2", "passive": ("F_tot", "reference_map")},
+    "moving wall": {
+        "scheme": "midpoint",
+        "solver": "split",
+        "walls": {"top": nv.PrescribedTangential((10 * nv.time * sin(pi * x), 0))},
+    },
+    "adaptive": {
+        "scheme": "midpoint",
+        "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-3),
+        "solver": "split",
+    },
+    "relaxed": {
+        "scheme": "midpoint",
+        "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02),
+        "relaxation": True,
+    },
+}
+
+
+@pytest.mark.parametrize("name", RESTARTED)
+def test_a_run_stopped_at_any_step_is_resumed_bit_for_bit(name, tmp_path):
+    whole = simulation(**RESTARTED[name])
+    whole.run(0.12)
+    for stop in (1, 3):
+        files = [nv.Checkpoints(tmp_path / f"{stop}.h5", every=100), StopAt(stop)]
+        run = simulation(**RESTARTED[name], observers=files)
+        run.run(0.12)
+        assert run.number == stop
+        rest = simulation(**RESTARTED[name])
+        rest.restore(tmp_path / f"{stop}.h5")
+        ledger = rest.run(0.12)
+        assert np.array_equal(state(whole), state(rest))
+        for key, values in whole.passive.arrays().items():
+            assert np.array_equal(values, rest.passive.arrays()[key])
+        for column in ("time", "closure", "newton_iterations", "error_estimate", *NUMERICAL):
+            np.testing.assert_array_equal(ledger.column(column), whole.ledger.column(column))
+
+
+def test_a_checkpoint_of_another_scheme_is_refused(tmp_path):
+    run = simulation(observers=[nv.Checkpoints(tmp_path / "run.h5")])
+    run.run(0.02)
+    with pytest.raises(nv.CheckpointError, match=r"its scheme is 'midpoint.*this run's is 'sdirk2"):
+        simulation(scheme="sdirk2").restore(tmp_path / "run.h5")
+
+
+def test_a_refused_second_stage_leaves_the_state_before_the_step(monkeypatch):
+    run = simulation(scheme="sdirk2", passive=("F_tot",))
+    run.advance()
+    before, carried = state(run), run.passive.arrays()
+    solve, calls = run.solver.solve, []
+
+    def refusing(interval, with_continuation=True):
+        calls.append(interval)
+        if len(calls) == 2:
+            raise nv.StepError("refused")
+        return solve(interval, with_continuation)
+
+    monkeypatch.setattr(run.solver, "solve", refusing)
+    with pytest.raises(nv.StepError, match=r"step of length 0.02 s from t = 0.02 s: refused"):
+        run.advance()
+    assert np.array_equal(state(run), before)
+    assert all(np.array_equal(carried[key], now) for key, now in run.passive.arrays().items())
+    assert nv.time.Get() == run.t == 0.02
+    again = run.advance()  # the third call and the fourth
+    assert abs(again["closure_relative"]) < 1e-12
+
+
+def test_an_end_of_negative_density_is_refused_where_the_stage_is_not(monkeypatch):
+    """The midpoint's end is extrapolated: its positivity is asked for like a step's."""
+    run = simulation()
+    sound, stage_end = run.solver.defect, 0.5 * run.dt
+    late = lambda: "rho is not positive" if nv.time.Get() > stage_end else sound()  # noqa: E731
+    monkeypatch.setattr(run.solver, "defect", late)
+    before = state(run)
+    with pytest.raises(nv.StepError, match="rho is not positive at the end of the step"):
+        run.advance()
+    assert np.array_equal(state(run), before)
+
+
+# --- stiff parts ---------------------------------------------------------------------------------------
+
+
+def shear_modes(scheme, startup=0):
+    """Kinetic energy of a velocity that jumps from cell to cell, after 20 steps a thousand times too long."""
+    rough = IfPos(sin(40 * x) * sin(37 * y), 1.0, -1.0)
+    run = simulation(
+        dt=1.0,
+        scheme=scheme,
+        startup=startup,
+        viscosity=nv.StokesViscosity(K_v=100.0, G_v=100.0),
+        hyperviscosity=None,
+        initial=nv.Initial(velocity=(1e-3 * rough, 1e-3 * rough)),
+        loads=[],
+    )
+    return run.run(20.0).column("kinetic")
+
+
+def test_sdirk2_damps_a_viscosity_that_midpoint_reflects():
+    midpoint, sdirk2, euler, started = (
+        shear_modes(*how) for how in (("midpoint",), ("sdirk2",), ("backward-euler",), ("midpoint", 2))
+    )
+    assert midpoint[-1] > 0.5 * midpoint[0]  # a factor of nearly -1 a step
+    assert sdirk2[-1] < 1e-6 * sdirk2[0]
+    assert euler[-1] < 1e-6 * euler[0]
+    assert started[-1] < 1e-6 * started[0]
+
+
+def test_sdirk2_damps_a_creep_that_midpoint_reflects():
+    """A stretch relaxes with a Maxwell time of dt/1000: the midpoint rule turns it round in each step."""
+    stretch = CF((1e-3, 0, 0, 0, -1e-3, 0, 0, 0, 0), dims=(3, 3))
+    left = {}
+    for scheme in ("midpoint", "sdirk2"):
+        run = simulation(
+            scheme=scheme,
+            material=nv.LinearElastic(K_e=10.0, G_e=5.0),
+            creep=nv.Creep(G_m=2e-4),
+            initial=nv.Initial(values={"E": stretch}),
+            loads=[],
+        )
+        left[scheme] = []
+        for _ in range(4):
+            run.advance()
+            left[scheme].append(run.fields["E"](run.mesh(0.3, 0.4))[0] / 1e-3)
+    assert np.sign(left["midpoint"]).tolist() == [-1, 1, -1, 1]
+    assert abs(left["midpoint"][-1]) > 0.9
+    assert abs(left["sdirk2"][0]) < 1e-2 and abs(left["sdirk2"][-1]) < 1e-6
+
+
+# --- relaxation ----------------------------------------------------------------------------------------
+
+
+def test_a_relaxed_run_dissipates_nothing_numerically():
+    """Neither kinetic nor stored energy in sum, at every step, also where an output time is met exactly."""
+    stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02)
+    run = simulation(stepping=stepping, relaxation=True)
+    ledger = run.run(0.2, stops=[0.07])
+    remainder = sum(ledger.column(name) for name in NUMERICAL)
+    energy = ledger.column("kinetic")[0]
+    assert np.abs(remainder).max() <= 1e-14 * energy
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+    assert {0.07, 0.2} <= set(ledger.column("time"))
+    lengths = ledger.column("dt")[1:3]
+    assert (
+        np.abs(lengths - 0.02).min() > 0 and np.abs(lengths - 0.02).max() <= 1e-4
+    )  # near what was asked for
+    plain = simulation().run(0.2)
+    assert np.abs(sum(plain.column(name) for name in NUMERICAL)).max() > 1e-9 * energy
+
+
+def test_a_relaxed_run_is_of_second_order():
+    ends = []
+    for n in (8, 16, 32):
+        dt = 0.16 / n
+        run = simulation(dt, stepping=nv.AdaptiveSteps(dt_min=dt / 9, dt_max=dt), relaxation=True)
+        run.rothe_step.context.eta.Set(0.3)
+        run.run(0.16)
+        ends.append(state(run)[run.rothe_step.layout.ranges["v"]])
+    first, second = (np.linalg.norm(a - b) for a, b in pairwise(ends))
+    assert math.log2(first / second) >= 1.85
+
+
+# --- refusals ------------------------------------------------------------------------------------------
+
+ADAPTIVE = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02)
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ({"scheme": "theta"}, r"Simulation\.theta"),
+        ({"scheme": "theta", "theta": 0.4}, r"Simulation\.theta = 0\.4"),
+        ({"scheme": "midpoint", "theta": 0.6}, r"Simulation\.theta"),
+        ({"scheme": "midpoint", "relaxation": True}, r"Simulation\.relaxation.*steps of one length"),
+        ({"scheme": "sdirk2", "relaxation": True, "stepping": ADAPTIVE}, "only the midpoint rule"),
+        ({"scheme": "midpoint", "startup": -1}, r"Simulation\.startup"),
+        ({"scheme": "midpoint", "startup": 1.5}, r"Simulation\.startup"),
+        ({"scheme": "midpoint", "startup": True}, r"Simulation\.startup"),
+        ({"scheme": "midpoint", "relaxation": "yes"}, r"Simulation\.relaxation"),
+        ({"scheme": 2}, r"Simulation\.scheme"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused_by_name(options, what):
+    with pytest.raises(nv.ParameterError, match=what):
+        simulation(**options)
+
+
+# --- adaptive lengths ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["backward-euler", *SECOND_ORDER])
+def test_the_controller_keeps_the_error_at_its_tolerance(scheme):
+    """Estimates are below it, and near it once lengths have settled; few steps are rejected."""
+    tolerance = 2e-3
+    stepping = nv.AdaptiveSteps(dt_min=1e-6, dt_max=1.0, tolerance=tolerance)
+    ledger = simulation(0.002, scheme, stepping=stepping, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1)).run(
+        0.5
+    )
+    errors = ledger.column("error_estimate")
+    known = errors[~np.isnan(errors)]
+    assert known.max() <= tolerance
+    assert np.median(known[len(known) // 3 :]) >= 0.3 * tolerance
+    assert ledger.column("rejections").sum() <= 0.2 * len(errors)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+
+
+def test_second_order_takes_fewer_steps_for_a_tolerance():
+    counts = {}
+    for scheme in ("backward-euler", "midpoint"):
+        stepping = nv.AdaptiveSteps(dt_min=1e-6, dt_max=1.0, tolerance=5e-4)
+        counts[scheme] = len(simulation(0.002, scheme, stepping=stepping).run(0.3).rows)
+    assert counts["midpoint"] <= 0.5 * counts["backward-euler"]
+
+
+# --- advice --------------------------------------------------------------------------------------------
+
+
+def test_a_run_that_its_scheme_damps_says_so_and_what_to_choose(capsys):
+    euler = simulation(scheme="backward-euler", observers=[nv.Progress(0.1)])
+    euler.run(0.1)
+    said = [line for line in capsys.readouterr().out.splitlines() if "dissipated" in line]
+    assert len(said) == 1 and "backward-euler" in said[0] and "scheme = 'midpoint'" in said[0]
+    assert dissipation_advice(euler) == said[0]
+    midpoint = simulation(observers=[nv.Progress(0.1)])
+    midpoint.run(0.1)
+    assert "dissipated" not in capsys.readouterr().out
