@@ -67,6 +67,8 @@ NEEDED = {
     "sphere": {"radius": 1.0, "maxh": 2.0},
     "spherical_shell": {"inner": 0.5, "outer": 1.0, "maxh": 1.0},
     "BarotropicFluid": {"B": 1.0, "gamma": 1.4},
+    "FENEP": {"K_e": 10.0, "G_e": 5.0, "b": 50.0},
+    "OldroydB": {"K_e": 10.0, "G_e": 5.0},
     "HardeningElastic": {"K_e": 10.0, "G_e": 5.0, "K_h": 1.0, "G_h": 1.0},
     "LinearElastic": {"K_e": 10.0, "G_e": 5.0},
     "ReferentialMooneyRivlin": {"K_e": 10.0, "G_e": 5.0, "G_mr": 1.0},
@@ -105,6 +107,11 @@ def tables():
         yield (name,), {}
     yield ("output", "vtk"), {}
     yield ("output", "checkpoint"), {}
+    yield ("output", "probes", 0), {"name": "tip", "point": [0.5, 0.5]}
+    yield ("output", "lines", 0), {"name": "middle", "start": [0.0, 0.5], "end": [1.0, 0.5]}
+    yield ("output", "integrals", 0), {"name": "mass", "of": "density"}
+    yield ("output", "forces"), {}
+    yield ("units",), {}
     yield (), BASE
 
 
@@ -113,7 +120,7 @@ def with_table(path, table):
     data = copy.deepcopy(BASE)
     node = data
     for part in path[:-1]:
-        node = node.setdefault(part, [{}] if part == "loads" else {})
+        node = node.setdefault(part, [{}] if part in ("loads", "probes", "lines", "integrals") else {})
     if path:
         node[path[-1]] = copy.deepcopy(table)
     return data

@@ -259,9 +259,9 @@ def test_a_huge_file_is_not_read(tmp_path, capsys):
 
 @pytest.mark.filterwarnings("default")
 def test_a_ledger_that_does_not_close_is_loud(case_file, tmp_path, capsys, monkeypatch):
-    from ngvisco.forms.momentum import Inertia
+    from ngvisco.forms.momentum import Stokes
 
-    monkeypatch.setattr(Inertia, "entries", lambda self, u: [])
+    monkeypatch.setattr(Stokes, "entries", lambda self, u: [])
     assert ended("run", case_file, "-o", tmp_path / "out", "--quiet") == 4
     said = capsys.readouterr()
     assert said.err.count("THE LEDGER DOES NOT CLOSE") == 2  # when it is found, and in the end
