@@ -105,14 +105,13 @@ class RunDirectory:
         for path in self.results:
             path.unlink()
 
-    def prepare(self, case: Case, image: bytes, source: str | os.PathLike[str] | None = None) -> None:
-        """Write case, mesh (a .vol file's content), versions, and the run directory that it starts from."""
+    def prepare(self, case: Case, image: bytes, source: Origin | None = None) -> None:
+        """Write case, mesh (a .vol file's content) and versions of a new run, and where it starts from."""
         write_atomically(self.case_file, case.resolved.encode())
         write_atomically(self.mesh_file, image)
         record = versions() | {"mesh_sha256": hashlib.sha256(image).hexdigest()}
         if source is not None:
-            step = load(source).simulation.number
-            record["from"] = {"directory": str(Path(source).resolve()), "step": step}
+            record["from"] = {"directory": str(source.directory), "step": source.step}
         write_atomically(self.versions_file, (json.dumps(record, indent=2) + "\n").encode())
 
     def refuse_results(self) -> None:
@@ -152,6 +151,27 @@ class RunDirectory:
         if found != self.read_versions().get("mesh_sha256"):
             raise MeshError(f"{self.mesh_file}: not the mesh of this run (its hash differs)")
         return Mesh(str(self.mesh_file))
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The state of an earlier run that a new one starts from."""
+
+    directory: Path
+    step: int
+
+    @classmethod
+    def last_of(cls, directory: str | os.PathLike[str]) -> Origin:
+        """The last state of a run directory."""
+        return cls(Path(directory).resolve(), load(directory).simulation.number)
+
+    def carry_to(self, simulation: Simulation) -> str:
+        """Put a simulation into this state; a line for the log of what that did."""
+        done = transfer(load(self.directory, self.step).simulation, simulation)
+        return (
+            f"from step {self.step} of {self.directory}, t = {simulation.t:g} s: density times "
+            f"1 {done.scaled - 1:+.2e}, energy lost {done.lost:.6e} J of {done.energy_before:.6e} J"
+        )
 
 
 class Log(Progress):
@@ -218,13 +238,14 @@ def run(
     with noting_warnings(notes.append):
         image = _mesh_image(case.mesh())
         simulation = case.simulation(_mesh_of(image))
-        if source is not None:
-            transfer(load(source).simulation, case.simulation(_mesh_of(image)))
+    origin = None if source is None else Origin.last_of(source)
+    if origin is not None:
+        notes.append(origin.carry_to(simulation))
     with place.locked():
         if not force:
             place.refuse_results()
         place.clear()
-        place.prepare(case, image, source)
+        place.prepare(case, image, origin)
         return _go(place, case, simulation, None, observers, notes)
 
 
@@ -263,9 +284,9 @@ def _go(
     simulation: Simulation,
     until: float | None,
     observers: Sequence[Observer],
-    notes: Sequence[str],
+    notes: list[str],
 ) -> Simulation:
-    end, notes = case.until if until is None else until, list(notes)
+    end = case.until if until is None else until
     if place.run_file.exists():
         before = changes.pending_change(place, case)
         if before is None:
@@ -273,12 +294,8 @@ def _go(
         else:
             resume_changed(simulation, place.run_file, {"case": before})
             notes.append(f"changed: {', '.join(place.read_versions()['changes'][-1]['settings'])}")
-    elif (source := place.read_versions().get("from")) is not None:
-        done = transfer(load(source["directory"], source["step"]).simulation, simulation)
-        notes.append(
-            f"from step {source['step']} of {source['directory']}, t = {simulation.t:g} s: density times "
-            f"1 {done.scaled - 1:+.2e}, energy lost {done.lost:.6e} J of {done.energy_before:.6e} J"
-        )
+    elif not simulation.ledger.rows and (found := place.read_versions().get("from")) is not None:
+        notes.append(Origin(Path(found["directory"]), found["step"]).carry_to(simulation))
     if simulation.t > end * (1 + 1e-12):
         message = f"the run has already reached t = {simulation.t:g} s: expected an end time above that"
         raise RunDirectoryError(f"{place.path}: {message}")

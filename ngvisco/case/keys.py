@@ -120,6 +120,7 @@ KEYS: dict[str, Key] = {
     "ReferentialMooneyRivlin.G_e": Key(
         "Pa", "weight of |F|^2, > 0 (C_10); G_e + G_mr is half the usual shear modulus", 5.0
     ),
+    "FENEP.b": Key("1", "square of the chains' largest extension, tr B < b; > 3", 50.0),
     "B": Key(
         "Pa", "energy density at the referential density, > 0; the pressure there is (gamma - 1) B", 1.0
     ),
@@ -145,6 +146,9 @@ KEYS: dict[str, Key] = {
         "creep modulus, > 0: twice the usual viscosity eta of the Maxwell dashpot, G_m = 2 eta; with the "
         "usual shear modulus G the relaxation time of shear is G_m/(2 G)",
         5.0,
+    ),
+    "Creep.law": Key(
+        "", '"mandel" (the paper), or "conformation" or "leonov" of a conformation tensor\'s fluid', "mandel"
     ),
     "nu": Key("W/m^3 (m s)^q", "gradient of the creep rate: nu |grad Pi|^q is its dissipation; >= 0", 1e-4),
     "q": Key("1", "exponent of the creep rate's gradient, > 1; the paper's analysis has q > 3", 4.0),
@@ -192,10 +196,6 @@ KEYS: dict[str, Key] = {
         'variables of the distortion "F" or of "B" = F F^T, for a body that flows; B where there is creep',
         "B",
     ),
-    "Creep.law": Key(
-        "", '"mandel" (the paper), or "conformation" or "leonov" of a conformation tensor\'s fluid', "leonov"
-    ),
-    "FENEP.b": Key("1", "trace of the conformation tensor that it never reaches, > 3", 60),
     # start
     "density": Key("kg/m^3", "initial density, > 0", 1.0),
     "Initial.velocity": Key(

@@ -253,8 +253,7 @@ def balance_of(one: Snapshot) -> Balance:
 
 
 def state_of(one: Snapshot, simulation: Simulation, path: str | os.PathLike[str]) -> np.ndarray:
-    """The coefficients of a checkpoint; raises CheckpointError if they are not as many as the
-    simulation's."""
+    """The coefficients of a checkpoint; raises CheckpointError if they are not as many as the run's."""
     state, expected = one.arrays[""]["state"], len(simulation.rothe_step.state.vec)
     if state.shape != (expected,):
         raise CheckpointError(f"{path}: the state has {state.size} coefficients, not {expected}")
