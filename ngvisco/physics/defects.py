@@ -30,7 +30,7 @@ def relative_defects(
 ) -> dict[str, CoefficientFunction]:
     """Relative defects of the variables' relations by what is compared; empty where there are none.
 
-    * ``"det F and J"``: det z J^-n - 1 for every tensor, n by its exponent (also where n = 0),
+    * ``"det F and J"``: det z J^-n - 1 for every tensor, n by its exponent; ``"det B and 1"`` for n = 0,
     * ``"H and Cof F"``: |H - Cof F|/|Cof F|, with the factors of J, also for N and B,
     * ``"A and J"``: A J - 1, and ``"K and A"``: K/A + ln A.
 

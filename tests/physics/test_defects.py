@@ -35,9 +35,16 @@ def test_variables_of_one_distortion_have_none(name):
 
 @pytest.mark.parametrize("name", PAIRED)
 def test_each_variable_that_parts_is_seen(name):
-    """5 % of any one variable is a defect of about that size; 5 % of one entry of a cofactor too."""
+    """5 % of any one variable is a defect of about that size.
+
+    But of J beside tensors of determinant one, which know nothing of it.
+    """
     z = state(PAIRED[name])
+    ratios = [v.volume_ratio(tensor(z[v.name])) for v in PAIRED[name].variables if v.creeps]
+    isochoric = all(abs(n) < 1e-12 for _, n in ratios)
     for variable in PAIRED[name].variables:
+        if isochoric and not variable.creeps:
+            continue
         changed = z | {variable.name: 1.05 * z[variable.name]}
         if variable.name == "K":
             changed["K"] = z["K"] + 0.05 * z["A"]

@@ -60,7 +60,16 @@ def test_ledger_closes_and_mass_and_positivity_hold(name, dim, m, hyper):
     assert (ledger.column("dissipation_creep").max() > 0) == creeps
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+BY_B_IN_SHORT = ('NeoHookean(elastic_state="B")', 'ReferentialMooneyRivlin(elastic_state="B")')
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.long] if '"B")' in name and name not in BY_B_IN_SHORT else [])
+        for name in EXAMPLES
+    ],
+)
 @pytest.mark.parametrize("dt", [0.02, 0.5])
 def test_energy_decays_without_loads(name, dt):
     ledger = simulation(EXAMPLES[name], gravity=0, dt=dt).run(3 * dt)
