@@ -10,7 +10,18 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
-from ngsolve import BND, CF, ET, CoefficientFunction, Det, Integrate, IntegrationRule, Mesh, specialcf
+from ngsolve import (
+    BND,
+    CF,
+    ET,
+    BoundaryFromVolumeCF,
+    CoefficientFunction,
+    Det,
+    Integrate,
+    IntegrationRule,
+    Mesh,
+    specialcf,
+)
 
 from ngvisco.errors import InputWarning, ParameterError
 from ngvisco.forms.boundaries import pattern
@@ -96,7 +107,8 @@ def warn_of_normal_parts(step: Step, velocity: VectorLike | None) -> None:
     if velocity is None:
         return
     v_0 = as_vector(velocity, step.mesh.dim, "Initial.velocity")
-    shares = {name: _normal_share(step, name, v_0) for name in conditions}
+    # a function of the cells, such as one from an array, has no values on the boundary of its own
+    shares = {name: _normal_share(step, name, v_0, BoundaryFromVolumeCF(v_0)) for name in conditions}
     through = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
     if through:
         _warn(
@@ -137,12 +149,15 @@ def _distortion_of(H: CoefficientFunction, exponent: float) -> CoefficientFuncti
     return None if abs(power) < 1e-12 else Det(H) ** (-exponent / power) * H
 
 
-def _normal_share(step: Step, name: str, a: CoefficientFunction) -> float:
+def _normal_share(
+    step: Step, name: str, a: CoefficientFunction, on_wall: CoefficientFunction | None = None
+) -> float:
     """|a.n| over |a| in L2 on a wall; 0 where it is not more than the geometry's approximation leaves."""
+    b = a if on_wall is None else on_wall
     flat = any(name in names for names in step.walls.axis)
     n = specialcf.normal(step.mesh.dim)
     region = step.mesh.Boundaries(pattern([name]))
-    squares = CF((CF(1.0), a * a, (a * n) * (a * n)))
+    squares = CF((CF(1.0), b * b, (b * n) * (b * n)))
     area, size, through = Integrate(squares, step.mesh, BND, definedon=region)
     volume, inside = Integrate(CF((CF(1.0), a * a)), step.mesh)
     if through / area <= _ROUNDING * inside / volume or through <= (_FLAT if flat else OPEN) * size:

@@ -88,7 +88,7 @@ def test_csv_has_a_row_a_step_under_the_agreed_names(tmp_path):
     assert set([*agreed.split(), "newton_iterations", "cfl"]) <= set(rows[0])
     assert [float(row["step"]) for row in rows] == [0, 1, 2, 3, 4]
     for name in run.ledger.columns:
-        assert [float(row[name]) for row in rows] == list(run.ledger.column(name))
+        np.testing.assert_array_equal([float(row[name]) for row in rows], run.ledger.column(name))
 
 
 def test_hdf5_ledger_equals_the_csv_and_has_units(tmp_path):
