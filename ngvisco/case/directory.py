@@ -24,14 +24,11 @@ import hashlib
 import json
 import os
 import platform
-import subprocess
 import sys
-import tempfile
 import time as clock
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -40,9 +37,9 @@ from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.case import changes
 from ngvisco.case.build import Case, load_case
-from ngvisco.case.meshfile import require_whole
+from ngvisco.case.meshfile import mesh_image, mesh_of, require_whole
+from ngvisco.case.versions import versions
 from ngvisco.errors import CheckpointError, MeshError, NgviscoError, require_path
-from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.files import append, write_atomically
 from ngvisco.run.notebook import data_frame, results_html
@@ -236,8 +233,8 @@ def run(
     # all that can be wrong with the case is found here, before anything is written or removed
     notes = [f"run: {case.sections.title or case.source}"]
     with noting_warnings(notes.append):
-        image = _mesh_image(case.mesh())
-        simulation = case.simulation(_mesh_of(image))
+        image = mesh_image(case.mesh())
+        simulation = case.simulation(mesh_of(image))
     origin = None if source is None else Origin.last_of(source)
     if origin is not None:
         notes.append(origin.carry_to(simulation))
@@ -265,7 +262,7 @@ def resume(
     case = place.case()
     with place.locked():
         if not place.is_prepared:  # killed while it was
-            place.prepare(case, _mesh_image(case.mesh()))
+            place.prepare(case, mesh_image(case.mesh()))
         if settings:
             new = changes.changed(place, case, settings)
             if new.resolved != case.resolved:
@@ -373,65 +370,6 @@ def load(directory: str | os.PathLike[str], step: int | None = None) -> Results:
     simulation = case.simulation(place.mesh())
     simulation.restore(place.run_file, step, attributes={"case": case.hash})
     return Results(case, read_ledger(place.run_file), simulation)
-
-
-def versions() -> dict[str, Any]:
-    """Versions, commit and machine, for the record."""
-    packages = ("ngvisco", "ngsolve", "netgen-mesher", "numpy", "scipy", "h5py", "pydantic")
-    return {
-        **{name: _version(name) for name in packages},
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "commit": commit(),
-        "command": sys.argv,
-        "started": clock.strftime("%Y-%m-%dT%H:%M:%S%z"),
-    }
-
-
-def commit() -> str | None:
-    """The commit of a clone (``-dirty`` with changes), None for an installed package."""
-    root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists():
-        return None
-    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
-    try:
-        result = subprocess.run(command, capture_output=True, text=True, timeout=20)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return result.stdout.strip() or None
-
-
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
-
-
-def _mesh_image(mesh: Mesh) -> bytes:
-    """The mesh as a .vol file's content; Netgen itself would be silent about a full disk."""
-    with tempfile.TemporaryDirectory() as scratch:
-        path = Path(scratch) / "mesh.vol"
-        mesh.ngmesh.Save(str(path))
-        require_whole(path)
-        return _with_all_digits(path.read_bytes(), coordinates(mesh))
-
-
-def _with_all_digits(image: bytes, points: np.ndarray) -> bytes:
-    """The file with every digit of the points: Netgen writes 16 after the decimal point, none of 1e-17 m."""
-    lines = image.split(b"\n")
-    first = lines.index(b"points") + 2
-    for i, point in enumerate(points):
-        lines[first + i] = " ".join(map(repr, [*point.tolist(), 0.0][:3])).encode()
-    return b"\n".join(lines)
-
-
-def _mesh_of(image: bytes) -> Mesh:
-    """The mesh in a .vol file's content."""
-    with tempfile.TemporaryDirectory() as scratch:
-        path = Path(scratch) / "mesh.vol"
-        path.write_bytes(image)
-        return Mesh(str(path))
 
 
 @contextlib.contextmanager

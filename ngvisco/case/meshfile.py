@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import gzip
 import importlib
+import tempfile
 from pathlib import Path
 
+import numpy as np
 from ngsolve import Mesh
 
 from ngvisco.errors import MeshError
+from ngvisco.forms.mesh_arrays import coordinates
 
 
 def read_mesh(path: str, maxh: float | None = None, order: int = 3) -> Mesh:
@@ -32,3 +35,29 @@ def require_whole(path: Path) -> None:
         raise MeshError(f"{path}: not a Netgen mesh file")
     if b"endmesh" not in (line.strip() for line in lines):
         raise MeshError(f"{path}: the mesh file is cut short (no line 'endmesh')")
+
+
+def mesh_image(mesh: Mesh) -> bytes:
+    """The mesh as a .vol file's content; Netgen itself would be silent about a full disk."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "mesh.vol"
+        mesh.ngmesh.Save(str(path))
+        require_whole(path)
+        return _with_all_digits(path.read_bytes(), coordinates(mesh))
+
+
+def _with_all_digits(image: bytes, points: np.ndarray) -> bytes:
+    """The file with every digit of the points: Netgen writes 16 after the decimal point, none of 1e-17 m."""
+    lines = image.split(b"\n")
+    first = lines.index(b"points") + 2
+    for i, point in enumerate(points):
+        lines[first + i] = " ".join(map(repr, [*point.tolist(), 0.0][:3])).encode()
+    return b"\n".join(lines)
+
+
+def mesh_of(image: bytes) -> Mesh:
+    """The mesh in a .vol file's content."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "mesh.vol"
+        path.write_bytes(image)
+        return Mesh(str(path))

@@ -93,6 +93,7 @@ def info(options: argparse.Namespace) -> int:
         f"{name} {record[name]}" for name in ("ngvisco", "ngsolve", "commit") if record.get(name)
     )
     print(f"versions   {versions or 'none recorded'}; started {record.get('started', 'never')}")
+    print(f"scheme     {case.sections.time.scheme}, dt {case.sections.time.dt:g} s")
     if not place.run_file.exists():
         print(f"state      nothing computed; start with: ngvisco resume {place.path}")
         return 0

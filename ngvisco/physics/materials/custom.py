@@ -49,8 +49,9 @@ class CustomMaterial(Material):
     ------
     ParameterError
         If ``transported`` is no list of variables, or the energy raises, returns anything but a real scalar,
-        or reads anything but the variables (the position, the time, a grid function, ...); or if the energy
-        of a spatial tensor (E, B = F F^T) is not isotropic: the message then has the rotation that shows it.
+        or reads anything but the variables (the position, the time, a grid function, ...); or if a rotation
+        Q of the observer changes the energy, which the message then has: phi(Q F) = phi(F); of a spatial
+        tensor, E or B = F F^T, this is isotropy.
     """
 
     energy_parameter = "stored_energy"
@@ -71,8 +72,7 @@ class CustomMaterial(Material):
             )
         check_material(self)
         check_energy(self)
-        if any(v.frame == "actual" for v in self.transported):
-            require_isotropy(self, "CustomMaterial.stored_energy", self.stored_energy)
+        require_isotropy(self, "CustomMaterial.stored_energy", self.stored_energy)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

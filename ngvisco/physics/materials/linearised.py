@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, require_above, require_nonnegative, require_positive
+from ngvisco.physics.isotropy import require_isotropy
 from ngvisco.physics.material import Material
 from ngvisco.physics.state_function import check_energy
 from ngvisco.physics.tensors import dev, power_of_square, sph, square, tr
@@ -59,6 +60,12 @@ class IsotropicStrainEnergy(Material):
     strain_energy : callable
         Maps E (3x3 coefficient function) to the energy density, Pa, e.g.
         ``lambda E: 0.5*K*Trace(E)**2 + G*square(dev(E)) + c*square(dev(E))**2``.
+
+    Raises
+    ------
+    ParameterError
+        If it is no function of E alone with real values, or not isotropic: the message then has the rotation
+        that shows it.
     """
 
     energy_parameter = "strain_energy"
@@ -69,6 +76,7 @@ class IsotropicStrainEnergy(Material):
         if not callable(self.strain_energy):
             raise ParameterError("IsotropicStrainEnergy.strain_energy", self.strain_energy, "a function of E")
         check_energy(self)
+        require_isotropy(self, "IsotropicStrainEnergy.strain_energy", self.strain_energy)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

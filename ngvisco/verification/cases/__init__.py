@@ -18,6 +18,7 @@ from ngvisco.verification.cases import (
     rheology,
     robustness,
     schemes,
+    schemes_exact,
     shear,
     stability,
     waves,
@@ -44,6 +45,7 @@ MODULES = (
     manufactured,
     manufactured_space,
     schemes,
+    schemes_exact,
     robustness,
     comparison,
 )
