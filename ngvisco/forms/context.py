@@ -113,7 +113,7 @@ class Context:
         rho_old v_old.
         """
         self.mesh, self.old, self.energy = mesh, old, energy
-        self.momentum_old = old.rho * old.v if momentum_old is None else momentum_old
+        self._momentum_old = momentum_old
         self.tau = Parameter(1.0)
         """Length of the Rothe step, s."""
         self.loads_from, self.loads_over = Parameter(0.0), Parameter(1.0)
@@ -125,6 +125,11 @@ class Context:
         self.normal = specialcf.normal(mesh.dim)
         self.inner = inner_facets(mesh)
         self.h = cell_size(mesh)
+
+    @property
+    def momentum_old(self) -> CoefficientFunction:
+        """m_old, kg/(m^2 s), at the points of the forms' rule."""
+        return self.old.rho * self.old.v if self._momentum_old is None else self._momentum_old
 
     def set_step(self, tau: float, end: float, loads_from: float, loads_over: float) -> None:
         """A Rothe step of length ``tau`` (s) whose unknowns belong to the time ``end`` (s).

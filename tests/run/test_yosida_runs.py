@@ -102,7 +102,8 @@ def test_restart_is_bit_for_bit(tmp_path) -> None:
     resumed.run(0.2)
     first, second = (run.rothe_step.state.vec.FV().NumPy() for run in (whole, resumed))
     assert np.array_equal(first, second)
-    assert resumed.ledger.rows == whole.ledger.rows
+    for name in whole.ledger.columns:  # NaN where there is nothing to say
+        np.testing.assert_array_equal(resumed.ledger.column(name), whole.ledger.column(name))
     other = simulation(nv.Yosida(material=NEO_HOOKEAN, eps=0.01))
     with pytest.raises(CheckpointError, match=r"material is .Yosida\(material=NeoHookean"):
         other.restore(path)
@@ -127,7 +128,7 @@ def test_a_failed_step_says_why_and_leaves_the_old_state(monkeypatch) -> None:
     run.run(0.05)
     before = run.rothe_step.state.vec.FV().NumPy().copy()
     energy, asked = run.rothe_step.energy, []
-    real, known = energy.response, energy._last.T.copy()
+    real, known = energy.response, energy._values[run.rothe_step.now].at.T.copy()
 
     def failing(z: np.ndarray) -> Response:
         """The response at the old state only, as a function of the state must be."""

@@ -54,7 +54,7 @@ def assert_is_the_derivative(run, bound=1e-9):
     """At a state away from a solution, of Richardson's differences, block of rows by block of rows."""
     split = run.solver.newton
     run.advance()
-    run.solver._set_context(0.02, 0.02)
+    run.rothe_step.context.set_step(0.02, 0.04, 0.02, 0.02)
     u, rng = split.unknowns, np.random.default_rng(2)
     at = u.pack()
     size = 1e-2 * u.scales(at) / np.sqrt(len(at))
