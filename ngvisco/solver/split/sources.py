@@ -30,7 +30,7 @@ class WithheldError(NgviscoError, LookupError):
     """A source asks for a field that it must not take."""
 
 
-class _Given(dict[str, Any]):
+class GivenParts(dict[str, Any]):
     """Fields by name; asking for another one raises ``WithheldError`` with ``reason`` about its name."""
 
     def __init__(self, fields: dict[str, Any], reason: str) -> None:
@@ -66,9 +66,9 @@ def joint_space(step: Step, names: Iterable[str]) -> FESpace:
 def _integrands(step: Step, space: FESpace, names: list[str]) -> list[Integrand]:
     """The source's form, of tests of ``names`` in their joint space and of no unknowns."""
     assert step.sources is not None
-    u = _Given({}, "a source takes the unknown {name}, which the split solver does not know beforehand")
+    u = GivenParts({}, "a source takes the unknown {name}, which the split solver does not know beforehand")
     tests = dict(zip(names, space.TestFunction(), strict=True))
-    w = _Given(tests, "a source has a row of {name}, which the split solver does not iterate on")
+    w = GivenParts(tests, "a source has a row of {name}, which the split solver does not iterate on")
     return step.sources.form(Fields(step.layout, u), Fields(step.layout, w))
 
 
