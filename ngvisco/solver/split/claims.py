@@ -14,13 +14,13 @@ from ngvisco.forms.context import Term
 from ngvisco.forms.creep import CreepRate
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Continuity, Convection, Inertia, Loading, Stokes
-from ngvisco.forms.regularisation import DensityDiffusion, FieldDiffusion, VelocityDamping
+from ngvisco.forms.regularisation import CutOffVolume, DensityDiffusion, FieldDiffusion, VelocityDamping
 from ngvisco.forms.spaces import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
 from ngvisco.forms.wall_terms import Impenetrability, TangentialStress
-from ngvisco.solver.split.sources import GivenParts, WithheldError
 from ngvisco.solver.split.unknowns import Unknowns
+from ngvisco.solver.split.withheld import GivenParts, WithheldError
 
 DENSITY = (Continuity, DensityDiffusion)
 """The continuity equation: at the points, or by forms where it is not linear (``Transport``)."""
@@ -37,7 +37,10 @@ HYPERVISCOSITY = (Hyperviscosity,)
 BY_FORMS = (Impenetrability, TangentialStress, VelocityDamping, CreepRate)
 """Rows of the flow that ``Momentum`` evaluates by the terms' own forms, as those of foreign terms."""
 
-_OWN = (*DENSITY, *FIELDS, *AT_POINTS, *HYPERVISCOSITY, *BY_FORMS)
+WITHOUT_ROWS = (CutOffVolume,)
+"""Columns of the ledger only."""
+
+_OWN = (*DENSITY, *FIELDS, *AT_POINTS, *HYPERVISCOSITY, *BY_FORMS, *WITHOUT_ROWS)
 
 
 def flow_terms(step: Step) -> list[Term]:
