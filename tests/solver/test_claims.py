@@ -75,8 +75,8 @@ def test_a_term_of_the_users_acts_in_both_solvers(scheme):
 
 
 def test_auto_takes_the_split_solver_with_a_term_that_it_can_take():
-    assert type(simulation([Drag(1.0)], maxh=0.2).solver.newton).__name__ == "Split"
-    assert type(simulation([Growth(1.0)], maxh=0.2).solver.newton).__name__ == "Newton"
+    assert type(simulation([Drag(1.0)], maxh=0.15).solver.newton).__name__ == "Split"
+    assert type(simulation([Growth(1.0)], maxh=0.15).solver.newton).__name__ == "Newton"
 
 
 @pytest.mark.parametrize("term", [Growth(0.1)], ids=lambda term: type(term).__name__)
