@@ -173,8 +173,11 @@ class FixedStepper:
     def recall(
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
-        if "first" in numbers:
-            self.begin(numbers["start"], int(numbers["first"]))
+        t, number = simulation.t, simulation.number
+        start, first = numbers.get("start", t), int(numbers.get("first", number))
+        if start + (number - first) * self.dt != t:  # steps of other lengths led here
+            start, first = t, number
+        self.begin(start, first)
 
 
 class AdaptiveStepper:

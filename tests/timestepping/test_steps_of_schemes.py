@@ -101,6 +101,24 @@ def test_a_checkpoint_of_another_scheme_is_refused(tmp_path):
         simulation(scheme="sdirk2").restore(tmp_path / "run.h5")
 
 
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ({"dt": 0.02}, {"dt": 0.01}),
+        ({"dt": 0.005, "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1)}, {"dt": 0.02}),
+        ({"dt": 0.02}, {"dt": 0.01, "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.01)}),
+    ],
+    ids=["another length", "adaptive to fixed", "fixed to adaptive"],
+)
+def test_times_go_on_after_a_restart_with_other_steps(before, after, tmp_path):
+    simulation(**before, observers=[nv.Checkpoints(tmp_path / "run.h5")]).run(0.08)
+    rest = simulation(**after)
+    rest.restore(tmp_path / "run.h5")
+    ledger = rest.run(0.12)
+    assert rest.t == pytest.approx(0.12, abs=1e-15)
+    assert np.allclose(np.diff(ledger.column("time")), ledger.column("dt")[1:], rtol=0, atol=1e-15)
+
+
 def test_a_refused_second_stage_leaves_the_state_before_the_step(monkeypatch):
     run = simulation(scheme="sdirk2", passive=("F_tot",))
     run.advance()
