@@ -223,6 +223,19 @@ def test_a_relaxed_run_dissipates_nothing_numerically():
     assert np.abs(sum(plain.column(name) for name in NUMERICAL)).max() > 1e-9 * energy
 
 
+@pytest.mark.parametrize(("dt", "speed"), [(1e-4, 1.0), (0.02, 1e-4), (0.02, 1e-6), (0.02, 0.0)])
+def test_a_relaxed_run_ends_where_little_moves(dt, speed):
+    """The remainder of a short step, or of a slow motion, is rounding of the energies: so is its zero."""
+    slow = nv.Initial(velocity=(speed * SWIRL[0], speed * SWIRL[1]))
+    stepping = nv.AdaptiveSteps(dt_min=dt / 8, dt_max=dt)
+    ledger = simulation(dt, stepping=stepping, relaxation=True, initial=slow, loads=[]).run(5 * dt)
+    assert ledger.column("rejections").sum() == 0
+    assert ledger.column("time")[-1] == 5 * dt
+    assert np.allclose(np.diff(ledger.column("time")), ledger.column("dt")[1:], rtol=1e-12, atol=0)
+    remainder = sum(ledger.column(name) for name in NUMERICAL)
+    assert np.abs(remainder).max() <= 1e-15 * ledger.column("stored")[0]
+
+
 def test_a_relaxed_run_is_of_second_order():
     ends = []
     for n in (8, 16, 32):
