@@ -216,7 +216,11 @@ class AdaptiveStepper:
             else:
                 if new_time != stop:
                     new_time = t + taken.tau
-                error = None if estimate is None else estimate(new_time, scheme)
+                try:
+                    error = None if estimate is None else estimate(new_time, scheme)
+                except BaseException:  # an interrupt: never leave a step that is not accepted behind
+                    integrator.undo()
+                    raise
                 if error is None or tolerance is None or error <= tolerance:
                     break
                 reason, iterations = f"estimated error {error:.2e} is above {tolerance:.2e}", ()

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -318,13 +318,14 @@ class Integrator:
         return omega, numerical, of_end
 
     def _noise(self, state: Evolved) -> float:
-        """Rounding of a distance at ``state``, J: what is found between two states that differ by rounding."""
+        """Rounding of a distance at ``state``, J: that between states that differ by rounding."""
         signs = np.random.default_rng(0)  # a run does the same again
-        changed = (
-            values * (1 + np.finfo(float).eps * signs.choice((-1.0, 1.0), len(values)))
-            for values in (state.v, state.rho, state.z)
-        )
-        return _NOISE_MARGIN * sum(map(abs, self.distance(Evolved(*changed, state.momentum), state).values()))
+
+        def changed(values: np.ndarray) -> np.ndarray:
+            return values * (1 + np.finfo(float).eps * signs.choice((-1.0, 1.0), len(values)))
+
+        other = replace(state, v=changed(state.v), rho=changed(state.rho), z=changed(state.z))
+        return _NOISE_MARGIN * sum(abs(part) for part in self.distance(other, state).values())
 
 
 def _add(total: dict[str, float], weight: float, values: dict[str, float]) -> None:
