@@ -262,10 +262,14 @@ class Simulation:
         with computing():
             self._start_ledger()
             began = clock.perf_counter()
-            step = self.stepper.advance(self, stop)
+            step, number = self.stepper.advance(self, stop), self.number + 1
+            try:
+                row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
+            except BaseException:  # an interrupt, or a warning that is an error: no step without its row
+                self.integrator.undo()
+                raise
             self.integrator.accept()
-            self.set_time(step.time, self.number + 1)
-            row = self.ledger.record(self.number, step.time, step.taken, step.rejections, step.error)
+            self.set_time(step.time, number)
             self.closure_check.step(self, row)
             self.wall_time += clock.perf_counter() - began
             return row
