@@ -362,6 +362,8 @@ class Case:
         if owner == "loads":
             names = [str(load.name) for load in self.sections.loads]  # type: ignore[attr-defined]
             return (owner, str(names.index(rest[0])), *rest[1:])
+        if owner == "Model":
+            return ("loads",) if rest == ["loads"] else ("rheology", *rest)
         if owner in ("until", "stops"):
             return ("time", "until")
         if owner == "array":

@@ -238,6 +238,9 @@ def run(
     origin = None if source is None else Origin.last_of(source)
     if origin is not None:
         notes.append(origin.carry_to(simulation))
+        _check_times(place, case, simulation, case.until)
+        if simulation.t >= case.until * (1 - 1e-12):
+            raise _reached(place, simulation)
     with place.locked():
         if not force:
             place.refuse_results()
@@ -293,10 +296,7 @@ def _go(
             notes.append(f"changed: {', '.join(place.read_versions()['changes'][-1]['settings'])}")
     elif not simulation.ledger.rows and (found := place.read_versions().get("from")) is not None:
         notes.append(Origin(Path(found["directory"]), found["step"]).carry_to(simulation))
-    if simulation.t > end * (1 + 1e-12):
-        message = f"the run has already reached t = {simulation.t:g} s: expected an end time above that"
-        raise RunDirectoryError(f"{place.path}: {message}")
-    simulation.stepper.check("until", end)
+    _check_times(place, case, simulation, end)
     log = Log(place.log_file, end, case.sections.output.log_every)
     # an end time given to resume is an output time of its own
     simulation.observers += [*case.observers(place.path, end), log, *observers]
@@ -316,6 +316,19 @@ def _go(
     if simulation.closure_check.failures:
         log.write(simulation.closure_check.message)
     return simulation
+
+
+def _check_times(place: RunDirectory, case: Case, simulation: Simulation, end: float) -> None:
+    """Raise RunDirectoryError or ParameterError for times that the simulation's steps do not meet."""
+    if simulation.t > end * (1 + 1e-12):
+        raise _reached(place, simulation)
+    for name, value in [("until", end), *(("stops", stop) for stop in case.output_times(end))]:
+        simulation.stepper.check(name, value)
+
+
+def _reached(place: RunDirectory, simulation: Simulation) -> RunDirectoryError:
+    message = f"the run has already reached t = {simulation.t:g} s: expected an end time above that"
+    return RunDirectoryError(f"{place.path}: {message}")
 
 
 @dataclass(frozen=True)

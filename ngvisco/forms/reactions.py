@@ -122,10 +122,16 @@ class WallReactions:
             found.append([part for part in parts if part is not None])
         return found
 
+    def of_rows(self, rows: np.ndarray) -> np.ndarray:
+        """Force and torque on each wall, (walls, motions), of what the walls do to the rows of v, N."""
+        return np.array([[-(self._weights[n] * test) @ rows for test in self._tests] for n in self.names])
+
     def __call__(self) -> dict[str, list[float]]:
         """Of each wall the components of force, N, and of torque, N m, on it (per metre in plane strain).
 
-        They are those of the step that was solved last: means over it, as far as the scheme has such.
+        They are those of the Rothe step that was solved last, and belong to its solution: the state has to
+        be that, with the step's old state, length and loads in place.  Of a scheme with stages or an
+        extrapolated end see ``ngvisco.run.probes.WallForces``.
         """
         step = self.step
         residual = step.state.vec.CreateVector()

@@ -126,7 +126,7 @@ class PassiveFields:
         """A step begins: forget the stages since the last accepted one."""
         self._stages = [self.arrays()]
 
-    def stage(self, weights: np.ndarray) -> None:
+    def stage(self, weights: np.ndarray, share: float = 1.0) -> None:
         """Carry all fields over a stage that starts from these weights of the stages so far.
 
         The present state, with the length in the step's context, is the stage's.

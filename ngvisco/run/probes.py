@@ -17,6 +17,7 @@ from ngvisco.run.series import Series
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
+    from ngvisco.timestepping.integrator import Integrator
 
 
 class Probes(Series):
@@ -139,7 +140,8 @@ class WallForces(Series):
     The columns are ``WALL.force_1`` ... (N) and ``WALL.torque`` (2D) or ``WALL.torque_1`` ... (N m), per
     metre of thickness in plane strain.  They are the reactions of the equations as solved, of the elastic,
     viscous and hyperviscous stress (``ngvisco.forms.reactions``); each row is of the step that ends at its
-    time, so that the first one is of the first step.
+    time, so that the first one is of the first step: the mean over the step's stages with the scheme's
+    weights.  Backward Euler has them at the step's end, the midpoint rule at its middle.
     """
 
     initial = False
@@ -161,11 +163,39 @@ class WallForces(Series):
         about = as_points("WallForces.about", [0.0] * dim if self.about is None else self.about, dim)
         if len(about) != 1:
             raise ParameterError("WallForces.about", self.about, "one point")
-        self._reactions = WallReactions(simulation.rothe_step, self.walls, about[0])
-        return [f"{name}.{part}" for name in self._reactions.names for part in self._reactions.motions]
+        reactions = WallReactions(simulation.rothe_step, self.walls, about[0])
+        self._mean = _MeanReactions(reactions, simulation.integrator)
+        return [f"{name}.{part}" for name in reactions.names for part in reactions.motions]
+
+    def start(self, simulation: Simulation) -> None:
+        super().start(simulation)
+        simulation.integrator.carried.append(self._mean)
+
+    def finish(self, simulation: Simulation) -> None:
+        super().finish(simulation)
+        carried = simulation.integrator.carried
+        carried[:] = [one for one in carried if one is not getattr(self, "_mean", None)]
 
     def _sample(self, simulation: Simulation) -> list[list[float]]:
-        return [[value for values in self._reactions().values() for value in values]]
+        return [self._mean.value.ravel().tolist()]
+
+
+class _MeanReactions:
+    """The walls' reactions as the mean over a step's stages, taken while these are the present state."""
+
+    def __init__(self, reactions: WallReactions, integrator: Integrator) -> None:
+        self.reactions, self.integrator = reactions, integrator
+        self.begin()
+
+    def begin(self) -> None:
+        self.value: np.ndarray = np.zeros((len(self.reactions.names), len(self.reactions.motions)))
+
+    def stage(self, weights: np.ndarray, share: float) -> None:
+        self.value += share * np.array(list(self.reactions().values()))
+
+    def end(self, weights: np.ndarray) -> None:
+        if self.integrator.impulse is not None:
+            self.value += self.reactions.of_rows(self.integrator.impulse)
 
 
 class Integrals(Series):

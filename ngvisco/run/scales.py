@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,7 @@ from ngsolve import CF, Integrate
 from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.physics.material import Material, cauchy_stress, components_of, tensors_of
 from ngvisco.physics.pointwise import squares
+from ngvisco.timestepping.scheme import TimeScheme, backward_euler
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -42,6 +43,7 @@ class Scales:
         Relaxation time of shear by creep, G_m/(2 G), s.
     dt : float
         s.
+    scheme : TimeScheme
     """
 
     length: float
@@ -53,6 +55,7 @@ class Scales:
     viscosity: float
     maxwell: float
     dt: float
+    scheme: TimeScheme = field(default_factory=backward_euler)
 
     @property
     def speeds(self) -> tuple[float, float]:
@@ -87,9 +90,10 @@ class Scales:
         wave, name = (slow, "shear") if slow > 0 else (fast, "longitudinal")
         if wave > 0 and self.dt * wave * _FOLLOWED > self.length:
             passage = self.length / wave
+            does = "damps them" if self.scheme.order == 1 else "does not resolve them"
             said.append(
-                f"{name} waves cross the body in {passage:.2g} s, {passage / self.dt:.2g} steps: implicit "
-                f"Euler damps them; to follow them take dt <= {passage / _FOLLOWED:.2g} s"
+                f"{name} waves cross the body in {passage:.2g} s, {passage / self.dt:.2g} steps: the scheme "
+                f"{self.scheme.name} {does}; to follow them take dt <= {passage / _FOLLOWED:.2g} s"
             )
         if self.velocity * self.dt > self.cell:
             said.append(
@@ -132,6 +136,7 @@ def scales(simulation: Simulation) -> Scales:
         viscosity=0.0 if model.viscosity is None else model.viscosity.G_v,
         maxwell=maxwell,
         dt=simulation.dt,
+        scheme=simulation.scheme,
     )
 
 

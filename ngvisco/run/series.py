@@ -43,6 +43,7 @@ class Series:
         self.every = every
         self.columns: list[str] = []
         self.rows: list[list[float]] = []
+        self._found: tuple[int, list[list[float]]] = -1, []
 
     def prepare(self, simulation: Simulation) -> list[str]:
         """Check what is asked for against a simulation; the columns after ``step`` and ``time``."""
@@ -64,6 +65,7 @@ class Series:
             earlier = read_series(self.path, self.columns)
         number = simulation.number
         self.rows = [row for row in earlier if row[0] <= number and row[0] % self.every == 0]
+        self._found = number, [row for row in earlier if row[0] == number]
         if self.path is not None:
             write_atomically(self.path, _csv([self.columns, *self.rows]).encode())
         if self.initial and not self._has(number) and number % self.every == 0:
@@ -74,7 +76,12 @@ class Series:
             self._note(simulation)
 
     def finish(self, simulation: Simulation) -> None:
-        if self.columns and (self.initial or simulation.number > 0) and not self._has(simulation.number):
+        if not self.columns or self._has(simulation.number):
+            return
+        number, rows = self._found
+        if number == simulation.number and not self.initial:  # no step was made: what there was of the last
+            self._add(rows)
+        elif self.initial or simulation.number > 0:
             self._note(simulation)
 
     def _has(self, number: int) -> bool:
@@ -82,7 +89,9 @@ class Series:
 
     def _note(self, simulation: Simulation) -> None:
         time = [simulation.number, simulation.t]
-        rows = [[*time, *(float(value) + 0.0 for value in row)] for row in self._sample(simulation)]
+        self._add([[*time, *(float(value) + 0.0 for value in row)] for row in self._sample(simulation)])
+
+    def _add(self, rows: list[list[float]]) -> None:
         self.rows += rows
         if self.path is not None:
             append(self.path, _csv(rows))

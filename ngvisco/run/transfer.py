@@ -118,7 +118,8 @@ def _require_fit(source: Simulation, target: Simulation) -> None:
     names = [[(v.name, repr(v)) for v in run.model.material.variables] for run in (source, target)]
     if names[0] != names[1]:
         had, has = (", ".join(f"{name}" for name, _ in side) for side in names)
-        raise ParameterError("transfer.target", f"the variables {has}", f"those of the source, {had}")
+        expected = f"those of the source, {had}: take its material, with the same elastic_state"
+        raise ParameterError("transfer.target", f"the variables {has}", expected)
     if source.mesh.dim != target.mesh.dim:
         raise ParameterError("transfer.target", f"dimension {target.mesh.dim}", f"{source.mesh.dim}")
     if target.number or len(target.ledger.rows) > 1:

@@ -49,8 +49,11 @@ class Carried(Protocol):
     def begin(self) -> None:
         """A step begins, or begins anew: forget the stages."""
 
-    def stage(self, weights: np.ndarray) -> None:
-        """The present state is that of a stage, whose own old value has these weights of y_0, y_1, ..."""
+    def stage(self, weights: np.ndarray, share: float) -> None:
+        """The present state is that of a stage, whose own old value has these weights of y_0, y_1, ...
+
+        ``share`` is the stage's b_i: what is measured in it counts so much in the step's mean.
+        """
 
     def end(self, weights: np.ndarray) -> None:
         """The step is accepted: its end has these weights."""
@@ -98,11 +101,13 @@ class Integrator:
         relaxed: bool = False,
     ) -> None:
         self.rothe, self.step, self.scheme = rothe, rothe.step, scheme
-        self.meter, self.carried, self.startup, self.relaxed = meter, carried, startup, relaxed
+        self.meter, self.carried, self.startup, self.relaxed = meter, list(carried), startup, relaxed
         self.distance = BregmanDistance(self.step)
         self._before = self.step.state.vec.CreateVector()
         self._t = 0.0
         self._velocity: VelocityOfMomentum | None = None
+        self.impulse: np.ndarray | None = None
+        """Walls' impulse on the rows of v at the last step's end over its length, N; None without."""
 
     def scheme_of(self, number: int) -> TimeScheme:
         """The scheme of the step after step ``number``."""
@@ -182,6 +187,7 @@ class Integrator:
     ) -> tuple[list[Evolved], dict[str, float]]:
         """y_0 ... y_s and the weighted rates of the stages; the state is that of the last one."""
         states = [self.step.evolved()]
+        self.impulse = None
         rates: dict[str, float] = defaultdict(float)
         for one in self.carried:
             one.begin()
@@ -195,7 +201,7 @@ class Integrator:
             states.append(self.step.evolved())
             _add(rates, scheme.b[i], self.meter())
             for one in self.carried:
-                one.stage(scheme.starts[i])
+                one.stage(scheme.starts[i], scheme.b[i])
         return states, dict(rates)
 
     def _stage_distances(self, scheme: TimeScheme, states: Sequence[Evolved]) -> dict[str, float]:
@@ -236,6 +242,7 @@ class Integrator:
                 step.quadrature,
             )
         impulse = self._velocity()
+        self.impulse = impulse / tau
         for name, (_, mask) in step.moving_walls.moving.items():
             work = float(impulse[mask] @ states[-1].v[mask])
             rates[f"power_wall_{name}"] += work / tau

@@ -125,9 +125,20 @@ def test_a_new_run_starts_from_an_earlier_one(run, tmp_path):
         ([], "nowhere", "not a run directory"),
         (["domain.size=[2, 1]", "time.until=0.06"], "run", "volume"),
         (["material.kind='LinearElastic'"], "run", "epsilon"),
+        (["material.elastic_state='B'", "time.until=0.06"], "run", "the same elastic_state"),
+        (["time.until=0.02"], "run", "already reached t = 0.04 s"),
+        ([], "run", "already reached t = 0.04 s"),
+        (["time.dt=0.03", "time.until=0.06"], "run", "a multiple of dt = 0.03 after t = 0.04"),
     ],
 )
 def test_an_earlier_run_that_does_not_fit_leaves_nothing_behind(run, tmp_path, settings, source, message):
     with pytest.raises(nv.NgviscoError, match=message):
         nv.case.run(case(tmp_path, *settings), tmp_path / "new", source=tmp_path / source)
     assert not contents(tmp_path / "new") if (tmp_path / "new").exists() else True
+
+
+def test_force_removes_nothing_where_the_earlier_run_is_later_than_the_end(run):
+    before = contents(run)
+    with pytest.raises(nv.RunDirectoryError, match="already reached"):
+        nv.case.run(case(run), run, source=run, force=True)
+    assert contents(run) == before

@@ -251,7 +251,7 @@ def test_elastic_state_is_resolved_by_creep_unless_it_is_given():
     with pytest.raises(CaseError, match=r"material.elastic_state .*'C'.*expected 'F' or 'B'"):
         case(CASE, "material.elastic_state='C'")
     law = "rheology.creep.law='conformation'"
-    with pytest.raises(CaseError, match="a material with a conformation tensor"):
+    with pytest.raises(CaseError, match=r"rheology\.creep: .*a material with a conformation tensor"):
         case(CASE, law).model(2)
     fluid = case(CASE, law, "material={kind='OldroydB', K_e=10, G_e=5}").model(2)
     assert fluid.creep.law == "conformation"

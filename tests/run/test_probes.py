@@ -75,6 +75,36 @@ def test_forces_on_walls_balance_weight_and_momentum(walls, solver):
     assert forces.column("step").tolist() == [1, 2, 3]
 
 
+@pytest.mark.parametrize("scheme", ["midpoint", "sdirk2", "theta"])
+def test_forces_balance_weight_and_momentum_for_every_scheme(scheme):
+    """The mean over the stages and the impulse at the end are what changes the momentum over the step."""
+    forces = nv.WallForces()
+    integrals = nv.Integrals({"1": "density*velocity_1", "2": "density*velocity_2", "m": "density"})
+    walls = {
+        "left": nv.NoSlip(),
+        "top": nv.NavierFriction(0.7),
+        "bottom": nv.PrescribedTangential((nv.time, 0)),
+    }
+    theta = 0.6 if scheme == "theta" else None
+    run = small([forces, integrals], walls=walls, scheme=scheme, theta=theta)
+    run.run(0.03)
+    for i, g in (("1", 0.3), ("2", -1.0)):
+        total = sum(forces.column(f"{wall}.force_{i}") for wall in ("left", "right", "bottom", "top"))
+        rate = np.diff(integrals.column(i)) / 0.01
+        assert abs(rate).max() > 1e-2
+        assert total + rate == pytest.approx(integrals.column("m")[0] * g, abs=5e-5)
+
+
+def test_forces_neither_change_a_run_nor_stay_with_it():
+    bare, observed = (small(seen, scheme="midpoint") for seen in ([], [nv.WallForces()]))
+    for run in (bare, observed):
+        run.run(0.02)
+    assert (
+        bare.rothe_step.state.vec.FV().NumPy().tolist() == observed.rothe_step.state.vec.FV().NumPy().tolist()
+    )
+    assert observed.integrator.carried == [observed.passive]
+
+
 def test_a_column_at_rest_carries_its_weight():
     """A heavy fluid with p = rho^2 in equilibrium, 2 rho' = -g: the difference of forces is the weight."""
     fluid = nv.BarotropicFluid(B=1.0, gamma=2.0, form="A")
@@ -178,6 +208,23 @@ def test_a_resumed_table_is_that_of_the_uninterrupted_run(tmp_path):
     again.run(0.04)
     for name in ("p.csv", "f.csv"):
         assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+@pytest.mark.parametrize("scheme", ["backward-euler", "midpoint"])
+def test_a_finished_run_that_is_resumed_keeps_the_last_steps_forces(tmp_path, scheme):
+    """Nothing is known of them any more, but they are in the table."""
+
+    def run():
+        observers = [nv.WallForces(path=tmp_path / "f.csv", every=3), nv.Checkpoints(tmp_path / "run.h5")]
+        return small(observers, scheme=scheme)
+
+    run().run(0.02)
+    before = (tmp_path / "f.csv").read_bytes()
+    assert before.count(b"\n") == 2
+    again = run()
+    again.restore(tmp_path / "run.h5")
+    again.run(0.02)
+    assert (tmp_path / "f.csv").read_bytes() == before
 
 
 @pytest.mark.parametrize(
