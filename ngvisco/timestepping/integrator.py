@@ -39,7 +39,7 @@ _RELAXATION_TOLERANCE = 1e-12
 _MEETINGS, _MEETING = 6, 1e-9
 """Rothe steps tried until a relaxed step ends at a given time, and what of its length may be missed.
 
-omega has the error of the Rothe step over the distance, of order tau^2: 5e-12 at steps of 1e-4 of a run's time.
+omega has the error of the Rothe step over the distance, of order tau^2: 5e-12 at tau = 1e-4 of a run's time.
 """
 
 
