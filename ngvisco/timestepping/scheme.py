@@ -24,7 +24,7 @@ remainder).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -63,11 +63,21 @@ class TimeScheme:
     averages_loads: bool = False
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ParameterError("TimeScheme.name", self.name, "a text")
+        if not isinstance(self.b, Sequence) or isinstance(self.b, str):
+            raise ParameterError("TimeScheme.b", self.b, "a sequence of weights")
+        if not isinstance(self.A, Sequence) or not all(
+            isinstance(row, Sequence) and not isinstance(row, str) for row in self.A
+        ):
+            raise ParameterError("TimeScheme.A", self.A, "a sequence of rows, each a sequence of numbers")
         s = len(self.b)
         expected = "rows of numbers, lower triangular with a positive diagonal, one for each weight of b"
         if not s or len(self.A) != s or any(len(row) != s for row in self.A):
             raise ParameterError("TimeScheme.A", self.A, expected)
-        if not all(_is_number(a) for a in (*self.b, *(a for row in self.A for a in row))):
+        if not all(_is_number(weight) for weight in self.b):
+            raise ParameterError("TimeScheme.b", self.b, "finite numbers")
+        if not all(_is_number(a) for row in self.A for a in row):
             raise ParameterError("TimeScheme.A", self.A, "finite numbers")
         upper = any(self.A[i][j] != 0 for i in range(s) for j in range(i + 1, s))
         if upper or any(self.A[i][i] <= 0 for i in range(s)):

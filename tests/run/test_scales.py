@@ -71,3 +71,22 @@ def test_advice_is_given_where_a_scale_is_missed():
     assert any("viscous layers" in line for line in found(velocity_scale=10.0).advice)
     sound = found(nv.BarotropicFluid(B=2.0, gamma=1.5), dt=0.2).advice
     assert any("longitudinal waves" in line for line in sound)
+
+
+def test_advice_names_the_scheme_and_is_not_given_for_the_step_that_it_advises():
+    from ngvisco.run.scales import Scales
+    from ngvisco.timestepping.scheme import midpoint
+
+    values = {
+        "length": 1.0,
+        "cell": 0.1,
+        "velocity": 0.1,
+        "density": 1.0,
+        "longitudinal": 20.0,
+        "shear": 10.0,
+    }
+    values |= {"viscosity": 0.0, "maxwell": 0.1 * (1 - 1e-9), "dt": 0.02}
+    (said,) = Scales(**values).advice
+    assert "the scheme backward-euler damps them" in said
+    (said,) = Scales(**values, scheme=midpoint()).advice
+    assert "the scheme midpoint does not resolve them" in said

@@ -138,3 +138,18 @@ def test_an_unknown_scheme_and_a_theta_without_use_are_refused():
         scheme_of(THIRD, 0.5)
     with pytest.raises(nv.ParameterError, match="a TimeScheme"):
         scheme_of(2)
+
+
+@pytest.mark.parametrize(
+    ("name", "A", "b", "field"),
+    [
+        (3, ((0.5,),), (1.0,), "name"),
+        ("mine", 3, (1.0,), "A"),
+        ("mine", (0.5,), (1.0,), "A"),
+        ("mine", ((0.5,),), 2, "b"),
+        ("mine", ((0.5,),), ("a",), "b"),
+    ],
+)
+def test_what_is_no_tableau_at_all_is_named(name, A, b, field):
+    with pytest.raises(nv.ParameterError, match=rf"TimeScheme\.{field} "):
+        TimeScheme(name, A, b)

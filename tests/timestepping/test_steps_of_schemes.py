@@ -347,3 +347,23 @@ def test_what_a_transfer_took_is_not_said_to_be_the_schemes():
     run.run(0.02)
     assert run.ledger.column("transfer")[-1] == 1.0
     assert dissipation_advice(run) is None
+
+
+def test_relaxed_steps_meet_their_ends_under_a_wall_that_speeds_up():
+    """omega is known no better than the Rothe step's solution: steps were halved until none was left."""
+    stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.04)
+    model = nv.Model(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), loads=[nv.Gravity((0.0, -1.0))])
+    lid = nv.PrescribedTangential((sin(20 * nv.time) * x * (1 - x), 0))
+    run = nv.Simulation(
+        box((1, 1), maxh=0.4),
+        model,
+        dt=0.02,
+        scheme="midpoint",
+        relaxation=True,
+        stepping=stepping,
+        walls={"top": lid},
+    )
+    ledger = run.run(until=0.2)
+    assert run.t == 0.2 and run.number < 15 and not ledger.column("rejections").any()
+    assert ledger.column("dt").sum() == pytest.approx(0.2, rel=1e-9)
+    assert abs(ledger.column("closure_relative")).max() < 1e-11
