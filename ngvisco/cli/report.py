@@ -56,14 +56,17 @@ def check(options: argparse.Namespace) -> int:
 
 
 def _measure(run: Simulation, steps: int) -> tuple[float, float, int]:
-    """Seconds of the first step and of later ones, by taking some of them; nothing is written."""
+    """Seconds of the first step and of a usual later one, by taking some of them; nothing is written.
+
+    The median, since a single step may take ten times the others' iterations.
+    """
     spent: list[float] = []
     with computing():
         while len(spent) < min(_STEPS, steps) and sum(spent) < _SECONDS:
             began = clock.perf_counter()
             run.advance()
             spent.append(clock.perf_counter() - began)
-    return spent[0], float(np.mean(spent[1:] or spent)), len(spent)
+    return spent[0], float(np.median(spent[1:] or spent)), len(spent)
 
 
 def _peak() -> float:

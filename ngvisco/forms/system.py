@@ -66,9 +66,11 @@ class Step:
     model : Model
     discretisation : Discretisation
     sources : Term, optional
-        A further term, for manufactured solutions.
+        A further term that takes no unknown, for manufactured solutions.
     conditions : mapping of boundary names to Wall objects, optional
         What holds on walls; slip where nothing is said.
+    terms : sequence of Term, optional
+        Further terms of the system.
     """
 
     def __init__(
@@ -78,6 +80,7 @@ class Step:
         discretisation: Discretisation | None = None,
         sources: Term | None = None,
         conditions: Conditions | None = None,
+        terms: Sequence[Term] = (),
     ) -> None:
         check_mesh(mesh)
         self.mesh, self.model = mesh, model
@@ -106,12 +109,12 @@ class Step:
         self.momentum_old = GridFunction(VectorValued(points, mesh.dim), name="momentum_old")
         self._momentum = GridFunction(VectorValued(points, mesh.dim))
         self.context = Context(mesh, self.old, self.energy, self.momentum_old)
-        self.terms = self._terms(sources)
+        self.terms = self._terms(terms, sources)
         self.sources = sources
         self.residual = self._residual()
         self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms)
 
-    def _terms(self, sources: Term | None) -> tuple[Term, ...]:
+    def _terms(self, further: Sequence[Term], sources: Term | None) -> tuple[Term, ...]:
         model, context = self.model, self.context
         terms: list[Term] = [
             Continuity(context, model.regularisation),
@@ -133,6 +136,7 @@ class Step:
             terms.append(CreepRate(model, context))
         terms += regularising_terms(model.regularisation, context)
         terms += wall_terms(self.walls, context)
+        terms += further
         if sources is not None:
             terms.append(sources)
         return tuple(terms)

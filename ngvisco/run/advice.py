@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ngvisco.run.ledger import NUMERICAL
+
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
@@ -23,10 +25,10 @@ def dissipation_advice(simulation: Simulation) -> str | None:
     dt = ledger.column("dt")
 
     def total(kind: str) -> float:
-        columns = [ledger.column(entry.name) for entry in ledger.entries if entry.kind == kind]
-        return float(sum((column * (1 if kind == "numerical" else dt)).sum() for column in columns))
+        return float(sum(dt @ ledger.column(entry.name) for entry in ledger.entries if entry.kind == kind))
 
-    numerical, physical = total("numerical"), total("dissipation")
+    numerical = float(sum(ledger.column(name).sum() for name in NUMERICAL))  # not what a transfer took
+    physical = total("dissipation")
     stored = ledger.column("stored")
     moved = max(ledger.column("kinetic").max(), abs(stored - stored[0]).max()) + abs(total("power"))
     if numerical <= max(physical, NEGLIGIBLE * moved):

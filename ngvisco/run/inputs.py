@@ -11,7 +11,7 @@ from ngvisco.run.stepping import AdaptiveSteps
 
 
 def check_arguments(
-    observers: object, walls: object, stepping: object, passive: object, sources: object
+    observers: object, walls: object, stepping: object, passive: object, sources: object, terms: object
 ) -> None:
     """Raise ParameterError for an argument of ``Simulation`` of the wrong type."""
     if stepping is not None:
@@ -24,6 +24,10 @@ def check_arguments(
         _check_walls(walls)
     if sources is not None and not _has_methods(sources, ("form", "entries")):
         raise ParameterError("Simulation.sources", sources, "a Term, with the methods form and entries")
+    require_collection("Simulation.terms", terms, "a sequence of Terms")
+    for term in terms:  # type: ignore[attr-defined]
+        if isinstance(term, type) or not _has_methods(term, ("form", "entries")):
+            raise ParameterError("Simulation.terms", term, "objects with the methods form and entries")
 
 
 def check_observer(observer: object) -> None:

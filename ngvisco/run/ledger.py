@@ -201,7 +201,6 @@ class Ledger:
         tau, iterations = taken.tau, len(taken.history)
         self.step.energy.require()
         values = self._absent | self._pending | self._state() | taken.rates | taken.numerical
-        self._pending = {}
         energy = values["kinetic"] + values["stored"]
         dissipated, worked = self._sum(values, "dissipation"), self._sum(values, "power")
         remainder = self._sum(values, "numerical")
@@ -210,13 +209,15 @@ class Ledger:
         exchanged = tau * sum(abs(values[name]) for name in physical)
         scale = max(abs(energy), abs(self.balance.energy), exchanged)
         drift = (values["mass"] - self.balance.initial_mass) / self.balance.initial_mass
-        self.balance = Balance(energy, values["mass"], self.balance.initial_mass)
         row = {
             **{"step": number, "time": time, "dt": tau, **values},
             **{"closure": closure, "closure_relative": closure / scale if scale else closure},
             **{"mass_drift": drift, "error_estimate": math.nan if error is None else error},
         }
-        return self._append(row, iterations, rejections, tau)
+        row = self._append(row, iterations, rejections, tau)
+        self._pending = {}
+        self.balance = Balance(energy, values["mass"], self.balance.initial_mass)
+        return row
 
     def _sum(self, values: dict[str, float], kind: str) -> float:
         return sum(values[entry.name] for entry in self.entries if entry.kind == kind)

@@ -98,7 +98,11 @@ class Simulation:
         A typical velocity, m/s; sets the width of the smoothed upwinding (1e-4 of it).  Default: the
         largest of max |v_0|, sqrt(diameter |force|/rho) and sqrt(2 max |phi(z_0) - phi(rest)| / min rho_0).
     sources : Term, optional
-        A further term of the system, for manufactured solutions.
+        A further term that takes no unknown, for manufactured solutions.
+    terms : sequence of Term
+        Further terms of the system, e.g. a drag: objects with ``form(u, w)`` and ``entries(u)``
+        (``ngvisco.forms.context.Term``), whose entries are columns of the ledger.  Both solvers have a term
+        with rows of the flow's unknowns; one with others is refused by the split solver, by its name.
     passive : sequence of str
         Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
 
@@ -128,6 +132,7 @@ class Simulation:
         observers: Sequence[Observer] = (),
         velocity_scale: float | None = None,
         sources: Term | None = None,
+        terms: Sequence[Term] = (),
         passive: Sequence[str] = (),
     ) -> None:
         require_type("Simulation.mesh", mesh, Mesh)
@@ -141,11 +146,11 @@ class Simulation:
         require_positive("Simulation", dt=dt)
         if velocity_scale is not None:
             require_positive("Simulation", velocity_scale=velocity_scale)
-        check_arguments(observers, walls, stepping, passive, sources)
+        check_arguments(observers, walls, stepping, passive, sources, terms)
         chosen = _checked_scheme(scheme, theta, startup, relaxation, stepping)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping)
-        self.rothe_step = Step(mesh, model, discretisation, sources, walls)
+        self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.check_data([0.0])
         self.observers = list(observers)
@@ -257,10 +262,14 @@ class Simulation:
         with computing():
             self._start_ledger()
             began = clock.perf_counter()
-            step = self.stepper.advance(self, stop)
+            step, number = self.stepper.advance(self, stop), self.number + 1
+            try:
+                row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
+            except BaseException:  # an interrupt, or a warning that is an error: no step without its row
+                self.integrator.undo()
+                raise
             self.integrator.accept()
-            self.set_time(step.time, self.number + 1)
-            row = self.ledger.record(self.number, step.time, step.taken, step.rejections, step.error)
+            self.set_time(step.time, number)
             self.closure_check.step(self, row)
             self.wall_time += clock.perf_counter() - began
             return row

@@ -173,8 +173,11 @@ class FixedStepper:
     def recall(
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
-        if "first" in numbers:
-            self.begin(numbers["start"], int(numbers["first"]))
+        t, number = simulation.t, simulation.number
+        start, first = numbers.get("start", t), int(numbers.get("first", number))
+        if start + (number - first) * self.dt != t:  # steps of other lengths led here
+            start, first = t, number
+        self.begin(start, first)
 
 
 class AdaptiveStepper:
@@ -213,7 +216,11 @@ class AdaptiveStepper:
             else:
                 if new_time != stop:
                     new_time = t + taken.tau
-                error = None if estimate is None else estimate(new_time, scheme)
+                try:
+                    error = None if estimate is None else estimate(new_time, scheme)
+                except BaseException:  # an interrupt: never leave a step that is not accepted behind
+                    integrator.undo()
+                    raise
                 if error is None or tolerance is None or error <= tolerance:
                     break
                 reason, iterations = f"estimated error {error:.2e} is above {tolerance:.2e}", ()

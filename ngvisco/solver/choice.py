@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from ngvisco.errors import ParameterError
 from ngvisco.forms.mesh_arrays import is_simplicial, vertices
 from ngvisco.forms.system import Step
+from ngvisco.solver.split.claims import term_obstacle
 from ngvisco.solver.split.sources import source_obstacle
 
 SPLIT_FROM = {2: 60, 3: 10}
@@ -42,7 +43,7 @@ def split_obstacle(step: Step) -> str | None:
         return "the split solver needs a mesh of triangles or tetrahedra only"
     if meets_itself(step.mesh):
         return "a cell of the periodic mesh meets its own image: two cells or more are needed"
-    return source_obstacle(step)
+    return source_obstacle(step) or term_obstacle(step)
 
 
 def meets_itself(mesh: Mesh) -> bool:

@@ -44,6 +44,8 @@ class Extrapolation:
         if len(self._times) < 2:
             return False
         (earlier, last), ranges = self._times, self.step.layout.ranges
+        if last <= earlier:  # stages of a tableau need not go forward in time
+            return False
         reach = (time - last) / (last - earlier)
         if not 0 < reach <= FARTHEST:
             return False

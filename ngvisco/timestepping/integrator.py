@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -41,6 +41,9 @@ _MEETINGS, _MEETING = 6, 1e-9
 
 omega has the error of the Rothe step over the distance, of order tau^2: 5e-12 at tau = 1e-4 of a run's time.
 """
+
+_NOISE_MARGIN = 5.0
+"""Rounding of R, in units of the distance of a state to itself with every number changed by rounding."""
 
 
 class Carried(Protocol):
@@ -87,8 +90,8 @@ class Integrator:
         So many first steps of the run are of the backward Euler scheme, which damps rough initial data
         (Rannacher).
     relaxed : bool
-        Whether the midpoint rule's end is where the numerical remainder R is zero; steps have other lengths
-        than asked for then.
+        Whether the midpoint rule's end is where the numerical remainder R is zero, to the rounding of the
+        energies; steps have other lengths than asked for then.
     """
 
     def __init__(
@@ -274,7 +277,8 @@ class Integrator:
         for _ in range(_MEETINGS):
             # of a step of two Rothe steps' length, over which loads are averaged
             states, rates = self._stages(scheme, t, own / scheme.A[0][0], history, with_continuation)
-            omega, numerical, rates = self._relaxed_end(states, t, own, rates)
+            wanted = tau / own if meets else None
+            omega, numerical, rates = self._relaxed_end(states, t, own, rates, wanted)
             if not meets or abs(omega * own - tau) <= _MEETING * tau:
                 self._complete()
                 self._end = np.array([1 - omega, omega])
@@ -284,11 +288,19 @@ class Integrator:
         raise StepError("the relaxed step does not meet its end: take a smaller step", history)
 
     def _relaxed_end(
-        self, states: Sequence[Evolved], t: float, own: float, rates: dict[str, float]
+        self,
+        states: Sequence[Evolved],
+        t: float,
+        own: float,
+        rates: dict[str, float],
+        wanted: float | None,
     ) -> tuple[float, dict[str, float], dict[str, float]]:
-        """omega with R = 0, R's parts and the rates there; the state is then u_0 + omega (U - u_0)."""
+        """omega with R = 0, R's parts and the rates there; the state is then u_0 + omega (U - u_0).
+
+        It is ``wanted`` where that is as good, R being rounding at both, and 2 where all of R is rounding.
+        """
         from_start = self.distance(*states)
-        lost = sum(from_start.values())
+        lost, noise = sum(from_start.values()), self._noise(states[0])
 
         def end_at(omega: float) -> tuple[dict[str, float], dict[str, float]]:
             of_end, length = dict(rates), omega * own
@@ -298,7 +310,7 @@ class Integrator:
             return numerical, of_end
 
         omega = 2.0
-        if lost > 0:
+        if lost > noise:
             try:
                 found = root_scalar(
                     lambda omega: sum(end_at(omega)[0].values()) / lost,
@@ -310,8 +322,20 @@ class Integrator:
                 message = "no end of the relaxed step is without numerical dissipation: take a smaller step"
                 raise StepError(message) from error
             omega = float(found.root)
+            if wanted is not None and abs(omega - wanted) <= noise / lost:
+                omega = wanted
         numerical, of_end = end_at(omega)
         return omega, numerical, of_end
+
+    def _noise(self, state: Evolved) -> float:
+        """Rounding of a distance at ``state``, J: that between states that differ by rounding."""
+        signs = np.random.default_rng(0)  # a run does the same again
+
+        def changed(values: np.ndarray) -> np.ndarray:
+            return values * (1 + np.finfo(float).eps * signs.choice((-1.0, 1.0), len(values)))
+
+        other = replace(state, v=changed(state.v), rho=changed(state.rho), z=changed(state.z))
+        return _NOISE_MARGIN * sum(abs(part) for part in self.distance(other, state).values())
 
 
 def _add(total: dict[str, float], weight: float, values: dict[str, float]) -> None:

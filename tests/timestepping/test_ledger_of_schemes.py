@@ -148,6 +148,11 @@ def test_ledger_closes_for_a_tableau_of_the_users_own():
     closes(simulation(scheme=scheme))
 
 
+def test_stages_of_one_time_are_not_extrapolated_from():
+    """Two Rothe steps to one time: no rate follows from their solutions."""
+    closes(simulation(scheme=TimeScheme("twins", ((0.5, 0.0), (0.0, 0.5)), (0.5, 0.5)), solver="split"))
+
+
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 @pytest.mark.parametrize("name", NUMERICAL)
 def test_both_parts_of_the_remainder_are_needed(name, solver):

@@ -1,6 +1,7 @@
 """Steps of the schemes: restarts, start-up, relaxation, stiff parts, refusals, adaptive lengths, advice."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -101,6 +102,24 @@ def test_a_checkpoint_of_another_scheme_is_refused(tmp_path):
         simulation(scheme="sdirk2").restore(tmp_path / "run.h5")
 
 
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ({"dt": 0.02}, {"dt": 0.01}),
+        ({"dt": 0.005, "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1)}, {"dt": 0.02}),
+        ({"dt": 0.02}, {"dt": 0.01, "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.01)}),
+    ],
+    ids=["another length", "adaptive to fixed", "fixed to adaptive"],
+)
+def test_times_go_on_after_a_restart_with_other_steps(before, after, tmp_path):
+    simulation(**before, observers=[nv.Checkpoints(tmp_path / "run.h5")]).run(0.08)
+    rest = simulation(**after)
+    rest.restore(tmp_path / "run.h5")
+    ledger = rest.run(0.12)
+    assert rest.t == pytest.approx(0.12, abs=1e-15)
+    assert np.allclose(np.diff(ledger.column("time")), ledger.column("dt")[1:], rtol=0, atol=1e-15)
+
+
 def test_a_refused_second_stage_leaves_the_state_before_the_step(monkeypatch):
     run = simulation(scheme="sdirk2", passive=("F_tot",))
     run.advance()
@@ -121,6 +140,30 @@ def test_a_refused_second_stage_leaves_the_state_before_the_step(monkeypatch):
     assert nv.time.Get() == run.t == 0.02
     again = run.advance()  # the third call and the fourth
     assert abs(again["closure_relative"]) < 1e-12
+
+
+@pytest.mark.parametrize("where", ["row", "estimate"])
+def test_an_interrupt_after_the_solves_leaves_the_state_before_the_step(where, monkeypatch, tmp_path):
+    """Neither a state without its row of the ledger, nor a checkpoint that no run can go on from."""
+    options = {"stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02, tolerance=0.1), "passive": ("F_tot",)}
+    run = simulation(**options, observers=[nv.Checkpoints(tmp_path / "run.h5", every=1)])
+    run.run(0.04)
+    before, carried, t = state(run), run.passive.arrays(), run.t
+    owner, name = {"row": (run.ledger, "_extrema"), "estimate": (run.stepper._estimate, "_values")}[where]
+
+    def interrupted(*args):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(owner, name, interrupted)
+        run.run(0.08)
+    assert np.array_equal(state(run), before)
+    assert all(np.array_equal(carried[key], now) for key, now in run.passive.arrays().items())
+    assert nv.time.Get() == run.t == t and run.number == len(run.ledger.rows) - 1
+    rest = simulation(**options)
+    rest.restore(tmp_path / "run.h5")
+    for one in (run, rest):
+        assert np.abs(one.run(0.08).column("closure_relative")).max() < 1e-12
 
 
 def test_an_end_of_negative_density_is_refused_where_the_stage_is_not(monkeypatch):
@@ -203,6 +246,19 @@ def test_a_relaxed_run_dissipates_nothing_numerically():
     )  # near what was asked for
     plain = simulation().run(0.2)
     assert np.abs(sum(plain.column(name) for name in NUMERICAL)).max() > 1e-9 * energy
+
+
+@pytest.mark.parametrize(("dt", "speed"), [(1e-4, 1.0), (0.02, 1e-4), (0.02, 1e-6), (0.02, 0.0)])
+def test_a_relaxed_run_ends_where_little_moves(dt, speed):
+    """The remainder of a short step, or of a slow motion, is rounding of the energies: so is its zero."""
+    slow = nv.Initial(velocity=(speed * SWIRL[0], speed * SWIRL[1]))
+    stepping = nv.AdaptiveSteps(dt_min=dt / 8, dt_max=dt)
+    ledger = simulation(dt, stepping=stepping, relaxation=True, initial=slow, loads=[]).run(5 * dt)
+    assert ledger.column("rejections").sum() == 0
+    assert ledger.column("time")[-1] == 5 * dt
+    assert np.allclose(np.diff(ledger.column("time")), ledger.column("dt")[1:], rtol=1e-12, atol=0)
+    remainder = sum(ledger.column(name) for name in NUMERICAL)
+    assert np.abs(remainder).max() <= 1e-15 * ledger.column("stored")[0]
 
 
 def test_a_relaxed_run_is_of_second_order():
@@ -301,3 +357,13 @@ def test_relaxed_steps_meet_their_ends_under_a_wall_that_speeds_up():
     assert run.t == 0.2 and run.number < 15 and not ledger.column("rejections").any()
     assert ledger.column("dt").sum() == pytest.approx(0.2, rel=1e-9)
     assert abs(ledger.column("closure_relative")).max() < 1e-11
+
+
+def test_what_a_transfer_took_is_not_said_to_be_the_schemes():
+    run = simulation()
+    run.ledger.add_once("transfer", 1.0)
+    run.ledger.start(0.0)
+    run.ledger.balance = replace(run.ledger.balance, energy=run.ledger.balance.energy + 1.0)
+    run.run(0.02)
+    assert run.ledger.column("transfer")[-1] == 1.0
+    assert dissipation_advice(run) is None

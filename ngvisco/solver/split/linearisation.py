@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ngvisco.forms.momentum import Continuity
-from ngvisco.forms.regularisation import DensityDiffusion
 from ngvisco.physics.model import CentralGravity, Gravity
+from ngvisco.solver.split.claims import DENSITY
 from ngvisco.solver.split.facet_changes import FacetChanges
 from ngvisco.solver.split.hyper import MatrixHyperviscosity
 from ngvisco.solver.split.hyper_derivative import HyperDerivative
@@ -33,7 +32,7 @@ class Linearisation:
         step = momentum.step
         self._density = None
         if self.t.density is not None:
-            terms = [t for t in step.terms if isinstance(t, (Continuity, DensityDiffusion))]
+            terms = [t for t in step.terms if type(t) in DENSITY]
             self._density = Subsystem(step, ["v", *unknowns.density], terms)
 
     def update(self) -> None:

@@ -5,18 +5,14 @@ from __future__ import annotations
 import numpy as np
 from ngsolve import CF
 
-from ngvisco.forms.creep import CreepRate
-from ngvisco.forms.regularisation import VelocityDamping
 from ngvisco.forms.system import Step
-from ngvisco.forms.wall_terms import Impenetrability, TangentialStress
 from ngvisco.physics.model import CentralGravity, Gravity, as_vector
 from ngvisco.physics.tensors import embed_gradient, sym
+from ngvisco.solver.split.claims import flow_terms
 from ngvisco.solver.split.operators import Operators
 from ngvisco.solver.split.subsystem import Subsystem
 from ngvisco.solver.split.transport import Transport
 from ngvisco.solver.split.unknowns import Unknowns
-
-BY_FORMS = (Impenetrability, TangentialStress, VelocityDamping, CreepRate)
 
 
 class Momentum:
@@ -26,7 +22,7 @@ class Momentum:
         self.step, self.transport, self.op = step, transport, transport.op
         self.dim, self.context = step.mesh.dim, step.context
         self.stokes = self._viscosity_matrix()
-        others = [term for term in step.terms if isinstance(term, BY_FORMS)]
+        others = flow_terms(step)
         self.by_forms = Subsystem(step, unknowns.flow, others) if others else None
         self.rows = unknowns.flow_slice.stop
         self.loads = [(load, self.op.points.function(self.dim)) for load in step.model.loads]

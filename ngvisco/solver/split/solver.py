@@ -89,7 +89,7 @@ class Split:
         op = Operators(step, step.quadrature.volume_degree // 2)
         self.transport = Transport(step, op, self.unknowns)
         self.momentum = Momentum(step, self.transport, self.unknowns)
-        laws = [term for term in step.terms if isinstance(term, Hyperviscosity)]
+        laws = [term for term in step.terms if type(term) is Hyperviscosity]
         self.hyper: MatrixHyperviscosity | None = None
         if laws:
             self.hyper = MatrixHyperviscosity(step, laws[0], op.points, self.transport.facets.points)

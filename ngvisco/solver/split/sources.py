@@ -8,12 +8,10 @@ equations of the delta-regularised z, go to z by the same elimination.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NoReturn
 
 import numpy as np
 from ngsolve import FESpace, LinearForm
 
-from ngvisco.errors import NgviscoError
 from ngvisco.forms.context import Integrand
 from ngvisco.forms.spaces import Fields
 from ngvisco.forms.system import Step
@@ -21,24 +19,10 @@ from ngvisco.solver.split.operators import apply
 from ngvisco.solver.split.preconditioner import Residual
 from ngvisco.solver.split.transport import Transport
 from ngvisco.solver.split.unknowns import Unknowns
+from ngvisco.solver.split.withheld import GivenParts, WithheldError
 
 ELIMINATED = "z_delta_hat"
 """The one derived unknown whose equation may have a source: that of the flux through walls."""
-
-
-class WithheldError(NgviscoError, LookupError):
-    """A source asks for a field that it must not take."""
-
-
-class _Given(dict[str, Any]):
-    """Fields by name; asking for another one raises ``WithheldError`` with ``reason`` about its name."""
-
-    def __init__(self, fields: dict[str, Any], reason: str) -> None:
-        super().__init__(fields)
-        self.reason = reason
-
-    def __missing__(self, name: str) -> NoReturn:
-        raise WithheldError(self.reason.format(name=name))
 
 
 def source_obstacle(step: Step) -> str | None:
@@ -66,9 +50,9 @@ def joint_space(step: Step, names: Iterable[str]) -> FESpace:
 def _integrands(step: Step, space: FESpace, names: list[str]) -> list[Integrand]:
     """The source's form, of tests of ``names`` in their joint space and of no unknowns."""
     assert step.sources is not None
-    u = _Given({}, "a source takes the unknown {name}, which the split solver does not know beforehand")
+    u = GivenParts({}, "a source takes the unknown {name}, which the split solver does not know beforehand")
     tests = dict(zip(names, space.TestFunction(), strict=True))
-    w = _Given(tests, "a source has a row of {name}, which the split solver does not iterate on")
+    w = GivenParts(tests, "a source has a row of {name}, which the split solver does not iterate on")
     return step.sources.form(Fields(step.layout, u), Fields(step.layout, w))
 
 

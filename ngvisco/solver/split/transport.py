@@ -14,12 +14,12 @@ import numpy as np
 import scipy.sparse as sp
 from ngsolve import grad
 
-from ngvisco.forms.momentum import Continuity
 from ngvisco.forms.rate_tensors import Mobility, RateTensors
-from ngvisco.forms.regularisation import DensityDiffusion, penalty_weight
+from ngvisco.forms.regularisation import penalty_weight
 from ngvisco.forms.system import Step
 from ngvisco.physics.material import component_count
 from ngvisco.solver.split.blocks import BlockInverse
+from ngvisco.solver.split.claims import DENSITY
 from ngvisco.solver.split.facets import Facets
 from ngvisco.solver.split.operators import Conjugation, Operators, ScalarForm, apply, mass_matrix
 from ngvisco.solver.split.subsystem import Subsystem
@@ -53,7 +53,7 @@ class Transport:
         self.facets = Facets(step, operators)
         self.density: Subsystem | None = None
         if density_by_forms(step):
-            terms = [t for t in step.terms if isinstance(t, (Continuity, DensityDiffusion))]
+            terms = [t for t in step.terms if type(t) in DENSITY]
             self.density = Subsystem(step, unknowns.density, terms)
         self.diffusion = self._diffusion()
         self.Pi: np.ndarray | None = None
