@@ -36,11 +36,8 @@ _RELAXED = (1.5, 2.5)
 _RELAXATION_TOLERANCE = 1e-12
 """Of that number: R changes by this share of the distance B(u_0, U) itself, which is of order tau^2."""
 
-_MEETINGS, _MEETING = 6, 1e-9
-"""Rothe steps tried until a relaxed step ends at a given time, and what of its length may be missed.
-
-omega has the error of the Rothe step over the distance, of order tau^2: 5e-12 at tau = 1e-4 of a run's time.
-"""
+_MEETINGS, _MEETING = 6, 1e-13
+"""Rothe steps tried until a relaxed step ends at a given time, and what of it may be missed."""
 
 _NOISE_MARGIN = 5.0
 """Rounding of R, in units of the distance of a state to itself with every number changed by rounding."""
@@ -319,7 +316,10 @@ class Integrator:
                     xtol=_RELAXATION_TOLERANCE,
                 )
             except ValueError as error:
-                message = "no end of the relaxed step is without numerical dissipation: take a smaller step"
+                message = (
+                    "no end of the relaxed step is without numerical dissipation, as where a wall's velocity "
+                    "or a load has a kink: take smaller steps, or relaxation = False"
+                )
                 raise StepError(message) from error
             omega = float(found.root)
             if wanted is not None and abs(omega - wanted) <= noise / lost:

@@ -3,6 +3,8 @@
 import json
 import re
 import shutil
+import subprocess
+import sys
 import time
 import tomllib
 
@@ -117,6 +119,11 @@ def test_the_estimate_of_time_is_right_within_a_factor(case_file, capsys, tmp_pa
     assert ended("run", case_file, "-o", tmp_path / "out", "--quiet", *settings) == 0
     taken = time.perf_counter() - began
     assert 1 / 1.5 < 100 * each / taken < 1.5, f"{100 * each:.1f} s said, {taken:.1f} s taken"
+
+
+def test_the_package_is_a_command():
+    told = subprocess.run([sys.executable, "-m", "ngvisco", "--version"], capture_output=True, text=True)
+    assert (told.returncode, told.stdout) == (0, f"ngvisco {nv.__version__}\n")
 
 
 def test_version_and_help(capsys):
