@@ -339,7 +339,6 @@ def test_a_run_that_its_scheme_damps_says_so_and_what_to_choose(capsys):
     assert "dissipated" not in capsys.readouterr().out
 
 
-<<<<<<< HEAD
 def test_what_a_transfer_took_is_not_said_to_be_the_schemes():
     run = simulation()
     run.ledger.add_once("transfer", 1.0)
@@ -350,8 +349,6 @@ def test_what_a_transfer_took_is_not_said_to_be_the_schemes():
     assert dissipation_advice(run) is None
 
 
-=======
->>>>>>> 3c62e574877c681d78956e78cb233bd514c1cffc
 def test_relaxed_steps_meet_their_ends_under_a_wall_that_speeds_up():
     """omega is known no better than the Rothe step's solution: steps were halved until none was left."""
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.04)
@@ -370,16 +367,3 @@ def test_relaxed_steps_meet_their_ends_under_a_wall_that_speeds_up():
     assert run.t == 0.2 and run.number < 15 and not ledger.column("rejections").any()
     assert ledger.column("dt").sum() == pytest.approx(0.2, rel=1e-9)
     assert abs(ledger.column("closure_relative")).max() < 1e-11
-<<<<<<< HEAD
-=======
-
-
-def test_what_a_transfer_took_is_not_said_to_be_the_schemes():
-    run = simulation()
-    run.ledger.add_once("transfer", 1.0)
-    run.ledger.start(0.0)
-    run.ledger.balance = replace(run.ledger.balance, energy=run.ledger.balance.energy + 1.0)
-    run.run(0.02)
-    assert run.ledger.column("transfer")[-1] == 1.0
-    assert dissipation_advice(run) is None
->>>>>>> 3c62e574877c681d78956e78cb233bd514c1cffc
