@@ -12,6 +12,7 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.ledger import NUMERICAL
+from ngvisco.timestepping.error import ErrorEstimate
 
 SECOND_ORDER = ("midpoint", "sdirk2")
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
@@ -347,3 +348,20 @@ def test_what_a_transfer_took_is_not_said_to_be_the_schemes():
     run.run(0.02)
     assert run.ledger.column("transfer")[-1] == 1.0
     assert dissipation_advice(run) is None
+
+
+@pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
+def test_the_estimate_is_the_local_error_of_the_scheme(scheme):
+    """Of a density 1 + t^(p+1) at unequal steps, whose last value is wrong by C tau^(p+1) (p+1)!."""
+    run = simulation(scheme=scheme)
+    chosen, step = run.scheme, run.rothe_step
+    p, where = chosen.order, step.layout.ranges["rho"]
+    estimate, unit = ErrorEstimate(step, lambda: 1.0, p), state(run)[where]
+    *known, last = (0.0, 0.1, 0.15, 0.3)[-p - 2 :]
+    for t in known:
+        step.state.vec.FV().NumPy()[where] = unit * (1 + t ** (p + 1))
+        estimate.keep(t)
+    missed = chosen.error_constant * (last - known[-1]) ** (p + 1) * math.factorial(p + 1)
+    value = 1 + last ** (p + 1) + missed
+    step.state.vec.FV().NumPy()[where] = unit * value
+    assert estimate(last, chosen) == pytest.approx(abs(missed) / value, rel=1e-10)
