@@ -373,6 +373,8 @@ def scheme_signature(simulation: Simulation) -> str:
     integrator = simulation.integrator
     scheme = integrator.scheme
     text = f"{scheme.name}, A = {scheme.A}, b = {scheme.b}"
+    if scheme.averages_loads:
+        text += ", loads averaged"
     if integrator.startup:
         text += f", startup = {integrator.startup}"
     return text + (", relaxed" if integrator.relaxed else "")

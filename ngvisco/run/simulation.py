@@ -18,6 +18,7 @@ from ngsolve import CF, CoefficientFunction, Id, Mesh
 from ngvisco.errors import (
     InitialDataError,
     ParameterError,
+    as_integer,
     as_number,
     as_times,
     require_positive,
@@ -379,6 +380,10 @@ class Simulation:
         return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 
 
+LEAST_CONSTANT = 1e-2
+"""Error constant of a scheme, times (p + 1)!, below which its local error cannot be estimated by it."""
+
+
 def _checked_scheme(
     scheme: str | TimeScheme,
     theta: float | None,
@@ -392,9 +397,19 @@ def _checked_scheme(
     except ParameterError as error:
         field = error.field if "." in error.field else f"Simulation.{error.field}"
         raise ParameterError(field, error.value, error.expected) from error
-    if isinstance(startup, bool) or not isinstance(startup, int) or startup < 0:
+    if (count := as_integer(startup)) is None or count < 0:
         raise ParameterError("Simulation.startup", startup, "a whole number of backward Euler steps, >= 0")
     require_type("Simulation.relaxation", relaxation, bool)
+    tolerance = None if stepping is None else stepping.tolerance
+    if (
+        tolerance is not None
+        and abs(chosen.error_constant) * math.factorial(chosen.order + 1) < LEAST_CONSTANT
+    ):
+        expected = (
+            f"None with this scheme, whose local error is not that of its order {chosen.order}: "
+            f"its error constant is {chosen.error_constant:.1e}"
+        )
+        raise ParameterError("AdaptiveSteps.tolerance", tolerance, expected)
     if relaxation and stepping is None:
         expected = "False with steps of one length: a relaxed step ends where it is without dissipation"
         raise ParameterError("Simulation.relaxation", relaxation, expected)

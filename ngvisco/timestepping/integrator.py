@@ -282,7 +282,7 @@ class Integrator:
                 return StepTaken(omega * own, history, rates, numerical)
             own = tau / omega
             self.rothe.return_to(self._before)
-        raise StepError("the relaxed step does not meet its end: take a smaller step", history)
+        raise StepError("the relaxed step does not meet its end: take a smaller step")
 
     def _relaxed_end(
         self,

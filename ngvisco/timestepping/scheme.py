@@ -79,6 +79,9 @@ class TimeScheme:
             raise ParameterError("TimeScheme.b", self.b, "finite numbers")
         if not all(_is_number(a) for row in self.A for a in row):
             raise ParameterError("TimeScheme.A", self.A, "finite numbers")
+        # as a checkpoint knows them again
+        object.__setattr__(self, "A", tuple(tuple(float(a) for a in row) for row in self.A))
+        object.__setattr__(self, "b", tuple(float(weight) for weight in self.b))
         upper = any(self.A[i][j] != 0 for i in range(s) for j in range(i + 1, s))
         if upper or any(self.A[i][i] <= 0 for i in range(s)):
             raise ParameterError("TimeScheme.A", self.A, expected)

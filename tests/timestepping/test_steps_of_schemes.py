@@ -12,6 +12,7 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.ledger import NUMERICAL
+from ngvisco.timestepping.error import ErrorEstimate
 
 SECOND_ORDER = ("midpoint", "sdirk2")
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
@@ -275,7 +276,8 @@ def test_a_relaxed_run_is_of_second_order():
 
 # --- refusals ------------------------------------------------------------------------------------------
 
-ADAPTIVE = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02)
+BOUNDS = {"dt_min": 1e-4, "dt_max": 0.02}
+ADAPTIVE = nv.AdaptiveSteps(**BOUNDS)
 
 
 @pytest.mark.parametrize(
@@ -291,6 +293,10 @@ ADAPTIVE = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02)
         ({"scheme": "midpoint", "startup": True}, r"Simulation\.startup"),
         ({"scheme": "midpoint", "relaxation": "yes"}, r"Simulation\.relaxation"),
         ({"scheme": 2}, r"Simulation\.scheme"),
+        (
+            {"scheme": "theta", "theta": 0.5001, "stepping": nv.AdaptiveSteps(**BOUNDS, tolerance=1e-3)},
+            r"AdaptiveSteps\.tolerance.*error constant",
+        ),
     ],
 )
 def test_options_that_do_not_fit_are_refused_by_name(options, what):
@@ -367,3 +373,20 @@ def test_relaxed_steps_meet_their_ends_under_a_wall_that_speeds_up():
     assert run.t == 0.2 and run.number < 15 and not ledger.column("rejections").any()
     assert ledger.column("dt").sum() == pytest.approx(0.2, rel=1e-9)
     assert abs(ledger.column("closure_relative")).max() < 1e-11
+
+
+@pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
+def test_the_estimate_is_the_local_error_of_the_scheme(scheme):
+    """Of a density 1 + t^(p+1) at unequal steps, whose last value is wrong by C tau^(p+1) (p+1)!."""
+    run = simulation(scheme=scheme)
+    chosen, step = run.scheme, run.rothe_step
+    p, where = chosen.order, step.layout.ranges["rho"]
+    estimate, unit = ErrorEstimate(step, lambda: 1.0, p), state(run)[where]
+    *known, last = (0.0, 0.1, 0.15, 0.3)[-p - 2 :]
+    for t in known:
+        step.state.vec.FV().NumPy()[where] = unit * (1 + t ** (p + 1))
+        estimate.keep(t)
+    missed = chosen.error_constant * (last - known[-1]) ** (p + 1) * math.factorial(p + 1)
+    value = 1 + last ** (p + 1) + missed
+    step.state.vec.FV().NumPy()[where] = unit * value
+    assert estimate(last, chosen) == pytest.approx(abs(missed) / value, rel=1e-10)
