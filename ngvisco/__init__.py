@@ -55,7 +55,7 @@ from ngvisco.run.closure import ClosureWarning
 from ngvisco.run.ledger import DefectWarning
 from ngvisco.run.notebook import NotebookProgress, draw
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
-from ngvisco.run.plots import plot_energies, plot_fields
+from ngvisco.run.plots import plot_energies, plot_fields, plot_schemes
 from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
@@ -164,6 +164,7 @@ __all__ = [
     "load_case",
     "plot_energies",
     "plot_fields",
+    "plot_schemes",
     "read_ledger",
     "resume_changed",
     "time",

@@ -5,12 +5,10 @@ Run with ``python demos/mooney_rivlin/mooney_rivlin.py [output directory]``; nee
 import sys
 from pathlib import Path
 
-import numpy as np
 from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.run.plots import figure
 
 
 def simulation(
@@ -37,18 +35,7 @@ def main(directory: str = "results/mooney_rivlin", until: float = 1.0) -> nv.Sim
     shown = [("von Mises stress, Pa", fields["von_mises"]), ("J", fields["J"])]
     nv.plot_fields(run.mesh, [*shown, ("N₁₂ of J^(−7/6) Cof F", fields["N"][0, 1])], out / "fields.png")
     euler = simulation(scheme="backward-euler").run(until)
-    fig, ((left, right),) = figure(1, 2, (11, 4.6))
-    for scheme, style, rows in (("midpoint", "-", ledger), ("backward Euler", "--", euler)):
-        t = rows.column("time")
-        left.plot(t, rows.column("kinetic"), f"C0{style}", label=scheme)
-        for kind, whose, color in (("dissipation", "model", "C1"), ("numerical", "scheme", "C3")):
-            unit = rows.column("dt") if kind == "dissipation" else 1.0  # W, or J already
-            lost = np.cumsum(sum(unit * rows.column(e.name) for e in rows.entries if e.kind == kind))
-            right.plot(t, lost, color + style, label=f"{scheme}, by the {whose}: {lost[-1]:.2g} J")
-    for axis, title in ((left, "kinetic energy, J"), (right, "dissipated, J")):
-        axis.set(title=title, xlabel="time, s")
-        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
-    fig.savefig(out / "schemes.png", dpi=110)
+    nv.plot_schemes({"midpoint": ledger, "backward Euler": euler}, out / "schemes.png")
     print(f"largest |closure| {abs(ledger.column('closure_relative')).max():.1e}; results in {out}")
     return run
 

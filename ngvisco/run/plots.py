@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -119,6 +119,30 @@ def plot_energies(ledger: Ledger, path: str | os.PathLike[str]) -> None:
     drift = np.maximum(np.abs(ledger.column("mass_drift"))[1:], 1e-18)
     below.semilogy(t[1:], drift, "r+", label="|mass drift|")
     below.legend(fontsize="small")
+    _save(fig, path)
+
+
+def plot_schemes(ledgers: Mapping[str, Ledger], path: str | os.PathLike[str]) -> None:
+    """Kinetic energies of runs by different time schemes, and what each scheme and its model dissipated.
+
+    Parameters
+    ----------
+    ledgers : mapping of labels to ledgers
+        At most four, drawn solid, dashed, dotted and dash-dotted.
+    path : path
+        A picture.
+    """
+    fig, ((left, right),) = figure(1, 2, (11, 4.6))
+    for (label, ledger), style in zip(ledgers.items(), ("-", "--", ":", "-."), strict=False):
+        t, dt = ledger.column("time"), ledger.column("dt")
+        left.plot(t, ledger.column("kinetic"), f"C0{style}", label=label)
+        for kind, whose, color in (("dissipation", "model", "C1"), ("numerical", "scheme", "C3")):
+            unit = dt if kind == "dissipation" else 1.0  # W, or J already
+            lost = np.cumsum(sum(unit * ledger.column(e.name) for e in ledger.entries if e.kind == kind))
+            right.plot(t, lost, color + style, label=f"{label}, by the {whose}: {lost[-1]:.2g} J")
+    for axis, title in ((left, "kinetic energy, J"), (right, "dissipated, J")):
+        axis.set(title=title, xlabel="time, s")
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
     _save(fig, path)
 
 

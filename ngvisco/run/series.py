@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
 
-class Series:
+class Series(ABC):
     """Base of the observers that note numbers over time.
 
     A subclass gives ``prepare``, which checks its input against the simulation and returns the columns
@@ -45,12 +46,13 @@ class Series:
         self.rows: list[list[float]] = []
         self._found: tuple[int, list[list[float]]] = -1, []
 
+    @abstractmethod
     def prepare(self, simulation: Simulation) -> list[str]:
         """Check what is asked for against a simulation; the columns after ``step`` and ``time``."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _sample(self, simulation: Simulation) -> Any:
-        raise NotImplementedError
+        """Rows of the columns at the present state."""
 
     def column(self, name: str) -> np.ndarray:
         """A column over all rows so far; ``"time"`` is in s."""
