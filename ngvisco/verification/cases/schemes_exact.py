@@ -230,8 +230,8 @@ def _cases(scheme: str) -> tuple[Case, ...]:
             statement=f"By {scheme} a Newtonian fluid under a lid that is accelerated follows Fourier's "
             + ("series, to second order." if midpoint else "series, to order 1.5 at least."),
             label="Euler-small-viscoelastodyn+1",
-            setting="Channel of 1 m, P3 velocity, rho = 0.5 kg/m3, D = 0.1 Pa s of shear, lid 0.1 sin²(t) m/s "
-            "until 1.5 s; 6, 12, 24 steps.",
+            setting="Channel of 1 m, P3 velocity, rho = 0.5 kg/m3, D = 0.1 Pa s of shear, lid 0.1 sin²(t) "
+            "m/s until 1.5 s; 6, 12, 24 steps.",
             bounds=(
                 Bound(
                     "rate of v in tau",
