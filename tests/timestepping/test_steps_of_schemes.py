@@ -390,3 +390,25 @@ def test_the_estimate_is_the_local_error_of_the_scheme(scheme):
     value = 1 + last ** (p + 1) + missed
     step.state.vec.FV().NumPy()[where] = unit * value
     assert estimate(last, chosen) == pytest.approx(abs(missed) / value, rel=1e-10)
+
+
+def test_passive_fields_end_where_a_relaxed_step_does():
+    """They are combined with the step's own omega, which is 2 for no step."""
+    stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02)
+    run = simulation(stepping=stepping, relaxation=True, passive=("F_tot",))
+    row = run.advance()
+    omega = row["dt"] / run.rothe_step.context.tau.Get()
+    start, middle = run.passive._stages
+    assert abs(omega - 2) > 1e-6
+    for key, end in run.passive.arrays().items():
+        np.testing.assert_allclose(end, (1 - omega) * start[key] + omega * middle[key], rtol=0, atol=1e-14)
+        assert np.abs(end - (2 * middle[key] - start[key])).max() > 1e-9
+
+
+def test_nothing_is_extrapolated_from_a_step_that_was_taken_back():
+    run = simulation(solver="split")
+    run.run(0.04)
+    assert not run.solver.extrapolation.is_empty
+    run.integrator.advance(run.t, 0.02, run.number)
+    run.integrator.undo()
+    assert run.solver.extrapolation.is_empty
