@@ -37,6 +37,7 @@ from ngvisco import (
     Material,
     Model,
     NeoHookean,
+    Simulation,
     StokesViscosity,
     time,
 )
@@ -236,3 +237,20 @@ def parts_of(step: Step) -> dict[str, GridFunction]:
 def block(step: Step, array: np.ndarray, name: str) -> np.ndarray:
     """The coefficients of one unknown in an array of all."""
     return array[step.layout.ranges[name]]
+
+
+class StopAt:
+    """An observer that ends a run after a step."""
+
+    def __init__(self, number: float) -> None:
+        self.number = number
+
+    def start(self, simulation: Simulation) -> None:
+        """Nothing."""
+
+    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
+        if simulation.number == self.number:
+            simulation.request_stop()
+
+    def finish(self, simulation: Simulation) -> None:
+        """Nothing."""

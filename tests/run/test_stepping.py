@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from ngsolve import GridFunction, InnerProduct, Integrate, cos, pi, sin, x, y
+from support import StopAt
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -67,21 +68,6 @@ def test_a_fixed_run_stopped_at_any_step_is_resumed_bit_for_bit(tmp_path):
         ledger = rest.run(0.12)
         assert np.array_equal(values(whole), values(rest))
         assert list(ledger.column("closure")) == list(whole.ledger.column("closure"))
-
-
-class StopAt:
-    def __init__(self, number):
-        self.number = number
-
-    def start(self, simulation):
-        pass
-
-    def step(self, simulation, row):
-        if simulation.number == self.number:
-            simulation.request_stop()
-
-    def finish(self, simulation):
-        pass
 
 
 def test_an_adaptive_run_stopped_at_any_step_is_resumed_bit_for_bit(tmp_path):

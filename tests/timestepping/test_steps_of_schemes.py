@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from ngsolve import CF, IfPos, cos, pi, sin, x, y
+from support import StopAt
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -32,21 +33,6 @@ def simulation(dt=0.02, scheme="midpoint", **options):
 
 def state(run):
     return run.rothe_step.state.vec.FV().NumPy().copy()
-
-
-class StopAt:
-    def __init__(self, number):
-        self.number = number
-
-    def start(self, simulation):
-        pass
-
-    def step(self, simulation, row):
-        if simulation.number == self.number:
-            simulation.request_stop()
-
-    def finish(self, simulation):
-        pass
 
 
 # --- restarts ------------------------------------------------------------------------------------------
