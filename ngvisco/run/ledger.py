@@ -22,9 +22,9 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, sqrt
 
 from ngvisco.errors import UnknownNameError
-from ngvisco.forms.context import Entry, Integrand, Kind
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import Entry, Integrand, Kind
 from ngvisco.physics.defects import relative_defects
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.tensors import square

@@ -24,7 +24,7 @@ from ngvisco.errors import (
     require_positive,
     require_type,
 )
-from ngvisco.forms.context import Term, time
+from ngvisco.forms.context import time
 from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
 from ngvisco.forms.mesh_arrays import coordinates
@@ -32,6 +32,7 @@ from ngvisco.forms.momentum import Loading
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import Term
 from ngvisco.forms.walls import Conditions
 from ngvisco.physics.convexity import check_convexity
 from ngvisco.physics.material import Material
@@ -363,7 +364,7 @@ class Simulation:
         speed = math.sqrt(self.sampler.extrema(square(u.v))[1])
         fall = 0.0
         for load in model.loads:
-            acceleration = square(Loading(load, self.rothe_step.context).force(u) / u.rho)
+            acceleration = square(Loading(load, self.mesh.dim).force(u) / u.rho)
             largest = math.sqrt(self.sampler.extrema(acceleration)[1])
             fall = max(fall, math.sqrt(largest * self._diameter()))
         rest = {v.name: v.from_distortion(Id(3)) for v in model.material.variables}

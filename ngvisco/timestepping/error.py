@@ -21,7 +21,7 @@ from collections.abc import Callable
 import numpy as np
 from ngsolve import CF, FESpace, GridFunction
 
-from ngvisco.forms.spaces import Fields
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.physics.tensors import square
 from ngvisco.timestepping.scheme import TimeScheme

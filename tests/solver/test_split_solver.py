@@ -10,7 +10,7 @@ from scipy.sparse.linalg import LinearOperator, gmres
 
 import ngvisco as nv
 from ngvisco.errors import StepError
-from ngvisco.forms.context import Integrand
+from ngvisco.forms.term import Integrand
 from ngvisco.geometries import box, disc
 from ngvisco.solver.choice import SPLIT_FROM, meets_itself
 from ngvisco.solver.rothe import SPLIT_TRIES
