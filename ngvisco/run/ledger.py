@@ -198,7 +198,7 @@ class Ledger:
         ``error`` is the estimate of the step's relative error, None where there is none.
         """
         assert self.balance is not None
-        tau, iterations = taken.tau, len(taken.history)
+        tau, iterations = taken.tau, taken.iterations
         self.step.energy.require()
         values = self._absent | self._pending | self._state() | taken.rates | taken.numerical
         energy = values["kinetic"] + values["stored"]

@@ -49,6 +49,7 @@ from ngvisco.run.passive import PassiveFields
 from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, RejectionObserver, make_stepper
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
+from ngvisco.solver.strategies import Strategy
 from ngvisco.threads import computing
 from ngvisco.timestepping.integrator import Integrator
 from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
@@ -95,6 +96,8 @@ class Simulation:
     newton : NewtonOptions, optional
     solver : str, optional
         ``"auto"``, ``"coupled"`` or ``"split"``: short for ``NewtonOptions(method=...)``.
+    strategies : sequence of Strategy, optional
+        What is tried to solve a step, in order, in place of the solver's own list (``RotheSolver``).
     observers : sequence of Observer
     velocity_scale : float, optional
         A typical velocity, m/s; sets the width of the smoothed upwinding (1e-4 of it).  Default: the
@@ -131,6 +134,7 @@ class Simulation:
         discretisation: Discretisation | None = None,
         newton: NewtonOptions | None = None,
         solver: str | None = None,
+        strategies: Sequence[Strategy] | None = None,
         observers: Sequence[Observer] = (),
         velocity_scale: float | None = None,
         sources: Term | None = None,
@@ -168,7 +172,7 @@ class Simulation:
         options = newton or NewtonOptions()
         if solver is not None:
             options = replace(options, method=solver)
-        self.solver = RotheSolver(self.rothe_step, options, self.defect)
+        self.solver = RotheSolver(self.rothe_step, options, self.defect, strategies)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.closure_check = ClosureCheck(options.tolerance)
         u, variables = self.rothe_step.now, model.material.variables

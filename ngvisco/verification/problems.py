@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from ngsolve import BilinearForm, CoefficientFunction, FESpace, GridFunction, Integrate, Mesh
 
 from ngvisco import Discretisation, Model, NewtonOptions, time
+from ngvisco.errors import StepError
 from ngvisco.forms.boundaries import slip_constraints
 from ngvisco.forms.context import Context
 from ngvisco.forms.elimination import Elimination
@@ -19,6 +21,8 @@ from ngvisco.geometries import box
 from ngvisco.physics.tensors import square
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.norm import BlockNorm
+from ngvisco.solver.solution import Attempt
+from ngvisco.solver.solution import Problem as Posed
 from ngvisco.verification.manufactured import Exact
 
 ERROR_ORDER = 12
@@ -123,5 +127,18 @@ class Problem:
     def advance(self, t_old: float) -> None:
         """One step from t_old; with terms without a time derivative, their stationary problem."""
         self.state_old.vec.data = self.state.vec
-        self.context.set_step(self.tau, t_old + self.tau, t_old, self.tau)
-        self.newton.solve()
+        solution = self.newton.solve(_StepFrom(self.context, t_old, self.tau), self.state_old.vec)
+        if not solution.converged:
+            raise StepError(solution.reason, [Attempt("coupled", solution)])
+
+
+@dataclass(frozen=True)
+class _StepFrom(Posed):
+    """The step from ``begin`` over ``tau``, s."""
+
+    context: Context
+    begin: float
+    tau: float
+
+    def pose(self) -> None:
+        self.context.set_step(self.tau, self.begin + self.tau, self.begin, self.tau)

@@ -11,6 +11,7 @@ from scipy.sparse.linalg import LinearOperator, gmres
 
 from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.system import Step
+from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.split.blocks import BlockInverse
 from ngvisco.solver.split.flow import FlowOperator
 from ngvisco.solver.split.hyper import MatrixHyperviscosity
@@ -23,19 +24,6 @@ from ngvisco.solver.split.sweep import Sweep
 from ngvisco.solver.split.tangent import PointTangent
 from ngvisco.solver.split.unknowns import Unknowns
 from ngvisco.solver.split.velocity_tangent import VelocityTangent
-
-FORCING = 0.03
-"""Tolerance of the flow's linear system."""
-
-FLOW_ITERATIONS = 30
-"""GMRES iterations for (v, a) with the tangent of v and facets' blocks as preconditioner."""
-
-
-DIRECT_UP_TO = {2: 3_000, 3: 3_000}
-"""Unknowns of v, by dimension, up to which its tangent is factorised as a whole; above, two levels do.
-
-(3D, 2,639 tetrahedra: 5.4 s for a factorisation, 0.1 s for two levels, and no more GMRES iterations' time.)
-"""
 
 
 @dataclass
@@ -57,13 +45,13 @@ class Preconditioner:
         momentum: Momentum,
         hyper: MatrixHyperviscosity | None,
         unknowns: Unknowns,
-        inverse: str,
+        options: NewtonOptions,
     ) -> None:
         self.t, self.m, self.unknowns = momentum.transport, momentum, unknowns
         k, m = step.discretisation.k, step.discretisation.m
         self.op = Operators(step, max(k - 1, m))
         self.d = step.mesh.dim
-        self.sweep = Sweep(self.t, inverse)
+        self.sweep = Sweep(self.t, options.inverse)
         derivative = None if hyper is None else HyperDerivative(hyper)
         self.operator = FlowOperator(momentum, PointTangent(self.t, self.op), self.sweep, derivative)
         self.hyper_tangent = None if derivative is None else HyperTangent(derivative)
@@ -71,16 +59,19 @@ class Preconditioner:
         free = [mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.flow]
         self.free = np.concatenate(free)
         self.solver: DirectSolver | TwoLevelSolver
-        if self.free.sum() > DIRECT_UP_TO[self.d]:
+        if self.free.sum() > options.split.direct_up_to[self.d - 2]:
             others = np.arange(len(self.free)) >= self.t.v.size
             vertices = ~others & (np.arange(len(self.free)) % self.t.v.shape[1] < step.mesh.nv)
-            self.solver = TwoLevelSolver(self.free, vertices, others, inverse)
+            self.solver = TwoLevelSolver(
+                self.free, vertices, others, options.inverse, options.split.two_level
+            )
         else:
-            self.solver = DirectSolver(self.free, inverse, symmetric=unknowns.flow == ["v"])
+            self.solver = DirectSolver(self.free, options.inverse, symmetric=unknowns.flow == ["v"])
         mass = mass_matrix(self.op.z.matrix, self.op.weights)
         self.project = BlockInverse(mass)
         self.project.update(mass)
         self.nv = self.t.v.size
+        self.flow_iterations = options.split.flow_iterations
         self.iterations = 0
         """What the last linear system of the flow took."""
         if self.t.Pi is not None:
@@ -161,7 +152,7 @@ class Preconditioner:
             operator_of_scaled,
             start / scale,
             rtol=tolerance,
-            restart=FLOW_ITERATIONS,
+            restart=self.flow_iterations,
             maxiter=1,
             callback=residuals.append,
             callback_type="pr_norm",
