@@ -1,4 +1,4 @@
-"""phi'(z) at the points of a rule and its derivative: by arrays, by a material's response, or symbolically."""
+"""phi'(z) at the points of a rule and its derivative: by arrays, a material's response, or symbolically."""
 
 from __future__ import annotations
 

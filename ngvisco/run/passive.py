@@ -182,7 +182,7 @@ class _Carrier:
         convected = Grad(f) * v if vector else inner(Grad(f), v)
         if rate is not None:
             convected = convected - rate * f
-        inflow, rules = c.inflow(v), step.quadrature
+        inflow, rules = step.now.upwinding.inflow, step.quadrature
         cells = c.rate(inner(f, g)) + inner(convected, g)
         # the cell that v enters takes the trace, and the trace is what the other cell has
         entering = (v * c.normal) * inflow * inner(f_hat - f, g)

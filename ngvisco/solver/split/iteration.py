@@ -2,18 +2,19 @@
 
 f(x) = P^{-1} R(x) is the increment of the unknowns x, and x - f(x) the next iterate: Newton's method but for
 a coarser rule and a fixed number of sweeps.  Newton-Krylov solves f(x) = 0 where that is slow: GMRES takes
-P^{-1} dR d with the whole derivative dR of ``Linearisation``, to which P is the preconditioner.
+P^{-1} dR d with the whole derivative dR (``ReducedResidual.derivative``), to which P is the preconditioner.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from ngvisco.solver.solution import NewtonIteration, Problem, Status
-from ngvisco.solver.split.preconditioner import Residual
+from ngvisco.solver.split.reduced import Evaluation
 
 if TYPE_CHECKING:
     from ngvisco.solver.split.solver import Split
@@ -27,9 +28,10 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
     best_x, best_f = None, None
     since, restarts = 0, 0  # iterations since the start or a restart, and restarts
     sizes: list[float] = []
+    x = split.unknowns.pack()
     while len(history) < split.options.max_iterations:
         fresh = not split.is_factorised
-        x, f, size = split.increment(problem, last)
+        _, f, size = split.increment(problem, x, last)
         history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, fresh))
         since += 1
         if size <= wanted:
@@ -41,7 +43,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
             if restarts > options.restarts:
                 return newton_krylov(split, problem, best_x, history)
             # from half the step of the best iterate, with a preconditioner of its own
-            split.unknowns.unpack(best_x - 0.5**restarts * best_f)
+            x = best_x - 0.5**restarts * best_f
             split.reset()
             since, last = 0, np.inf
             continue
@@ -64,7 +66,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
         worn = split.preconditioner.iterations > options.renewed_after[dim - 2] and size > 1e3 * wanted
         if worn or size > options.renewed_above:
             split.reset()
-        split.unknowns.unpack(x - f)
+        x = x - f
     return Status.TOO_MANY_ITERATIONS
 
 
@@ -72,34 +74,33 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
     """Iterate from ``x``, where the tangent is made anew, by the whole derivative of R."""
     options, tolerance = split.options.split, split.options.tolerance
     krylov, wanted = options.krylov, options.margin * tolerance
-    split.unknowns.unpack(x)
-    split.residual()
-    split.renew(problem)
+    split.renew(problem, split.residual(x))
     scale = split.unknowns.scales(x)
 
-    def solved(r: Residual) -> np.ndarray:
+    def solved(at: Evaluation) -> np.ndarray:
         with np.errstate(all="ignore"):
-            return split.preconditioner(r, krylov.tolerance * options.forcing)
+            return split.preconditioner(at, krylov.tolerance * options.forcing)
 
-    def function(at: np.ndarray) -> np.ndarray:
-        split.unknowns.unpack(at)
+    def evaluated(x: np.ndarray) -> Evaluation:
         with np.errstate(all="ignore"):  # a step too long may leave the energy's domain
-            r = split.residual()
-        return solved(r)
+            return split.residual(x)
 
-    linearisation = split.linearisation()
-    f = function(x)
+    at = evaluated(x)
+    f = solved(at)
     size = split.size(f)
     while len(history) < split.options.max_iterations:
-        linearisation.update()
-        operator = LinearOperator(
-            (len(x), len(x)), lambda d: solved(linearisation(scale * d)) / scale, dtype=float
-        )
+        derivative = split.residual.derivative(at)
+
+        def along(d: np.ndarray, derivative: Any = derivative, at: Evaluation = at) -> np.ndarray:
+            return solved(replace(at, residual=derivative(scale * d))) / scale
+
+        operator = LinearOperator((len(x), len(x)), along, dtype=float)
         d, _ = gmres(operator, f / scale, rtol=krylov.tolerance, restart=krylov.directions, maxiter=1)
         damping = 1.0
         while True:
             new_x = x - damping * scale * d
-            new_f = function(new_x)
+            new = evaluated(new_x)
+            new_f = solved(new)
             new_size = split.size(new_f)
             if new_size <= (1 - 0.25 * damping) * size:
                 break
@@ -107,17 +108,16 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
             if damping < split.options.min_damping:
                 return _ends_at(split, x) if size <= tolerance else Status.STALLED  # by rounding
         history.append(NewtonIteration(new_size, new_size / size, damping, True))
-        x, f, size = new_x, new_f, new_size
+        at, x, f, size = new, new_x, new_f, new_size
         if size <= wanted:
             return _ends_at(split, x - f)
-        split.renew(problem)
-        f = function(x)
+        split.renew(problem, at)
+        f = solved(at)
         size = split.size(f)
     return Status.TOO_MANY_ITERATIONS
 
 
 def _ends_at(split: Split, x: np.ndarray) -> Status:
     """Make x, with the unknowns that it determines, the state."""
-    split.unknowns.unpack(x)
-    split.residual()
+    split.residual(x)
     return Status.CONVERGED

@@ -9,9 +9,9 @@ import scipy.sparse as sp
 from ngsolve.la import SparseMatrixd
 from scipy.sparse.linalg import eigsh
 
+from ngvisco.algebra import precision
 from ngvisco.errors import StepError
 from ngvisco.solver.options import TwoLevelOptions
-from ngvisco.solver.split import precision
 
 MANY = 100
 """Unknowns from which an eigenvalue is found by iteration."""

@@ -29,7 +29,7 @@ from ngvisco.physics.arrays import TINY
 from ngvisco.solver.split.claims import Claims
 from ngvisco.solver.split.diffusion import FieldDiffusionMatrix
 from ngvisco.solver.split.hyper import HyperValues, MatrixHyperviscosity
-from ngvisco.solver.split.sources import RightHandSide
+from ngvisco.solver.split.right_hand_side import RightHandSide
 from ngvisco.solver.split.unknowns import Unknowns
 
 Clock = Callable[[str], AbstractContextManager[None]]
