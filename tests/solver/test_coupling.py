@@ -37,13 +37,13 @@ def split(request):
     )
     split = run.solver.newton
     rng = np.random.default_rng(1)
-    x = split.unknowns.pack()
+    values = split.unknowns.pack()
     for name in ("z", "rho"):
         where = split.unknowns.slices[name]
-        x[where] += 0.02 * rng.standard_normal(where.stop - where.start)
+        values[where] += 0.02 * rng.standard_normal(where.stop - where.start)
     run.rothe_step.context.tau.Set(0.01)
     split.residual.start()
-    at = split.residual(x)
+    at = split.residual(values)
     split.preconditioner.sweep.update(at)
     return split, at
 

@@ -9,6 +9,7 @@ from ngsolve.meshes import MakeStructured2DMesh
 from scipy.sparse.linalg import LinearOperator, gmres
 
 import ngvisco as nv
+from ngvisco.algebra import precision
 from ngvisco.errors import StepError
 from ngvisco.forms.term import Integrand
 from ngvisco.geometries import box, disc
@@ -16,7 +17,6 @@ from ngvisco.solver.choice import meets_itself
 from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.rothe import Interval
 from ngvisco.solver.solution import Solution, Status
-from ngvisco.algebra import precision
 from ngvisco.solver.split import iteration
 from ngvisco.solver.split.linear import TwoLevelSolver
 from ngvisco.solver.split.solver import Split
