@@ -7,7 +7,7 @@ unknowns - put in exactly, at the points of cells and sides (``Transport``, ``Mo
 into which the change of the fields is carried (``FlowOperator``), solved by GMRES to 3 per cent
 (``Preconditioner``): Newton's method but for a coarser rule and a fixed number of sweeps.  The operator
 follows the state, its preconditioner is made anew where it wears out.  Where the iteration is slow the
-whole derivative of R takes its place (``krylov``, ``Linearisation``).  Measurements are in
+whole derivative of R takes its place (``newton_krylov``, ``Linearisation``).  Measurements are in
 ``ngvisco/solver/NOTES.md``.
 """
 
@@ -122,6 +122,8 @@ class Split:
         history: list[NewtonIteration] = []
         self.step.state.vec.data = guess
         problem.pose()
+        if not np.isfinite(guess.Norm()):
+            return Solution(Status.NOT_FINITE, (), "the split solver's start value is not finite")
         try:
             with on_arrays():
                 self._start()
