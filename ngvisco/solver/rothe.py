@@ -232,15 +232,14 @@ class _Run:
         """The solution, which has failed too where its energy is no number or rho or J is not positive."""
         energy = self.rothe.step.energy
         if not solution.converged:
-            if energy.last_failure is None:
-                return solution
-            return replace(solution, reason=f"{solution.reason}; {energy.last_failure}")
-        reason = energy.failure  # of the last increment, which is added without a test
-        if reason is None:
-            defect = self.rothe.defect()
-            reason = None if defect is None else f"{defect}: take a smaller step or a finer mesh"
-        if reason is None:
+            parts = [solution.reason, *([] if energy.last_failure is None else [energy.last_failure])]
+            return replace(solution, reason="; ".join(parts))
+        if energy.failure is not None:  # of the last increment, which is added without a test
+            return Solution(Status.INADMISSIBLE, solution.history, energy.failure)
+        defect = self.rothe.defect()
+        if defect is None:
             return solution
+        reason = f"{defect}: take a smaller step or a finer mesh"
         return Solution(Status.INADMISSIBLE, solution.history, reason)
 
 
