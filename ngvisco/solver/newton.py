@@ -9,16 +9,12 @@ equations, so residuals in different units are never compared.  Both increments 
 scales, the larger of those before and after the step: a step that is far too long would otherwise
 pass the test because it makes the scale grow.
 
-Norm.  Increments are measured by ``BlockNorm``; an iteration that a fresh Jacobian no longer advances also
-ends where the increment is below the tolerance with its coarse floor, or below ``near`` tolerances.
-
 Rounding.  The residual sums parts that cancel: near F = I those of the elastic force have the size of the
 modulus G, and their rounding leaves a force of eps G/h that the stiffness of a strain does not resist where
 it moves the body as a whole: v is known to eps G tau/(rho h) only.  How large that is, the problem itself
 tells: the state is perturbed by one unit in the last place of every number, and what this changes in the
-increment cannot be iterated away.  Where a fresh Jacobian no longer advances the iteration, an increment of
-at most ``noise_margin`` times that change, and at most ``noise_cap`` tolerances, is accepted
-(``CoupledOptions``).
+increment cannot be iterated away.  Where a fresh Jacobian no longer advances the iteration, it ends with an
+increment of that size, or one below the tolerance with the norm's coarse floor (``CoupledOptions``).
 """
 
 from __future__ import annotations

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from ngvisco.solver.solution import NewtonIteration, Problem, Status
-from ngvisco.solver.split.preconditioner import Residual
 
 if TYPE_CHECKING:
+    from ngvisco.solver.split.preconditioner import Residual
     from ngvisco.solver.split.solver import Split
 
 

@@ -167,7 +167,8 @@ class Split:
 
     def renew(self, problem: Problem) -> None:
         """Make the tangent anew at the present state, whose residual has just been evaluated."""
-        self.preconditioner.update(self._clock)
+        self.is_factorised = False
+        self.preconditioner.update(self._clock)  # where it fails there is no tangent
         self.is_factorised = True
         problem.factorised()
 
