@@ -19,12 +19,12 @@ from ngsolve import (
     LinearForm,
 )
 
-from ngvisco.forms.context import Integrand
 from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.mesh_arrays import is_simplicial
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
+from ngvisco.forms.term import Integrand
 from ngvisco.forms.transport import Conjugates
 from ngvisco.physics.tensors import inner, square
 
@@ -74,8 +74,8 @@ class Elimination:
 
         for term in terms:
             if isinstance(term, Conjugates):
-                self.energy = term.energy
-                add("zeta", _tested(term.energy.slope(u)))
+                self.energy = layout.context.energy
+                add("zeta", _tested(self.energy.slope(u)))
                 self.conjugates = self.projections[-1]
                 if self.energy.projected is not None:
                     target = self.energy.projected

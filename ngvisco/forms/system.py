@@ -27,16 +27,18 @@ from ngsolve import BilinearForm, GridFunction, Mesh, VectorValued
 from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.forms.boundaries import check_mesh
-from ngvisco.forms.context import Context, Entry, Integrand, Term
+from ngvisco.forms.context import Context
 from ngvisco.forms.creep import CreepRate
 from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Continuity, Convection, Inertia, Loading, Stokes
 from ngvisco.forms.moving_walls import MovingWalls
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.regularisation import regularising_terms
-from ngvisco.forms.spaces import Discretisation, Fields, Layout
+from ngvisco.forms.spaces import Discretisation, Layout
+from ngvisco.forms.term import Entry, Integrand, Term
 from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
 from ngvisco.forms.wall_terms import Impenetrability, wall_terms
 from ngvisco.forms.walls import Conditions, Walls
@@ -108,34 +110,30 @@ class Step:
         points = IntegrationRuleSpace(mesh, order=self.quadrature.volume_degree // 2)
         self.momentum_old = GridFunction(VectorValued(points, mesh.dim), name="momentum_old")
         self._momentum = GridFunction(VectorValued(points, mesh.dim))
-        self.context = Context(mesh, self.old, self.energy, self.momentum_old)
+        self.context = self.layout.context = Context(mesh, model, self.old, self.energy, self.momentum_old)
         self.terms = self._terms(terms, sources)
         self.sources = sources
         self.residual = self._residual()
         self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms)
 
     def _terms(self, further: Sequence[Term], sources: Term | None) -> tuple[Term, ...]:
-        model, context = self.model, self.context
+        model = self.model
         terms: list[Term] = [
-            Continuity(context, model.regularisation),
-            Inertia(context),
-            Convection(context, model.regularisation),
-            ElasticForce(model, context),
+            Continuity(model.regularisation),
+            Inertia(),
+            Convection(model.regularisation),
+            ElasticForce(),
         ]
         if model.viscosity is not None:
             terms.append(Stokes(model.viscosity))
         if model.hyperviscosity is not None:
-            terms.append(Hyperviscosity(model.hyperviscosity, context))
-        terms += [Loading(load, context) for load in model.loads]
-        terms += [
-            Kinematics(model, context),
-            Conjugates(model, context),
-            UpwindTrace(model, context),
-        ]
+            terms.append(Hyperviscosity(model.hyperviscosity))
+        terms += [Loading(load, self.mesh.dim) for load in model.loads]
+        terms += [Kinematics(model), Conjugates(model), UpwindTrace()]
         if model.creep is not None and not model.creep.is_local:
-            terms.append(CreepRate(model, context))
-        terms += regularising_terms(model.regularisation, context)
-        terms += wall_terms(self.walls, context)
+            terms.append(CreepRate(model.creep))
+        terms += regularising_terms(model.regularisation)
+        terms += wall_terms(self.walls)
         terms += further
         if sources is not None:
             terms.append(sources)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ngsolve import BaseVector, BilinearForm, BitArray, SetHeapSize
 
 from ngvisco.errors import StepError
-
-HEAP_SIZES = (500_000_000, 2_000_000_000)
-"""NGSolve's memory for the matrix of a cell, bytes, where its own does not do: k = 3, m = 2 in 3D."""
 
 
 class CondensedJacobian:
     """The factorised linearisation of a condensed form; applies its inverse to full residuals."""
 
-    def __init__(self, form: BilinearForm, inverse: str) -> None:
-        self.form, self.inverse_type = form, inverse
+    def __init__(self, form: BilinearForm, inverse: str, heap_sizes: Sequence[int] = ()) -> None:
+        """``heap_sizes`` are NGSolve's memory, bytes, tried for the matrix of a cell that its own is too
+        small for."""
+        self.form, self.inverse_type, self.heap_sizes = form, inverse, heap_sizes
         self.free: BitArray = form.space.FreeDofs(True)
         self._inverse = None
         self._rhs: BaseVector | None = None
@@ -37,7 +38,7 @@ class CondensedJacobian:
             raise StepError(f"the linearised step has no factorisation: {error}") from error
 
     def _assemble(self, state: BaseVector) -> None:
-        for size in (*HEAP_SIZES, None):
+        for size in (*self.heap_sizes, None):
             try:
                 self.form.AssembleLinearization(state)
                 return

@@ -7,8 +7,8 @@ import pytest
 from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
-from ngvisco.forms.context import Entry, Integrand
 from ngvisco.forms.momentum import Stokes
+from ngvisco.forms.term import Entry, Integrand
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, square
 from ngvisco.solver.split import claims

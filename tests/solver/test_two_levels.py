@@ -9,6 +9,7 @@ from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
+from ngvisco.solver.options import TwoLevelOptions
 from ngvisco.solver.split import linear, reversal
 from ngvisco.solver.split.linear import MANY, largest_eigenvalue
 
@@ -55,21 +56,20 @@ def test_the_bound_misses_no_facet(monkeypatch):
 
 
 @pytest.mark.usefixtures("double_precision")
-def test_two_levels_are_sweeps_around_a_coarse_solution(monkeypatch):
+def test_two_levels_are_sweeps_around_a_coarse_solution():
     """The same by residuals of the whole matrix, where no entry is dropped."""
-    monkeypatch.setattr(linear, "DROPPED", 0.0)
     rng = np.random.default_rng(4)
     n = 30
     B = rng.standard_normal((n, n))
     A = B @ B.T + n * np.eye(n)
     free, vertices, others = np.ones(n, dtype=bool), np.arange(n) < 10, np.zeros(n, dtype=bool)
     free[[3, 20]] = False
-    solver = linear.TwoLevelSolver(free, vertices, others, "umfpack")
+    solver = linear.TwoLevelSolver(free, vertices, others, "umfpack", TwoLevelOptions(dropped=0.0))
     solver.factorise(sp.csr_matrix(A))
     coarse, fine = np.flatnonzero(free & vertices), np.flatnonzero(free & ~vertices)
     own, r = A[np.ix_(fine, fine)], rng.standard_normal(n)
     scaled = own / np.sqrt(np.outer(np.diag(own), np.diag(own)))
-    damping = solver.DAMPING / np.linalg.eigvalsh(scaled).max()
+    damping = solver.options.damping / np.linalg.eigvalsh(scaled).max()
     x = np.zeros(n)
     for stage in ("fine", "fine", "coarse", "fine", "fine"):
         left = r - A @ x

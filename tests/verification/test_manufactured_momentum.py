@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from ngvisco import Discretisation, Model, StokesViscosity, time
-from ngvisco.forms.context import Integrand
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Convection, Inertia, Stokes
+from ngvisco.forms.term import Integrand
 from ngvisco.physics.tensors import inner
 from ngvisco.verification.manufactured import Exact
 from ngvisco.verification.models import hyperviscosity, material
@@ -32,9 +32,9 @@ def test_velocity_rate_is_k_plus_1_without_hyperviscosity(k: int) -> None:
             model,
             Discretisation(k=k),
             ("v",),
-            lambda c: [
-                Inertia(c),
-                Convection(c),
+            [
+                Inertia(),
+                Convection(),
                 Stokes(VISCOSITY),
                 Source(lambda w: [Integrand(-inner(force, w.v))]),
             ],
@@ -73,9 +73,9 @@ def hyperviscous_rates(k: int, p: float, levels: int) -> RateTable:
             model,
             Discretisation(k=k),
             BLOCKS,
-            lambda c: [
+            [
                 Stokes(VISCOSITY),
-                Hyperviscosity(model.hyperviscosity, c),
+                Hyperviscosity(model.hyperviscosity),
                 Source(lambda w: [Integrand(-inner(force, w.v))]),
             ],
             TAU,

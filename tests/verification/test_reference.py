@@ -134,7 +134,7 @@ def zaremba_jaumann_shear(duration: float, steps: int) -> tuple[float, float]:
     mesh = box((1, 1), 1.5)
     layout = PartialLayout(mesh, model, Discretisation(m=1), ("z", "zeta", "z_hat"))
     state, state_old = GridFunction(layout.space), GridFunction(layout.space)
-    context = Context(mesh, layout.fields(state_old.components))
+    layout.context = context = Context(mesh, model, layout.fields(state_old.components))
     context.tau.Set(duration / steps)
     trial, test = layout.space.TnT()
     u, w = layout.fields(trial), layout.fields(test)
@@ -142,7 +142,7 @@ def zaremba_jaumann_shear(duration: float, steps: int) -> tuple[float, float]:
     u.grad_v = CF((0, SHEAR_RATE, 0, 0), dims=(2, 2))
     quadrature = Quadrature.for_orders(mesh, 2, 1)
     form = BilinearForm(layout.space, condense=True)
-    for term in (Kinematics(model, context), Conjugates(model, context), UpwindTrace(model, context)):
+    for term in (Kinematics(model), Conjugates(model), UpwindTrace()):
         for part in term.form(u, w):
             if part.cells is not None:
                 form += part.cells * quadrature.cells

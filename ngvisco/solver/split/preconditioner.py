@@ -4,120 +4,94 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
+from ngvisco.algebra.blocks import BlockInverse
+from ngvisco.algebra.sparse import mass_matrix, together
 from ngvisco.forms.mesh_arrays import mask_of
-from ngvisco.forms.system import Step
-from ngvisco.solver.split.blocks import BlockInverse
+from ngvisco.forms.operators import Operators
+from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.split.flow import FlowOperator
-from ngvisco.solver.split.hyper import MatrixHyperviscosity
 from ngvisco.solver.split.hyper_derivative import HyperDerivative
 from ngvisco.solver.split.hyper_tangent import HyperTangent
 from ngvisco.solver.split.linear import DirectSolver, TwoLevelSolver
-from ngvisco.solver.split.momentum import Momentum
-from ngvisco.solver.split.operators import Operators, mass_matrix, together
+from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
 from ngvisco.solver.split.sweep import Sweep
 from ngvisco.solver.split.tangent import PointTangent
-from ngvisco.solver.split.unknowns import Unknowns
 from ngvisco.solver.split.velocity_tangent import VelocityTangent
-
-FORCING = 0.03
-"""Tolerance of the flow's linear system."""
-
-FLOW_ITERATIONS = 30
-"""GMRES iterations for (v, a) with the tangent of v and facets' blocks as preconditioner."""
-
-
-DIRECT_UP_TO = {2: 3_000, 3: 3_000}
-"""Unknowns of v, by dimension, up to which its tangent is factorised as a whole; above, two levels do.
-
-(3D, 2,639 tetrahedra: 5.4 s for a factorisation, 0.1 s for two levels, and no more GMRES iterations' time.)
-"""
-
-
-@dataclass
-class Residual:
-    """Rows of the flow's unknowns, of the normal derivatives a (dim, .), of the density's and of z (n, .)."""
-
-    flow: np.ndarray
-    normals: np.ndarray | None
-    density: np.ndarray
-    z: np.ndarray
 
 
 class Preconditioner:
     """Sweeps of the transport, the flow's linear system, and what z and rho take from the new velocity."""
 
-    def __init__(
-        self,
-        step: Step,
-        momentum: Momentum,
-        hyper: MatrixHyperviscosity | None,
-        unknowns: Unknowns,
-        inverse: str,
-    ) -> None:
-        self.t, self.m, self.unknowns = momentum.transport, momentum, unknowns
+    def __init__(self, residual: ReducedResidual, options: NewtonOptions) -> None:
+        step, unknowns = residual.step, residual.unknowns
+        self.unknowns = unknowns
         k, m = step.discretisation.k, step.discretisation.m
         self.op = Operators(step, max(k - 1, m))
         self.d = step.mesh.dim
-        self.sweep = Sweep(self.t, inverse)
-        derivative = None if hyper is None else HyperDerivative(hyper)
-        self.operator = FlowOperator(momentum, PointTangent(self.t, self.op), self.sweep, derivative)
+        self.sweep = Sweep(residual, options.inverse)
+        derivative = None if residual.hyper is None else HyperDerivative(residual.hyper)
+        self.operator = FlowOperator(residual, PointTangent(residual, self.op), self.sweep, derivative)
         self.hyper_tangent = None if derivative is None else HyperTangent(derivative)
         self.tangent = VelocityTangent(self.operator, self.hyper_tangent)
         free = [mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.flow]
         self.free = np.concatenate(free)
         self.solver: DirectSolver | TwoLevelSolver
-        if self.free.sum() > DIRECT_UP_TO[self.d]:
-            others = np.arange(len(self.free)) >= self.t.v.size
-            vertices = ~others & (np.arange(len(self.free)) % self.t.v.shape[1] < step.mesh.nv)
-            self.solver = TwoLevelSolver(self.free, vertices, others, inverse)
+        if self.free.sum() > options.split.direct_up_to[self.d - 2]:
+            others = np.arange(len(self.free)) >= self.operator.nv
+            vertices = ~others & (np.arange(len(self.free)) % residual.op.v.width < step.mesh.nv)
+            self.solver = TwoLevelSolver(
+                self.free, vertices, others, options.inverse, options.split.two_level
+            )
         else:
-            self.solver = DirectSolver(self.free, inverse, symmetric=unknowns.flow == ["v"])
+            self.solver = DirectSolver(self.free, options.inverse, symmetric=unknowns.flow == ["v"])
         mass = mass_matrix(self.op.z.matrix, self.op.weights)
         self.project = BlockInverse(mass)
         self.project.update(mass)
-        self.nv = self.t.v.size
+        self.nv = self.operator.nv
+        self.flow_iterations = options.split.flow_iterations
         self.iterations = 0
         """What the last linear system of the flow took."""
-        if self.t.Pi is not None:
-            self._creep = self.op.local(self.op.points.values(self.op.creep))
 
-    def update(self, clock: Callable[[str], AbstractContextManager[None]]) -> None:
-        """Form and factorise everything at the present state, whose residual has just been evaluated.
+    def update(self, at: Evaluation, clock: Callable[[str], AbstractContextManager[None]]) -> None:
+        """Form and factorise everything at an evaluation, which is that of the step's state.
 
         ``clock(name)`` measures the time of a part.
         """
         with clock("assembly"):
-            self.operator.update()
+            self.operator.update(at)
             if self.hyper_tangent is not None:
                 self.hyper_tangent.update()
             matrix = self.tangent.matrix()
         with clock("factorisation"):
             self.solver.factorise(matrix)
 
-    def linearise(self, everything: bool) -> None:
-        """Let the linear operator follow the present state, or what changes suddenly; the rest stays."""
-        self.operator.update(everything)
+    def linearise(self, at: Evaluation, everything: bool) -> None:
+        """Let the linear operator follow an evaluation, or what changes suddenly; the rest stays."""
+        self.operator.update(at, everything)
 
-    def __call__(self, r: Residual, tolerance: float) -> np.ndarray:
+    def __call__(self, at: Evaluation, tolerance: float) -> np.ndarray:
         """The increment, packed; ``tolerance`` is that of the flow's linear system."""
-        op, d, t, operator = self.op, self.d, self.t, self.operator
+        op, d, operator, r, rho = self.op, self.d, self.operator, at.residual, at.coefficients["rho"]
         dz = self.sweep.fields(np.ascontiguousarray(r.z.T))
         flow = r.flow.copy()
         flow[: self.nv] -= operator.force(dz).ravel()
         dflow, da = self._flow(flow, r.normals, tolerance)
         dv = dflow[: self.nv].reshape(d, -1)
-        dPi = None if t.Pi is None else self._creep(dflow[-t.Pi.size :].reshape(t.Pi.shape))
+        dPi = None
+        if "Pi" in self.unknowns.slices:
+            dPi = op.creep_values(
+                dflow[self.unknowns.slices["Pi"]].reshape(self.unknowns.components["Pi"], -1)
+            )
         dz += operator.carried(dv, dPi)
         dv_q, L = op.v(dv), op.velocity_gradient(dv)
-        drho = op.z(t.rho) * sum(L[i * (d + 1)] for i in range(d))
-        drho += sum(D(t.rho) * dv_q[j] for j, D in enumerate(op.dz))
+        drho = op.z(rho) * sum(L[i * (d + 1)] for i in range(d))
+        drho += sum(D(rho) * dv_q[j] for j, D in enumerate(op.dz))
         density = r.density.copy()
-        density[: t.rho.size] -= op.z.test(drho)
+        density[: rho.size] -= op.z.test(drho)
         parts = [dflow, *([] if da is None else [da.ravel()]), self.sweep.density(density)]
         return np.concatenate([*parts, self.project(op.z.test(operator.resolved(dz))).ravel()])
 
@@ -161,7 +135,7 @@ class Preconditioner:
             operator_of_scaled,
             start / scale,
             rtol=tolerance,
-            restart=FLOW_ITERATIONS,
+            restart=self.flow_iterations,
             maxiter=1,
             callback=residuals.append,
             callback_type="pr_norm",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ngvisco.forms.system import Step
@@ -24,6 +26,9 @@ class Unknowns:
             self.density = ["rho"]
         self.names = [*self.flow, *self.normals, *self.density, "z"]
         self.ranges = layout.ranges
+        self.components = {"v": step.mesh.dim, "z": layout.states.size}
+        if "Pi" in layout.names:
+            self.components["Pi"] = layout.blocks["Pi"].TrialFunction().dim
         self.state = step.state.vec.FV().NumPy()
         self.slices: dict[str, slice] = {}
         start = 0
@@ -40,13 +45,28 @@ class Unknowns:
         return slice(self.slices[names[0]].start, self.slices[names[-1]].stop)
 
     def pack(self) -> np.ndarray:
-        """A copy of the iterated unknowns."""
+        """A copy of the iterated unknowns of the state."""
         return np.concatenate([self.state[self.ranges[name]] for name in self.names])
 
     def unpack(self, x: np.ndarray) -> None:
         """Put them into the state."""
         for name in self.names:
             self.state[self.ranges[name]] = x[self.slices[name]]
+
+    def put(self, derived: Mapping[str, np.ndarray]) -> None:
+        """Put coefficients of other unknowns, by name, into the state."""
+        for name, values in derived.items():
+            if name in self.ranges and name not in self.slices:
+                self.state[self.ranges[name]] = values.ravel()
+
+    def coefficients(self, x: np.ndarray) -> dict[str, np.ndarray]:
+        """The iterated unknowns by name, (components, functions); the normal derivatives together as a."""
+        result = {name: x[self.slices[name]] for name in self.names if name not in self.normals}
+        for name, count in self.components.items():
+            result[name] = result[name].reshape(count, -1)
+        if self.normals:
+            result["a"] = x[self.normal_slice].reshape(len(self.normals), -1)
+        return result
 
     def scales(self, x: np.ndarray) -> np.ndarray:
         """The size of each one's block, for lengths; a thousand times that for what v determines."""
