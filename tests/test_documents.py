@@ -35,6 +35,17 @@ def anchors(text):
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
+@pytest.mark.parametrize("path", MARKDOWN, ids=name)
+def test_files_that_a_page_names_exist(path):
+    """In backticks: from the top of a clone, from the package or from the page's folder."""
+    text = path.read_text()
+    made = set(re.findall(r"<!-- \w+: new file (\S+) -->", text))  # by a recipe of the guide
+    named = set(re.findall(r"`((?!results/)[\w.]+/[\w./]*\.(?:py|md|toml|html|run))`", text))
+    folders = (ROOT, ROOT / "ngvisco", path.parent)
+    missing = [n for n in named - made if "NAME" not in n and not any((f / n).is_file() for f in folders)]
+    assert not missing, missing
+
+
 def test_cited_sections_of_the_formulation_exist():
     sections = [int(n) for n in re.findall(r"^## (\d+)\. ", FORMULATION.read_text(), re.MULTILINE)]
     assert sections == list(range(1, len(sections) + 1))

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from documents import ROOT, tracked
+from documents import ROOT
 
 GUIDE = ROOT / "ngvisco" / "GUIDE.md"
 BLOCK = re.compile(r"<!-- (\w+): (new file|change|run) ?([\w./]*) -->\n+```\w+\n(.*?)```", re.DOTALL)
@@ -92,16 +92,3 @@ def test_recipes_code_has_the_projects_style(recipe, tmp_path):
     for command in (("check", "--ignore=RUF001,RUF002,RUF003,SIM115,E402"), ("format", "--diff")):
         result = subprocess.run(["ruff", *command, "."], cwd=tmp_path, capture_output=True, text=True)
         assert result.returncode == 0, result.stdout + result.stderr
-
-
-def test_files_that_the_guide_names_exist():
-    """In backticks, from the top of a clone; what a recipe makes is named as a new file."""
-    text = GUIDE.read_text()
-    made = {file for _, what, file, _ in BLOCK.findall(text) if what == "new file"}
-    named = {
-        name for name in re.findall(r"`((?:ngvisco|tests|demos)/[\w./]*\w)`", text) if "NAME" not in name
-    }
-    there = {str(path.relative_to(ROOT)) for path in tracked("*")}
-    folders = {str(Path(path).parent) for path in there}
-    assert named <= there | folders | made, sorted(named - there - folders - made)
-    assert len(named) > 20
