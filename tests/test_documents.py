@@ -36,6 +36,20 @@ def anchors(text):
 
 
 @pytest.mark.parametrize("path", MARKDOWN, ids=name)
+def test_tables_are_seen_as_such(path):
+    """A blank line before each, and as many cells in every line as in its head."""
+    text = re.sub(r"```.*?```", "", path.read_text(), flags=re.DOTALL)
+    before, cells = "", 0
+    for line in text.splitlines():
+        if line.startswith("|"):
+            if not before.startswith("|"):
+                assert not before, f"no blank line before {line}"
+                cells = line.count("|") - line.count("\\|")
+            assert line.count("|") - line.count("\\|") == cells, line
+        before = line
+
+
+@pytest.mark.parametrize("path", MARKDOWN, ids=name)
 def test_files_that_a_page_names_exist(path):
     """In backticks: from the top of a clone, from the package or from the page's folder."""
     text = path.read_text()
