@@ -48,9 +48,9 @@ def test_changes_apply_at_one_place_only():
 
 
 def copied(folder: Path) -> Path:
-    """The sources that a program imports, without the kept reports."""
+    """The sources that a program imports."""
     for name in ("ngvisco", "geometries"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", "report"))
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     return folder
 
 
