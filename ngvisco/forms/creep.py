@@ -16,8 +16,9 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.rheology import Creep
-from ngvisco.physics.tensors import inner, square
+from ngvisco.physics.tensors import inner, square, trace_free_tensors
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,9 @@ class CreepRate(PointTerm):
     """
 
     law: Creep
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown("Pi", "continuous", max(1, setting.m), trace_free_tensors(setting.dim).size),)
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         gradient = self.law.gradient_coefficient(square(u.grad_Pi))

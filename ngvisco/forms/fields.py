@@ -192,7 +192,7 @@ class Fields:
     def normal_derivative(self) -> CoefficientFunction:
         """The single-valued d_n v on facets, length dim; on a cell's boundary only."""
         n = specialcf.normal(self.dim)
-        return CF(tuple(self.parts[f"a_{i + 1}"] * n for i in range(self.dim)))
+        return CF(tuple(self.parts[name] * n for name in self.layout.names_of("normals")))
 
     @cached_property
     def jump(self) -> CoefficientFunction:

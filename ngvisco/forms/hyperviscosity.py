@@ -35,8 +35,9 @@ from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.fields import Fields, hessian_basis
+from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, tested
+from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.rheology import HyperViscosity
 from ngvisco.physics.tensors import inner, square
 
@@ -46,6 +47,24 @@ class Hyperviscosity(PointTerm):
     """<Psi'(v, a), (w, b)> with its local unknowns; dissipation <Psi', (v, a)>."""
 
     law: HyperViscosity
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        k, dim = setting.k, setting.dim
+        tensors = dim * hessian_basis(dim).shape[1]
+        found = [Unknown("hess", "cells", k - 2, tensors), Unknown("hyperstress", "cells", k - 2, tensors)]
+        if not self.law.is_linear:
+            found += [Unknown(name, "cells", 2 * k - 4) for name in ("hess_square", "hyper_coefficient")]
+        normals = (Unknown(f"a_{i + 1}", "normals", k - 1, trace_of="v", component=i) for i in range(dim))
+        return (*found, *normals)
+
+    def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
+        if self.law.is_linear:
+            return []
+        return [
+            ("hess_square", tested(square(u.hess))),
+            ("hyper_coefficient", lambda t: [self.coefficient_load(u, t)]),
+            ("hyperstress", tested(u.hyper_coefficient * u.parts["hess"])),
+        ]
 
     def penalty(self, u: Fields) -> tuple[CoefficientFunction, CoefficientFunction | None]:
         """sigma/h (c(s~), c'(s~) |j|^2) at s~ = s + |j|^2/h^2 + chi^2; the second is None where c' = 0."""

@@ -181,7 +181,7 @@ def complete(step: Step) -> None:
         parts["zeta"].Set(components_of(material, conjugates(material, u.z_tensors), dim))
     else:
         step.eliminate.refresh()
-        step.eliminate.conjugates()
+        step.eliminate.projections["zeta"]()
     set_traces(step.layout, step.state, step.context, step.quadrature)
     law = step.model.hyperviscosity
     if law is None:

@@ -22,6 +22,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.model import CentralGravity, Gravity, Load, as_vector
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import StokesViscosity
@@ -42,6 +43,10 @@ class Continuity(PointTerm):
 
     regularisation: Regularisation | None = None
 
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        order = setting.m
+        return Unknown("rho", "cells", order), Unknown("rho_hat", "facets", order, trace_of="rho")
+
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
         carried = carried_density(u, self.regularisation)
@@ -56,6 +61,9 @@ class Continuity(PointTerm):
 @dataclass(frozen=True)
 class Inertia(PointTerm):
     """(rho v - m_old)/tau . w - 1/2 (rho - rho_old)/tau v . w."""
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown("v", "velocity", setting.k, setting.dim),)
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context

@@ -16,8 +16,10 @@ from dataclasses import dataclass
 
 from ngsolve import CF, CoefficientFunction, IfPos
 
+from ngvisco.errors import ParameterError
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
+from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.tensors import inner, square
 
@@ -32,6 +34,10 @@ class DensityDiffusion(PointTerm):
     """
 
     law: Regularisation
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        _require_gradients("delta_density", self.law.delta_density, setting)
+        return (Unknown("rho_delta_hat", "facets", setting.m, trace_of="rho"),)
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [self.law.diffusivity(square(u.grad_rho)) * inner(u.grad_rho, w.grad_rho)]
@@ -64,6 +70,10 @@ class FieldDiffusion(PointTerm):
     """
 
     law: Regularisation
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        _require_gradients("delta_fields", self.law.delta_fields, setting)
+        return (Unknown("z_delta_hat", "facets", setting.m, setting.states.size, trace_of="z"),)
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [self.law.delta_fields * inner(u.grad_z, w.grad_z)]
@@ -116,6 +126,11 @@ class CutOffVolume(PointTerm):
         assert self.law.rho_max is not None
         acting = IfPos(u.rho - self.law.rho_max, CF(1.0), CF(0.0))
         return [Entry("cutoff_volume", "monitor", Integrand(acting))]
+
+
+def _require_gradients(name: str, delta: float, setting: Setting) -> None:
+    if setting.m == 0:
+        raise ParameterError(f"Regularisation.{name}", delta, "0 with m = 0, which has no gradients")
 
 
 def regularising_terms(law: Regularisation | None) -> list[Term]:

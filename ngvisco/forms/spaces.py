@@ -1,22 +1,25 @@
 """Spaces of one Rothe step and access to their unknowns by name.
 
-| unknown          | space                                             | where it lives |
-|------------------|---------------------------------------------------|----------------|
-| v                | continuous P_k, v.n = 0 on axis-parallel walls    | global         |
-| a_1 ... a_d      | normal derivatives of v, P_{k-1} on facets        | global         |
-| hess, hyperstress| P_{k-2}, symmetric in the last two indices        | local          |
-| rho, rho_hat     | discontinuous P_m, its trace on facets            | local, global  |
-| z, z_hat, zeta   | all transported components, trace, conjugates     | local, global  |
-| Pi               | creep rate where nu > 0, continuous P_max(1, m)   | global         |
-| rho_delta_hat, z_delta_hat | traces of the delta-regularisation      | global         |
-| wall_stress      | P_{k-2} (2D, k = 3: P_2) on oblique, curved walls | global         |
+| unknown          | space                                             | where it lives | introduced by |
+|------------------|---------------------------------------------------|----------------|---------------|
+| v                | continuous P_k, v.n = 0 on axis-parallel walls    | global         | Inertia |
+| rho, rho_hat     | discontinuous P_m, its trace on facets            | local, global  | Continuity |
+| hess, hyperstress| P_{k-2}, symmetric in the last two indices        | local          | Hyperviscosity |
+| a_1 ... a_d      | normal derivatives of v, P_{k-1} on facets        | global         | Hyperviscosity |
+| z               | transported components, P_m                       | local          | Kinematics |
+| zeta            | their conjugates, P_m                             | local          | Conjugates |
+| z_hat            | the trace of z                                    | global         | UpwindTrace |
+| Pi               | creep rate where nu > 0, continuous P_max(1, m)   | global         | CreepRate |
+| rho_delta_hat    | the trace of rho in its diffusion                 | global         | DensityDiffusion |
+| z_delta_hat      | the trace of z in its diffusion                   | global         | FieldDiffusion |
+| wall_stress      | P_{k-2} (2D, k = 3: P_2) on oblique, curved walls | global         | Impenetrability |
 
 The local unknowns are condensed out cell by cell.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -33,10 +36,10 @@ from ngsolve import (
 )
 
 from ngvisco.errors import ParameterError, require_choice
-from ngvisco.forms.fields import Fields, hessian_basis
-from ngvisco.physics.model import Model
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.unknowns import Introducing, Place, Setting, Unknown
+from ngvisco.physics.material import Material
 from ngvisco.physics.state_space import StateSpace
-from ngvisco.physics.tensors import trace_free_tensors
 
 if TYPE_CHECKING:
     from ngvisco.forms.context import Context
@@ -75,67 +78,62 @@ class Layout:
     def __init__(
         self,
         mesh: Mesh,
-        model: Model,
+        material: Material,
         discretisation: Discretisation,
+        terms: Iterable[object],
         dirichlet: Sequence[str],
         *,
         periodic: bool = False,
-        multiplier: FESpace | None = None,
     ) -> None:
-        """``dirichlet[i]`` is the boundary pattern on which v_i is prescribed.
+        """``terms`` introduce the unknowns; v_i is prescribed on the boundary pattern ``dirichlet[i]``.
 
-        ``periodic`` identifies the unknowns on identified boundaries; ``multiplier`` is the space of
-        the wall stress that holds v.n = 0 on oblique and curved walls.
+        ``periodic`` identifies the unknowns on identified boundaries.
+
+        Raises
+        ------
+        ParameterError
+            If two terms introduce an unknown of one name, or one that the orders do not admit.
         """
-        self.mesh, self.model, self.discretisation = mesh, model, discretisation
-        self.periodic = periodic
-        dim, k, m = mesh.dim, discretisation.k, discretisation.m
-        self.states = StateSpace.of(model.material.variables, dim)
-        components = self.states.size
-        blocks: dict[str, FESpace] = {
-            "v": self.velocity_space(dirichlet),
-            "rho": L2(mesh, order=m),
-            "rho_hat": FacetFESpace(mesh, order=m),
-            "z": VectorValued(L2(mesh, order=m), components),
-            "zeta": VectorValued(L2(mesh, order=m), components),
-            "z_hat": VectorValued(FacetFESpace(mesh, order=m), components),
-        }
-        if model.hyperviscosity is not None:
-            size = dim * hessian_basis(dim).shape[1]
-            blocks["hess"] = VectorValued(L2(mesh, order=k - 2), size)
-            blocks["hyperstress"] = VectorValued(L2(mesh, order=k - 2), size)
-            if not model.hyperviscosity.is_linear:
-                blocks["hess_square"] = L2(mesh, order=2 * k - 4)
-                blocks["hyper_coefficient"] = L2(mesh, order=2 * k - 4)
-            for i in range(dim):
-                blocks[f"a_{i + 1}"] = NormalFacetFESpace(mesh, order=k - 1)
-        if model.creep is not None and not model.creep.is_local:
-            blocks["Pi"] = VectorValued(H1(mesh, order=max(1, m)), trace_free_tensors(dim).size)
-        if model.regularisation is not None:
-            diffused = {"delta_density": model.regularisation.delta_density}
-            diffused["delta_fields"] = model.regularisation.delta_fields
-            for name, delta in diffused.items():
-                if delta > 0 and m == 0:
+        self.mesh, self.discretisation, self.periodic = mesh, discretisation, periodic
+        self.states = StateSpace.of(material.variables, mesh.dim)
+        self._dirichlet = tuple(dirichlet)
+        setting = Setting(mesh.dim, self.states, discretisation.k, discretisation.m)
+        self.unknowns: dict[str, Unknown] = {}
+        for term in terms:
+            for unknown in term.unknowns(setting) if isinstance(term, Introducing) else ():
+                if unknown.name in self.unknowns:
                     raise ParameterError(
-                        f"Regularisation.{name}", delta, "0 with m = 0, which has no gradients"
+                        f"{type(term).__name__}.unknowns",
+                        unknown.name,
+                        "a name that no other term introduces",
                     )
-            if model.regularisation.delta_density > 0:
-                blocks["rho_delta_hat"] = FacetFESpace(mesh, order=m)
-            if model.regularisation.delta_fields > 0:
-                blocks["z_delta_hat"] = VectorValued(FacetFESpace(mesh, order=m), components)
-        if periodic:  # v is so already
-            for name in blocks:
-                if name.startswith("a_") or name.endswith("_hat") or name == "Pi":
-                    blocks[name] = Periodic(blocks[name])
-        if multiplier is not None:
-            blocks["wall_stress"] = multiplier
-        self.blocks = blocks
-        self.names = tuple(blocks)
-        self.space = FESpace(list(blocks.values()))
+                self.unknowns[unknown.name] = unknown
+        self._make(list(self.unknowns))
+
+    def _make(self, names: Sequence[str]) -> None:
+        """The compound space of these unknowns."""
+        self.blocks = {name: self._space(self.unknowns[name]) for name in names}
+        self.names = tuple(names)
+        self.space = FESpace(list(self.blocks.values()))
         self.ranges = {
             name: slice(r.start, r.stop)
             for name, r in ((name, self.space.Range(i)) for i, name in enumerate(self.names))
         }
+
+    def names_of(self, *places: Place) -> list[str]:
+        """The unknowns that live there, in their order."""
+        return [name for name in self.names if self.unknowns[name].place in places]
+
+    def _space(self, unknown: Unknown) -> FESpace:
+        if unknown.place == "velocity":
+            return self.velocity_space(self._dirichlet)
+        if unknown.space is not None:
+            return unknown.space
+        make = {"cells": L2, "facets": FacetFESpace, "normals": NormalFacetFESpace, "continuous": H1}
+        space = make[unknown.place](self.mesh, order=unknown.order)
+        if unknown.size is not None:
+            space = VectorValued(space, unknown.size)
+        return Periodic(space) if self.periodic and not unknown.is_local else space
 
     def velocity_space(self, dirichlet: Sequence[str]) -> FESpace:
         """Continuous P_k with v_i prescribed on the boundary pattern ``dirichlet[i]``."""

@@ -45,6 +45,25 @@ from ngvisco.forms.walls import Conditions, Walls
 from ngvisco.physics.model import Model
 
 
+def equations(model: Model, dim: int) -> tuple[Term, ...]:
+    """The terms of a model's equations, without walls."""
+    terms: list[Term] = [
+        Continuity(model.regularisation),
+        Inertia(),
+        Convection(model.regularisation),
+        ElasticForce(),
+    ]
+    if model.viscosity is not None:
+        terms.append(Stokes(model.viscosity))
+    if model.hyperviscosity is not None:
+        terms.append(Hyperviscosity(model.hyperviscosity))
+    terms += [Loading(load, dim) for load in model.loads]
+    terms += [Kinematics(model), Conjugates(model), UpwindTrace()]
+    if model.creep is not None and not model.creep.is_local:
+        terms.append(CreepRate(model.creep))
+    return (*terms, *regularising_terms(model.regularisation))
+
+
 @dataclass(frozen=True)
 class Evolved:
     """What of a state has a time derivative, and the velocity: copies of coefficients.
@@ -88,13 +107,16 @@ class Step:
         self.mesh, self.model = mesh, model
         self.discretisation = discretisation or Discretisation()
         self.walls = Walls(mesh, conditions)
+        known = () if sources is None else (sources,)
+        self.terms = (*equations(model, mesh.dim), *wall_terms(self.walls), *terms, *known)
+        self.sources = sources
         self.layout = Layout(
             mesh,
-            model,
+            model.material,
             self.discretisation,
+            self.terms,
             self.walls.dirichlet,
             periodic=bool(self.walls.periodic),
-            multiplier=self.walls.multiplier_space(self.discretisation.k),
         )
         self.state = GridFunction(self.layout.space, name="state")
         self.state_old = GridFunction(self.layout.space, name="state_old")
@@ -111,33 +133,8 @@ class Step:
         self.momentum_old = GridFunction(VectorValued(points, mesh.dim), name="momentum_old")
         self._momentum = GridFunction(VectorValued(points, mesh.dim))
         self.context = self.layout.context = Context(mesh, model, self.old, self.energy, self.momentum_old)
-        self.terms = self._terms(terms, sources)
-        self.sources = sources
         self.residual = self._residual()
         self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms)
-
-    def _terms(self, further: Sequence[Term], sources: Term | None) -> tuple[Term, ...]:
-        model = self.model
-        terms: list[Term] = [
-            Continuity(model.regularisation),
-            Inertia(),
-            Convection(model.regularisation),
-            ElasticForce(),
-        ]
-        if model.viscosity is not None:
-            terms.append(Stokes(model.viscosity))
-        if model.hyperviscosity is not None:
-            terms.append(Hyperviscosity(model.hyperviscosity))
-        terms += [Loading(load, self.mesh.dim) for load in model.loads]
-        terms += [Kinematics(model), Conjugates(model), UpwindTrace()]
-        if model.creep is not None and not model.creep.is_local:
-            terms.append(CreepRate(model.creep))
-        terms += regularising_terms(model.regularisation)
-        terms += wall_terms(self.walls)
-        terms += further
-        if sources is not None:
-            terms.append(sources)
-        return tuple(terms)
 
     def _residual(self) -> BilinearForm:
         """R(u; w) as one nonlinear form with element-local unknowns to be condensed."""

@@ -14,11 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
+from ngvisco.physics.tensors import inner
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,24 @@ class PointTerm:
     def entries(self, u: Fields) -> list[Entry]:
         """Columns of the energy ledger: none, of a term without power."""
         return []
+
+
+Integrands: TypeAlias = Callable[[CoefficientFunction], Sequence[Integrand]]
+"""Integrands by the test function of a space."""
+
+
+def tested(value: CoefficientFunction) -> Integrands:
+    """int value : test over the cells."""
+    return lambda test: [Integrand(inner(value, test))]
+
+
+@runtime_checkable
+class Projecting(Protocol):
+    """A term whose local unknowns are cellwise projections of what is made of others."""
+
+    def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
+        """Names and loads of local unknowns, in the order in which they depend on each other."""
+        ...
 
 
 @runtime_checkable

@@ -19,7 +19,8 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
-from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, tested
+from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.material import rate_power
 from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.model import Model
@@ -48,6 +49,9 @@ class Kinematics(PointTerm):
     """
 
     model: Model
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown("z", "cells", setting.m, setting.states.size),)
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
@@ -82,6 +86,9 @@ class Kinematics(PointTerm):
 class UpwindTrace(PointTerm):
     """sum_K int_{dK} (1 - n^-)(z_hat - z) : G_hat = 0: the trace is the upwind value n^+ z_1 + n^- z_2."""
 
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown("z_hat", "facets", setting.m, setting.states.size, trace_of="z"),)
+
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [u.upwinding.share * inner(u.z_hat - u.z, w.z_hat)]
 
@@ -91,6 +98,12 @@ class Conjugates(PointTerm):
     """int (zeta - phi'(z)) : X = 0: zeta is the cellwise L2 projection of the conjugates."""
 
     model: Model
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown("zeta", "cells", setting.m, setting.states.size),)
+
+    def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
+        return [("zeta", tested(u.context.energy.slope(u)))]
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [inner(u.zeta, w.zeta), *(-part for part in u.context.energy.tested_slope(u, w))]

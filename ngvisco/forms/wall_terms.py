@@ -9,6 +9,7 @@ from ngsolve import CF, CoefficientFunction
 from ngvisco.forms.boundaries import facet_indicator
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
+from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.forms.walls import Walls
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.walls import NavierFriction, Traction
@@ -24,6 +25,10 @@ class Impenetrability(PointTerm):
 
     def __init__(self, walls: Walls) -> None:
         self.indicator = facet_indicator(walls.mesh, walls.multiplied)
+        self._walls = walls
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown("wall_stress", "walls", space=self._walls.multiplier_space(setting.k)),)
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         n = u.context.normal

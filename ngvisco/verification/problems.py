@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ngsolve import BilinearForm, CoefficientFunction, FESpace, GridFunction, Integrate, Mesh
+from ngsolve import BilinearForm, CoefficientFunction, GridFunction, Integrate, Mesh
 
 from ngvisco import Discretisation, Model, NewtonOptions, time
 from ngvisco.errors import StepError
@@ -16,6 +16,7 @@ from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
+from ngvisco.forms.system import equations
 from ngvisco.forms.term import Entry, Integrand, Term
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import square
@@ -52,12 +53,9 @@ class PartialLayout(Layout):
         discretisation: Discretisation,
         names: Sequence[str],
     ) -> None:
-        super().__init__(mesh, model, discretisation, slip_constraints(mesh))
-        self.blocks = {name: space for name, space in self.blocks.items() if name in names}
-        self.names = tuple(self.blocks)
-        self.space = FESpace(list(self.blocks.values()))
-        ranges = [self.space.Range(i) for i in range(len(self.names))]
-        self.ranges = {n: slice(r.start, r.stop) for n, r in zip(self.names, ranges, strict=True)}
+        terms = equations(model, mesh.dim)
+        super().__init__(mesh, model.material, discretisation, terms, slip_constraints(mesh))
+        self._make([name for name in self.names if name in names])
 
     def with_given(self, parts: Sequence[Any], exact: Exact | None) -> Fields:
         """Fields of this layout's blocks, completed by the exact ones."""

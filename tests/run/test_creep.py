@@ -6,7 +6,6 @@ from ngsolve import CF, Det, Integrate, cos, pi, sin, x, y
 from scipy.integrate import solve_ivp
 
 import ngvisco as nv
-from ngvisco.forms.transport import Transport
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import dev, square, sym, tr
 

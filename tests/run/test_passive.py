@@ -5,7 +5,6 @@ import pytest
 from ngsolve import CF, Grad, Id, InnerProduct, Integrate, cos, pi, sin, sqrt, x, y
 
 import ngvisco as nv
-from ngvisco.forms.transport import Transport
 from ngvisco.geometries import box, disc
 
 ALL = ("F_tot", "reference_map", "creep_strain")

@@ -10,7 +10,7 @@ from ngsolve import cos, pi, sin, x, y
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.solver.options import TwoLevelOptions
-from ngvisco.solver.split import linear, reversal
+from ngvisco.solver.split import linear, upwind_switch
 from ngvisco.solver.split.linear import MANY, largest_eigenvalue
 
 
@@ -41,15 +41,16 @@ def test_the_bound_misses_no_facet(monkeypatch):
         box((1, 1), maxh=0.2), model, dt=0.05, initial=nv.Initial(velocity=velocity), solver="split"
     )
     run.advance()
-    operator, t = run.solver.newton.preconditioner.operator, run.solver.newton.transport
+    split = run.solver.newton
+    operator, at = split.preconditioner.operator, split.residual(split.unknowns.pack())
     chosen = []
     for sudden in (1e-8, 1e-6, 1e-4):
-        monkeypatch.setattr(reversal, "SUDDEN", sudden)
+        monkeypatch.setattr(upwind_switch, "SUDDEN", sudden)
         for bound in (None, 1e100):
             if bound is not None:
-                monkeypatch.setattr(reversal.Reversal, "_largest", lambda self, zeta: 1e100)
-            operator.reversal.update(t.z, t.zeta, t.rho)
-            chosen.append(len(operator.reversal._slope) if operator.reversal.exists else 0)
+                monkeypatch.setattr(upwind_switch.UpwindSwitch, "_largest", lambda self, zeta: 1e100)
+            operator.switch.update(at)
+            chosen.append(len(operator.switch._slope) if operator.switch.exists else 0)
         monkeypatch.undo()
     assert chosen[0::2] == chosen[1::2]
     assert 0 < chosen[2] < chosen[0]

@@ -18,17 +18,16 @@ class Unknowns:
 
     def __init__(self, step: Step) -> None:
         layout = step.layout
-        self.flow: list[str] = [name for name in ("v", "wall_stress", "Pi") if name in layout.names]
-        self.normals = [name for name in layout.names if name.startswith("a_")]
-        density = density_by_forms(step)
-        self.density: list[str] = [n for n in ("rho", "rho_hat", "rho_delta_hat") if n in layout.names]
-        if not density:
-            self.density = ["rho"]
+        self.flow = layout.names_of("velocity", "walls", "continuous")
+        self.normals = layout.names_of("normals")
+        self.density = ["rho"]
+        if density_by_forms(step):
+            facets = layout.names_of("facets")
+            self.density += [name for name in facets if layout.unknowns[name].trace_of == "rho"]
         self.names = [*self.flow, *self.normals, *self.density, "z"]
         self.ranges = layout.ranges
-        self.components = {"v": step.mesh.dim, "z": layout.states.size}
-        if "Pi" in layout.names:
-            self.components["Pi"] = layout.blocks["Pi"].TrialFunction().dim
+        sizes = {name: layout.unknowns[name].size for name in self.names}
+        self.components = {name: size for name, size in sizes.items() if size is not None}
         self.state = step.state.vec.FV().NumPy()
         self.slices: dict[str, slice] = {}
         start = 0
