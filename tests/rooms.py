@@ -3,6 +3,7 @@
 ``python tests/rooms.py`` brings the READMEs' lists of files up to date, when files come, move or go.  A
 new file gets the first line of its docstring; files stand after those that they import.  What a room may
 import and does not is taken back, as are levels that it no longer has; to allow more is a decision, by hand.
+Then it prints the modules, lines and levels of each room.
 """
 
 from __future__ import annotations
@@ -189,4 +190,9 @@ if __name__ == "__main__":
         new = updated(room)
         if new != readme(room).read_text():
             readme(room).write_text(new)
-            print(readme(room).relative_to(ROOT))
+            print(f"written: {readme(room).relative_to(ROOT)}")
+    for room in (room for room in ROOMS if room.count(".") == 1):
+        inside = [path for module, path in MODULES.items() if module.startswith(f"{room}.")]
+        lines = sum(len(path.read_text().splitlines()) for path in inside)
+        steps = " -> ".join(module.removeprefix(f"{room}.") for module in chain_of(room))
+        print(f"{room}: {len(inside)} modules, {lines} lines, {len(chain_of(room))} levels: {steps}")
