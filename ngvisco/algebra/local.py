@@ -82,7 +82,10 @@ class LocalMatrix:
     def __call__(self, rows: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """matrix @ each of ``rows``, (..., width) -> (..., height)."""
         if np.iscomplexobj(rows):
-            return by_parts(self, rows)
+            result = by_parts(self, rows)
+            if out is not None:
+                out[...] = result
+            return result
         parts = rows.reshape(-1, self.width)
         result = np.empty((len(parts), self.height)) if out is None else out
         shape = (len(parts), self.cells, self.local)

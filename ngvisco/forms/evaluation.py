@@ -275,7 +275,7 @@ def _full(values: np.ndarray, count: int) -> np.ndarray:
     return values if values.shape[-1] == count else np.broadcast_to(values, (*values.shape[:-1], count))
 
 
-def asked_slots(step: Step, term: PointTerm) -> set[str]:
+def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
     """Names of the tests that a term has rows of, found by evaluating it at one point with all values one.
 
     Raises
@@ -300,7 +300,7 @@ def asked_slots(step: Step, term: PointTerm) -> set[str]:
         momentum_old=ones((d,)),
         rate=lambda difference: difference,
         average=lambda value: ones((value.dim,)),
-        rates=TabulatedRates(step.model, d),
+        rates=rates,
     )
     inside.old = fields(inside, ("rho", "z"), _CELLS)
     side = SimpleNamespace(

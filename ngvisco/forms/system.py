@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from ngsolve import BilinearForm, GridFunction, Mesh, VectorValued
@@ -36,6 +37,7 @@ from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Continuity, Convection, Inertia, Loading, Stokes
 from ngvisco.forms.moving_walls import MovingWalls
 from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.rate_tensors import TabulatedRates
 from ngvisco.forms.regularisation import regularising_terms
 from ngvisco.forms.spaces import Discretisation, Layout
 from ngvisco.forms.term import Entry, Integrand, Term
@@ -144,6 +146,11 @@ class Step:
         for term in self.terms:
             self.quadrature.add(form, term.form(u, w))
         return form
+
+    @cached_property
+    def tabulated_rates(self) -> TabulatedRates:
+        """The rates of the variables for arrays of values."""
+        return TabulatedRates(self.model, self.mesh.dim)
 
     @property
     def impenetrability(self) -> Impenetrability | None:

@@ -72,7 +72,12 @@ class Array:
         return Array(-self.value, [(self, np.negative)])
 
     def __sub__(self, other: Any) -> Array:
-        return self + (-_array(other))
+        if isinstance(other, Linear):
+            return NotImplemented
+        other = _array(other)
+        if self.rank != other.rank:
+            raise TypeError("differences of scalars, vectors and tensors are not defined")
+        return Array(self.value - other.value, [(self, _same), (other, np.negative)])
 
     def __mul__(self, other: Any) -> Array:
         if isinstance(other, Linear):
@@ -321,7 +326,12 @@ def _pulled_right(g: np.ndarray, a: np.ndarray, shape: tuple[int, ...]) -> np.nd
 
 
 def _applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    return (matrix @ value.reshape(matrix.shape[1], -1)).reshape(*shape, -1)
+    # the matrices embed and select: few entries, and real where values may be complex
+    entries = value.reshape(matrix.shape[1], -1)
+    result = np.zeros((matrix.shape[0], entries.shape[1]), value.dtype)
+    for i, j in np.argwhere(matrix):
+        result[i] += entries[j] if matrix[i, j] == 1.0 else matrix[i, j] * entries[j]
+    return result.reshape(*shape, -1)
 
 
 def _mapped(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, Any]:
@@ -336,16 +346,28 @@ def slots(form: Linear) -> dict[str, np.ndarray]:
     found: dict[int, np.ndarray] = {form.number: np.ones(1)}
     nodes = {form.number: form}
     result: dict[str, np.ndarray] = {}
+    sums: set[int] = set()  # which of those found are arrays of their own, to be added to in place
     while nodes:
         number = max(nodes)  # whatever is made of it has a larger number
         node, g = nodes.pop(number), found.pop(number)
         if node.slot is not None:
-            result[node.slot] = result[node.slot] + g if node.slot in result else g
+            result[node.slot] = g
         for parent, pull in node.parents:
-            share = pull(g)
-            found[parent.number] = found[parent.number] + share if parent.number in found else share
-            nodes[parent.number] = parent
+            at, share = parent.number, pull(g)
+            if at not in found:
+                found[at], nodes[at] = share, parent
+            elif at in sums and _holds(found[at], share):
+                found[at] += share
+            else:
+                found[at] = found[at] + share
+                sums.add(at)
     return result
+
+
+def _holds(total: np.ndarray, share: np.ndarray) -> bool:
+    """Whether ``share`` can be added in place."""
+    same_shape = total.shape == np.broadcast_shapes(total.shape, share.shape)
+    return same_shape and np.result_type(total, share) == total.dtype
 
 
 TINY = 1e-30

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, sqrt
 
-from ngvisco.errors import UnknownNameError
+from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry, Integrand, Kind
@@ -338,4 +338,6 @@ class _Integrals:
 
 def _check_names(entries: list[Entry]) -> None:
     names = [entry.name for entry in entries]
-    assert len(set(names)) == len(names), f"two ledger entries share a name: {names}"
+    for name in names:
+        if names.count(name) > 1:
+            raise ParameterError("Entry.name", name, "names that no other term's columns have")

@@ -121,7 +121,7 @@ def test_a_term_of_the_users_acts_in_both_solvers(term, scheme):
     free = simulation(scheme=scheme, solver="split").run(0.06)
     for ledger in solved(term, scheme):
         assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
-        (name,) = (name for name in ledger.names if name.startswith("dissipation_drag"))
+        (name,) = (name for name in ledger.columns if name.startswith("dissipation_drag"))
         assert ledger.column(name).max() > 0.1
         assert ledger.column("kinetic")[-1] < 0.8 * free.column("kinetic")[-1]
 

@@ -116,7 +116,7 @@ class Claims:
 
     def _is_at_points(self, step: Step, term: PointTerm) -> bool:
         try:
-            rows = self.rows[id(term)] = asked_slots(step, term)
+            rows = self.rows[id(term)] = asked_slots(step, term, step.tabulated_rates)
         except NotAtPointsError:
             return False
         return rows <= AT_POINTS

@@ -21,7 +21,6 @@ from ngvisco.forms.evaluation import CellTerms, FacetTerms, with_parts
 from ngvisco.forms.facet_mass import FacetMass
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.operators import Operators, SideOperators
-from ngvisco.forms.rate_tensors import TabulatedRates
 from ngvisco.forms.restricted import RestrictedForm
 from ngvisco.forms.slope import PointwiseSlope
 from ngvisco.forms.system import Step
@@ -86,7 +85,7 @@ class ReducedResidual:
         self.step, self.unknowns, self._clock = step, Unknowns(step), clock
         self.op = Operators(step, step.quadrature.volume_degree // 2)
         self.side_op = SideOperators(step, self.op)
-        self.rates = TabulatedRates(step.model, step.mesh.dim)
+        self.rates = step.tabulated_rates
         self.cell_terms = CellTerms(step, self.op, self.rates)
         self.facet_terms = FacetTerms(step, self.side_op)
         self.slope = PointwiseSlope(step, self.op.points)
