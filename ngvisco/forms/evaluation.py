@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from ngsolve import CoefficientFunction, GridFunction
 
+from ngvisco.algebra.local import by_parts
 from ngvisco.errors import NgviscoError
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.operators import Operators, SideOperators
@@ -130,6 +131,7 @@ class CellTerms:
         self.layout, self.op = step.layout, operators
         self.context = CellContext(step, operators, rates)
         self._tests = _tests(step, True, self.context)
+        self._step, self._constant = step, dict[int, np.ndarray | None]()
 
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with these coefficients at the points."""
@@ -152,7 +154,24 @@ class CellTerms:
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """What multiplies each test and its gradient, (..., points)."""
-        return _slots([part for term in terms for part in term.cells(u, self._tests)])
+        summands: list[Linear] = []
+        for term in terms:
+            matrix = self.constant_matrix(term)
+            if matrix is None:
+                summands += term.cells(u, self._tests)
+            else:
+                stress = _product_with(matrix, u.grad_v.value)
+                summands.append(self._tests.grad_v.InnerProduct(Array(stress, None)))
+        return _slots(summands)
+
+    def constant_matrix(self, term: PointTerm) -> np.ndarray | None:
+        """The matrix, (dim^2, dim^2), of a term that is grad v : C grad w with the same C everywhere, or None.
+
+        Read off at unit arguments, as the rates are: many times faster than the law at every point.
+        """
+        if id(term) not in self._constant:
+            self._constant[id(term)] = _constant_matrix(self._step, term, self._tests)
+        return self._constant[id(term)]
 
     def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
         """Rows of the terms' integrals over the cells."""
@@ -273,6 +292,38 @@ def _slots(parts: list[Linear]) -> dict[str, np.ndarray]:
 def _full(values: np.ndarray, count: int) -> np.ndarray:
     """Values at all points, of values that may be the same at all."""
     return values if values.shape[-1] == count else np.broadcast_to(values, (*values.shape[:-1], count))
+
+
+def _product_with(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """A matrix times the entries of values (dim, dim, points)."""
+    entries = values.reshape(len(matrix), -1)
+    product = by_parts(matrix.__matmul__, entries) if np.iscomplexobj(entries) else matrix @ entries
+    return product.reshape(values.shape)
+
+
+def _constant_matrix(step: Step, term: PointTerm, tests: Fields) -> np.ndarray | None:
+    """See ``CellTerms.constant_matrix``: of unit arguments, if it is right at random ones too."""
+    d = step.mesh.dim
+    rng = np.random.default_rng(0)
+    units = np.eye(d * d).reshape(d, d, -1)
+    gradients = np.concatenate([units, rng.standard_normal((d, d, 3)), np.zeros((d, d, 1))], axis=2)
+    shapes = _shapes(step)
+    values = {name: rng.uniform(0.5, 1.5, (*shape, gradients.shape[2])) for name, shape in shapes.items()}
+    parts = Lazy({name: (lambda name=name: Array(values[name], None)) for name in values}, _CELLS)
+    slopes = Lazy({"v": lambda: Array(gradients, None)}, _CELLS)
+    try:
+        # a context that knows nothing: a term that asks for more is none of these
+        u = Fields(step.layout, parts, SimpleNamespace(), lambda name: slopes[name])  # type: ignore[arg-type]
+        found = _slots(list(term.cells(u, tests)))
+    except Exception:  # whatever a term raises at values that it does not know
+        return None
+    if set(found) != {"grad v"} or found["grad v"].shape != gradients.shape:
+        return None
+    slots = found["grad v"].reshape(d * d, -1)
+    matrix = slots[:, : d * d]
+    size = np.abs(matrix).max(initial=0.0)
+    exact = np.allclose(slots, matrix @ gradients.reshape(d * d, -1), rtol=0, atol=1e-13 * d * d * size)
+    return matrix if exact else None
 
 
 def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:

@@ -75,6 +75,7 @@ class FlowOperator:
         d, u = self.d, self.p.values
         v, L = u.v.value, u.grad_v.value
         A = np.zeros((self.op.points.count, 1 + d, d, d, 1 + d))
+        varying = [term for term in self.leading if self.p.terms.constant_matrix(term) is None]
         for k in range(d):
             for column in range(1 + d):
                 if column == 0:
@@ -85,10 +86,14 @@ class FlowOperator:
                     changed = L.astype(complex)
                     changed[k, column - 1] += 1j * TINY
                     at = with_velocity(u, grad_v=changed)
-                slots = self.p.terms.slots(self.leading, at)
+                slots = self.p.terms.slots(varying, at)
                 A[:, 0, :, k, column] = slots["v"].imag.T
                 A[:, 1:, :, k, column] = slots["grad v"].imag.transpose(2, 1, 0)
         A /= TINY
+        for term in self.leading:
+            matrix = self.p.terms.constant_matrix(term)
+            if matrix is not None:  # by (i, j) and (k, l)
+                A[:, 1:, :, :, 1:] += matrix.reshape(d, d, d, d).swapaxes(0, 1)
         return A
 
     def _rest(self) -> sp.csr_matrix | None:
