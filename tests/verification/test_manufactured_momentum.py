@@ -88,7 +88,7 @@ def hyperviscous_rates(k: int, p: float, levels: int) -> RateTable:
 
 @pytest.mark.parametrize(("k", "p"), [(2, 2.0), (2, 4.0), (3, 2.0)])
 def test_hyperviscous_rates_are_those_of_the_lifted_penalty(k: int, p: float) -> None:
-    """formulation.md, Section 4: order 2 for k = 2, and 3.6 or more (L2), 2.7 or more (H1) for k = 3."""
+    """FORMULATION.md, Section 5: order 2 for k = 2, and 3.6 or more (L2), 2.7 or more (H1) for k = 3."""
     L2, H1 = RATES[k, p]
     hyperviscous_rates(k, p, 3).require(L2=L2, H1=H1)
 

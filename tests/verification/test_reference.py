@@ -25,12 +25,13 @@ from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.transport import Conjugates, Kinematics, UpwindTrace
 from ngvisco.geometries import box
 from ngvisco.physics.material import tensors_of
-from ngvisco.solver.newton import CondensedJacobian
+from ngvisco.solver.condensed import CondensedJacobian
 from ngvisco.verification.cases.maxwell import MYR, ROCK, SCALED, relaxed_stress
 from ngvisco.verification.models import KINDS
 from ngvisco.verification.problems import PartialLayout
 from ngvisco.verification.rates import RateTable
 
+SCALED = {"G": 1.0, "eta": 1.0, "tau_0": 2e-3, "duration": 7.9, "size": 1.0, "rho": 1.0}
 UNITS = {"scaled": SCALED, "SI": ROCK}
 
 
