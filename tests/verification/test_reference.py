@@ -26,7 +26,7 @@ from ngvisco.forms.transport import Conjugates, Kinematics, UpwindTrace
 from ngvisco.geometries import box
 from ngvisco.physics.material import tensors_of
 from ngvisco.solver.condensed import CondensedJacobian
-from ngvisco.verification.cases.maxwell import MYR, ROCK, SCALED, relaxed_stress
+from ngvisco.verification.cases.maxwell import MYR, ROCK, relaxed_stress
 from ngvisco.verification.models import KINDS
 from ngvisco.verification.problems import PartialLayout
 from ngvisco.verification.rates import RateTable
