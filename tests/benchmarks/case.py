@@ -11,7 +11,7 @@ from ngsolve import CF, Mesh, SetNumThreads, TaskManager, cos, pi, sin, x, y, z
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.solver.split.linear import DirectSolver
+from ngvisco.algebra.factorised import DirectSolver
 
 DIRECT_UP_TO = 5_000
 """Cells up to which the split solver's tangent is factorised as a whole too, for comparison."""

@@ -9,7 +9,7 @@ from ngsolve import CF, x, y, z
 import ngvisco as nv
 from ngvisco.forms.transport import Kinematics
 from ngvisco.geometries import box, disc
-from ngvisco.solver.split.sweep import SWEEPS
+from ngvisco.solver.split.transport_sweeps import SWEEPS
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 

@@ -18,7 +18,7 @@ from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.rothe import Interval
 from ngvisco.solver.solution import Solution, Status
 from ngvisco.solver.split import iteration
-from ngvisco.solver.split.linear import TwoLevelSolver
+from ngvisco.algebra.factorised import TwoLevelSolver
 from ngvisco.solver.split.solver import Split
 
 

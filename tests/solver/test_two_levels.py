@@ -11,7 +11,7 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.solver.options import TwoLevelOptions
 from ngvisco.solver.split import linear, upwind_switch
-from ngvisco.solver.split.linear import MANY, largest_eigenvalue
+from ngvisco.algebra.factorised import MANY, largest_eigenvalue
 
 
 @pytest.mark.parametrize("size", [MANY // 2, 5 * MANY])
@@ -48,7 +48,7 @@ def test_the_bound_misses_no_facet(monkeypatch):
         monkeypatch.setattr(upwind_switch, "SUDDEN", sudden)
         for bound in (None, 1e100):
             if bound is not None:
-                monkeypatch.setattr(upwind_switch.UpwindSwitch, "_largest", lambda self, zeta: 1e100)
+                monkeypatch.setattr(upwind_switch.UpwindSwitchJacobian, "_largest", lambda self, zeta: 1e100)
             operator.switch.update(at)
             chosen.append(len(operator.switch._slope) if operator.switch.exists else 0)
         monkeypatch.undo()

@@ -16,7 +16,7 @@ from ngvisco.algebra import precision
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.forms.side_points import SidePoints
 from ngvisco.physics.arrays import Array
-from ngvisco.solver.split.hyper import HyperValues, MatrixHyperviscosity, SideJumps, value_of
+from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity, SideJumps, value_of
 from ngvisco.threads import product
 
 SIDES = 4

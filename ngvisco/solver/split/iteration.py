@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from ngvisco.solver.solution import NewtonIteration, Problem, Status
-from ngvisco.solver.split.reduced import Evaluation
+from ngvisco.reduced.residual import Evaluation
 
 if TYPE_CHECKING:
     from ngvisco.solver.split.solver import Split

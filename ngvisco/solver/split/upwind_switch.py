@@ -13,13 +13,13 @@ import scipy.sparse as sp
 from ngvisco.algebra.sparse import together
 from ngvisco.forms.upwinding import Upwinding
 from ngvisco.physics.arrays import Array, derivatives
-from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
+from ngvisco.reduced.residual import Evaluation, ReducedResidual
 
 SUDDEN = 2e-4
 """Share of a cell's inertia rho h/tau, in the force by v . n, from which a facet counts."""
 
 
-class UpwindSwitch:
+class UpwindSwitchJacobian:
     """The derivative by v of the elastic force and of the fields' rows, on the facets that count."""
 
     def __init__(self, residual: ReducedResidual) -> None:

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ngvisco.forms.evaluation import CellTerms
-from ngvisco.forms.operators import Operators
-from ngvisco.forms.slope import PointwiseSlope
-from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
+from ngvisco.reduced.evaluation import CellTerms
+from ngvisco.reduced.operators import Operators
+from ngvisco.reduced.slope import PointwiseSlope
+from ngvisco.reduced.residual import Evaluation, ReducedResidual
 
 
 class PointTangent:

@@ -3,7 +3,7 @@
 For a given v the kinematic equations are linear but for creep.  The upwind traces, the conjugates zeta, the
 local creep rate, the hyperviscosity's local unknowns and the trace of the delta-regularised z are functions
 of the iterated unknowns: they are evaluated, never iterated.  All rows follow from the terms themselves
-(``ngvisco.forms.evaluation``); with an infinitesimal imaginary part in the unknowns they are Newton's whole
+(``ngvisco.reduced.evaluation``); with an infinitesimal imaginary part in the unknowns they are Newton's whole
 matrix times a direction.
 """
 
@@ -17,19 +17,19 @@ import numpy as np
 
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.sparse import mass_matrix
-from ngvisco.forms.evaluation import CellTerms, FacetTerms, with_parts
-from ngvisco.forms.facet_mass import FacetMass
+from ngvisco.reduced.evaluation import CellTerms, FacetTerms, with_parts
+from ngvisco.reduced.facet_mass import FacetMass
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.operators import Operators, SideOperators
-from ngvisco.forms.restricted import RestrictedForm
-from ngvisco.forms.slope import PointwiseSlope
+from ngvisco.reduced.operators import Operators, SideOperators
+from ngvisco.reduced.restricted import RestrictedForm
+from ngvisco.reduced.slope import PointwiseSlope
 from ngvisco.forms.system import Step
 from ngvisco.physics.arrays import TINY
-from ngvisco.solver.split.claims import Claims
-from ngvisco.solver.split.diffusion import FieldDiffusionMatrix
-from ngvisco.solver.split.hyper import HyperValues, MatrixHyperviscosity
-from ngvisco.solver.split.right_hand_side import RightHandSide
-from ngvisco.solver.split.unknowns import Unknowns
+from ngvisco.reduced.claims import Claims
+from ngvisco.reduced.diffusion import FieldDiffusionMatrix
+from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity
+from ngvisco.reduced.right_hand_side import RightHandSide
+from ngvisco.reduced.unknowns import Unknowns
 
 Clock = Callable[[str], AbstractContextManager[None]]
 

@@ -19,7 +19,7 @@ from ngsolve import CoefficientFunction, GridFunction
 from ngvisco.algebra.local import by_parts
 from ngvisco.errors import NgviscoError
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.operators import Operators, SideOperators
+from ngvisco.reduced.operators import Operators, SideOperators
 from ngvisco.forms.rate_tensors import TabulatedRates
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm

@@ -34,7 +34,7 @@ from ngsolve import (
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.algebra.sparse import mass_matrix, pruned
-from ngvisco.forms.evaluation import Lazy
+from ngvisco.reduced.evaluation import Lazy
 from ngvisco.forms.fields import Fields, contraction, hessian_basis
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.points import CellPoints, csr
