@@ -19,12 +19,12 @@ from ngsolve import CoefficientFunction, GridFunction
 from ngvisco.algebra.local import by_parts
 from ngvisco.errors import NgviscoError
 from ngvisco.forms.fields import Fields
-from ngvisco.reduced.operators import Operators, SideOperators
 from ngvisco.forms.rate_tensors import TabulatedRates
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm
 from ngvisco.physics.arrays import Array, Linear, slots
 from ngvisco.physics.tensors import trace_free_tensors
+from ngvisco.reduced.operators import Operators, SideOperators
 
 Coefficients = Mapping[str, np.ndarray]
 """Coefficients of unknowns by name, (components, functions); of scalars (functions,)."""

@@ -13,21 +13,17 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.algebra import precision
-from ngvisco.solver.split.facet_coupling import FacetCoupling
 from ngvisco.algebra.factorised import DirectSolver
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
+from ngvisco.solver.split.facet_coupling import FacetCoupling
 from ngvisco.threads import product
-
-SWEEPS = 3
-"""Two take 12 instead of 9 iterations of the solver in a step of 2,258 triangles (Courant number 0.55), and
-11 instead of 10 on 739 tetrahedra; four take as many as three."""
 
 
 class TransportSweeps:
     """Approximate inverses of the scalar transport of z and of the density equation."""
 
-    def __init__(self, residual: ReducedResidual, inverse: str) -> None:
-        self.r = residual
+    def __init__(self, residual: ReducedResidual, inverse: str, sweeps: int) -> None:
+        self.r, self.sweeps = residual, sweeps
         self.coupling = FacetCoupling(residual.side_op, residual.trace_mass)
         self._neighbours = self.coupling.neighbours()
         op = residual.op
@@ -99,7 +95,7 @@ class TransportSweeps:
     def _swept(self, cells: np.ndarray, carried: np.ndarray, r: np.ndarray) -> np.ndarray:
         count, q = cells.shape[:2]
         x = start = product(cells, r.astype(precision.SINGLE, copy=False).reshape(count, q, -1))
-        for _ in range(SWEEPS - 1):
+        for _ in range(self.sweeps - 1):
             x = start + product(carried, x[self._neighbours].reshape(count, -1, start.shape[2]))
         return x.reshape(r.shape)
 
