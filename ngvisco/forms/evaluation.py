@@ -165,7 +165,7 @@ class CellTerms:
         return _slots(summands)
 
     def constant_matrix(self, term: PointTerm) -> np.ndarray | None:
-        """The matrix, (dim^2, dim^2), of a term that is grad v : C grad w with the same C everywhere, or None.
+        """The matrix (dim^2, dim^2) of a term that is grad v : C grad w with the same C everywhere, or None.
 
         Read off at unit arguments, as the rates are: many times faster than the law at every point.
         """

@@ -104,6 +104,11 @@ class Fields:
     def z_hat(self) -> CoefficientFunction:
         return self.parts["z_hat"]
 
+    @cached_property
+    def z_jump(self) -> CoefficientFunction:
+        """z_hat - z; on a cell's boundary only."""
+        return self.z_hat - self.z
+
     @property
     def wall_stress(self) -> CoefficientFunction:
         """Multiplier of v.n = 0 on oblique and curved walls, Pa; on cell boundaries only."""

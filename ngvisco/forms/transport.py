@@ -34,7 +34,7 @@ def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> 
 
 def transport_through_facets(along: Fields, u: Fields, G: Fields, name: Conjugate) -> CoefficientFunction:
     """The facets' part of B_h(w; z, G), of both sides."""
-    n, jump = u.context.normal, inner(u.z_hat - u.z, G.parts[name])
+    n, jump = u.context.normal, inner(u.z_jump, G.parts[name])
     return -((along.v * n) * (u.upwinding.inflow * jump))
 
 

@@ -208,7 +208,7 @@ class AdaptiveStepper:
             tau, new_time = self._length(t, stop)
             try:
                 taken = integrator.advance(
-                    t, tau, simulation.number, up_to=Effort.DIRECT, meets=new_time == stop
+                    t, tau, simulation.number, efforts=Effort.DIRECT, meets=new_time == stop
                 )
             except StepError as failure:
                 # the cause, which does not say again which step it was

@@ -9,30 +9,78 @@ equations, so residuals in different units are never compared.  Both increments 
 scales, the larger of those before and after the step: a step that is far too long would otherwise
 pass the test because it makes the scale grow.
 
-Norm.  Increments are measured by ``BlockNorm``; an iteration that a fresh Jacobian no longer advances also
-ends where the increment is below the tolerance with its coarse floor, or below ``near`` tolerances.
-
 Rounding.  The residual sums parts that cancel: near F = I those of the elastic force have the size of the
 modulus G, and their rounding leaves a force of eps G/h that the stiffness of a strain does not resist where
 it moves the body as a whole: v is known to eps G tau/(rho h) only.  How large that is, the problem itself
 tells: the state is perturbed by one unit in the last place of every number, and what this changes in the
-increment cannot be iterated away.  Where a fresh Jacobian no longer advances the iteration, an increment of
-at most ``noise_margin`` times that change, and at most ``noise_cap`` tolerances, is accepted
-(``CoupledOptions``).
+increment cannot be iterated away.  Where a fresh Jacobian no longer advances the iteration, it ends with an
+increment of that size, or one below the tolerance with the norm's coarse floor (``CoupledOptions``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from ngsolve import BaseVector, BilinearForm
+from ngsolve import BaseVector, BilinearForm, BitArray, SetHeapSize
 
 from ngvisco.errors import StepError
-from ngvisco.solver.condensed import CondensedJacobian
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status
+
+
+class CondensedJacobian:
+    """The factorised linearisation of a condensed form; applies its inverse to full residuals."""
+
+    def __init__(self, form: BilinearForm, inverse: str, heap_sizes: Sequence[int] = ()) -> None:
+        """``heap_sizes`` are NGSolve's memory, bytes, tried for the matrix of a cell that its own is too
+        small for."""
+        self.form, self.inverse_type, self.heap_sizes = form, inverse, heap_sizes
+        self.free: BitArray = form.space.FreeDofs(True)
+        self._inverse = None
+        self._rhs: BaseVector | None = None
+
+    @property
+    def exists(self) -> bool:
+        return self._inverse is not None
+
+    def factorise(self, state: BaseVector) -> None:
+        """Assemble and factorise at ``state``; raises StepError if the matrix is singular."""
+        try:
+            self._assemble(state)
+            if self._inverse is None:
+                self._inverse = self.form.mat.Inverse(self.free, inverse=self.inverse_type)
+                self._rhs = state.CreateVector()
+            else:
+                self._inverse.Update()
+        except Exception as error:  # NGSolve raises NgException and std::exception alike
+            self._inverse = None
+            raise StepError(f"the linearised step has no factorisation: {error}") from error
+
+    def _assemble(self, state: BaseVector) -> None:
+        for size in (*self.heap_sizes, None):
+            try:
+                self.form.AssembleLinearization(state)
+                return
+            except Exception as error:
+                if size is None or "heap overflow" not in str(error).lower():
+                    raise
+                SetHeapSize(size)
+
+    def forget(self) -> None:
+        """Drop the factorisation, so that the next solve makes a new one."""
+        self._inverse = None
+
+    def solve(self, residual: BaseVector, increment: BaseVector) -> None:
+        """increment = Jacobian^{-1} residual, all blocks."""
+        form, rhs = self.form, self._rhs
+        assert rhs is not None and self._inverse is not None
+        rhs.data = residual
+        rhs.data += form.harmonic_extension_trans * residual
+        increment.data = self._inverse * rhs
+        increment.data += form.harmonic_extension * increment
+        increment.data += form.inner_solve * rhs
 
 
 class Newton:

@@ -33,33 +33,22 @@ class Interval:
 
 @dataclass(frozen=True)
 class RotheProblem:
-    """R(u) = 0 of a step over an interval from the old state that ``step`` holds.
-
-    Attributes
-    ----------
-    step : Step
-    norm : BlockNorm
-        Its unit of velocity becomes ``h_min``/tau.
-    h_min : float
-        Smallest cell size, m.
-    interval : Interval
-        The whole step.
-    eta : float
-        The scheme's width of the smoothed upwinding, m/s.
-    on_factorise : callable
-        Called with a problem whose derivative has been factorised at the present state.
-    width, length : float
-        The problem's width in units of ``eta``, and its length as a share of the interval's.
-    """
+    """R(u) = 0 of a step over an interval from the old state that ``step`` holds."""
 
     step: Step
     norm: BlockNorm
+    """Its unit of velocity becomes ``h_min``/tau."""
     h_min: float
-    interval: Interval
+    """Smallest cell size, m."""
+    whole: Interval
     eta: float
+    """The scheme's width of the smoothed upwinding, m/s."""
     on_factorise: Callable[[RotheProblem], None]
+    """Called when the problem's derivative has been factorised at the present state."""
     width: float = 1.0
+    """The problem's width of upwinding in units of ``eta``."""
     length: float = 1.0
+    """The problem's length as a share of that of the whole step."""
 
     def widened(self, width: float) -> RotheProblem:
         return replace(self, width=width)
@@ -67,14 +56,17 @@ class RotheProblem:
     def shortened(self, length: float) -> RotheProblem:
         return replace(self, length=length)
 
+    @property
+    def interval(self) -> Interval:
+        return self.whole.shortened(self.length)
+
     def pose(self) -> None:
         """Set the step's parameters, the time and the velocities of walls."""
-        interval, context = self.interval.shortened(self.length), self.step.context
+        interval, context = self.interval, self.step.context
         context.set_step(interval.tau, interval.end, interval.loads_from, interval.loads_over)
         context.eta.Set(self.width * self.eta)
         self.step.moving_walls.set_values()
         self.norm.units["v"] = self.h_min / interval.tau
 
     def factorised(self) -> None:
-        """Say that the derivative has been factorised at the present state."""
         self.on_factorise(self)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from ngsolve import BaseVector
 
-from ngvisco.errors import ParameterError, StepError
+from ngvisco.errors import ParameterError, StepError, require_type
 from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
 from ngvisco.solver.choice import default_strategies, split_obstacle
@@ -54,11 +54,14 @@ class RotheSolver:
         self.step, self.options = step, options
         self.defect = defect or (lambda: None)
         self.strategies = tuple(default_strategies(step, options) if strategies is None else strategies)
-        _check(self.strategies, step)
+        if strategies is not None:
+            _check(self.strategies, step)
         self.h_min = min(step.context.h.vec)
         self.norm = BlockNorm(step.layout.ranges, {"v": 0.0, "rho": 0.0, "z": 1.0}, options.norm)
-        self.newton = self.made(self.strategies[0].solver)
-        """The first strategy's solver, which is kept; the other one is made where it is needed."""
+        tried = [one for one in self.strategies if one.obstacle(step.mesh) is None]
+        self.method = (tried or self.strategies)[0].solver
+        """The first strategy's solver: it is kept, the other one made where it is needed."""
+        self.newton = self.made(self.method)
         self.retried = 0
         """Steps that this solver gave up and the other one was asked for."""
         self._last_tau: float | None = None
@@ -81,15 +84,14 @@ class RotheSolver:
         eta = self.step.context.eta.Get()
         return RotheProblem(self.step, self.norm, self.h_min, interval, eta, self._remember)
 
-    def solve(self, interval: Interval, up_to: Effort = Effort.OTHER_SOLVER) -> list[Attempt]:
+    def solve(self, interval: Interval, efforts: Effort = Effort.ALL) -> list[Attempt]:
         """Solve the step from ``step.old``; ``step.state``, the start value, becomes its solution.
 
         Parameters
         ----------
         interval : Interval
-        up_to : Effort
-            Strategies of a larger effort are left out, as is cheaper for a caller that may try a shorter
-            step.
+        efforts : Effort
+            Strategies of other efforts are left out, as is cheaper for a caller that may take a shorter step.
 
         Returns
         -------
@@ -111,7 +113,7 @@ class RotheSolver:
             if self._extrapolates and self.extrapolation.is_empty:
                 self.extrapolation.keep(interval.begin)
             for strategy in self.strategies:
-                if strategy.effort <= up_to and run.solves(strategy):
+                if strategy.effort in efforts and run.solves(strategy):
                     if self._extrapolates:
                         self.extrapolation.keep(interval.end)
                     return run.attempts
@@ -160,8 +162,7 @@ class RotheSolver:
         time.Set(now)
 
     def _remember(self, problem: RotheProblem) -> None:
-        interval = problem.interval.shortened(problem.length)
-        self._factorised_at = {name: getattr(interval, name) for name in _PARAMETERS}
+        self._factorised_at = {name: getattr(problem.interval, name) for name in _PARAMETERS}
         for name, vector in self._factorised.items():
             vector.data = getattr(self.step, name).vec
 
@@ -174,6 +175,7 @@ class _Run:
         self.attempts: list[Attempt] = []
         self._strategy = rothe.strategies[0]
         self._other: NonlinearSolver | None = None
+        self._has_tried = False
 
     @property
     def state(self) -> BaseVector:
@@ -208,8 +210,9 @@ class _Run:
     def attempt(self, problem: RotheProblem, guess: BaseVector, full_steps: int | None = None) -> Solution:
         self.rothe.step.energy.last_failure = None
         newton = self._newton()
-        if self.attempts:  # what was factorised belongs to iterates that have been given up
+        if self._has_tried:  # what was factorised belongs to iterates that have been given up
             newton.reset()
+        self._has_tried = True
         solution = self._judged(newton.solve(problem, guess, full_steps))
         self.attempts.append(Attempt(self._strategy.name, solution, problem.width, problem.length))
         return solution
@@ -217,7 +220,7 @@ class _Run:
     def _newton(self) -> NonlinearSolver:
         """The solver of the present strategy."""
         rothe, name = self.rothe, self._strategy.solver
-        if name == rothe.strategies[0].solver:
+        if name == rothe.method:
             return rothe.newton
         rothe.newton.reset()  # it is not where the step will end
         if self._other is None:
@@ -229,19 +232,21 @@ class _Run:
         """The solution, which has failed too where its energy is no number or rho or J is not positive."""
         energy = self.rothe.step.energy
         if not solution.converged:
-            if energy.last_failure is None:
-                return solution
-            return replace(solution, reason=f"{solution.reason}; {energy.last_failure}")
-        reason = energy.failure  # of the last increment, which is added without a test
-        if reason is None:
-            defect = self.rothe.defect()
-            reason = None if defect is None else f"{defect}: take a smaller step or a finer mesh"
-        if reason is None:
+            parts = [solution.reason, *([] if energy.last_failure is None else [energy.last_failure])]
+            return replace(solution, reason="; ".join(parts))
+        if energy.failure is not None:  # of the last increment, which is added without a test
+            return Solution(Status.INADMISSIBLE, solution.history, energy.failure)
+        defect = self.rothe.defect()
+        if defect is None:
             return solution
+        reason = f"{defect}: take a smaller step or a finer mesh"
         return Solution(Status.INADMISSIBLE, solution.history, reason)
 
 
 def _check(strategies: Sequence[Strategy], step: Step) -> None:
+    """Raise ParameterError for what are no strategies for this step."""
+    for one in strategies:
+        require_type("RotheSolver.strategies", one, Strategy)
     names = [one.name for one in strategies]
     if not names or len(set(names)) < len(names):
         raise ParameterError("RotheSolver.strategies", names, "strategies of different names")

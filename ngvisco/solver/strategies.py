@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Flag, auto
 from typing import ClassVar, Protocol
 
 from ngsolve import BaseVector, Mesh
@@ -21,19 +21,19 @@ from ngvisco.solver.solution import Solution, Status
 SOLVERS = ("coupled", "split")
 
 
-class Effort(IntEnum):
-    """How far a caller wants a step to be tried: all strategies up to an effort are."""
+class Effort(Flag):
+    """What a strategy costs, by which a caller chooses those that it wants: ``DIRECT | CONTINUATION``."""
 
-    DIRECT = 1
-    """From start values at hand: as a caller wants that may take a shorter step."""
-    CONTINUATION = 2
-    """Along continuation paths too, by the solver that was chosen."""
-    OTHER_SOLVER = 3
-    """By the other solver too."""
+    DIRECT = auto()
+    """From start values at hand."""
+    CONTINUATION = auto()
+    """Along a continuation path, by the solver that was chosen."""
+    OTHER_SOLVER = auto()
+    ALL = DIRECT | CONTINUATION | OTHER_SOLVER
 
 
 class Task(Protocol):
-    """A step to be solved: the problem, its start value, and the means to try."""
+    """A step to be solved: the problem, its start value, and the means to try; values are in ``state``."""
 
     problem: RotheProblem
     start: BaseVector
@@ -42,7 +42,7 @@ class Task(Protocol):
     def state(self) -> BaseVector: ...
 
     def attempt(self, problem: RotheProblem, guess: BaseVector, full_steps: int | None = None) -> Solution:
-        """Solve by the strategy's solver from ``guess``, and record it; the values are in ``state``."""
+        """Solve by the strategy's solver from ``guess``, and record it."""
 
     def extrapolated(self, farthest: float, largest_change: float) -> BaseVector | None:
         """Start values by ``Extrapolation.guess``; None where there are none."""
@@ -50,34 +50,26 @@ class Task(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Strategy(ABC):
-    """One way to solve a step.
+    """One way to solve a step."""
 
-    Parameters
-    ----------
-    name : str
-        What the step's history calls it.
-    solver : str
-        ``"coupled"`` or ``"split"``.
-    effort : Effort
-    largest_mesh : (int, int), optional
-        Cells, in 2D and in 3D, up to which it is tried.
-    """
-
+    extrapolates: ClassVar[bool] = False
+    """Whether it needs the solutions of earlier steps."""
     name: str
+    """What the step's history calls it."""
     solver: str = "coupled"
     effort: Effort = Effort.DIRECT
     largest_mesh: tuple[int, int] | None = None
-    extrapolates: ClassVar[bool] = False
-    """Whether it needs the solutions of earlier steps."""
+    """Cells, in 2D and in 3D, up to which it is tried."""
 
     def __post_init__(self) -> None:
         require_choice(self, SOLVERS, solver=self.solver)
 
     def obstacle(self, mesh: Mesh) -> str | None:
         """Why it is not tried on this mesh, or None."""
-        if self.largest_mesh is None or mesh.ne <= self.largest_mesh[mesh.dim - 2]:
+        largest = None if self.largest_mesh is None else self.largest_mesh[mesh.dim - 2]
+        if largest is None or mesh.ne <= largest:
             return None
-        return f"the mesh has {mesh.ne} cells, more than {self.largest_mesh[mesh.dim - 2]}"
+        return f"the mesh has {mesh.ne} cells, more than {largest}"
 
     @abstractmethod
     def solve(self, task: Task) -> Solution | None:
@@ -94,21 +86,13 @@ class FromStartValue(Strategy):
 
 @dataclass(frozen=True, kw_only=True)
 class FromExtrapolation(Strategy):
-    """Newton's method from values extrapolated through the last two solutions.
-
-    Parameters
-    ----------
-    farthest : float
-        Distance of the step's end from the last solution, in units of that between the two, up to which
-        they are extrapolated.
-    largest_change : float
-        The same of density and elastic variables, in units of their size: the start value is to stay in the
-        energy's domain.
-    """
+    """Newton's method from values extrapolated through the last two solutions (``Extrapolation.guess``)."""
 
     extrapolates: ClassVar[bool] = True
     farthest: float = 3.0
+    """Distance of the step's end from the last solution, in units of that between the two."""
     largest_change: float = 0.5
+    """Of density and elastic variables, in units of their size: to stay in the energy's domain."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -121,32 +105,22 @@ class FromExtrapolation(Strategy):
 
 @dataclass(frozen=True, kw_only=True)
 class ContinuationPath:
-    """Values of a parameter that lead to 1, where it is the problem itself.
-
-    Parameters
-    ----------
-    starts : tuple of float
-        First values, tried in order until one is solved.
-    ratio : float
-        The next value over the last one at most, while problems are solved; halved in its logarithm where
-        they are not.
-    tries : int
-        Values tried in all.
-    """
+    """Values of a parameter that lead to 1, where it is the problem itself."""
 
     starts: tuple[float, ...]
+    """First values, tried in order until one is solved."""
     ratio: float
+    """The next value over the last one; nearer to 1 after a failure."""
     tries: int = 20
+    """Values tried in all."""
 
     def __post_init__(self) -> None:
         require_positive(self, ratio=self.ratio)
         require_count(self, tries=self.tries)
-        for start in self.starts:
-            if not (start > 0 and (start < 1) == (self.ratio > 1)) or self.ratio == 1:
-                expected = f"values > 0 from which the ratio {self.ratio:g} leads to 1"
-                raise ParameterError("ContinuationPath.starts", self.starts, expected)
-        if not self.starts:
-            raise ParameterError("ContinuationPath.starts", self.starts, "at least one value")
+        leads = [start > 0 and (start - 1) * (self.ratio - 1) < 0 for start in self.starts]
+        if not leads or not all(leads):
+            expected = f"values > 0 from which the ratio {self.ratio:g} leads to 1"
+            raise ParameterError("ContinuationPath.starts", self.starts, expected)
 
     def follow(
         self,
@@ -168,9 +142,9 @@ class ContinuationPath:
         """
         guess = start.CreateVector()
         guess.data = start
-        first = iter(self.starts)
-        value, solved, power = next(first), None, 1.0
-        last = Solution(Status.TOO_MANY_ITERATIONS, (), "the continuation path does not lead to the problem")
+        starts = iter(self.starts)
+        value, solved, power = next(starts), None, 1.0
+        failure = Solution(Status.TOO_MANY_ITERATIONS, (), "the continuation path does not lead to its end")
         for _ in range(self.tries):
             solution = solve(value, guess)
             if solution.converged:
@@ -179,23 +153,21 @@ class ContinuationPath:
                 guess.data = state
                 solved, power = value, min(1.0, 1.5 * power)
             else:
-                last = solution
+                failure = solution
                 if solved is None:
-                    following = next(first, None)
-                    if following is None:
+                    value = next(starts, 0.0)
+                    if not value:
                         break
-                    value = following
                     continue
                 power /= 2
                 if at_once is not None:
-                    solution = at_once(guess)
-                    if solution.converged:
-                        return solution
-                    last = solution
+                    failure = at_once(guess)
+                    if failure.converged:
+                        return failure
             value = solved * self.ratio**power
             if (value < 1.0) == (self.ratio < 1.0):  # at or beyond the end of the path
                 value = 1.0
-        return last
+        return failure
 
 
 LENGTHS = ContinuationPath(starts=tuple(0.25 / 8**i for i in range(6)), ratio=4.0)
@@ -221,24 +193,17 @@ class LengthContinuation(Strategy):
 
 @dataclass(frozen=True, kw_only=True)
 class UpwindingContinuation(Strategy):
-    """The step with wide upwinding, which is narrowed to the scheme's.
-
-    Parameters
-    ----------
-    path : ContinuationPath
-        Widths in units of the scheme's.
-    lengths : ContinuationPath, optional
-        Where the widest one is not solved either, it is by steps of growing length: they lead to tau also
-        where creep is stiff and z jumps from cell to cell.
-    full_steps : int, optional
-        Undamped Newton steps tried from a soft solution to the sharp one, where the path between them folds.
-        Across a fold the sign of v.n changes on a facet: the sharp equation is nearly piecewise smooth, and
-        full steps change such signs as damped ones cannot.  For the coupled solver only.
-    """
+    """The step with wide upwinding, which is narrowed to the scheme's."""
 
     path: ContinuationPath = WIDTHS
+    """Widths in units of the scheme's."""
     lengths: ContinuationPath | None = LENGTHS
+    """By steps of growing length the widest problem is solved where nothing else leads to it: where creep is
+    stiff and z jumps from cell to cell."""
     full_steps: int | None = None
+    """Undamped Newton steps tried from a soft solution to the sharp one, where the path between them folds,
+    by the coupled solver.  Across a fold the sign of v.n changes on a facet: the sharp equation is nearly
+    piecewise smooth, and full steps change such signs as damped ones cannot."""
     effort: Effort = Effort.CONTINUATION
 
     def __post_init__(self) -> None:

@@ -125,14 +125,14 @@ class Integrator:
         t: float,
         tau: float,
         number: int = 0,
-        up_to: Effort = Effort.OTHER_SOLVER,
+        efforts: Effort = Effort.ALL,
         meets: bool = False,
     ) -> StepTaken:
         """Take the step after step ``number`` from ``t`` over ``tau``, s.
 
         Parameters
         ----------
-        up_to : Effort
+        efforts : Effort
             As of ``RotheSolver.solve``.
         meets : bool
             Whether a relaxed step has to end at t + tau.
@@ -149,8 +149,8 @@ class Integrator:
         try:
             scheme = self.scheme_of(number)
             if not (self.relaxed and scheme is self.scheme):
-                return self._taken(scheme, t, tau, history, up_to)
-            return self._relaxed(scheme, t, tau, history, up_to, meets)
+                return self._taken(scheme, t, tau, history, efforts)
+            return self._relaxed(scheme, t, tau, history, efforts, meets)
         except BaseException as error:  # also an interrupt: never leave half a step behind
             self.undo()
             if isinstance(error, StepError):
@@ -178,9 +178,9 @@ class Integrator:
         t: float,
         tau: float,
         history: list[Attempt],
-        up_to: Effort,
+        efforts: Effort,
     ) -> StepTaken:
-        states, rates = self._stages(scheme, t, tau, history, up_to)
+        states, rates = self._stages(scheme, t, tau, history, efforts)
         numerical = self._stage_distances(scheme, states)
         self._end = scheme.end
         if not scheme.ends_at_last_stage:
@@ -195,7 +195,7 @@ class Integrator:
         t: float,
         tau: float,
         history: list[Attempt],
-        up_to: Effort,
+        efforts: Effort,
     ) -> tuple[list[Evolved], dict[str, float]]:
         """y_0 ... y_s and the weighted rates of the stages; the state is that of the last one."""
         states = [self.step.evolved()]
@@ -208,7 +208,7 @@ class Integrator:
             own, end = scheme.A[i][i] * tau, t + scheme.c[i] * tau
             window = (t, tau) if scheme.averages_loads else (end, 0.0)
             self.step.start_from(list(zip(scheme.starts[i], states, strict=False)))
-            history += self.rothe.solve(Interval(own, begin, end, *window), up_to)
+            history += self.rothe.solve(Interval(own, begin, end, *window), efforts)
             begin = end
             states.append(self.step.evolved())
             _add(rates, scheme.b[i], self.meter())
@@ -278,14 +278,14 @@ class Integrator:
         t: float,
         tau: float,
         history: list[Attempt],
-        up_to: Effort,
+        efforts: Effort,
         meets: bool,
     ) -> StepTaken:
         """A midpoint step that ends at u_0 + omega (U - u_0), omega near 2, where R = 0."""
         own = scheme.A[0][0] * tau
         for _ in range(_MEETINGS):
             # of a step of two Rothe steps' length, over which loads are averaged
-            states, rates = self._stages(scheme, t, own / scheme.A[0][0], history, up_to)
+            states, rates = self._stages(scheme, t, own / scheme.A[0][0], history, efforts)
             wanted = tau / own if meets else None
             omega, numerical, rates = self._relaxed_end(states, t, own, rates, wanted)
             if not meets or abs(omega * own - tau) <= _MEETING * tau:

@@ -41,10 +41,10 @@ def refuse(run, monkeypatch, is_refused):
     """Let the solver fail at the steps (t, tau) for which ``is_refused`` holds."""
     solve = run.solver.solve
 
-    def refusing(interval, up_to=Effort.OTHER_SOLVER):
+    def refusing(interval, efforts=Effort.ALL):
         if is_refused(interval.begin, interval.tau):
             raise nv.StepError(f"refused {interval.tau:g}")
-        return solve(interval, up_to)
+        return solve(interval, efforts)
 
     monkeypatch.setattr(run.solver, "solve", refusing)
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from ngsolve import CF, BaseVector, Id, IfPos, Integrate, OuterProduct, cos, pi, sin, x, y
+from ngsolve import CF, Id, IfPos, Integrate, OuterProduct, cos, pi, sin, x, y
 from support import MATERIALS
 
 from ngvisco import (
@@ -22,8 +20,8 @@ from ngvisco import (
 )
 from ngvisco.geometries import box
 from ngvisco.solver.rothe import Interval
-from ngvisco.solver.solution import Solution, Status, iterations
-from ngvisco.solver.strategies import LENGTHS, WIDTHS, ContinuationPath, Effort
+from ngvisco.solver.solution import Status, iterations
+from ngvisco.solver.strategies import Effort
 
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 JUMP = Id(3) + IfPos(x - 0.4, 0.4, -0.2) * OuterProduct(CF((1, 0, 0)), CF((0.3, 1, 0)))
@@ -84,66 +82,6 @@ def test_step_after_a_failure_equals_one_without() -> None:
     rows = [run.advance() for run in (clean, failed)]
     assert np.array_equal(state(clean), state(failed))
     assert rows[0] == rows[1] or {k for k in rows[0] if rows[0][k] != rows[1][k]} <= {"J_min", "J_defect"}
-
-
-def followed(path: ContinuationPath, solvable, at_once=None) -> tuple[list[float], Solution]:
-    """What a continuation tries and answers where ``solvable(value, solved)`` says what Newton would do."""
-    tried, solved = [], []
-    state = BaseVector(1)
-
-    def solve(value: float, guess: BaseVector) -> Solution:
-        tried.append(value)
-        if not solvable(value, solved[-1] if solved else None):
-            return FAILED
-        solved.append(value)
-        return Solution(Status.CONVERGED)
-
-    return tried, path.follow(solve, state, state, at_once)
-
-
-FAILED = Solution(Status.STALLED, (), "Newton did not converge")
-
-
-def test_continuation_goes_to_one_by_its_ratio() -> None:
-    assert followed(LENGTHS, lambda value, solved: True)[0] == [0.25, 1.0]
-    assert followed(WIDTHS, lambda value, solved: True)[0] == pytest.approx([1e2, 1e1, 1.0])
-    values, solution = followed(LENGTHS, lambda value, solved: solved or value <= 0.01)
-    assert values == pytest.approx([0.25, 0.25 / 8, 0.25 / 64, 0.25 / 16, 0.25 / 4, 0.25, 1.0])
-    assert solution.converged
-
-
-def test_continuation_takes_smaller_steps_where_needed() -> None:
-    """Only ratios up to 1.5 are solved: it arrives, by such ratios."""
-    values, solution = followed(LENGTHS, lambda value, solved: solved is None or value <= 1.5 * solved)
-    assert solution.converged and values[-1] == 1.0
-    assert len(values) <= LENGTHS.tries
-
-
-def test_continuation_gives_up_beyond_the_furthest() -> None:
-    assert followed(WIDTHS, lambda value, solved: value > 1e4)[1] is FAILED
-    values, solution = followed(LENGTHS, lambda value, solved: False)
-    assert solution is FAILED
-    assert values == pytest.approx([0.25 / 8**i for i in range(6)])
-
-
-def test_a_path_that_is_too_long_is_a_failure_with_its_reason() -> None:
-    """Every value is solved, and two of them do not lead to 1."""
-    values, solution = followed(replace(WIDTHS, tries=2), lambda value, solved: True)
-    assert values == pytest.approx([1e2, 1e1])
-    assert not solution.converged and "does not lead to" in solution.reason
-
-
-def test_a_path_that_folds_is_left_at_once() -> None:
-    """No value below 30 is solved; the problem itself is tried after the first failure, and ends it."""
-    tried = []
-
-    def at_once(guess: BaseVector) -> Solution:
-        tried.append(1)
-        return Solution(Status.CONVERGED)
-
-    values, solution = followed(WIDTHS, lambda value, solved: value >= 30, at_once)
-    assert values == pytest.approx([1e2, 1e1])
-    assert tried == [1] and solution.converged
 
 
 def test_full_steps_are_taken_whatever_the_increments() -> None:
@@ -211,6 +149,6 @@ def test_stiff_body_that_drifts_is_solved_in_long_steps() -> None:
     run = Simulation(mesh, model, dt=10.0, initial=initial, solver="coupled")
     u = run.rothe_step.now
     before = [Integrate(u.rho * u.v[i], mesh) for i in range(2)]
-    lines = iterations(run.integrator.advance(0.0, 10.0, up_to=Effort.DIRECT).history)
+    lines = iterations(run.integrator.advance(0.0, 10.0, efforts=Effort.DIRECT).history)
     assert 10e-10 < lines[-1].increment < 100e-10
     assert [Integrate(u.rho * u.v[i], mesh) for i in range(2)] == pytest.approx(before, abs=2e-8)

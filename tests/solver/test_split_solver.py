@@ -434,7 +434,7 @@ def test_above_a_courant_number_of_one_no_step_is_retried():
 
 def test_newton_krylov_says_when_it_fails(monkeypatch):
     monkeypatch.setattr(iteration, "gmres", lambda operator, f, **_: (0 * f, 0))
-    run = simulation(newton=nv.NewtonOptions(split=SplitOptions(slow=0)))
+    run = simulation(newton=nv.NewtonOptions(split=SplitOptions(slow=1)))
     solution = run.solver.newton.solve(first_step(run), run.rothe_step.state_old.vec)
     assert solution.status is Status.STALLED
     assert "split solver did not converge (no step length" in solution.reason

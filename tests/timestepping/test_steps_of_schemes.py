@@ -114,11 +114,11 @@ def test_a_refused_second_stage_leaves_the_state_before_the_step(monkeypatch):
     before, carried = state(run), run.passive.arrays()
     solve, calls = run.solver.solve, []
 
-    def refusing(interval, up_to=Effort.OTHER_SOLVER):
+    def refusing(interval, efforts=Effort.ALL):
         calls.append(interval)
         if len(calls) == 2:
             raise nv.StepError("refused")
-        return solve(interval, up_to)
+        return solve(interval, efforts)
 
     monkeypatch.setattr(run.solver, "solve", refusing)
     with pytest.raises(nv.StepError, match=r"step of length 0.02 s from t = 0.02 s: refused"):

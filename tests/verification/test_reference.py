@@ -25,7 +25,7 @@ from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.transport import Conjugates, Kinematics, UpwindTrace
 from ngvisco.geometries import box
 from ngvisco.physics.material import tensors_of
-from ngvisco.solver.condensed import CondensedJacobian
+from ngvisco.solver.newton import CondensedJacobian
 from ngvisco.verification.cases.maxwell import MYR, ROCK, relaxed_stress
 from ngvisco.verification.models import KINDS
 from ngvisco.verification.problems import PartialLayout

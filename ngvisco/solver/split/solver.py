@@ -69,6 +69,8 @@ class Split:
         history: list[NewtonIteration] = []
         self.step.state.vec.data = guess
         problem.pose()
+        if not np.isfinite(guess.Norm()):
+            return Solution(Status.NOT_FINITE, (), "the split solver's start value is not finite")
         try:
             with on_arrays():
                 self.residual.start()
@@ -111,7 +113,8 @@ class Split:
 
     def renew(self, problem: Problem, at: Evaluation) -> None:
         """Make the tangent anew at an evaluation, which is that of the step's state."""
-        self.preconditioner.update(at, self._clock)
+        self.is_factorised = False
+        self.preconditioner.update(at, self._clock)  # where it fails there is no tangent
         self.is_factorised = True
         problem.factorised()
 

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from ngvisco.algebra.sparse import together
 from ngvisco.forms.upwinding import Upwinding
-from ngvisco.physics.arrays import Array, slope_along
+from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
 
 SUDDEN = 2e-4
@@ -30,14 +30,10 @@ class UpwindSwitch:
         op, weights, upwinding = self.op, self.op.points.weights, at.facets.upwinding
         z, zeta = at.coefficients["z"], at.coefficients["zeta"]
 
-        def inflow(through: np.ndarray) -> np.ndarray:
-            return Upwinding(
-                Array(through, None), at.facets.context.inner, at.facets.context.eta
-            ).inflow.value
-
-        through = upwinding.through.value
-        slope = slope_along(inflow, through, np.ones_like(through))  # of n^- by v . n
-        jump = at.facets.z_hat.value - at.facets.z.value
+        known, through = at.facets.context, Array(upwinding.through.value)
+        inflow = Upwinding(through, known.inner, known.eta).inflow
+        (slope,) = derivatives(inflow, [through])  # of n^- by v . n
+        jump = at.facets.z_jump.value
         facet = self.mass.facet
         # the jump of z is what both sides together are away from its trace
         z_jump = np.bincount(facet, weights * np.linalg.norm(jump, axis=0))
@@ -63,7 +59,7 @@ class UpwindSwitch:
         self._values, self._zeta = together(self._z, z), together(self._z, zeta)
         self._jump, self._inflow = jump[:, where], upwinding.inflow.value[where]
         self._carried = upwinding.carried.value[where]
-        self._carried_slope = self._inflow + through[where] * self._slope
+        self._carried_slope = self._inflow + through.value[where] * self._slope
 
     def _from_mean(self, zeta: np.ndarray, where: np.ndarray) -> np.ndarray:
         """How far zeta is from the means of both sides, on the boundary from itself, (n, points there).

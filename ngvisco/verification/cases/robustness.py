@@ -58,7 +58,7 @@ class FirstTry(FixedStepper):
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
         integrator = simulation.integrator
         try:
-            taken = integrator.advance(simulation.t, self.dt, up_to=Effort.DIRECT)
+            taken = integrator.advance(simulation.t, self.dt, efforts=Effort.DIRECT)
             self.directly += 1
         except StepError:
             taken = integrator.advance(simulation.t, self.dt)
