@@ -6,7 +6,7 @@ import hashlib
 import os
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -286,7 +286,9 @@ class Case:
             except ExpressionError as error:
                 raise self._error((*path, "of"), str(error)) from error
 
-    def _made(self, part: Any, table: dict[str, type], path: tuple[str, ...], dim: int) -> Any:
+    def _made(
+        self, part: Any, table: Mapping[str, Callable[..., Any]], path: tuple[str, ...], dim: int
+    ) -> Any:
         with self._located(*path):
             return table[part.kind](**self._values(part, path, dim))
 

@@ -9,6 +9,7 @@ import importlib
 from collections.abc import Callable
 from typing import Any
 
+from ngvisco.case.laws import custom_material, isotropic_strain_energy
 from ngvisco.case.meshfile import read_mesh
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
@@ -54,11 +55,13 @@ def _geometries() -> dict[str, Callable[..., Any]]:
 
 GEOMETRIES = _geometries()
 
-MATERIALS: dict[str, type] = {
+MATERIALS: dict[str, Callable[..., Any]] = {
     "BarotropicFluid": BarotropicFluid,
+    "Custom": custom_material,
     "FENEP": FENEP,
     "HardeningElastic": HardeningElastic,
     "IsochoricNeoHookean": IsochoricNeoHookean,
+    "IsotropicStrainEnergy": isotropic_strain_energy,
     "LinearElastic": LinearElastic,
     "LogarithmicNeoHookean": LogarithmicNeoHookean,
     "MooneyRivlin": MooneyRivlin,
@@ -68,7 +71,7 @@ MATERIALS: dict[str, type] = {
     "ReferentialNeoHookean": ReferentialNeoHookean,
 }
 
-WRAPPERS: dict[str, type] = {"Yosida": Yosida, "WithQuadratic": WithQuadratic}
+WRAPPERS: dict[str, Callable[..., Any]] = {"Yosida": Yosida, "WithQuadratic": WithQuadratic}
 """Materials of another one, [material.material]: of those above, and of wrappers before them here."""
 
 MECHANISMS: dict[str, type] = {

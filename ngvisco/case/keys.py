@@ -129,6 +129,21 @@ KEYS: dict[str, Key] = {
     "BarotropicFluid.J_min": Key(
         "1", 'with form = "J": the energy is continued linearly below this J, > 0', 0.1
     ),
+    "Custom.variables": Key(
+        "",
+        "what is carried: F, H = cof(F), B = F*trans(F), N = cof(F*trans(F)), J = det(F), A = 1/J, "
+        'K = log(J)/J, the small strain E; with a power of J as in "H = J**(-5/6)*F"',
+        ["F", "J"],
+    ),
+    "energy": Key(
+        "Pa", "stored energy per actual volume of the variables", "3*norm2(F)/J**(2/3) + 4*(J + 1/J)"
+    ),
+    "IsotropicStrainEnergy.energy": Key(
+        "Pa",
+        "stored energy per actual volume of the small strain E, isotropic and convex",
+        "5*tr(E)**2 + 5*norm2(dev(E))",
+    ),
+    "parameters": Key("any", "numbers that the energy reads by name, as they stand", {"G": 5.0}),
     "material": Key("", "the material that is regularised, a table with a kind of its own", None),
     "Yosida.eps": Key("1/Pa", "width of the Yosida approximation, > 0", 1e-3),
     "WithQuadratic.delta": Key("Pa^2", "sqrt(delta)/2 |z|^2 is added to the energy, > 0", 1e-6),

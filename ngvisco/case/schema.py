@@ -31,6 +31,7 @@ from pydantic import (
 
 from ngvisco.case import catalogue
 from ngvisco.case.expressions import parse
+from ngvisco.case.laws import EnergyText
 from ngvisco.errors import ParameterError, UnknownNameError, as_number
 from ngvisco.physics.material import Material as MaterialObject
 from ngvisco.timestepping.scheme import SCHEMES, scheme_of
@@ -70,7 +71,7 @@ FieldValue = Annotated[
 
 def _annotation(hint: Any) -> Any:
     """The schema's type for a parameter's type hint; None if a case file cannot give it."""
-    if hint in (float, int, bool, str):
+    if hint in (float, int, bool, str, EnergyText):
         return hint
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
@@ -130,7 +131,7 @@ def section(
                 raise TypeError(f"{target.__qualname__}.{name}: a case file cannot give a {hints.get(name)}")
             continue
         fields[name] = (annotation, ... if required else _default(annotation, parameter.default))
-    base = _checked_section(target) if _is_plain(target, fields) else Section
+    base = _checked_section(target) if _is_plain(target, fields, hints.get("return")) else Section
     model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
     _TARGETS[model] = target
     _FIELDS[model] = frozenset(
@@ -155,10 +156,13 @@ def _default(annotation: Any, default: Any) -> Any:
     return list(default) if isinstance(default, tuple) else default
 
 
-def _is_plain(target: Callable[..., Any], fields: dict[str, Any]) -> bool:
-    """Whether the object can be made, and so checked, from the file's values alone."""
+def _is_plain(target: Callable[..., Any], fields: dict[str, Any], returned: Any) -> bool:
+    """Whether the object can be made, and so checked, from the file's values alone.
+
+    A function that returns a dataclass makes one; those of geometries make meshes, which takes long.
+    """
     has_fields = any(_has_field_value(annotation) for annotation, _ in fields.values())
-    return dataclasses.is_dataclass(target) and not has_fields
+    return not has_fields and (dataclasses.is_dataclass(target) or dataclasses.is_dataclass(returned))
 
 
 def _has_field_value(annotation: Any) -> bool:

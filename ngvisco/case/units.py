@@ -22,6 +22,7 @@ from ngvisco.case.errors import Fault
 from ngvisco.case.expressions import ExpressionError, parse
 from ngvisco.case.faults import Locator, models_in
 from ngvisco.case.keys import key
+from ngvisco.case.laws import EnergyText
 from ngvisco.case.reference import owner_name
 from ngvisco.case.schema import FieldValue
 
@@ -137,8 +138,10 @@ class Converter:
         if name in ("kind", "geometry") or inner:
             return value
         unit = key(owner_name(model), name).unit
+        if annotation is EnergyText:
+            return self._energy(value, unit, path)
         is_field = any(part is Any or part == FieldValue for part in _parts(annotation))
-        if unit == "" or (unit == "1" and not is_field):
+        if unit in ("", "any") or (unit == "1" and not is_field):
             return value
         try:
             converted = self._value(value, _with_exponents(unit, model, data), is_field)
@@ -148,6 +151,14 @@ class Converter:
         if converted is not value and converted != value:
             self.written[path] = value
         return converted
+
+    def _energy(self, value: Any, unit: str, path: tuple[str, ...]) -> Any:
+        """The same energy in SI units: its value is in those of the case, its variables are pure numbers."""
+        scale = self._scale(unit)
+        if scale == 1.0 or not isinstance(value, str):
+            return value
+        self.written[path] = value
+        return f"({value})*{scale!r}"
 
     def _value(self, value: Any, unit: str, is_field: bool) -> Any:
         if isinstance(value, bool):

@@ -78,7 +78,8 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
     for _ in range(_ROTATIONS):
         Q = _rotation(rng, dim)
         turned = sampling.energies(sampling.mapped(states, _turning(material, dim, Q)))
-        change = np.abs(turned - energy)
+        with np.errstate(invalid="ignore"):  # infinite at both
+            change = np.abs(turned - energy)
         finite = np.isfinite(change)
         samples += int(finite.sum())
         if not finite.any():
@@ -96,8 +97,13 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
 
 
 def require_isotropy(material: Material, field: str, value: object, dim: int = 3) -> None:
-    """Raise ParameterError with the rotation that shows that a material's energy depends on the observer."""
+    """Raise ParameterError with the rotation that shows that a material's energy depends on the observer.
+
+    An energy that is not finite at any of the sampled states is refused too.
+    """
     report = check_isotropy(material, dim=dim)
+    if report.samples == 0:
+        raise ParameterError(field, value, "an energy that is finite near rest: it is so at no sampled state")
     if not report.passed:
         raise ParameterError(field, value, f"an energy that no rotation of the observer changes: it {report}")
 

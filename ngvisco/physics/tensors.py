@@ -17,7 +17,7 @@ from typing import TypeVar
 
 import ngsolve
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Id, IfPos, InnerProduct, Trace
+from ngsolve import CF, CoefficientFunction, Cof, Det, Id, IfPos, InnerProduct, Trace
 
 IDENTITY = Id(3)
 
@@ -64,6 +64,26 @@ def log(a: CoefficientFunction) -> CoefficientFunction:
     return a.log() if hasattr(a, "log") else ngsolve.log(a)
 
 
+def exp(a: CoefficientFunction) -> CoefficientFunction:
+    """Exponential of a scalar."""
+    return a.exp() if hasattr(a, "exp") else ngsolve.exp(a)
+
+
+def det(A: CoefficientFunction) -> CoefficientFunction:
+    """Determinant of a 3x3 tensor."""
+    return A.determinant() if hasattr(A, "determinant") else Det(A)
+
+
+def cof(A: CoefficientFunction) -> CoefficientFunction:
+    """Cofactor of a 3x3 tensor, (det A) A^-T where A is invertible."""
+    return A.cofactor() if hasattr(A, "cofactor") else Cof(A)
+
+
+def identity_like(A: CoefficientFunction) -> CoefficientFunction:
+    """The identity to be combined with values such as A."""
+    return A.constant(np.eye(3)) if hasattr(A, "constant") else IDENTITY
+
+
 def entry(A: CoefficientFunction, i: int, j: int) -> CoefficientFunction:
     """A_ij of a 3x3 tensor."""
     return A.entry(i, j) if hasattr(A, "entry") else A[i, j]
@@ -82,7 +102,7 @@ def log_det(A: CoefficientFunction) -> CoefficientFunction:
 
 
 def if_positive(
-    a: CoefficientFunction, then: CoefficientFunction, otherwise: CoefficientFunction | float
+    a: CoefficientFunction, then: CoefficientFunction | float, otherwise: CoefficientFunction | float
 ) -> CoefficientFunction:
     """``then`` where a > 0, ``otherwise`` elsewhere."""
     return a.where_positive(then, otherwise) if hasattr(a, "where_positive") else IfPos(a, then, otherwise)

@@ -68,6 +68,8 @@ NEEDED = {
     "sphere": {"radius": 1.0, "maxh": 2.0},
     "spherical_shell": {"inner": 0.5, "outer": 1.0, "maxh": 1.0},
     "BarotropicFluid": {"B": 1.0, "gamma": 1.4},
+    "Custom": {"variables": ["F", "J"], "energy": "3*norm2(F)/J**(2/3) + 4*(J + 1/J)"},
+    "IsotropicStrainEnergy": {"energy": "5*tr(E)**2 + 5*norm2(dev(E))"},
     "FENEP": {"K_e": 10.0, "G_e": 5.0, "b": 50.0},
     "OldroydB": {"K_e": 10.0, "G_e": 5.0},
     "HardeningElastic": {"K_e": 10.0, "G_e": 5.0, "K_h": 1.0, "G_h": 1.0},
