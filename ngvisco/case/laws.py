@@ -1,15 +1,21 @@
-"""Materials of case files that are written otherwise than in scripts: by texts."""
+"""Materials of case files that are written otherwise than in scripts: by texts, or by other parameters."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import NewType
+from typing import Literal, NewType
 
 from ngvisco.case.energies import IDENTITY, RESERVED, EnergyExpression, parse_energy
 from ngvisco.case.expressions import ExpressionError, number
 from ngvisco.errors import ParameterError, require_names
-from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials import (
+    CustomMaterial,
+    IsotropicStrainEnergy,
+    PerMass,
+    PerReferentialVolume,
+)
 from ngvisco.physics.variables import (
     Cofactor,
     CofactorLeftCauchyGreen,
@@ -49,8 +55,12 @@ _VARIABLE = (
 
 
 def custom_material(
-    variables: Sequence[str], energy: EnergyText, parameters: Mapping[str, float] | None = None
-) -> CustomMaterial:
+    variables: Sequence[str],
+    energy: EnergyText,
+    parameters: Mapping[str, float] | None = None,
+    per: Literal["volume", "referential volume", "mass"] = "volume",
+    rho_R: float | None = None,
+) -> Material:
     """A material of the user's own: any variables, and an energy as an expression of them.
 
     Parameters
@@ -62,6 +72,11 @@ def custom_material(
         Energy per actual volume, Pa, see ``ngvisco.case.energies``.
     parameters : mapping of names to numbers, optional
         Further names that the energy reads.
+    per : str
+        ``"referential volume"`` (Pa) or ``"mass"`` (J/kg) otherwise, see ``PerReferentialVolume`` and
+        ``PerMass``.
+    rho_R : float, optional
+        Referential density, kg/m^3; an energy per mass needs it.
 
     Raises
     ------
@@ -78,11 +93,25 @@ def custom_material(
         raise ParameterError("Custom.variables", variables, f"at least one variable, {_VARIABLE}")
     expression = _energy("Custom", energy, carried, parameters)
     try:
-        return CustomMaterial(transported=carried, stored_energy=expression)
+        density = rho_R if per == "volume" else None
+        material = CustomMaterial(transported=carried, stored_energy=expression, rho_R=density)
+        if per == "volume":
+            return material
     except ParameterError as error:
+        if error.field == "CustomMaterial.rho_R":
+            raise ParameterError("Custom.rho_R", rho_R, error.expected) from error
         if error.field == "CustomMaterial.stored_energy":
             raise ParameterError("Custom.energy", energy, error.expected) from error
         raise ParameterError("Custom.variables", variables, error.expected) from error
+    if per == "mass" and rho_R is None:
+        raise ParameterError("Custom.rho_R", None, "the referential density, kg/m^3, for an energy per mass")
+    try:
+        if rho_R is None:
+            return PerReferentialVolume(material=material)
+        return (PerMass if per == "mass" else PerReferentialVolume)(material=material, rho_R=rho_R)
+    except ParameterError as error:
+        key, given = ("rho_R", rho_R) if error.field.endswith("rho_R") else ("variables", variables)
+        raise ParameterError(f"Custom.{key}", given, error.expected) from error
 
 
 def isotropic_strain_energy(

@@ -21,7 +21,7 @@ from ngvisco.case import toml
 from ngvisco.case.faults import models_in
 from ngvisco.case.keys import key
 from ngvisco.case.laws import EnergyText
-from ngvisco.case.schema import _TARGETS, CaseSections, FieldValue
+from ngvisco.case.schema import _TARGETS, CaseSections, FieldValue, NumberValues
 from ngvisco.errors import ParameterError
 
 _TAGS = ("geometry", "kind")
@@ -146,6 +146,8 @@ def type_text(annotation: Any) -> str:
     }
     if annotation in plain:
         return plain[annotation]
+    if annotation == NumberValues or annotation == list[Any]:
+        return "array of numbers"
     origin, arguments = get_origin(annotation), get_args(annotation)
     if annotation == FieldValue or annotation is Any:
         return "number, expression, or array of them"
@@ -276,8 +278,8 @@ tanh min max` and `a if x < 1 else b`. A text with a number and its unit, `"5 km
 that has a unit; `[units]` chooses those of plain numbers.
 
 An expression of the variables, as `energy` is, reads the names in `variables` and `parameters`, `pi`, the
-identity `I` and entries `F[0, 1]`, with `tr det norm2 dot cof inv trans sym dev sph` of tensors (`norm2(A)` is
-A : A) and `exp log sqrt abs sinh cosh tanh min max` of scalars.
+identity `I` and entries `F[0, 1]`, with `tr det norm2 dot cof inv trans sym dev sph` of tensors (`norm2(A)`
+is A : A) and `exp log sqrt abs sinh cosh tanh min max` of scalars.
 """
 
 

@@ -24,7 +24,7 @@ from ngvisco.case.faults import Locator, models_in
 from ngvisco.case.keys import key
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.reference import owner_name
-from ngvisco.case.schema import FieldValue
+from ngvisco.case.schema import FieldValue, NumberValues
 
 SI = {
     "length": "m",
@@ -139,8 +139,10 @@ class Converter:
             return value
         unit = key(owner_name(model), name).unit
         if annotation is EnergyText:
-            return self._energy(value, unit, path)
+            # [units] has none of energies per mass: these are in J/kg
+            return value if data.get("per") == "mass" else self._energy(value, unit, path)
         is_field = any(part is Any or part == FieldValue for part in _parts(annotation))
+        is_field = is_field and NumberValues not in _parts(annotation)
         if unit in ("", "any") or (unit == "1" and not is_field):
             return value
         try:
@@ -247,7 +249,7 @@ def _with_exponents(unit: str, model: type[BaseModel], data: dict[str, Any]) -> 
             raise UnitError(f"its unit depends on {name}: expected a number there")
         return f"^({match[1] or ''}{value!r})"
 
-    return re.sub(r"\^\(?(\d-)?([a-z])\b\)?", exponent, unit)
+    return re.sub(r"\^\(?(\d-)?([a-z]+)\b\)?", exponent, unit)
 
 
 def to_si(

@@ -83,6 +83,8 @@ class Step:
         terms: Sequence[Term] = (),
     ) -> None:
         check_mesh(mesh)
+        if model.viscosity is not None:
+            model.viscosity.require_dimension(mesh.dim)
         self.mesh, self.model = mesh, model
         self.discretisation = discretisation or Discretisation()
         self.walls = Walls(mesh, conditions)
@@ -123,7 +125,7 @@ class Step:
             ElasticForce(model, context),
         ]
         if model.viscosity is not None:
-            terms.append(Stokes(model.viscosity))
+            terms.append(Stokes(model.viscosity))  # type: ignore[arg-type]
         if model.hyperviscosity is not None:
             terms.append(Hyperviscosity(model.hyperviscosity, context))
         terms += [Loading(load, context) for load in model.loads]

@@ -69,6 +69,14 @@ class Material(ABC):
         """The variable that is a conformation tensor: its conjugate vanishes at rest, z = I.  Or None."""
         return None
 
+    @property
+    def referential_density(self) -> float | None:
+        """rho_R, kg/m^3, where the energy depends on rho = rho_R/J; None (the rule) where it does not.
+
+        The initial density and the initial J then belong together.
+        """
+        return None
+
     def response(self, dim: int) -> Respond | None:
         """None where ``energy`` is an expression (the rule); otherwise what replaces it.
 

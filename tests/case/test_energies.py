@@ -218,7 +218,6 @@ def test_variables_by_definition(text, name, exponent):
         ([], "1", {}, "Custom.variables"),
         (["F"], "norm2(F)*q", {}, "Custom.energy"),
         (["F"], "F[0, 0]**2", {}, "Custom.energy"),
-        (["J"], "1/(J - J)", {}, "Custom.energy"),
         (["J"], "J", {"J": 1.0}, "Custom.parameters"),
         (["J"], "J", {"I": 1.0}, "Custom.parameters"),
         (["J"], "a*J", {"a": math.inf}, "Custom.parameters.a"),
