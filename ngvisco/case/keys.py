@@ -302,19 +302,28 @@ KEYS: dict[str, Key] = {
     "VTK.enabled": Key("", "whether the VTK series is written", True),
     "VTK.every": Key("1", "a file every so many steps", 10),
     "VTK.interval": Key("s", "a file at every multiple of this time instead of every so many steps", 0.1),
-    "VTK.fields": Key("", "which fields; all without this key", ["velocity", "density"]),
+    "VTK.fields": Key(
+        "",
+        "which fields; without this key all but creep_rate, mandel_stress, viscous_stress, hyperstress_1 "
+        "(to 3), principal_stresses, principal_stretches",
+        ["velocity", "density"],
+    ),
     "VTK.subdivision": Key("1", "bisections of cells, 0 to 4: fields are linear in the pieces", 1),
     "Checkpoint.every": Key("1", "a checkpoint every so many steps, and at the end", 10),
     "Checkpoint.keep": Key("1", "how many checkpoints run.h5 holds", 2),
     "Probe.name": Key("", "letters, digits, _ and -; the file is samples/NAME.csv", "tip"),
     "Probe.point": Key("m", "where, a coordinate for each dimension", [0.5, 0.5]),
-    "Probe.fields": Key("", "fields or components of them; all without this key", ["velocity", "F_12"]),
+    "Probe.fields": Key(
+        "", "fields or components of them; without this key as for output.vtk.fields", ["velocity", "F_12"]
+    ),
     "Probe.every": Key("1", "a row every so many steps, and at the end", 1),
     "Line.name": Key("", "letters, digits, _ and -; the file is samples/NAME.csv", "middle"),
     "Line.start": Key("m", "one end, a coordinate for each dimension", [0.0, 0.5]),
     "Line.end": Key("m", "the other end", [1.0, 0.5]),
     "Line.points": Key("1", "how many points, equally spaced, the ends among them", 101),
-    "Line.fields": Key("", "fields or components of them; all without this key", ["density"]),
+    "Line.fields": Key(
+        "", "fields or components of them; without this key as for output.vtk.fields", ["density"]
+    ),
     "Line.every": Key("1", "rows every so many steps, and at the end", 10),
     "Forces.walls": Key("", "names of walls; all without this key", ["left"]),
     "Forces.about": Key("m", "the point that torques refer to; the origin without this key", [0.5, 0.5]),

@@ -18,7 +18,7 @@ from ngsolve import (
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
 from ngvisco.forms.context import Integrand
-from ngvisco.forms.data_checks import warn_of_mismatch
+from ngvisco.forms.data_checks import distortion_of, warn_of_mismatch
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.mesh_arrays import mask_of
@@ -27,7 +27,7 @@ from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.velocity import project_velocity
-from ngvisco.physics.material import components_of, conjugates
+from ngvisco.physics.material import components_of, conjugates, volume_ratio
 from ngvisco.physics.model import VectorLike, as_tensor, as_vector
 from ngvisco.physics.tensors import inner, square, tensor_space
 
@@ -66,8 +66,13 @@ class Initial:
             raise ParameterError("Initial.values", self.values, "a mapping of variable names to functions")
 
 
-def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
+def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFunction:
     """Put the initial data into ``step.state`` and ``step.state_old``.
+
+    Returns
+    -------
+    CoefficientFunction
+        The initial elastic distortion F_0, 3x3: that of the data, or of a start value that tells it.
 
     Raises
     ------
@@ -87,7 +92,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
     rho_R = step.model.material.referential_density
     if initial.density is None:
         values = _initial_values(step, initial, F)
-        density = CF(1.0) if rho_R is None else rho_R / _volume_ratio(step, values)
+        density = CF(1.0) if rho_R is None else rho_R / volume_ratio(step.model.material, values)
         sampler.require(density, "density rho_0", minimum=0.0)
     else:
         density = _as_shape("Initial.density", initial.density, ())
@@ -96,7 +101,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
             F = (rho_R / density) ** (1 / 3) * Id(3)
         values = _initial_values(step, initial, F)
         if rho_R is not None:
-            _check_density(rho_R, density, _volume_ratio(step, values), sampler)
+            _check_density(rho_R, density, volume_ratio(step.model.material, values), sampler)
     _check_spaces(step, values, sampler)
     with TaskManager():
         step.state.vec[:] = 0.0
@@ -118,6 +123,8 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
     warn_of_mismatch(step, sampler, values)
     step.state_old.vec.data = step.state.vec
     step.start_from_old()
+    known = distortion_of(step.model.material, values)
+    return F if known is None else known
 
 
 def _initial_values(step: Step, initial: Initial, F: CoefficientFunction) -> dict[str, CoefficientFunction]:
@@ -129,14 +136,6 @@ def _initial_values(step: Step, initial: Initial, F: CoefficientFunction) -> dic
     for name, value in initial.values.items():
         values[name] = _as_shape(f"Initial.values[{name!r}]", value, tuple(values[name].dims))
     return values
-
-
-def _volume_ratio(step: Step, values: Mapping[str, CoefficientFunction]) -> CoefficientFunction:
-    """J by the first scalar variable that has it, otherwise by the first tensor."""
-    variables = sorted(step.model.material.variables, key=lambda v: v.kind != "scalar")
-    found = (v.volume_ratio(values[v.name]) for v in variables)
-    power, exponent = next(ratio for ratio in found if ratio is not None)
-    return power ** (1 / exponent)
 
 
 def _check_density(

@@ -195,6 +195,17 @@ def local_creep_rate(
     return direct if a == 0 else creep.R * a * mandel_stress(material, z, zeta, dim) + direct
 
 
+def volume_ratio(material: Material, z: Values) -> CoefficientFunction:
+    """J by the first scalar that has it, otherwise by the first tensor whose determinant depends on it.
+
+    The material must have such a variable, as every one at finite strain has.
+    """
+    variables = sorted(material.variables, key=lambda v: v.kind != "scalar")
+    found = (v.volume_ratio(z[v.name]) for v in variables)
+    power, exponent = next(ratio for ratio in found if ratio is not None and abs(ratio[1]) > 1e-12)
+    return power ** (1 / exponent)
+
+
 def component_slices(material: Material, dim: int) -> dict[str, slice]:
     """Where every variable stands in the concatenated component vector, by name."""
     slices, start = {}, 0
