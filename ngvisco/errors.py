@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from ngvisco.solver.options import NewtonIteration
+    from ngvisco.solver.solution import Attempt
 
 
 class NgviscoError(Exception):
@@ -72,11 +72,11 @@ class StepError(NgviscoError, RuntimeError):
 
     Attributes
     ----------
-    history : tuple of NewtonIteration
-        What the solver saw, iteration by iteration, over all its attempts.
+    history : tuple of Attempt
+        What was tried: each solve's strategy, its iterations and why it failed.
     """
 
-    def __init__(self, message: str, history: Sequence[NewtonIteration] = ()) -> None:
+    def __init__(self, message: str, history: Sequence[Attempt] = ()) -> None:
         self.history = tuple(history)
         super().__init__(message)
 

@@ -1,6 +1,6 @@
 """Energies of case files: expressions of the material's variables, for coefficient functions and arrays.
 
-A text is an expression as in ``ngvisco.case.expressions``, of scalars and 3x3 tensors, and is computed by
+A text is an expression as in ``ngvisco.expressions``, of scalars and 3x3 tensors, and is computed by
 this package, never by Python.  Written are
 
 * numbers, the variables' names, the parameters' names, ``pi`` and the identity ``I``; not x, y, z or t;
@@ -18,9 +18,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 from ngsolve import CoefficientFunction
 
-from ngvisco.case.expressions import (
+from ngvisco.expressions import (
     CONSTANTS,
     FUNCTIONS,
     UNKNOWN,
@@ -31,24 +32,25 @@ from ngvisco.case.expressions import (
     syntax_tree,
 )
 from ngvisco.physics.tensors import (
+    IDENTITY,
     cof,
     det,
     dev,
     entry,
     exp,
-    identity_like,
     if_positive,
     inner,
     log,
     sph,
+    sqrt,
     square,
     sym,
     tr,
 )
 from ngvisco.physics.variables import Variable
 
-IDENTITY = "I"
-RESERVED = (*CONSTANTS, IDENTITY)
+UNIT = "I"
+RESERVED = (*CONSTANTS, UNIT)
 """Names that a parameter cannot have."""
 
 _TENSOR: Any = Unknown()
@@ -70,8 +72,9 @@ class EnergyExpression:
     _tree: ast.expr = field(repr=False, compare=False)
 
     def __call__(self, **values: Any) -> Any:
-        identity = identity_like(next(iter(values.values())))
-        symbols = {**CONSTANTS, IDENTITY: identity, **self.parameters, **values}
+        backend = next(iter(values.values()))
+        identity = backend.constant(np.eye(3)) if hasattr(backend, "constant") else IDENTITY
+        symbols = {**CONSTANTS, UNIT: identity, **self.parameters, **values}
         return _EnergyEvaluator(self.text, symbols).value(self._tree)
 
 
@@ -97,7 +100,7 @@ def parse_energy(
     constants = {name: float(value) for name, value in (parameters or {}).items()}
     kinds = {v.name: UNKNOWN if v.kind == "scalar" else _TENSOR for v in variables}
     tree, lead = syntax_tree(text)
-    symbols = {**CONSTANTS, IDENTITY: _TENSOR, **constants, **kinds}
+    symbols = {**CONSTANTS, UNIT: _TENSOR, **constants, **kinds}
     evaluator = _EnergyEvaluator(text, symbols, lead, [*kinds, *constants, *RESERVED])
     if evaluator.value(tree) is _TENSOR:
         raise ExpressionError(
@@ -188,7 +191,7 @@ def _tanh(a: Any) -> Any:
 _SCALARS: dict[str, Callable[..., Any]] = {
     "exp": exp,
     "log": log,
-    "sqrt": lambda a: a**0.5,
+    "sqrt": sqrt,
     "abs": lambda a: if_positive(a, a, -a),
     "sinh": lambda a: 0.5 * (exp(a) - exp(-a)),
     "cosh": lambda a: 0.5 * (exp(a) + exp(-a)),

@@ -6,9 +6,9 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Literal, NewType
 
-from ngvisco.case.energies import IDENTITY, RESERVED, EnergyExpression, parse_energy
-from ngvisco.case.expressions import ExpressionError, number
+from ngvisco.case.energies import RESERVED, UNIT, EnergyExpression, parse_energy
 from ngvisco.errors import ParameterError, require_names
+from ngvisco.expressions import ExpressionError, number
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import (
     CustomMaterial,
@@ -152,7 +152,7 @@ def _energy(
     try:
         return parse_energy(text, variables, parameters)
     except ExpressionError as error:
-        expected = f"an expression of {', '.join([*names, *(parameters or {}), IDENTITY])}: {error}"
+        expected = f"an expression of {', '.join([*names, *(parameters or {}), UNIT])}: {error}"
         raise ParameterError(f"{owner}.energy", text, expected) from error
 
 

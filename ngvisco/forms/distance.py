@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from ngsolve import CF, FESpace, GridFunction
 
-from ngvisco.forms.context import Storing
-from ngvisco.forms.spaces import Fields
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Evolved, Step
+from ngvisco.forms.term import Storing
 
 _EVOLVED = ("v", "rho", "z")
 

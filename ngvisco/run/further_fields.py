@@ -18,9 +18,8 @@ from collections.abc import Iterable
 import numpy as np
 from ngsolve import CF, CoefficientFunction, acos, cos, sqrt
 
-from ngvisco.forms.spaces import Fields, hessian_basis
+from ngvisco.forms.fields import Fields, hessian_basis
 from ngvisco.forms.system import Step
-from ngvisco.forms.transport import Transport
 from ngvisco.physics.material import mandel_stress, volume_ratio
 from ngvisco.physics.tensors import IDENTITY, det, dev, if_positive, square, sym, tr
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen, SmallStrain
@@ -44,13 +43,13 @@ def further_fields(step: Step, cauchy: CoefficientFunction) -> dict[str, Coeffic
     """The fields above, as far as the model has them, at the new state; ``cauchy`` is its Cauchy stress."""
     u, model, dim = step.now, step.model, step.mesh.dim
     found: dict[str, CoefficientFunction] = {}
-    Pi = Transport(model, step.context).creep_rate(u)
+    Pi = step.context.rates.creep(u)
     if Pi is not None:
         found["creep_rate"] = Pi
     if any(variable.creeps for variable in model.material.variables):
         found["mandel_stress"] = mandel_stress(model.material, u.z_tensors, u.zeta_tensors, dim)
     if model.viscosity is not None:
-        found["viscous_stress"] = model.viscosity.stress(sym(u.L))
+        found["viscous_stress"] = model.viscosity.stress(sym(u.L), u.z_tensors)
     if model.hyperviscosity is not None:
         found |= {f"hyperstress_{i + 1}": _hyperstress(u, i) for i in range(dim)}
     found["principal_stresses"] = eigenvalues(cauchy)

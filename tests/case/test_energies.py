@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 import ngvisco as nv
 from ngvisco.case.build import parse_case
 from ngvisco.case.energies import parse_energy
-from ngvisco.case.expressions import ExpressionError
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
+from ngvisco.expressions import ExpressionError
 from ngvisco.physics.arrays import Array, array_slope, derivatives
 from ngvisco.physics.material import component_count
 from ngvisco.physics.materials import NeoHookean
