@@ -168,6 +168,30 @@ class Array:
         root = np.sqrt(self.value)
         return Array(root, [(self, lambda g: 0.5 * g / root)])
 
+    def exp(self) -> Array:
+        """The exponential of scalars."""
+        if not self.is_scalar:
+            raise TypeError("only scalars have an exponential")
+        value = np.exp(self.value)
+        return Array(value, [(self, lambda g: g * value)])
+
+    def cofactor(self) -> Array:
+        """The cofactors of 3x3 tensors, (det A) A^-T."""
+        self._require_tensor()
+        return Array(0.5 * _cross(self.value, self.value), [(self, lambda g: _cross(self.value, g))])
+
+    def determinant(self) -> Array:
+        """The determinants of 3x3 tensors."""
+        self._require_tensor()
+        cofactor = 0.5 * _cross(self.value, self.value)
+        value = (self.value[0] * cofactor[0]).sum(axis=0)
+        return Array(value, [(self, lambda g: g * cofactor)])
+
+    @staticmethod
+    def constant(value: float | np.ndarray) -> Array:
+        """A number or one 3x3 tensor, which nothing is differentiated by."""
+        return _array(value)
+
     def where_positive(self, then: Any, otherwise: Any) -> Array:
         """``then`` where this scalar is > 0, ``otherwise`` elsewhere."""
         a, b, positive = _array(then), _array(otherwise), self.value.real > 0
@@ -443,6 +467,17 @@ def _array(value: Any) -> Array:
     if isinstance(value, np.ndarray) and value.ndim in (1, 2) and value.dtype.kind == "f":
         return Array(value[..., None], None)
     raise TypeError(f"{type(value).__name__} does not combine with arrays")
+
+
+def _cross(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """The symmetric bilinear map with _cross(A, A) = 2 Cof A; _cross(A, B) : C is that of any order."""
+    return _minors(A, B) + _minors(B, A)
+
+
+def _minors(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """A_jJ B_kK - A_jK B_kJ at (i, I), for (i, j, k) and (I, J, K) cyclic."""
+    one, two = (np.roll(np.arange(3), -1), np.roll(np.arange(3), -2))
+    return A[one][:, one] * B[two][:, two] - A[one][:, two] * B[two][:, one]
 
 
 def _same(g: np.ndarray) -> np.ndarray:

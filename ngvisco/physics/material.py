@@ -69,6 +69,14 @@ class Material(ABC):
         """The variable that is a conformation tensor: its conjugate vanishes at rest, z = I.  Or None."""
         return None
 
+    @property
+    def referential_density(self) -> float | None:
+        """rho_R, kg/m^3, where the energy depends on rho = rho_R/J; None (the rule) where it does not.
+
+        The initial density and the initial J then belong together.
+        """
+        return None
+
     def response(self, dim: int) -> Respond | None:
         """None where ``energy`` is an expression (the rule); otherwise what replaces it.
 
@@ -172,6 +180,17 @@ def mandel_stress(material: Material, z: Values, zeta: Values, dim: int) -> Coef
 def creep_tensors(creep: Creep | None, dim: int) -> TensorSpace:
     """The tensors among which Pi is: trace-free ones but for a law of creep with a trace."""
     return symmetric_tensors(dim) if creep is not None and creep.has_trace else trace_free_tensors(dim)
+
+
+def volume_ratio(material: Material, z: Values) -> CoefficientFunction:
+    """J by the first scalar that has it, otherwise by the first tensor whose determinant depends on it.
+
+    The material must have such a variable, as every one at finite strain has.
+    """
+    variables = sorted(material.variables, key=lambda v: v.kind != "scalar")
+    found = (v.volume_ratio(z[v.name]) for v in variables)
+    power, exponent = next(ratio for ratio in found if ratio is not None and abs(ratio[1]) > 1e-12)
+    return power ** (1 / exponent)
 
 
 def component_slices(material: Material, dim: int) -> dict[str, slice]:

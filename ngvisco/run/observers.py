@@ -32,6 +32,7 @@ from ngvisco.errors import (
 )
 from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.files import append, write_atomically
+from ngvisco.run.further_fields import usual
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -138,7 +139,7 @@ class VTKSeries:
     every : int
         Write every so many steps, besides the first and the last state; None: only at ``times``.
     fields : sequence of str, optional
-        Names out of ``simulation.fields``; default all.
+        Names out of ``simulation.fields``; default all but those of ``ngvisco.run.further_fields``.
     subdivision : int
         Bisections of every cell for output (fields are linear in the pieces), >= 0.
     times : sequence of float
@@ -171,7 +172,7 @@ class VTKSeries:
         for name in self.names or ():
             if name not in available:
                 raise UnknownNameError("field", name, available)
-        self._fields = {name: _padded(available[name]) for name in self.names or available}
+        self._fields = {name: _padded(available[name]) for name in self.names or usual(available)}
         self.directory.mkdir(parents=True, exist_ok=True)
         self.written = [
             (time, name) for time, name in read_pvd(self._pvd) if time < simulation.t * (1 - 1e-12)
@@ -253,7 +254,8 @@ def _label_components(path: Path, fields: dict[str, CoefficientFunction]) -> Non
     head, mark, tail = path.read_bytes().partition(b"<AppendedData")
     text = head.decode()
     for name, value in fields.items():
-        labels = {3: ["x", "y", "z"], 9: [f"{i}{j}" for i in "123" for j in "123"]}.get(value.dim, [])
+        axes = ["1", "2", "3"] if name.startswith("principal") else ["x", "y", "z"]
+        labels = {3: axes, 9: [f"{i}{j}" for i in "123" for j in "123"]}.get(value.dim, [])
         attributes = "".join(f' ComponentName{i}="{label}"' for i, label in enumerate(labels))
         text = text.replace(f'Name="{name}" ', f'Name="{name}"{attributes} ')
     path.write_bytes(text.encode() + mark + tail)

@@ -69,6 +69,10 @@ class WithQuadratic(Material):
     def variables(self) -> tuple[Variable, ...]:
         return self.material.variables
 
+    @property
+    def referential_density(self) -> float | None:
+        return self.material.referential_density
+
     def energy(self, z: Values) -> CoefficientFunction:
         return self.material.energy(z) + self.added_energy(z)
 

@@ -60,6 +60,10 @@ class Yosida(Material):
     def variables(self) -> tuple[Variable, ...]:
         return self.material.variables
 
+    @property
+    def referential_density(self) -> float | None:
+        return self.material.referential_density
+
     def with_elastic_state(self, state: ElasticState) -> Yosida:
         return replace(self, material=self.material.with_elastic_state(state))
 
