@@ -69,6 +69,16 @@ class Material(ABC):
         """The variable that is a conformation tensor: its conjugate vanishes at rest, z = I.  Or None."""
         return None
 
+    @property
+    def continued(self) -> frozenset[str]:
+        """Names of variables whose bounds (``Variable.positive``) do not bind: the energy goes on beyond.
+
+        So it is where a user asks for it, by a Yosida approximation or J_min: the paper's discrete scheme
+        admits any such state.  An energy that happens to have values there, such as (J - 1)^2, is not
+        continued: J <= 0 means interpenetration.
+        """
+        return frozenset()
+
     def response(self, dim: int) -> Respond | None:
         """None where ``energy`` is an expression (the rule); otherwise what replaces it.
 

@@ -49,13 +49,13 @@ from ngvisco.run.ledger import Balance, unit
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
-FORMAT = 3
+FORMAT = 4
 UNITS = (
     "time, tau, dt, end, loads_from, loads_over, *_time, known_*: s; energy: J; mass: kg; "
     "velocity_scale: m/s (per metre in plane strain)"
 )
 """Of the checkpoints' attributes, as the file says itself; those of the ledger stand at its columns."""
-_WHOLE = ("step", "newton_iterations", "rejections")
+_WHOLE = ("step", "newton_iterations", "rejections", "limited_cells")
 """Ledger columns of whole numbers."""
 _CHECKSUM = "checksum"
 

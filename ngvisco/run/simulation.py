@@ -13,7 +13,7 @@ from os import PathLike
 from typing import Protocol
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Id, Mesh
+from ngsolve import CoefficientFunction, Id, Mesh
 
 from ngvisco.errors import (
     InitialDataError,
@@ -24,6 +24,7 @@ from ngvisco.errors import (
     require_positive,
     require_type,
 )
+from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.context import Term, time
 from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
@@ -106,6 +107,10 @@ class Simulation:
         with rows of the flow's unknowns; one with others is refused by the split solver, by its name.
     passive : sequence of str
         Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
+    limiter : bool
+        Whether a step's end at which rho, J, det F, ... are not positive at points of a cell is scaled
+        towards the cell's mean (``ngvisco.forms.bounds``; default), and only a mean that is not positive ends
+        a run.  It changes no other state; the ledger has its energy as ``limiter``.
 
     Raises
     ------
@@ -135,6 +140,7 @@ class Simulation:
         sources: Term | None = None,
         terms: Sequence[Term] = (),
         passive: Sequence[str] = (),
+        limiter: bool = True,
     ) -> None:
         require_type("Simulation.mesh", mesh, Mesh)
         require_type("Simulation.model", model, Model)
@@ -145,6 +151,7 @@ class Simulation:
         ):
             require_type(f"Simulation.{name}", kind() if value is None else value, kind)
         require_positive("Simulation", dt=dt)
+        require_type("Simulation.limiter", limiter, bool)
         if velocity_scale is not None:
             require_positive("Simulation", velocity_scale=velocity_scale)
         check_arguments(observers, walls, stepping, passive, sources, terms)
@@ -170,15 +177,16 @@ class Simulation:
         self.solver = RotheSolver(self.rothe_step, options, self.defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.closure_check = ClosureCheck(options.tolerance)
-        u, variables = self.rothe_step.now, model.material.variables
-        positive: dict[str, CoefficientFunction] = {}
-        for variable in variables:
-            positive |= variable.positive(u.z_tensors[variable.name])
-        self._positive_names = ("rho", *positive)
-        self._positive_values = CF((u.rho, *positive.values()))
+        self.bounds = Bounds(self.rothe_step, self.sampler, limiter)
         self.passive = PassiveFields(self.rothe_step, passive)
         self.integrator = Integrator(
-            self.solver, chosen, self.ledger.rates, [self.passive], startup, relaxation
+            self.solver,
+            chosen,
+            self.ledger.rates,
+            [self.passive],
+            startup,
+            relaxation,
+            self.bounds if limiter else None,
         )
         self.wall_time = 0.0
         self.stop_requested = False
@@ -256,7 +264,7 @@ class Simulation:
         Raises
         ------
         StepError
-            When the step cannot be solved, or rho or J is not positive everywhere it is evaluated; with
+            When the step cannot be solved, or rho, J, ... are not positive (see ``limiter``); with
             adaptive lengths, when that is so at the smallest length.  The state is then that before
             the step.
         """
@@ -350,13 +358,12 @@ class Simulation:
             self.ledger.start(self.t)
 
     def defect(self) -> str | None:
-        """The first of rho, J (A) that is not positive at a sampling point, in words."""
-        values = self.sampler.values(self._positive_values)
-        minima = values.reshape(len(values), -1).min(axis=0)
-        for name, minimum in zip(self._positive_names, minima, strict=True):
-            if not minimum > 0:
-                return f"{name} is not positive (minimum {minimum:.3e})"
-        return None
+        """Why the present state is not admissible, in words: the first of rho, J, ... that is not positive.
+
+        With a limiter that is so of a cell's mean, without one of a sampling point.
+        """
+        violation = self.bounds.violation()
+        return None if violation is None else str(violation)
 
     def _typical_velocity(self) -> float:
         u, model = self.rothe_step.now, self.model

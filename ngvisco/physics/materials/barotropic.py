@@ -10,7 +10,7 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import require_above, require_choice, require_positive
 from ngvisco.physics.material import Material
-from ngvisco.physics.materials.singular import check_continuation, inverse_power
+from ngvisco.physics.materials.singular import check_continuation, continued_in_J, inverse_power
 from ngvisco.physics.variables import Jacobian, ReciprocalJacobian, Values, Variable
 
 
@@ -69,6 +69,10 @@ class BarotropicFluid(Material):
     @property
     def variables(self) -> tuple[Variable, ...]:
         return (Jacobian(),) if self.form == "J" else (ReciprocalJacobian(),)
+
+    @property
+    def continued(self) -> frozenset[str]:
+        return continued_in_J(self.J_min)
 
     def energy(self, z: Values) -> CoefficientFunction:
         if self.form == "A":

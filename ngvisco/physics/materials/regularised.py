@@ -69,6 +69,10 @@ class WithQuadratic(Material):
     def variables(self) -> tuple[Variable, ...]:
         return self.material.variables
 
+    @property
+    def continued(self) -> frozenset[str]:
+        return self.material.continued
+
     def energy(self, z: Values) -> CoefficientFunction:
         return self.material.energy(z) + self.added_energy(z)
 

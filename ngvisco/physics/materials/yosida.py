@@ -67,6 +67,10 @@ class Yosida(Material):
     def conformation(self) -> str | None:
         return self.material.conformation
 
+    @property
+    def continued(self) -> frozenset[str]:
+        return frozenset(variable.name for variable in self.variables)
+
     def energy(self, z: Values) -> CoefficientFunction:
         raise NgviscoError(
             "a Yosida approximation has no expression: use ngvisco.physics.pointwise.respond(material, dim), "
