@@ -223,6 +223,7 @@ class Case:
                 theta=sections.time.theta,
                 startup=sections.time.startup,
                 relaxation=sections.time.relaxation,
+                limiter=sections.time.limiter,
                 initial=made["initial"],
                 walls=walls,
                 passive=sections.output.passive,

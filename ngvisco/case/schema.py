@@ -233,6 +233,7 @@ class Time(Section):
     theta: float | None = None
     startup: int = Field(default=0, ge=0)
     relaxation: bool = False
+    limiter: bool = True
     velocity_scale: float | None = None
     adaptive: Adaptive | None = None  # type: ignore[valid-type]
 

@@ -75,7 +75,7 @@ class Progress:
         self._print(
             f"step {number:5d}{self._total}  t {row['time']:.4g} s  kinetic {row['kinetic']:.4e}  "
             f"stored {row['stored']:.6e} J  closure {row['closure_relative']:+.0e}  "
-            f"Newton {row['newton_iterations']:2.0f}  left {left:.0f} s"
+            f"Newton {row['newton_iterations']:2.0f}  {_limited(row)}left {left:.0f} s"
         )
 
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
@@ -97,6 +97,12 @@ class Progress:
         # a reader that has gone, or a terminal that cannot take it, does not end a run
         with contextlib.suppress(OSError, ValueError):
             print(line, file=self.stream or sys.stdout, flush=True)
+
+
+def _limited(row: dict[str, float]) -> str:
+    """How many cells the limiter changed, where it did."""
+    cells = row["limited_cells"]
+    return f"limited {cells:.0f} cell{'s' if cells > 1 else ''}  " if cells else ""
 
 
 class LedgerCSV:

@@ -349,7 +349,10 @@ class Integrator:
             return numerical, of_end, end
 
         omega = 2.0
-        if lost > noise:
+        if self.bounds is not None and end_at(omega)[2].limited:
+            # R jumps where cells begin to be limited, and such a step is not without dissipation anyway
+            omega = 2.0 if wanted is None else wanted
+        elif lost > noise:
             try:
                 found = root_scalar(
                     lambda omega: sum(end_at(omega)[0].values()) / lost,
