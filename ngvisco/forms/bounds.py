@@ -168,6 +168,11 @@ class Bounds:
         broken = found.required & ~(found.means > 0)
         return self._worst(found, broken, found.means, is_mean=True) if broken.any() else None
 
+    def cells_outside(self) -> np.ndarray:
+        """Numbers of the cells of the present state that are out of bounds at a point."""
+        found = self._outside()
+        return np.zeros(0, dtype=int) if found is None else found.cells
+
     def limit(self) -> int:
         """Limit the present state, whose means are within their bounds; gives the number of cells changed.
 
@@ -222,7 +227,7 @@ class Bounds:
         required = self._required(len(cells), points, owner)
         least = _least(values[points], owner, len(cells))
         broken = required & ~(least > 0)
-        kept = broken.any(axis=1)
+        kept: np.ndarray = np.any(broken, axis=1)
         if not kept.any():
             return None
         means = self._at_means(points[np.unique(owner, return_index=True)[1]])

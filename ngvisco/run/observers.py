@@ -14,11 +14,11 @@ import os
 import re
 import sys
 import time as clock
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from ngsolve import CF, CoefficientFunction, VTKOutput
+from ngsolve import CF, CoefficientFunction, Mesh, VTKOutput
 
 from ngvisco.errors import (
     ParameterError,
@@ -177,7 +177,7 @@ class VTKSeries:
         for name in self.names or ():
             if name not in available:
                 raise UnknownNameError("field", name, available)
-        self._fields = {name: _padded(available[name]) for name in self.names or available}
+        self._fields = {name: available[name] for name in self.names or available}
         self.directory.mkdir(parents=True, exist_ok=True)
         self.written = [
             (time, name) for time, name in read_pvd(self._pvd) if time < simulation.t * (1 - 1e-12)
@@ -202,22 +202,9 @@ class VTKSeries:
         return self.directory / "fields.pvd"
 
     def _write(self, simulation: Simulation) -> None:
-        stem = f"fields_{simulation.number:06d}"
-        draft = self.directory / f"{stem}.part"
-        output = VTKOutput(
-            simulation.mesh,
-            coefs=list(self._fields.values()),
-            names=list(self._fields),
-            filename=str(draft),
-            subdivision=self.subdivision,
-            floatsize="double",
-        )
-        output.Do(time=simulation.t)
-        _require_complete(Path(f"{draft}.vtu"))
-        _label_components(Path(f"{draft}.vtu"), self._fields)
-        Path(f"{draft}.vtu").replace(self.directory / f"{stem}.vtu")
-        Path(f"{draft}.pvd").unlink(missing_ok=True)
-        self.written.append((simulation.t, f"{stem}.vtu"))
+        name = f"fields_{simulation.number:06d}.vtu"
+        write_vtu(self.directory / name, simulation.mesh, self._fields, simulation.t, self.subdivision)
+        self.written.append((simulation.t, name))
         self._write_pvd()
 
     def _write_pvd(self) -> None:
@@ -229,6 +216,28 @@ class VTKSeries:
             f'byte_order="LittleEndian">\n<Collection>\n{sets}\n</Collection>\n</VTKFile>\n'
         )
         write_atomically(self._pvd, text.encode())
+
+
+def write_vtu(
+    path: Path, mesh: Mesh, fields: Mapping[str, CoefficientFunction], time: float, subdivision: int = 0
+) -> None:
+    """Write fields by name, at ``time`` (s), into one .vtu file, which is complete or not there."""
+    draft = path.with_suffix(".part")
+    padded = {name: _padded(value) for name, value in fields.items()}
+    output = VTKOutput(
+        mesh,
+        coefs=list(padded.values()),
+        names=list(padded),
+        filename=str(draft),
+        subdivision=subdivision,
+        floatsize="double",
+    )
+    output.Do(time=time)
+    written = Path(f"{draft}.vtu")
+    _require_complete(written)
+    _label_components(written, padded)
+    written.replace(path)
+    Path(f"{draft}.pvd").unlink(missing_ok=True)
 
 
 def _require_complete(path: Path) -> None:

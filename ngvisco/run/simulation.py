@@ -18,13 +18,14 @@ from ngsolve import CoefficientFunction, Id, Mesh
 from ngvisco.errors import (
     InitialDataError,
     ParameterError,
+    StepError,
     as_integer,
     as_number,
     as_times,
     require_positive,
     require_type,
 )
-from ngvisco.forms.bounds import Bounds
+from ngvisco.forms.bounds import Bounds, Violation
 from ngvisco.forms.context import Term, time
 from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
@@ -41,6 +42,7 @@ from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
+from ngvisco.run.failure import failure_report
 from ngvisco.run.fields import output_fields
 from ngvisco.run.inputs import check_arguments, check_observer, times_of
 from ngvisco.run.ledger import Ledger
@@ -188,6 +190,7 @@ class Simulation:
             relaxation,
             self.bounds if limiter else None,
         )
+        self._refused: tuple[Violation, np.ndarray] | None = None
         self.wall_time = 0.0
         self.stop_requested = False
 
@@ -266,12 +269,18 @@ class Simulation:
         StepError
             When the step cannot be solved, or rho, J, ... are not positive (see ``limiter``); with
             adaptive lengths, when that is so at the smallest length.  The state is then that before
-            the step.
+            the step, and the error's ``report`` says where and why.
         """
         with computing():
             self._start_ledger()
             began = clock.perf_counter()
-            step, number = self.stepper.advance(self, stop), self.number + 1
+            self._refused = None
+            try:
+                step, number = self.stepper.advance(self, stop), self.number + 1
+            except StepError as error:
+                tau = self.integrator.tried
+                error.report = failure_report(self, tau, str(error), error.history, self._refused)
+                raise
             try:
                 row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
             except BaseException:  # an interrupt, or a warning that is an error: no step without its row
@@ -363,7 +372,10 @@ class Simulation:
         With a limiter that is so of a cell's mean, without one of a sampling point.
         """
         violation = self.bounds.violation()
-        return None if violation is None else str(violation)
+        if violation is None:
+            return None
+        self._refused = (violation, self.rothe_step.state.vec.FV().NumPy().copy())
+        return str(violation)
 
     def _typical_velocity(self) -> float:
         u, model = self.rothe_step.now, self.model

@@ -134,6 +134,8 @@ class Integrator:
         self.distance = BregmanDistance(self.step)
         self._before = self.step.state.vec.CreateVector()
         self._t = 0.0
+        self.tried = 0.0
+        """Length of the last step that was begun, s."""
         self._velocity: VelocityOfMomentum | None = None
         self.impulse: np.ndarray | None = None
         """Walls' impulse on the rows of v at the last step's end over its length, N; None without."""
@@ -160,7 +162,7 @@ class Integrator:
             When a stage is not solved, or the end is not admissible; the state is then that before the step.
         """
         self._before.data = self.step.state.vec
-        self._t = t
+        self._t, self.tried = t, tau
         history: list[NewtonIteration] = []
         try:
             scheme = self.scheme_of(number)
