@@ -247,13 +247,13 @@ class Bounds:
         required = np.ones((count, len(self.names)), dtype=bool)
         if self.step.energy.projected is not None:  # no values but at the quadrature points
             return required
-        sizes = np.abs(self._rows(self.sampler.values(self._slope)))
-        unread = _UNREAD * float(np.nanmedian(sizes.max(axis=1)))
+        sizes = np.nan_to_num(np.abs(self._rows(self.sampler.values(self._slope))), nan=np.inf)
+        unread = _UNREAD * float(np.median(sizes.max(axis=1)))
         for i, name in enumerate(self._variables):
             if name is not None:
                 largest = np.zeros(count)
                 np.maximum.at(largest, owner, sizes[points][:, self._slices[name]].max(axis=1))
-                required[:, i] = ~(largest <= unread)  # NaN counts as read
+                required[:, i] = largest > unread
         return required
 
     def _at(self, found: _Outside) -> np.ndarray:
