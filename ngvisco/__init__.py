@@ -57,6 +57,7 @@ from ngvisco.run.notebook import NotebookProgress, draw
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields, plot_schemes
 from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
+from ngvisco.run.record import record
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
@@ -166,6 +167,7 @@ __all__ = [
     "plot_fields",
     "plot_schemes",
     "read_ledger",
+    "record",
     "resume_changed",
     "time",
     "transfer",

@@ -17,7 +17,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from ngvisco.run.failure import FailureReport
-    from ngvisco.solver.options import NewtonIteration
+    from ngvisco.solver.solution import Attempt
 
 
 class NgviscoError(Exception):
@@ -73,15 +73,15 @@ class StepError(NgviscoError, RuntimeError):
 
     Attributes
     ----------
-    history : tuple of NewtonIteration
-        What the solver saw, iteration by iteration, over all its attempts.
+    history : tuple of Attempt
+        What was tried: each solve's strategy, its iterations and why it failed.
     report : FailureReport or None
         Where and why, and what to change, of a step of a ``Simulation``.
     """
 
     report: FailureReport | None = None
 
-    def __init__(self, message: str, history: Sequence[NewtonIteration] = ()) -> None:
+    def __init__(self, message: str, history: Sequence[Attempt] = ()) -> None:
         self.history = tuple(history)
         super().__init__(message)
 

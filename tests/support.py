@@ -41,10 +41,10 @@ from ngvisco import (
     StokesViscosity,
     time,
 )
-from ngvisco.forms.context import Integrand
 from ngvisco.forms.initial import set_initial
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import Integrand
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import dev, square
 

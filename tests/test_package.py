@@ -50,7 +50,9 @@ def test_wheel_holds_geometries_and_nothing_else_of_the_top_level(tmp_path):
     assert "ngvisco/geometries/boxes.py" in names and "ngvisco/forms/system.py" in names
     assert {name.split("/")[0] for name in names} == {"ngvisco", f"{wheel.stem.rsplit('-', 3)[0]}.dist-info"}
     sources = {str(p.relative_to(ROOT)) for p in (ROOT / "ngvisco").rglob("*.py")}
-    assert sources <= set(names)
+    pages = {str(p.relative_to(ROOT)) for p in (ROOT / "ngvisco").rglob("*.md")}
+    assert sources | pages | {"ngvisco/geometries/README.md"} <= set(names)
+    assert not any(name.endswith(".png") for name in names)  # the kept reports are with the tests
 
 
 def test_top_level_is_the_agreed_one():

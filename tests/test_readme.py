@@ -1,49 +1,81 @@
-"""The README's programs run as they are printed there."""
+"""The front page is one, runs as it is printed, and the rooms' pages have the code's own tables."""
 
 import re
-from pathlib import Path
 
-import pytest
+from documents import ROOT, marked_blocks
 
-README = (Path(__file__).resolve().parents[1] / "README.md").read_text()
+import ngvisco as nv
+from ngvisco.case.catalogue import WALLS
+from ngvisco.geometries import box
+from ngvisco.physics.materials.catalogue import table
+
+README = ROOT / "README.md"
+RUN = ROOT / "ngvisco" / "run" / "README.md"
 
 
-@pytest.mark.parametrize("name", re.findall(r"<!-- (\w+): a test executes", README))
-def test_program_runs(name, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (block,) = re.findall(rf"<!-- {name}: a test.*?```python\n(.*?)```", README, flags=re.DOTALL)
+def ran(program):
     names = {}
-    exec(compile(block, f"README.md ({name})", "exec"), names)
+    exec(compile(program, "README.md", "exec"), names)
+    return names
+
+
+def script():
+    (block,) = marked_blocks(README)["run"]
+    return block
+
+
+def test_front_page_is_no_longer_than_one():
+    assert len(README.read_text().splitlines()) <= 200
+
+
+def test_script_runs_and_closes(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert len([line for line in script().splitlines() if line]) <= 22
+    names = ran(script())
     assert abs(names["run"].ledger.column("closure_relative")).max() <= 1e-10
     assert "0" in capsys.readouterr().out
 
 
 def test_hdf5_is_read_as_printed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
-    run, reader = blocks[0], next(block for block in blocks if "coefficients =" in block)
-    names = {}
-    exec(run, names)
-    exec(reader, names)
+    run = ran(script())["run"]
+    (reader,) = marked_blocks(RUN)["reader"]
+    names = ran(reader)
     assert names["unit"] == "J" and len(names["closure"]) == 6
-    assert len(names["coefficients"]) == names["run"].rothe_step.layout.space.ndof
+    assert len(names["coefficients"]) == run.rothe_step.layout.space.ndof
+
+
+def test_commands_install_and_run_in_one_line_each():
+    """With the demo's pictures, and with the tests' extra; both are what a newcomer types first."""
+    commands = [line.strip() for line in README.read_text().splitlines() if line.startswith("    python3")]
+    environment = "python3 -m venv .venv && .venv/bin/pip install"
+    assert commands == [
+        f'{environment} ".[plots]" && .venv/bin/python demos/swirl/swirl.py',
+        f'{environment} -e ".[tests]" && .venv/bin/python -m pytest -n 2',
+    ]
 
 
 def test_every_ledger_column_is_explained():
-    import ngvisco as nv
-    from ngvisco.geometries import box
-
     model = nv.Model(material=nv.NeoHookean(K_e=1.0, G_e=1.0, epsilon=1.0))
     columns = nv.Simulation(box((1, 1), maxh=1), model, dt=1.0).ledger.columns
-    assert all(f"`{column}`" in README for column in columns)
-
-
-def test_commands_name_existing_files():
-    for path in re.findall(r"\]\(([\w./]+\.(?:md|png))\)", README):
-        assert (Path(__file__).resolve().parents[1] / path).is_file(), path
+    assert all(f"`{column}`" in RUN.read_text() for column in columns)
 
 
 def test_table_of_materials_is_the_generated_one():
-    from ngvisco.physics.materials.catalogue import table
+    assert table().strip() in (ROOT / "ngvisco/physics/materials/README.md").read_text()
 
-    assert table().strip() in README
+
+def test_table_of_walls_has_every_wall():
+    page = (ROOT / "ngvisco" / "physics" / "README.md").read_text()
+    assert set(re.findall(r"^\| `(\w+)\(", page, re.MULTILINE)) == set(WALLS)
+
+
+def test_table_of_schemes_has_every_scheme():
+    page = (ROOT / "ngvisco" / "timestepping" / "README.md").read_text()
+    assert set(nv.SCHEMES) <= set(re.findall(r'^\| `"([\w-]+)"`', page, re.MULTILINE))
+
+
+def test_table_of_demos_has_every_demo():
+    page = (ROOT / "demos" / "README.md").read_text()
+    there = {path.parent.name for path in (ROOT / "demos").glob("*/README.md")}
+    assert set(re.findall(r"^\| \[\w+\]\((\w+)/README\.md\)", page, re.MULTILINE)) == there

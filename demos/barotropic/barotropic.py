@@ -39,20 +39,16 @@ def sound_speed(ledger) -> float:
 
 
 def main(directory: str = "results/barotropic", until: float = 2.0) -> nv.Simulation:
-    out = Path(directory)
-    files = [nv.LedgerCSV(out / "ledger.csv"), nv.VTKSeries(out / "vtk", every=10)]
-    run = simulation(observers=[nv.Progress(until), *files, nv.Checkpoints(out / "run.h5", every=50)])
-    ledgers = {"midpoint": run.run(until), "backward-euler": simulation(scheme="backward-euler").run(until)}
-    nv.plot_energies(ledgers["midpoint"], out / "energies.png")
-    shown = [("v₁, m/s", run.fields["velocity"][0]), ("density, kg/m³", run.fields["density"])]
-    nv.plot_fields(run.mesh, shown, out / "fields.png")
+    run, shown = simulation(), {"v₁, m/s": "velocity_1", "density, kg/m³": "density"}
+    ledgers = {"midpoint": nv.record(run, directory, until, every=10, checkpoints=50, show=shown)}
+    ledgers["backward-euler"] = simulation(scheme="backward-euler").run(until)
     fig, ((axis,),) = figure(1, 1, (8, 4.3))
     for scheme, ledger in ledgers.items():
         t, kinetic = ledger.column("time"), ledger.column("kinetic")
         axis.plot(t, kinetic / kinetic[0], label=f"{scheme}: c = {sound_speed(ledger):.4f} m/s, exact 1")
     axis.set(xlabel="time, s", title="kinetic energy, relative")
     axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
-    fig.savefig(out / "schemes.png", dpi=110)
+    fig.savefig(Path(directory) / "schemes.png", dpi=110)
     return run
 
 

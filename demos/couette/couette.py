@@ -43,8 +43,8 @@ def profile(run: nv.Simulation, r: np.ndarray) -> np.ndarray:
 
 
 def main(directory: str = "results/couette", until: float = 2.0) -> tuple[nv.Simulation, float]:
-    run = simulation(observers=[nv.Progress(until), nv.LedgerCSV(Path(directory) / "ledger.csv")])
-    run.run(until)
+    run = simulation()
+    nv.record(run, directory, until, show={"v₂, m/s": "velocity_2"})
     r = np.linspace(1.05, 1.95, 10)
     error = float(np.abs(profile(run, r) / shear_stress(r) - 1).max())
     print(f"largest error of the shear stress {error:.1e}")
@@ -52,7 +52,6 @@ def main(directory: str = "results/couette", until: float = 2.0) -> tuple[nv.Sim
     axis.plot(r, shear_stress(r), "k-", r, profile(run, r), "o")
     axis.set(xlabel="r, m", ylabel="stress, Pa", title="τ_rθ: closed form (line) and ngvisco (dots)")
     fig.savefig(Path(directory) / "stress.png", dpi=110)
-    nv.plot_fields(run.mesh, [("v₂, m/s", run.fields["velocity"][1])], Path(directory) / "fields.png")
     return run, error
 
 

@@ -5,7 +5,6 @@ Run with ``python demos/creep/creep.py [output directory]``; needs the extra ``p
 """
 
 import sys
-from pathlib import Path
 
 from ngsolve import CF, cos, pi, x, y
 
@@ -29,19 +28,8 @@ def simulation(maxh: float = 0.15, dt: float = 0.05, gravity: float = 0.0, **opt
 
 
 def main(directory: str = "results/creep", until: float = 2.5) -> nv.Simulation:
-    out = Path(directory)
-    observers = [
-        nv.Progress(until),
-        nv.LedgerCSV(out / "ledger.csv"),
-        nv.VTKSeries(out / "vtk", every=5),
-        nv.Checkpoints(out / "run.h5", every=25),
-    ]
-    run = simulation(observers=observers)
-    ledger = run.run(until)
-    nv.plot_energies(ledger, out / "energies.png")
-    shown = [("shear strain E₁₂", run.fields["E"][0, 1]), ("von Mises stress, Pa", run.fields["von_mises"])]
-    nv.plot_fields(run.mesh, shown, out / "fields.png")
-    print(f"largest |closure| {abs(ledger.column('closure_relative')).max():.1e}; results in {out}")
+    run = simulation()
+    nv.record(run, directory, until, show={"shear strain E₁₂": "E_12", "von Mises stress, Pa": "von_mises"})
     return run
 
 

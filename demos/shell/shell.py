@@ -4,7 +4,6 @@ Run with ``python demos/shell/shell.py [output directory]``; needs the extra ``p
 """
 
 import sys
-from pathlib import Path
 
 from ngsolve import Integrate, exp, sqrt, x, y
 
@@ -38,17 +37,12 @@ def depth(run: nv.Simulation) -> float:
 
 
 def main(directory: str = "results/shell", until: float = 3.0, **options) -> tuple:
-    out = Path(directory)
-    observers = [nv.Progress(until), nv.LedgerCSV(out / "ledger.csv"), nv.VTKSeries(out / "vtk", every=10)]
-    run = simulation(observers=observers, **options)
+    run = simulation(**options)
     before = depth(run)
-    ledger = run.run(until)
+    shown = {"density, kg/m³": "density", "speed, m/s": "sqrt(velocity_1**2 + velocity_2**2)"}
+    nv.record(run, directory, until, every=10, show=shown)
     after = depth(run)
     print(f"mean radius of the heavy part {before:.3f} m -> {after:.3f} m")
-    nv.plot_energies(ledger, out / "energies.png")
-    speed = sqrt(run.fields["velocity"] * run.fields["velocity"])
-    shown = [("density, kg/m³", run.fields["density"]), ("speed, m/s", speed)]
-    nv.plot_fields(run.mesh, shown, out / "fields.png")
     return run, before, after
 
 

@@ -25,16 +25,11 @@ def simulation(maxh: float = 0.1, dt: float = 0.02, gravity: float = 1.0, **opti
 
 
 def main(directory: str = "results/swirl", until: float = 1.0) -> nv.Simulation:
-    out = Path(directory)
-    files = [nv.LedgerCSV(out / "ledger.csv"), nv.VTKSeries(out / "vtk", every=5)]
-    run = simulation(observers=[nv.Progress(until), *files, nv.Checkpoints(out / "run.h5", every=25)])
-    ledger, fields = run.run(until), run.fields
-    nv.plot_energies(ledger, out / "energies.png")
-    shown = [("J", fields["J"]), ("von Mises stress, Pa", fields["von_mises"])]
-    nv.plot_fields(run.mesh, [*shown, ("density, kg/m³", fields["density"])], out / "fields.png")
-    euler = simulation(scheme="backward-euler").run(until)
-    nv.plot_schemes({"midpoint": ledger, "backward Euler": euler}, out / "schemes.png")
-    print(f"largest |closure| {abs(ledger.column('closure_relative')).max():.1e}; results in {out}")
+    run = simulation()
+    shown = {"J": "J", "von Mises stress, Pa": "von_mises", "density, kg/m³": "density"}
+    ledgers = {"midpoint": nv.record(run, directory, until, show=shown)}
+    ledgers["backward Euler"] = simulation(scheme="backward-euler").run(until)
+    nv.plot_schemes(ledgers, Path(directory) / "schemes.png")
     return run
 
 

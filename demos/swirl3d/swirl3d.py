@@ -4,9 +4,8 @@ Run with ``python demos/swirl3d/swirl3d.py [output directory]``; needs the extra
 """
 
 import sys
-from pathlib import Path
 
-from ngsolve import cos, pi, sin, sqrt, x, y, z
+from ngsolve import cos, pi, sin, x, y, z
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -28,20 +27,10 @@ def simulation(maxh: float = 0.25, dt: float = 0.02, gravity: float = 1.0, **opt
 
 
 def main(directory: str = "results/swirl3d", until: float = 1.0, **options) -> nv.Simulation:
-    out = Path(directory)
-    observers = [
-        nv.Progress(until),
-        nv.LedgerCSV(out / "ledger.csv"),
-        nv.VTKSeries(out / "vtk", every=5),
-        nv.Checkpoints(out / "run.h5", every=10),
-    ]
-    run = simulation(observers=observers, **options)
-    ledger = run.run(until)
-    nv.plot_energies(ledger, out / "energies.png")
-    speed = sqrt(run.fields["velocity"] * run.fields["velocity"])
-    shown = [("speed at z = 1/2, m/s", speed), ("von Mises stress at z = 1/2, Pa", run.fields["von_mises"])]
-    nv.plot_fields(run.mesh, shown, out / "fields.png")
-    print(f"largest |closure| {abs(ledger.column('closure_relative')).max():.1e}; results in {out}")
+    run = simulation(**options)
+    speed = "sqrt(velocity_1**2 + velocity_2**2 + velocity_3**2)"
+    shown = {"speed at z = 1/2, m/s": speed, "von Mises stress at z = 1/2, Pa": "von_mises"}
+    nv.record(run, directory, until, checkpoints=10, show=shown)
     return run
 
 

@@ -3,7 +3,7 @@
 from ngvisco.case.build import Case, load_case
 from ngvisco.case.directory import Results, RunDirectory, RunDirectoryError, load, resume, run
 from ngvisco.case.errors import CaseError, Fault
-from ngvisco.case.expressions import Expression, ExpressionError, parse
+from ngvisco.expressions import Expression, ExpressionError, parse
 
 __all__ = [
     "Case",

@@ -17,7 +17,6 @@ from pydantic import ValidationError
 
 from ngvisco.case import catalogue, toml
 from ngvisco.case.errors import CaseError, Fault
-from ngvisco.case.expressions import ExpressionError, parse
 from ngvisco.case.faults import Locator, faults_of
 from ngvisco.case.schema import CaseSections, Section, field_names, parameters
 from ngvisco.case.units import to_si
@@ -29,6 +28,7 @@ from ngvisco.errors import (
     UnknownNameError,
     require_path,
 )
+from ngvisco.expressions import ExpressionError, parse
 from ngvisco.forms.boundaries import check_boundary_names
 from ngvisco.forms.context import time
 from ngvisco.physics.model import Model, default_elastic_state

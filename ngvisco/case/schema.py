@@ -30,8 +30,8 @@ from pydantic import (
 )
 
 from ngvisco.case import catalogue
-from ngvisco.case.expressions import parse
 from ngvisco.errors import ParameterError, UnknownNameError, as_number
+from ngvisco.expressions import parse
 from ngvisco.physics.material import Material as MaterialObject
 from ngvisco.timestepping.scheme import SCHEMES, scheme_of
 

@@ -19,11 +19,11 @@ from typing import Any
 from pydantic import BaseModel
 
 from ngvisco.case.errors import Fault
-from ngvisco.case.expressions import ExpressionError, parse
 from ngvisco.case.faults import Locator, models_in
 from ngvisco.case.keys import key
 from ngvisco.case.reference import owner_name
 from ngvisco.case.schema import FieldValue
+from ngvisco.expressions import ExpressionError, parse
 
 SI = {
     "length": "m",

@@ -20,18 +20,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from ngsolve import CF, L2, VOL, CoefficientFunction, ElementId, GridFunction, VectorValued
 
-from ngvisco.forms.context import Integrand
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.locating import nearest_wall
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import tested
 from ngvisco.physics.material import component_count, component_slices, tensors_of
-from ngvisco.physics.tensors import inner
 
 SHARE = 1e-2
 """What a limited cell keeps at every point, at least, of the bounded quantities of its mean.
@@ -314,7 +312,7 @@ class _Means:
         self.rho = GridFunction(space)
         self.z = GridFunction(VectorValued(space, size))
         self._projections = [
-            LocalProjection(target.space, target, step.quadrature, _tested(value))
+            LocalProjection(target.space, target, step.quadrature, tested(value))
             for target, value in ((self.rho, step.now.rho), (self.z, step.now.z))
         ]
         one = GridFunction(step.layout.blocks["rho"])
@@ -331,7 +329,3 @@ class _Means:
         """Means of ``"rho"`` or ``"z"``, (components, cells)."""
         function = self.rho if name == "rho" else self.z
         return function.vec.FV().NumPy().reshape(-1, self.rho.space.ndof)
-
-
-def _tested(value: CoefficientFunction) -> Any:
-    return lambda test: Integrand(inner(value, test))

@@ -1,10 +1,8 @@
-"""What the terms of a step share: unknown and old fields, step length, upwinding, integrands."""
+"""What is known at a point of a Rothe step: old fields, step length, upwinding's width, loads."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Literal, Protocol, TypeVar, runtime_checkable
+from typing import TypeVar
 
 from ngsolve import (
     EDGE,
@@ -17,80 +15,18 @@ from ngsolve import (
     Parameter,
     TaskManager,
     specialcf,
-    sqrt,
 )
 
 from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.facets import boundary_facets, facets_with_two_sides
-from ngvisco.forms.spaces import Fields
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.rates import Rates
+from ngvisco.physics.model import Model
 from ngvisco.physics.time import time
 
-__all__ = ["Context", "Entry", "Integrand", "Kind", "Term", "cell_size", "inner_facets", "negative", "time"]
+__all__ = ["Context", "cell_size", "inner_facets", "time"]
 
 Value = TypeVar("Value")
-
-
-@dataclass(frozen=True)
-class Integrand:
-    """What is to be integrated over the cells and over the cells' boundaries."""
-
-    cells: CoefficientFunction | None = None
-    facets: CoefficientFunction | None = None
-
-    def __neg__(self) -> Integrand:
-        return Integrand(
-            None if self.cells is None else -self.cells,
-            None if self.facets is None else -self.facets,
-        )
-
-
-def negative(integrands: Sequence[Integrand]) -> list[Integrand]:
-    """The integrands with the other sign."""
-    return [-integrand for integrand in integrands]
-
-
-Kind = Literal["dissipation", "power", "numerical", "monitor"]
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A column of the ledger: a dissipation or power (W), or a numerical dissipation (J a step).
-
-    ``integrand`` is evaluated at the new state; dissipations and numerical ones enter the energy
-    identity with +, powers with -, monitors not at all.
-    """
-
-    name: str
-    kind: Kind
-    integrand: Integrand
-    evaluate: Callable[[], float] | None = None
-    """Gives the value where it is no integral: the reaction of a wall."""
-
-
-class Term(Protocol):
-    """One term of the system.
-
-    ``form(u, w)`` is its contribution to R(u; w) = 0, a left-hand side, in summands that are assembled
-    one by one: NGSolve evaluates a whole integrand for each pair of components in it, so small
-    summands are many times cheaper to linearise than their sum.  ``entries(u)`` is what the term
-    puts into the energy ledger, such that form(u; v, zeta) is the sum of the entries' powers.
-    """
-
-    def form(self, u: Fields, w: Fields) -> list[Integrand]: ...
-
-    def entries(self, u: Fields) -> list[Entry]: ...
-
-
-@runtime_checkable
-class Storing(Protocol):
-    """A term with a time derivative, that is with a share E of the energy.
-
-    E is convex in (rho, m, z), m the momentum functional (paper: Euler-ED-basic-convexity-calculus).
-    ``distance(a, b)`` is its Bregman distance E(a) - E(b) - E'(b)[a - b] >= 0 as a ledger entry, in a form
-    in which nothing cancels: what a time scheme dissipates is a sum of such.
-    """
-
-    def distance(self, a: Fields, b: Fields) -> Entry: ...
 
 
 class Context:
@@ -103,6 +39,7 @@ class Context:
     def __init__(
         self,
         mesh: Mesh,
+        model: Model,
         old: Fields,
         energy: StoredEnergy | None = None,
         momentum_old: CoefficientFunction | None = None,
@@ -112,7 +49,9 @@ class Context:
         ``momentum_old`` are the values of m_old at the points of the forms' rule, kg/(m^2 s); None for
         rho_old v_old.
         """
-        self.mesh, self.old, self.energy = mesh, old, energy
+        self.mesh, self.old = mesh, old
+        self.energy = energy or StoredEnergy(model.material, mesh.dim)
+        self.rates = Rates(model, mesh.dim)
         self._momentum_old = momentum_old
         self.tau = Parameter(1.0)
         """Length of the Rothe step, s."""
@@ -154,19 +93,6 @@ class Context:
             value.Replace({time: self.loads_from + s * self.loads_over}) for s in (0.5 - spread, 0.5 + spread)
         )
         return 0.5 * (early + late)
-
-    def normal_velocity(self, v: CoefficientFunction) -> CoefficientFunction:
-        """v . n on inner facets and exactly 0 on walls."""
-        return self.inner * (v * self.normal)
-
-    def modulus(self, a: CoefficientFunction) -> CoefficientFunction:
-        """The smooth modulus sqrt(a^2 + eta^2)."""
-        return sqrt(a * a + self.eta * self.eta)
-
-    def inflow(self, v: CoefficientFunction) -> CoefficientFunction:
-        """n^- = (1 - sigma(v.n))/2, sigma(a) = a/sqrt(a^2 + eta^2): near 1 where v enters; 0 on walls."""
-        a = self.normal_velocity(v)
-        return 0.5 * (self.inner - a / self.modulus(a))
 
 
 def periodic_facets(mesh: Mesh) -> set[int]:

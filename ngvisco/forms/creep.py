@@ -9,42 +9,43 @@ it is symmetric and trace-free by construction.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ngvisco.forms.context import Context, Entry, Integrand
-from ngvisco.forms.spaces import Fields
-from ngvisco.forms.transport import Transport
-from ngvisco.physics.model import Model
-from ngvisco.physics.tensors import inner, square
+from ngsolve import CoefficientFunction
+
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.unknowns import Setting, Unknown
+from ngvisco.physics.rheology import Creep
+from ngvisco.physics.tensors import inner, square, trace_free_tensors
 
 
 @dataclass(frozen=True)
-class CreepRate:
+class CreepRate(PointTerm):
     """int G_m Pi : P + nu |grad Pi|^{q-2} grad Pi : grad P - M : P = 0, M of the projected conjugates.
 
     P = Pi gives the creep power that the kinematic equations, tested by zeta, take from the stored energy.
     """
 
-    model: Model
-    context: Context
+    law: Creep
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        creep = self.model.creep
-        assert creep is not None
-        M = Transport(self.model, self.context).mandel(u)
-        gradient = creep.gradient_coefficient(square(u.grad_Pi)) * inner(u.grad_Pi, w.grad_Pi)
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown("Pi", "continuous", max(1, setting.m), trace_free_tensors(setting.dim).size),)
+
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        gradient = self.law.gradient_coefficient(square(u.grad_Pi))
         return [
-            Integrand(creep.G_m * inner(u.parts["Pi"], w.parts["Pi"])),
-            Integrand(gradient),
-            Integrand(-inner(M, w.Pi)),
+            inner(u.parts["Pi"], w.parts["Pi"]) / self.law.mobility(u.z_tensors),
+            gradient * inner(u.grad_Pi, w.grad_Pi),
+            -inner(u.context.rates.mandel_components(u), w.parts["Pi"]),
         ]
 
     def entries(self, u: Fields) -> list[Entry]:
-        creep = self.model.creep
-        assert creep is not None
         size = square(u.grad_Pi)
-        gradient = Integrand(creep.gradient_coefficient(size) * size)
+        gradient = Integrand(self.law.gradient_coefficient(size) * size)
+        local = Integrand(square(u.parts["Pi"]) / self.law.mobility(u.z_tensors))
         return [
-            Entry("dissipation_creep", "dissipation", Integrand(creep.G_m * square(u.parts["Pi"]))),
+            Entry("dissipation_creep", "dissipation", local),
             Entry("dissipation_creep_gradient", "dissipation", gradient),
         ]

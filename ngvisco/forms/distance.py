@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from ngsolve import CF, FESpace, GridFunction
 
-from ngvisco.forms.context import Storing
-from ngvisco.forms.spaces import Fields
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Evolved, Step
+from ngvisco.forms.term import Storing
 from ngvisco.physics.tensors import inner, square
 
 _EVOLVED = ("v", "rho", "z")

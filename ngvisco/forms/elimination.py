@@ -8,36 +8,32 @@ recomputed from (v, a, z) after every update, it is Newton on the reduced, conve
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable
 
 from ngsolve import (
     BaseMatrix,
     BilinearForm,
-    CoefficientFunction,
     FESpace,
     GridFunction,
     LinearForm,
 )
 
-from ngvisco.forms.context import Integrand
-from ngvisco.forms.energy import StoredEnergy
-from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.mesh_arrays import is_simplicial
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
-from ngvisco.forms.transport import Conjugates
-from ngvisco.physics.tensors import inner, square
+from ngvisco.forms.term import Integrands, Projecting, Term, tested
+from ngvisco.physics.tensors import inner
 
 
 class LocalProjection:
     """target = cellwise L2 projection of an integrand that may have a part on the cell's boundary."""
 
-    def __init__(self, space: FESpace, target: GridFunction, quadrature: Quadrature, integrand: Any) -> None:
-        """``integrand`` maps the test function of ``space`` to an Integrand, or a sequence of them."""
+    def __init__(
+        self, space: FESpace, target: GridFunction, quadrature: Quadrature, integrands: Integrands
+    ) -> None:
         self.target = target
         self.load = LinearForm(space)
-        given = integrand(space.TestFunction())
-        quadrature.add(self.load, (given,) if isinstance(given, Integrand) else given)
+        quadrature.add(self.load, integrands(space.TestFunction()))
         self.inverse_mass = _inverse_mass(space, quadrature)
 
     def __call__(self) -> None:
@@ -61,42 +57,31 @@ def _inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:
 class Elimination:
     """The local unknowns of a step, recomputed in the order in which they depend on each other."""
 
-    def __init__(self, layout: Layout, state: GridFunction, quadrature: Quadrature, terms: Any) -> None:
+    def __init__(
+        self, layout: Layout, state: GridFunction, quadrature: Quadrature, terms: Iterable[Term]
+    ) -> None:
         u = layout.fields(state.components)
         parts = dict(zip(layout.names, state.components, strict=True))
-        self.projections: list[LocalProjection] = []
-        self.energy: StoredEnergy | None = None
+        self.energy = layout.context.energy
+        self.projections = {
+            name: LocalProjection(layout.blocks[name], parts[name], quadrature, load)
+            for term in terms
+            if isinstance(term, Projecting)
+            for name, load in term.projections(u)
+        }
         self._project_energy: LocalProjection | None = None
-
-        def add(name: str, integrand: Any) -> None:
-            space = layout.blocks[name]
-            self.projections.append(LocalProjection(space, parts[name], quadrature, integrand))
-
-        for term in terms:
-            if isinstance(term, Conjugates):
-                self.energy = term.energy
-                add("zeta", _tested(term.energy.slope(u)))
-                self.conjugates = self.projections[-1]
-                if self.energy.projected is not None:
-                    target = self.energy.projected
-                    density = _tested(self.energy.density(u))
-                    self._project_energy = LocalProjection(target.space, target, quadrature, density)
-            elif isinstance(term, Hyperviscosity) and not term.law.is_linear:
-                add("hess_square", _tested(square(u.hess)))
-                add("hyper_coefficient", lambda t, term=term: term.coefficient_load(u, t))
-                add("hyperstress", _tested(u.hyper_coefficient * parts["hess"]))
+        target = self.energy.projected
+        if target is not None:
+            load = tested(self.energy.density(u))
+            self._project_energy = LocalProjection(target.space, target, quadrature, load)
 
     def __call__(self) -> None:
         """Make the local unknowns of the state consistent with its v, a and z."""
         self.refresh()
-        for projection in self.projections:
+        for projection in self.projections.values():
             projection()
 
     def refresh(self) -> None:
         """Make an energy that is kept at the quadrature points that of the present state."""
-        if self.energy is not None and self.energy.refresh() and self._project_energy is not None:
+        if self.energy.refresh() and self._project_energy is not None:
             self._project_energy()
-
-
-def _tested(value: CoefficientFunction) -> Any:
-    return lambda test: Integrand(inner(value, test))

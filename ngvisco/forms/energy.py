@@ -22,9 +22,9 @@ from ngsolve import L2, CoefficientFunction, GridFunction, VectorValued
 from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.errors import InitialDataError, StepError
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.sampling import Sampler
-from ngvisco.forms.spaces import Fields
 from ngvisco.physics.material import (
     Material,
     component_count,

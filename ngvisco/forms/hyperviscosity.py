@@ -30,77 +30,113 @@ On walls a stays free, which is the natural condition.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.forms.context import Context, Entry, Integrand, negative
-from ngvisco.forms.spaces import Fields
+from ngvisco.forms.fields import Fields, hessian_basis
+from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, tested
+from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.rheology import HyperViscosity
 from ngvisco.physics.tensors import inner, square
 
 
 @dataclass(frozen=True)
-class Hyperviscosity:
+class Hyperviscosity(PointTerm):
     """<Psi'(v, a), (w, b)> with its local unknowns; dissipation <Psi', (v, a)>."""
 
     law: HyperViscosity
-    context: Context
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        k, dim = setting.k, setting.dim
+        tensors = dim * hessian_basis(dim).shape[1]
+        found = [Unknown("hess", "cells", k - 2, tensors), Unknown("hyperstress", "cells", k - 2, tensors)]
+        if not self.law.is_linear:
+            found += [Unknown(name, "cells", 2 * k - 4) for name in ("hess_square", "hyper_coefficient")]
+        normals = (Unknown(f"a_{i + 1}", "normals", k - 1, trace_of="v", component=i) for i in range(dim))
+        return (*found, *normals)
+
+    def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
+        if self.law.is_linear:
+            return []
+        return [
+            ("hess_square", tested(square(u.hess))),
+            ("hyper_coefficient", lambda t: [self.coefficient_load(u, t)]),
+            ("hyperstress", tested(u.hyper_coefficient * u.parts["hess"])),
+        ]
 
     def penalty(self, u: Fields) -> tuple[CoefficientFunction, CoefficientFunction | None]:
         """sigma/h (c(s~), c'(s~) |j|^2) at s~ = s + |j|^2/h^2 + chi^2; the second is None where c' = 0."""
-        law, h = self.law, self.context.h
+        law, h = self.law, u.context.h
         weight = law.penalty / h
         if law.is_linear:
-            return weight * (law.mu + law.mu_1), None
-        floor = self.context.curvature * self.context.curvature
-        size = u.hess_square + square(u.jump) / (h * h) + floor
-        return weight * law.coefficient(size), weight * law.slope(size) * square(u.jump)
+            return weight * law.linear(u.z_tensors), None
+        size, z = self.size(u), u.z_tensors
+        return weight * law.coefficient(size, z), weight * law.slope(size, z) * square(u.jump)
+
+    def size(self, u: Fields) -> CoefficientFunction:
+        """s~ = s + |j|^2/h^2 + chi^2 on a cell's boundary, 1/(m s)^2."""
+        c = u.context
+        return u.hess_square + square(u.jump) / (c.h * c.h) + c.curvature * c.curvature
+
+    def stiffness(self, u: Fields) -> CoefficientFunction:
+        """sigma/h c + sigma/h^3 c' |j|^2: what multiplies j in the equations of v and a."""
+        penalty, coupling = self.penalty(u)
+        return penalty if coupling is None else penalty + coupling / (u.context.h * u.context.h)
+
+    def lifting_in_cells(self, v: Fields, X: Fields) -> list[CoefficientFunction]:
+        """-int grad v : div X, which vanishes for X in P_0."""
+        return [-inner(X.div_hyperstress, v.grad_v)] if v.layout.discretisation.k > 2 else []
+
+    def lifting_on_facets(self, v: Fields, X: Fields) -> list[CoefficientFunction]:
+        """int_{dK} (grad v + j x n) : (X n)."""
+        n = v.context.normal
+        X_n = X.hyperstress_normal(n)
+        return [inner(X_n, v.grad_v), inner(X_n * n, v.jump)]
 
     def lifting(self, v: Fields, X: Fields) -> list[Integrand]:
         """-int grad v : div X + int_{dK} (grad v + j x n) : (X n)."""
-        n = self.context.normal
-        X_n = X.hyperstress_normal(n)
-        parts = [Integrand(facets=inner(X_n, v.grad_v)), Integrand(facets=inner(X_n * n, v.jump))]
-        if v.layout.discretisation.k > 2:
-            parts.append(Integrand(-inner(X.div_hyperstress, v.grad_v)))
-        return parts
+        cells = [Integrand(part) for part in self.lifting_in_cells(v, X)]
+        return [Integrand(facets=part) for part in self.lifting_on_facets(v, X)] + cells
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        law, h = self.law, self.context.h
-        penalty, coupling = self.penalty(u)
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        law, z = self.law, u.z_tensors
         parts = [
-            *self.lifting(w, u),
-            *negative(self.lifting(u, w)),
-            Integrand(inner(u.hess, w.hyperstress)),
-            Integrand(-inner(u.hyperstress, w.hess)),
+            *self.lifting_in_cells(w, u),
+            *(-part for part in self.lifting_in_cells(u, w)),
+            inner(u.hess, w.hyperstress),
+            -inner(u.hyperstress, w.hess),
         ]
-        jumps = inner(u.jump, w.jump)
-        if coupling is None:
-            stress = (law.mu + law.mu_1) * u.hess
-            return [*parts, Integrand(inner(stress, w.hess), penalty * jumps)]
-        coefficient = u.hyper_coefficient - law.coefficient(u.hess_square)
+        if law.is_linear:
+            return [*parts, law.linear(z) * inner(u.hess, w.hess)]
         return [
             *parts,
-            Integrand(u.hyper_coefficient * inner(u.hess, w.hess)),
-            Integrand((square(u.hess) - u.hess_square) * w.hyper_coefficient),
-            Integrand(coefficient * w.hess_square, -coupling * w.hess_square),
-            Integrand(facets=(penalty + coupling / (h * h)) * jumps),
+            u.hyper_coefficient * inner(u.hess, w.hess),
+            (square(u.hess) - u.hess_square) * w.hyper_coefficient,
+            (u.hyper_coefficient - law.coefficient(u.hess_square, z)) * w.hess_square,
         ]
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        parts = [*self.lifting_on_facets(w, u), *(-part for part in self.lifting_on_facets(u, w))]
+        parts.append(self.stiffness(u) * inner(u.jump, w.jump))
+        _, coupling = self.penalty(u)
+        return parts if coupling is None else [*parts, -coupling * w.hess_square]
 
     def coefficient_load(self, u: Fields, t: CoefficientFunction) -> Integrand:
         """int c(s) t + sum_K int_{dK} sigma/h c'(s~)|j|^2 t: the load that c_s is the projection of."""
         _, coupling = self.penalty(u)
         assert coupling is not None
-        return Integrand(self.law.coefficient(u.hess_square) * t, coupling * t)
+        return Integrand(self.law.coefficient(u.hess_square, u.z_tensors) * t, coupling * t)
 
     def entries(self, u: Fields) -> list[Entry]:
         """int c(|Hs|^2)|Hs|^2 and the penalty's share: the paper's int mu |hess v|^p."""
         penalty, coupling = self.penalty(u)
         facets = penalty * square(u.jump)
-        cells = (self.law.mu + self.law.mu_1) * square(u.hess)
-        if coupling is not None:
-            h = self.context.h
+        if coupling is None:
+            cells = self.law.linear(u.z_tensors) * square(u.hess)
+        else:
+            h = u.context.h
             facets = facets + coupling * (u.hess_square + square(u.jump) / (h * h))
-            cells = self.law.coefficient(u.hess_square) * u.hess_square
+            cells = self.law.coefficient(u.hess_square, u.z_tensors) * u.hess_square
         return [Entry("dissipation_hyper", "dissipation", Integrand(cells, facets))]

@@ -17,15 +17,15 @@ from ngsolve import (
 )
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
-from ngvisco.forms.context import Integrand
 from ngvisco.forms.data_checks import warn_of_mismatch
 from ngvisco.forms.elimination import LocalProjection
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.projections import set_traces
 from ngvisco.forms.sampling import Sampler
-from ngvisco.forms.spaces import Fields
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import Integrand
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.material import components_of, conjugates
 from ngvisco.physics.model import VectorLike, as_tensor, as_vector
@@ -181,16 +181,16 @@ def complete(step: Step) -> None:
         parts["zeta"].Set(components_of(material, conjugates(material, u.z_tensors), dim))
     else:
         step.eliminate.refresh()
-        step.eliminate.conjugates()
+        step.eliminate.projections["zeta"]()
     set_traces(step.layout, step.state, step.context, step.quadrature)
     law = step.model.hyperviscosity
     if law is None:
         return
-    _recover_hessian(step, Hyperviscosity(law, step.context))
-    coefficient = CF(law.mu + law.mu_1)
+    _recover_hessian(step, Hyperviscosity(law))
+    coefficient = CF(1.0) * law.linear(u.z_tensors)
     if not law.is_linear:
         parts["hess_square"].Set(square(u.hess))
-        parts["hyper_coefficient"].Set(law.coefficient(u.hess_square))
+        parts["hyper_coefficient"].Set(law.coefficient(u.hess_square, u.z_tensors))
         coefficient = u.hyper_coefficient
     parts["hyperstress"].Set(coefficient * parts["hess"])
 

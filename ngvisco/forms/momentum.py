@@ -14,12 +14,15 @@ E(rho, m) = max_w <m, w> - 1/2 int rho |w|^2, which is convex.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.forms.context import Context, Entry, Integrand
-from ngvisco.forms.spaces import Fields
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.model import CentralGravity, Gravity, Load, as_vector
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import StokesViscosity
@@ -27,7 +30,7 @@ from ngvisco.physics.tensors import inner, square, sym
 
 
 @dataclass(frozen=True)
-class Continuity:
+class Continuity(PointTerm):
     """int (rho - rho_old)/tau q - rho v . grad q + sum_K int_{dK} F_hat (q - q_hat) = 0
     (paper: Euler-small-viscoelastodyn+0disc; its delta-term is ``DensityDiffusion``).
 
@@ -38,36 +41,34 @@ class Continuity:
     combination whatever v.n; q = q_hat = 1 conserves mass to rounding (paper: Euler-small-est-1+).
     """
 
-    context: Context
     regularisation: Regularisation | None = None
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        c = self.context
-        carried = carried_density(u, self.regularisation)
-        q, q_hat = w.rho, w.rho_hat
-        storage = Integrand(c.rate(u.rho - c.old.rho) * q)
-        convection = Integrand(-carried * (u.v * w.grad_rho))
-        a = c.normal_velocity(u.v)
-        flux = 0.5 * ((c.modulus(a) + a) * carried - (c.modulus(a) - a) * u.rho_hat)
-        return [storage, convection, Integrand(facets=flux * (q - q_hat))]
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        order = setting.m
+        return Unknown("rho", "cells", order), Unknown("rho_hat", "facets", order, trace_of="rho")
 
-    def entries(self, u: Fields) -> list[Entry]:
-        return []
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        c = u.context
+        carried = carried_density(u, self.regularisation)
+        return [c.rate(u.rho - c.old.rho) * w.rho, -carried * (u.v * w.grad_rho)]
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        a = u.upwinding
+        flux = a.outward * carried_density(u, self.regularisation) - a.inward * u.rho_hat
+        return [flux * (w.rho - w.rho_hat)]
 
 
 @dataclass(frozen=True)
-class Inertia:
+class Inertia(PointTerm):
     """(rho v - m_old)/tau . w - 1/2 (rho - rho_old)/tau v . w."""
 
-    context: Context
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown("v", "velocity", setting.k, setting.dim),)
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        c = self.context
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        c = u.context
         change = (u.rho * u.v - c.momentum_old) - 0.5 * (u.rho - c.old.rho) * u.v
-        return [Integrand(c.rate(inner(change, w.v)))]
-
-    def entries(self, u: Fields) -> list[Entry]:
-        return []
+        return [c.rate(inner(change, w.v))]
 
     def distance(self, a: Fields, b: Fields) -> Entry:
         """1/2 rho_a |v_a - v_b|^2; with a the old state what an implicit Euler step dissipates."""
@@ -75,7 +76,7 @@ class Inertia:
 
 
 @dataclass(frozen=True)
-class Convection:
+class Convection(PointTerm):
     """1/2 m . [(L^T w) - (grad w)^T v] with m = rho v: powerless (paper: calculus-for-kinetic).
 
     With regularisation m = K(rho) rho v + delta |grad rho|^{r-2} grad rho: the paper's compensating term
@@ -83,20 +84,13 @@ class Convection:
     is added, and is powerless too.
     """
 
-    context: Context
     regularisation: Regularisation | None = None
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         flux = carried_density(u, self.regularisation) * u.v
         if self.regularisation is not None and self.regularisation.delta_density > 0:
             flux = flux + self.regularisation.diffusivity(square(u.grad_rho)) * u.grad_rho
-        return [
-            Integrand(0.5 * inner(u.grad_v * flux, w.v)),
-            Integrand(-0.5 * inner(w.grad_v * flux, u.v)),
-        ]
-
-    def entries(self, u: Fields) -> list[Entry]:
-        return []
+        return [0.5 * inner(u.grad_v * flux, w.v), -0.5 * inner(w.grad_v * flux, u.v)]
 
 
 def carried_density(u: Fields, regularisation: Regularisation | None) -> CoefficientFunction:
@@ -107,18 +101,18 @@ def carried_density(u: Fields, regularisation: Regularisation | None) -> Coeffic
 
 
 @dataclass(frozen=True)
-class Stokes:
+class Stokes(PointTerm):
     """int D eps(v) : eps(w) (paper: dissipation-pot)."""
 
     viscosity: StokesViscosity
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        return [Integrand(inner(self.viscosity.stress(sym(u.L)), w.L))]
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [inner(self.viscosity.stress(sym(u.L), u.z_tensors), w.L)]
 
     def entries(self, u: Fields) -> list[Entry]:
         eps = sym(u.L)
-        bulk = Integrand(self.viscosity.bulk_dissipation(eps))
-        shear = Integrand(self.viscosity.shear_dissipation(eps))
+        bulk = Integrand(self.viscosity.bulk_dissipation(eps, u.z_tensors))
+        shear = Integrand(self.viscosity.shear_dissipation(eps, u.z_tensors))
         return [
             Entry("dissipation_stokes_bulk", "dissipation", bulk),
             Entry("dissipation_stokes_shear", "dissipation", shear),
@@ -126,20 +120,26 @@ class Stokes:
 
 
 @dataclass(frozen=True)
-class Loading:
+class Loading(PointTerm):
     """-int f . w with f = rho g for gravity, averaged over the step (paper: g^k_{delta tau})."""
 
     load: Load
-    context: Context
+    dim: int
+
+    @cached_property
+    def vector(self) -> CoefficientFunction:
+        """g (m/s^2), or the body force (N/m^3)."""
+        if isinstance(self.load, (Gravity, CentralGravity)):
+            return as_vector(self.load.g, self.dim, "Gravity.g")
+        return as_vector(self.load.force, self.dim, "BodyForce.force")
 
     def force(self, u: Fields) -> CoefficientFunction:
-        dim = self.context.mesh.dim
-        if isinstance(self.load, (Gravity, CentralGravity)):
-            return u.rho * self.context.average(as_vector(self.load.g, dim, "Gravity.g"))
-        return self.context.average(as_vector(self.load.force, dim, "BodyForce.force"))
+        """f, N/m^3."""
+        average = u.context.average(self.vector)
+        return u.rho * average if isinstance(self.load, (Gravity, CentralGravity)) else average
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        return [Integrand(-inner(self.force(u), w.v))]
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [-inner(self.force(u), w.v)]
 
     def entries(self, u: Fields) -> list[Entry]:
         power = Integrand(inner(self.force(u), u.v))

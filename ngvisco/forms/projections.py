@@ -51,22 +51,24 @@ def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature
     """Facet unknowns of the state as the means of both sides' values of rho, z and d_n v."""
     parts = dict(zip(layout.names, state.components, strict=True))
     now = layout.fields(state.components)
-    scalar = _identified(layout, FacetFESpace(layout.mesh, order=layout.discretisation.m))
-    trace = FacetProjection(scalar, quadrature)
-    for name, value in (("rho", now.rho), ("z", now.z)):
-        for target in (f"{name}_hat", f"{name}_delta_hat"):
-            if target in parts:
-                size = value.dim
-                rows = [trace(value[i] if size > 1 else value) for i in range(size)]
-                for i, row in enumerate(rows):
-                    parts[target].vec[i * len(row) : (i + 1) * len(row)] = row
-    if "a_1" in parts:
-        n = context.normal
-        order = layout.discretisation.k - 1
-        space = _identified(layout, NormalFacetFESpace(layout.mesh, order=order))
-        derivative = FacetProjection(space, quadrature, n)
-        for i in range(layout.mesh.dim):
-            parts[f"a_{i + 1}"].vec.data = derivative((now.grad_v * n)[i])
+    projections: dict[tuple[str, int], FacetProjection] = {}
+    for name in layout.names_of("facets", "normals"):
+        unknown = layout.unknowns[name]
+        normal = context.normal if unknown.place == "normals" else None
+        key = unknown.place, unknown.order
+        if key not in projections:
+            make = FacetFESpace if normal is None else NormalFacetFESpace
+            space = _identified(layout, make(layout.mesh, order=unknown.order))
+            projections[key] = FacetProjection(space, quadrature, normal)
+        if normal is not None:
+            value = (now.grad_v * normal)[unknown.component]
+            parts[name].vec.data = projections[key](value)
+            continue
+        assert unknown.trace_of is not None
+        value = now.parts[unknown.trace_of]
+        for i in range(value.dim):
+            row = projections[key](value[i] if value.dim > 1 else value)
+            parts[name].vec[i * len(row) : (i + 1) * len(row)] = row
 
 
 def _identified(layout: Layout, space: FESpace) -> FESpace:

@@ -23,7 +23,7 @@ from ngsolve import (
 from ngvisco.forms.compilation import compiled
 
 if TYPE_CHECKING:
-    from ngvisco.forms.context import Integrand
+    from ngvisco.forms.term import Integrand
 
 _FACET_BASE_ORDER = 5  # order of NGSolve's Integrate on element boundaries without a bonus
 

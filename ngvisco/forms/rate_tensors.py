@@ -11,11 +11,15 @@ law of creep with a trace).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued
 
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.rates import Conjugate
+from ngvisco.physics.arrays import Array, Linear
 from ngvisco.physics.material import (
     Material,
     component_count,
@@ -24,6 +28,7 @@ from ngvisco.physics.material import (
     creep_tensors,
     tensors_of,
 )
+from ngvisco.physics.model import Model
 from ngvisco.physics.pointwise import squares
 from ngvisco.physics.rheology import Creep
 from ngvisco.physics.tensors import embed_gradient, tensor_space
@@ -61,75 +66,117 @@ class RateTensors:
             linear[x] = rates[:, 1 : n + 1] - rates[:, :1]
         return cls(constant, linear, dim * dim)
 
+    @property
+    def creep_size(self) -> int:
+        """Components of Pi."""
+        return len(self.constant) - self.gradients
+
     def columns(self, z: np.ndarray) -> np.ndarray:
         """d rate/dX at values z (n, points): (points, n, X)."""
         columns = np.einsum("xnm,mp->pnx", self.linear, z, optimize=True)
         columns += self.constant.T[None]
         return columns
 
-    def rate(self, z: np.ndarray, X: np.ndarray, out: np.ndarray, constant: bool = True) -> None:
-        """Add rate(z; X) to ``out`` (n, points); X is (X, points).
-
-        Without ``constant`` only what is linear in z: the derivative in the direction z.
-        """
-        for x, n in np.argwhere(self.constant[: len(X)]) if constant else ():
-            out[n] += self.constant[x, n] * X[x]
-        self._accumulate(lambda x, n, m: (out[n], X[x], z[m]), len(X))
-
-    def stress(
-        self, z: np.ndarray, zeta: np.ndarray, out: np.ndarray, first: int = 0, constant: bool = True
-    ) -> None:
-        """Add d(zeta : rate)/dX for X = first ... first + len(out) - 1 to ``out`` (X, points).
-
-        Without ``constant`` only what is linear in z, as above.
-        """
-        stop = first + len(out)
-        for x, n in np.argwhere(self.constant[first:stop]) if constant else ():
-            out[x] += self.constant[first + x, n] * zeta[n]
-        self._accumulate(lambda x, n, m: (out[x - first], zeta[n], z[m]), stop, first)
-
-    def _accumulate(self, arrays, stop: int, first: int = 0) -> None:  # type: ignore[no-untyped-def]
-        product: np.ndarray | None = None
+    def rate(self, z: np.ndarray, X: np.ndarray, first: int = 0) -> np.ndarray:
+        """rate(z; X), (n, points), of the X (X, points) from ``first`` on."""
+        out = np.zeros((self.linear.shape[1], z.shape[1]), np.result_type(z, X))
+        stop = first + len(X)
+        for x, n in np.argwhere(self.constant[first:stop]):
+            out[n] += self.constant[first + x, n] * X[x]
+        product = np.empty(z.shape[1], out.dtype)
         for x, n, m in np.argwhere(self.linear[first:stop]):
-            target, a, b = arrays(x + first, n, m)
-            product = np.multiply(a, b, out=product)
-            factor = self.linear[x + first, n, m]
-            if factor == 1.0:
-                target += product
-            elif factor == -1.0:
-                target -= product
-            else:
-                product *= factor
-                target += product
+            _add_product(out[n], X[x], z[m], self.linear[first + x, n, m], product)
+        return out
+
+    def stress(self, z: np.ndarray, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
+        """d(zeta : rate)/dX for X = first ... stop - 1, (X, points)."""
+        out = np.zeros((stop - first, z.shape[1]), np.result_type(z, zeta))
+        for x, n in np.argwhere(self.constant[first:stop]):
+            out[x] += self.constant[first + x, n] * zeta[n]
+        product = np.empty(z.shape[1], out.dtype)
+        for x, n, m in np.argwhere(self.linear[first:stop]):
+            _add_product(out[x], zeta[n], z[m], self.linear[first + x, n, m], product)
+        return out
 
 
-@dataclass(frozen=True)
-class Mobility:
-    """Local creep in components, Pi = a M + D zeta, with M of ``RateTensors``: a = R by the paper's law."""
+def _add_product(
+    target: np.ndarray, a: np.ndarray, b: np.ndarray, factor: float, product: np.ndarray
+) -> None:
+    """target += factor a b; ``product`` is overwritten."""
+    np.multiply(a, b, out=product)
+    if factor == 1.0:
+        target += product
+    elif factor == -1.0:
+        target -= product
+    else:
+        product *= factor
+        target += product
 
-    of_mandel: float
-    of_conjugates: np.ndarray | None
-    """D, (components of Pi, n), 1/(Pa s); None for zero."""
 
-    @classmethod
-    def of(cls, material: Material, dim: int, creep: Creep) -> Mobility:
-        """Of a law of creep whose rate is local."""
-        a, b = creep.weights
-        if b == 0:
-            return cls(creep.R * a, None)
-        assert material.conformation is not None
-        space = creep_tensors(creep, dim)
-        direct = np.zeros((space.size, component_count(material, dim)))
-        where = component_slices(material, dim)[material.conformation]
-        direct[:, where] = creep.R * b * space.columns.T @ tensor_space("symmetric", dim).columns
-        return cls(creep.R * a, direct)
+class TabulatedRates:
+    """What ``Rates`` is for coefficient functions, for arrays of values and tests of them.
 
-    def __call__(self, against: np.ndarray, zeta: np.ndarray) -> np.ndarray:
-        """Pi at points, (components, points), of -M, which is overwritten, and zeta (n, points)."""
-        against *= -self.of_mandel
-        if self.of_conjugates is not None:
-            against += self.of_conjugates @ zeta
-        return against
+    Pi and M are in components, (p, points).
+    """
+
+    def __init__(self, model: Model, dim: int) -> None:
+        self.law = None if model.creep is None or model.creep.R == 0 else model.creep
+        self.tensors = RateTensors.of(model.material, dim, model.creep)
+        self._of_conjugates: np.ndarray | None = None
+        if self.law is not None and self.law.weights[1]:
+            assert model.material.conformation is not None
+            where = component_slices(model.material, dim)[model.material.conformation]
+            self._of_conjugates = np.zeros((self.tensors.creep_size, component_count(model.material, dim)))
+            columns = tensor_space("symmetric", dim).columns
+            self._of_conjugates[:, where] = creep_tensors(self.law, dim).columns.T @ columns
+
+    def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[Linear]:
+        """rate(z; grad w, 0) : G with either w or G a test."""
+        t, tests = self.tensors, G.parts[name]
+        if isinstance(tests, Linear):
+            L = along.grad_v.value
+            rate = t.rate(z.z.value, L.reshape(t.gradients, -1))
+            return [tests.InnerProduct(Array(rate, None))]
+        stress = t.stress(z.z.value, tests.value, 0, t.gradients)
+        shape = (*along.grad_v.shape, -1)
+        return [along.grad_v.InnerProduct(Array(stress.reshape(shape), None))]
+
+    def creep_power(self, z: Fields, Pi: Array, G: Fields, name: Conjugate) -> Sequence[Linear]:
+        """rate(z; 0, Pi) : G, with G a test."""
+        rate = self.tensors.rate(z.z.value, Pi.value, first=self.tensors.gradients)
+        return [G.parts[name].InnerProduct(Array(rate, None))]
+
+    def mandel_components(self, u: Fields) -> Array:
+        """Mandel stress of the projected conjugates in components, Pa."""
+        t = self.tensors
+        M = t.stress(u.z.value, u.zeta.value, t.gradients, len(t.constant))
+        return Array(np.negative(M, out=M), None)
+
+    def creep(self, u: Fields) -> Array | None:
+        """Pi in components, 1/s."""
+        law = self.law
+        if law is None:
+            return None
+        if not law.is_local:
+            return u.parts["Pi"]
+        M = self.mandel_components(u) if law.weights[0] else None
+        zeta = None
+        if self._of_conjugates is not None:
+            zeta = Array(self._of_conjugates @ u.zeta.value, None)
+        return law.rate(M, zeta, u.z_tensors)
+
+    def creep_slopes(self, u: Fields) -> tuple[np.ndarray, np.ndarray | None]:
+        """dPi/dM, (points,), and dPi/dzeta at a given M, (points, p, n) or None, of local creep.
+
+        That of the mobility by z is left out: these are for tangents.
+        """
+        assert self.law is not None
+        a, b = self.law.weights
+        mobility = self.law.mobility(u.z_tensors)
+        R = np.broadcast_to(mobility.value if isinstance(mobility, Array) else mobility, u.z.value.shape[1:])
+        if self._of_conjugates is None:
+            return a * R, None
+        return a * R, (b * R)[:, None, None] * self._of_conjugates
 
 
 def _constant(array: np.ndarray) -> CoefficientFunction:

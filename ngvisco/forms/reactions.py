@@ -24,10 +24,10 @@ from ngsolve import CF, CoefficientFunction, GridFunction, LinearForm, ds, speci
 
 from ngvisco.errors import UnknownNameError
 from ngvisco.forms.boundaries import facet_indicator, pattern
-from ngvisco.forms.context import Integrand
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.moving_walls import MovingWalls
-from ngvisco.forms.spaces import Fields
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import Integrand
 from ngvisco.forms.wall_terms import TangentialStress
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.walls import NoSlip, PrescribedTangential

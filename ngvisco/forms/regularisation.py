@@ -11,19 +11,21 @@ s = penalty (m + 1)^2.  The test w_hat makes the flux single-valued, so that w =
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from ngsolve import CF, CoefficientFunction, IfPos
 
-from ngvisco.forms.context import Context, Entry, Integrand, Term
-from ngvisco.forms.spaces import Fields
+from ngvisco.errors import ParameterError
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
+from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.tensors import inner, square
 
 
 @dataclass(frozen=True)
-class DensityDiffusion:
+class DensityDiffusion(PointTerm):
     """div(delta |grad rho|^{r-2} grad rho) in the continuity equation (paper: Euler-small-
     viscoelastodyn+0disc): incomplete penalty, c_pen = c(|grad rho|^2 + |rho - rho_hat|^2/h^2 + floor^2).
 
@@ -32,34 +34,34 @@ class DensityDiffusion:
     """
 
     law: Regularisation
-    context: Context
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        c = self.law.diffusivity(square(u.grad_rho))
-        jump = u.rho - u.rho_delta_hat
-        test = w.rho - w.rho_delta_hat
-        flux = c * (u.grad_rho * self.context.normal)
-        return [
-            Integrand(c * inner(u.grad_rho, w.grad_rho)),
-            Integrand(facets=-flux * test),
-            Integrand(facets=self._penalty(u, jump) * jump * test),
-        ]
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        _require_gradients("delta_density", self.law.delta_density, setting)
+        return (Unknown("rho_delta_hat", "facets", setting.m, trace_of="rho"),)
+
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [self.law.diffusivity(square(u.grad_rho)) * inner(u.grad_rho, w.grad_rho)]
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        jump, test = u.rho - u.rho_delta_hat, w.rho - w.rho_delta_hat
+        flux = self.law.diffusivity(square(u.grad_rho)) * (u.grad_rho * u.context.normal)
+        return [-flux * test, self._penalty(u, jump) * jump * test]
 
     def _penalty(self, u: Fields, jump: CoefficientFunction) -> CoefficientFunction:
-        h, floor = self.context.h, self.law.gradient_floor
+        h, floor = u.context.h, self.law.gradient_floor
         size = square(u.grad_rho) + jump * jump / (h * h) + floor**2
         return penalty_weight(self.law, u) / h * self.law.diffusivity(size)
 
     def entries(self, u: Fields) -> list[Entry]:
         c = self.law.diffusivity(square(u.grad_rho))
         jump = u.rho - u.rho_delta_hat
-        flux = c * (u.grad_rho * self.context.normal)
+        flux = c * (u.grad_rho * u.context.normal)
         facets = (self._penalty(u, jump) * jump - flux) * jump
         return [Entry("density_diffusion", "monitor", Integrand(c * square(u.grad_rho), facets))]
 
 
 @dataclass(frozen=True)
-class FieldDiffusion:
+class FieldDiffusion(PointTerm):
     """delta Laplace z in the kinematic equations (paper: Euler-small-viscoelastodyn+2disc, Euler-large-
     viscoelastodyn+2disc, +3disc, -H, -H+), symmetric interior penalty.
 
@@ -68,47 +70,46 @@ class FieldDiffusion:
     """
 
     law: Regularisation
-    context: Context
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        return self._diffusion(u, w.z, w.z_delta_hat, w.grad_z)
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        _require_gradients("delta_fields", self.law.delta_fields, setting)
+        return (Unknown("z_delta_hat", "facets", setting.m, setting.states.size, trace_of="z"),)
 
-    def _diffusion(
-        self,
-        u: Fields,
-        G: CoefficientFunction,
-        G_hat: CoefficientFunction | None,
-        grad_G: CoefficientFunction,
-    ) -> list[Integrand]:
-        n, delta = self.context.normal, self.law.delta_fields
-        weight = penalty_weight(self.law, u) / self.context.h
-        jump = u.z - u.z_delta_hat
-        test = G if G_hat is None else G - G_hat
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [self.law.delta_fields * inner(u.grad_z, w.grad_z)]
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return self._through_facets(u, w.z - w.z_delta_hat, w.grad_z)
+
+    def _through_facets(
+        self, u: Fields, test: CoefficientFunction, grad_G: CoefficientFunction
+    ) -> list[CoefficientFunction]:
+        n, delta, jump = u.context.normal, self.law.delta_fields, u.z - u.z_delta_hat
+        weight = penalty_weight(self.law, u) / u.context.h
         return [
-            Integrand(delta * inner(u.grad_z, grad_G)),
-            Integrand(facets=-delta * inner(u.grad_z * n, test)),
-            Integrand(facets=-delta * inner(grad_G * n, jump)),
-            Integrand(facets=delta * weight * inner(jump, test)),
+            -delta * inner(u.grad_z * n, test),
+            -delta * inner(grad_G * n, jump),
+            delta * weight * inner(jump, test),
         ]
 
     def entries(self, u: Fields) -> list[Entry]:
         """The form at G = zeta; the facet test may be any, since the flux is single-valued."""
-        cells, *facets = self._diffusion(u, u.zeta, None, u.grad_zeta)
-        total: Any = 0
-        for part in facets:
-            total = total + part.facets
-        return [Entry("dissipation_delta_fields", "dissipation", Integrand(cells.cells, total))]
+        first, *others = self._through_facets(u, u.zeta, u.grad_zeta)
+        for part in others:
+            first = first + part
+        cells = self.law.delta_fields * inner(u.grad_z, u.grad_zeta)
+        return [Entry("dissipation_delta_fields", "dissipation", Integrand(cells, first))]
 
 
 @dataclass(frozen=True)
-class VelocityDamping:
+class VelocityDamping(PointTerm):
     """epsilon |v|^{p-2} v in the momentum equation (paper: Euler-small-viscoelastodyn+1disc; printed as
     delta |v|^p in two of the discrete balances)."""
 
     law: Regularisation
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        return [Integrand(self.law.friction(square(u.v)) * inner(u.v, w.v))]
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [self.law.friction(square(u.v)) * inner(u.v, w.v)]
 
     def entries(self, u: Fields) -> list[Entry]:
         power = self.law.friction(square(u.v)) * square(u.v)
@@ -116,13 +117,10 @@ class VelocityDamping:
 
 
 @dataclass(frozen=True)
-class CutOffVolume:
+class CutOffVolume(PointTerm):
     """Where the cut-off K(rho) acts, i.e. rho > rho_max; K itself is in ``Continuity`` and ``Convection``."""
 
     law: Regularisation
-
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        return []
 
     def entries(self, u: Fields) -> list[Entry]:
         assert self.law.rho_max is not None
@@ -130,15 +128,20 @@ class CutOffVolume:
         return [Entry("cutoff_volume", "monitor", Integrand(acting))]
 
 
-def regularising_terms(law: Regularisation | None, context: Context) -> list[Term]:
+def _require_gradients(name: str, delta: float, setting: Setting) -> None:
+    if setting.m == 0:
+        raise ParameterError(f"Regularisation.{name}", delta, "0 with m = 0, which has no gradients")
+
+
+def regularising_terms(law: Regularisation | None) -> list[Term]:
     """The terms of a model's regularisation that are not part of another one."""
     terms: list[Term] = []
     if law is None:
         return terms
     if law.delta_density > 0:
-        terms.append(DensityDiffusion(law, context))
+        terms.append(DensityDiffusion(law))
     if law.delta_fields > 0:
-        terms.append(FieldDiffusion(law, context))
+        terms.append(FieldDiffusion(law))
     if law.epsilon > 0:
         terms.append(VelocityDamping(law))
     if law.rho_max is not None:

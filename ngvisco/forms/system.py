@@ -21,26 +21,49 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from ngsolve import BilinearForm, GridFunction, Mesh, VectorValued
 from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.forms.boundaries import check_mesh
-from ngvisco.forms.context import Context, Entry, Integrand, Term
+from ngvisco.forms.context import Context
 from ngvisco.forms.creep import CreepRate
 from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Continuity, Convection, Inertia, Loading, Stokes
 from ngvisco.forms.moving_walls import MovingWalls
 from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.rate_tensors import TabulatedRates
 from ngvisco.forms.regularisation import regularising_terms
-from ngvisco.forms.spaces import Discretisation, Fields, Layout
+from ngvisco.forms.spaces import Discretisation, Layout
+from ngvisco.forms.term import Entry, Integrand, Term
 from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
 from ngvisco.forms.wall_terms import Impenetrability, wall_terms
 from ngvisco.forms.walls import Conditions, Walls
 from ngvisco.physics.model import Model
+
+
+def equations(model: Model, dim: int) -> tuple[Term, ...]:
+    """The terms of a model's equations, without walls."""
+    terms: list[Term] = [
+        Continuity(model.regularisation),
+        Inertia(),
+        Convection(model.regularisation),
+        ElasticForce(),
+    ]
+    if model.viscosity is not None:
+        terms.append(Stokes(model.viscosity))
+    if model.hyperviscosity is not None:
+        terms.append(Hyperviscosity(model.hyperviscosity))
+    terms += [Loading(load, dim) for load in model.loads]
+    terms += [Kinematics(model), Conjugates(model), UpwindTrace()]
+    if model.creep is not None and not model.creep.is_local:
+        terms.append(CreepRate(model.creep))
+    return (*terms, *regularising_terms(model.regularisation))
 
 
 @dataclass(frozen=True)
@@ -86,13 +109,16 @@ class Step:
         self.mesh, self.model = mesh, model
         self.discretisation = discretisation or Discretisation()
         self.walls = Walls(mesh, conditions)
+        known = () if sources is None else (sources,)
+        self.terms = (*equations(model, mesh.dim), *wall_terms(self.walls), *terms, *known)
+        self.sources = sources
         self.layout = Layout(
             mesh,
-            model,
+            model.material,
             self.discretisation,
+            self.terms,
             self.walls.dirichlet,
             periodic=bool(self.walls.periodic),
-            multiplier=self.walls.multiplier_space(self.discretisation.k),
         )
         self.state = GridFunction(self.layout.space, name="state")
         self.state_old = GridFunction(self.layout.space, name="state_old")
@@ -108,38 +134,9 @@ class Step:
         points = IntegrationRuleSpace(mesh, order=self.quadrature.volume_degree // 2)
         self.momentum_old = GridFunction(VectorValued(points, mesh.dim), name="momentum_old")
         self._momentum = GridFunction(VectorValued(points, mesh.dim))
-        self.context = Context(mesh, self.old, self.energy, self.momentum_old)
-        self.terms = self._terms(terms, sources)
-        self.sources = sources
+        self.context = self.layout.context = Context(mesh, model, self.old, self.energy, self.momentum_old)
         self.residual = self._residual()
         self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms)
-
-    def _terms(self, further: Sequence[Term], sources: Term | None) -> tuple[Term, ...]:
-        model, context = self.model, self.context
-        terms: list[Term] = [
-            Continuity(context, model.regularisation),
-            Inertia(context),
-            Convection(context, model.regularisation),
-            ElasticForce(model, context),
-        ]
-        if model.viscosity is not None:
-            terms.append(Stokes(model.viscosity))
-        if model.hyperviscosity is not None:
-            terms.append(Hyperviscosity(model.hyperviscosity, context))
-        terms += [Loading(load, context) for load in model.loads]
-        terms += [
-            Kinematics(model, context),
-            Conjugates(model, context),
-            UpwindTrace(model, context),
-        ]
-        if model.creep is not None and not model.creep.is_local:
-            terms.append(CreepRate(model, context))
-        terms += regularising_terms(model.regularisation, context)
-        terms += wall_terms(self.walls, context)
-        terms += further
-        if sources is not None:
-            terms.append(sources)
-        return tuple(terms)
 
     def _residual(self) -> BilinearForm:
         """R(u; w) as one nonlinear form with element-local unknowns to be condensed."""
@@ -149,6 +146,11 @@ class Step:
         for term in self.terms:
             self.quadrature.add(form, term.form(u, w))
         return form
+
+    @cached_property
+    def tabulated_rates(self) -> TabulatedRates:
+        """The rates of the variables for arrays of values."""
+        return TabulatedRates(self.model, self.mesh.dim)
 
     @property
     def impenetrability(self) -> Impenetrability | None:

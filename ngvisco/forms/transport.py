@@ -12,61 +12,34 @@ For smooth fields B_h(w; z, zeta) = int T : grad w with T of the paper.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 from ngsolve import CoefficientFunction
 
-from ngvisco.forms.context import Context, Entry, Integrand, negative
-from ngvisco.forms.energy import StoredEnergy
-from ngvisco.forms.spaces import Fields
-from ngvisco.physics.material import local_creep_rate, mandel_stress, rate_power
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.rates import Conjugate
+from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, tested
+from ngvisco.forms.unknowns import Setting, Unknown
+from ngvisco.physics.material import rate_power
 from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.model import Model
-from ngvisco.physics.tensors import inner, square
-from ngvisco.physics.variables import Values
+from ngvisco.physics.tensors import inner
 
 
-class Transport:
-    """B_h and the equations built on it, for one model."""
-
-    def __init__(self, model: Model, context: Context) -> None:
-        self.model, self.context = model, context
-        self.material = model.material
-        self.dim = context.mesh.dim
-        self.energy = context.energy or StoredEnergy(model.material, self.dim)
-
-    def operator(
-        self,
-        direction: Fields,
-        z: Fields,
-        G: CoefficientFunction,
-        G_tensors: Values,
-        v: Fields,
-    ) -> list[Integrand]:
-        """B_h(w; z, G) with w = ``direction``, G by components and by tensors, n^- from ``v``."""
-        c, w = self.context, direction.v
-        zero = 0 * direction.L
-        convection = Integrand(-inner(z.grad_z * w, G))
-        rates = [
-            Integrand(inner(variable.rate(z.z_tensors, direction.L, zero), G_tensors[variable.name]))
-            for variable in self.material.variables
-        ]
-        upwind = Integrand(facets=-(w * c.normal) * c.inflow(v.v) * inner(z.z_hat - z.z, G))
-        return [convection, *rates, upwind]
-
-    def mandel(self, u: Fields) -> CoefficientFunction:
-        """Mandel stress of the projected conjugates, 3x3, Pa."""
-        return mandel_stress(self.material, u.z_tensors, u.zeta_tensors, self.dim)
-
-    def creep_rate(self, u: Fields) -> CoefficientFunction | None:
-        """Pi, 3x3, 1/s: local, R M or by another law, or the field of its own; None without creep."""
-        creep = self.model.creep
-        if creep is None or creep.R == 0:
-            return None
-        if not creep.is_local:
-            return u.Pi
-        return local_creep_rate(self.material, creep, u.z_tensors, u.zeta_tensors, self.dim)
+def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> list[CoefficientFunction]:
+    """The cells' part of B_h(w; z, G), w the velocity of ``along``, G the part ``name`` of ``G``."""
+    return [-inner(u.grad_z * along.v, G.parts[name]), *u.context.rates.power(u, along, G, name)]
 
 
-class Kinematics(Transport):
+def transport_through_facets(along: Fields, u: Fields, G: Fields, name: Conjugate) -> CoefficientFunction:
+    """The facets' part of B_h(w; z, G), of both sides."""
+    n, jump = u.context.normal, inner(u.z_jump, G.parts[name])
+    return -((along.v * n) * (u.upwinding.inflow * jump))
+
+
+@dataclass(frozen=True)
+class Kinematics(PointTerm):
     """int (z - z_old)/tau : G - B_h(v; z, G) - int rate(z; 0, Pi) : G = 0  (paper: Euler-small-
     viscoelastodyn+2disc, Euler-large-viscoelastodyn+2disc, +3disc, viscoelastodyn-H, -H+).
 
@@ -75,82 +48,84 @@ class Kinematics(Transport):
     conjugates, so that G = zeta gives the dissipation R |M|^2 = G_m |Pi|^2; see ``CreepRate`` for nu > 0.
     """
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        c, G, G_tensors = self.context, w.z, w.z_tensors
-        storage = Integrand(c.rate(inner(u.z - c.old.z, G)))
-        transport = self.operator(u, u, G, G_tensors, u)
-        return [storage, *negative(transport), *negative(self._creep(u, G_tensors))]
+    model: Model
 
-    def _creep(self, u: Fields, G_tensors: Values) -> list[Integrand]:
-        """int rate(z; 0, Pi) : G; the affine parts of a rate vanish at L = 0."""
-        Pi = self.creep_rate(u)
-        if Pi is None:
-            return []
-        return [
-            Integrand(inner(variable.rate(u.z_tensors, 0 * Pi, Pi), G_tensors[variable.name]))
-            for variable in self.material.variables
-            if variable.creeps
-        ]
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown("z", "cells", setting.m, setting.states.size),)
+
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        c = u.context
+        parts = [-part for part in transport_in_cells(u, u, w, "z")]
+        Pi = c.rates.creep(u)
+        if Pi is not None:
+            parts += [-part for part in c.rates.creep_power(u, Pi, w, "z")]
+        return [c.rate(inner(u.z - c.old.z, w.z)), *parts]
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [-transport_through_facets(u, u, w, "z")]
 
     def entries(self, u: Fields) -> list[Entry]:
         """Creep's dissipation, where it has no equation of its own."""
-        entries = []
-        Pi = self.creep_rate(u)
-        if self.model.creep is not None and self.model.creep.is_local and Pi is not None:
-            if self.model.creep.law == "mandel":
-                power = self.model.creep.R * square(self.mandel(u))
-            else:
-                power = -rate_power(self.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi)
-            creep = Integrand(power)
-            entries.append(Entry("dissipation_creep", "dissipation", creep))
-        return entries
+        rates, creep = u.context.rates, self.model.creep
+        Pi = rates.creep(u)
+        if creep is None or Pi is None or not creep.is_local:
+            return []
+        if creep.law == "mandel":
+            power = inner(Pi, rates.mandel(u))
+        else:
+            power = -rate_power(self.model.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi)
+        return [Entry("dissipation_creep", "dissipation", Integrand(power))]
 
     def distance(self, a: Fields, b: Fields) -> Entry:
         """phi(z_a) - phi(z_b) - phi'(z_b):(z_a - z_b)."""
-        bregman = self.energy.density(a) - self.energy.density(b) - inner(self.energy.slope(b), a.z - b.z)
+        energy = b.context.energy
+        bregman = energy.density(a) - energy.density(b) - inner(energy.slope(b), a.z - b.z)
         return Entry("bregman", "numerical", Integrand(bregman))
 
 
-class UpwindTrace(Transport):
-    """sum_K int_{dK} (1 - n^-)(z_hat - z) : G_hat = 0: the trace is the upwind value n^+ z_1 + n^- z_2.
+class UpwindTrace(PointTerm):
+    """sum_K int_{dK} (1 - n^-)(z_hat - z) : G_hat = 0: the trace is the upwind value n^+ z_1 + n^- z_2."""
 
-    The weight 1 - n^- is in (0, 1) whatever v . n (and 1 on walls), so that the trace is a convex
-    combination.  With the weight (v . n)^+ smoothed as (v . n)(1 + sigma)/2 it is not: that weight
-    is negative for small v . n < 0, and z_hat ~ [z] eta/(v . n) where the flow turns round.
-    """
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown("z_hat", "facets", setting.m, setting.states.size, trace_of="z"),)
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        weight = 1 - self.context.inflow(u.v)
-        return [Integrand(facets=weight * inner(u.z_hat - u.z, w.z_hat))]
-
-    def entries(self, u: Fields) -> list[Entry]:
-        return []
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [u.upwinding.share * inner(u.z_hat - u.z, w.z_hat)]
 
 
-class Conjugates(Transport):
+@dataclass(frozen=True)
+class Conjugates(PointTerm):
     """int (zeta - phi'(z)) : X = 0: zeta is the cellwise L2 projection of the conjugates."""
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        slope = self.energy.tested_slope(u, w)
-        return [Integrand(inner(u.zeta, w.zeta)), *(Integrand(-part) for part in slope)]
+    model: Model
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown("zeta", "cells", setting.m, setting.states.size),)
+
+    def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
+        return [("zeta", tested(u.context.energy.slope(u)))]
+
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [inner(u.zeta, w.zeta), *(-part for part in u.context.energy.tested_slope(u, w))]
 
     def entries(self, u: Fields) -> list[Entry]:
         """No power; the share of a quadratic regularisation in the stored energy, for information."""
-        if isinstance(self.material, WithQuadratic):
-            added = Integrand(self.material.added_energy(u.z_tensors))
+        material = self.model.material
+        if isinstance(material, WithQuadratic):
+            added = Integrand(material.added_energy(u.z_tensors))
             return [Entry("stored_quadratic", "monitor", added)]
         return []
 
 
-class ElasticForce(Transport):
+class ElasticForce(PointTerm):
     """+ B_h(w; z, zeta) in the momentum equation: int T : grad w for smooth fields
     (paper: Cauchy-stress-polyconvex in Euler-large-viscoelastodyn+1disc).
 
     No entry of its own: at w = v it is the rate of the stored energy.
     """
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        return self.operator(w, u, u.zeta, u.zeta_tensors, u)
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return transport_in_cells(w, u, u, "zeta")
 
-    def entries(self, u: Fields) -> list[Entry]:
-        return []
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [transport_through_facets(w, u, u, "zeta")]

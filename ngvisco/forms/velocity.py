@@ -17,10 +17,11 @@ from ngsolve import CF, BilinearForm, CoefficientFunction, FESpace, GridFunction
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
 from ngvisco.errors import StepError
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.points import csr
 from ngvisco.forms.quadrature import Quadrature
-from ngvisco.forms.spaces import Fields, Layout
+from ngvisco.forms.spaces import Layout
 from ngvisco.forms.wall_terms import Impenetrability
 from ngvisco.physics.tensors import inner
 

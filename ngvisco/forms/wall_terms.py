@@ -2,85 +2,90 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.forms.boundaries import facet_indicator
-from ngvisco.forms.context import Context, Entry, Integrand, Term
-from ngvisco.forms.spaces import Fields
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
+from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.forms.walls import Walls
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.walls import NavierFriction, Traction
 
 
-class Impenetrability:
+class Impenetrability(PointTerm):
     """Multiplier form of v.n = 0 on oblique and curved walls: int_Gamma lambda (w.n) + mu (v.n) = 0.
 
     lambda is the normal stress of the wall, Pa.  Its power int lambda (v.n) vanishes exactly, by the
     equation's own row mu = lambda, so that it has no entry in the ledger.  Nothing is carried through the
-    wall whatever the pointwise residue of v.n (Context.normal_velocity).
+    wall whatever the pointwise residue of v.n (``Upwinding``).
     """
 
-    def __init__(self, context: Context, walls: Walls) -> None:
-        self.context = context
+    def __init__(self, walls: Walls) -> None:
         self.indicator = facet_indicator(walls.mesh, walls.multiplied)
+        self._walls = walls
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        n = self.context.normal
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown("wall_stress", "walls", space=self._walls.multiplier_space(setting.k)),)
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        n = u.context.normal
         return [
-            Integrand(facets=self.indicator * u.wall_stress * (w.v * n)),
-            Integrand(facets=self.indicator * w.wall_stress * (u.v * n)),
+            self.indicator * u.wall_stress * (w.v * n),
+            self.indicator * w.wall_stress * (u.v * n),
         ]
 
-    def entries(self, u: Fields) -> list[Entry]:
-        return []
 
-
-class TangentialStress:
+class TangentialStress(PointTerm):
     """-int_Gamma f_t . w_t + int_Gamma c v_t . w_t (paper: rem-f-ne-0) on one wall."""
 
-    def __init__(self, context: Context, walls: Walls, name: str) -> None:
-        self.context, self.name = context, name
+    def __init__(self, walls: Walls, name: str) -> None:
+        self.name = name
         self.indicator = facet_indicator(walls.mesh, [name])
         wall = walls.conditions[name]
         self.f: CoefficientFunction | None = None
         self.friction: CoefficientFunction | None = None
         if isinstance(wall, Traction):
-            f = as_vector(wall.f, walls.mesh.dim, "Traction.f")
-            self.f = self._tangential(context.average(f))
+            self.f = as_vector(wall.f, walls.mesh.dim, "Traction.f")
             if wall.friction:
                 self.friction = CF(wall.friction)
         elif isinstance(wall, NavierFriction):
             self.friction = CF(wall.coefficient)
 
-    def _tangential(self, a: CoefficientFunction) -> CoefficientFunction:
-        n = self.context.normal
-        return a - (a * n) * n
+    def _traction(self, u: Fields) -> CoefficientFunction:
+        return _tangential(u.context.average(self.f), u.context.normal)
 
-    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         parts = []
         if self.f is not None:
-            parts.append(Integrand(facets=-self.indicator * (self.f * w.v)))
+            parts.append(-self.indicator * (self._traction(u) * w.v))
         if self.friction is not None:
-            parts.append(Integrand(facets=self.indicator * self.friction * (self._tangential(u.v) * w.v)))
+            parts.append(self.indicator * self.friction * (_tangential(u.v, u.context.normal) * w.v))
         return parts
 
     def entries(self, u: Fields) -> list[Entry]:
         entries = []
         if self.f is not None:
-            power = Integrand(facets=self.indicator * (self.f * u.v))
+            power = Integrand(facets=self.indicator * (self._traction(u) * u.v))
             entries.append(Entry(f"power_traction_{self.name}", "power", power))
         if self.friction is not None:
-            v_t = self._tangential(u.v)
+            v_t = _tangential(u.v, u.context.normal)
             loss = Integrand(facets=self.indicator * self.friction * (v_t * v_t))
             entries.append(Entry(f"dissipation_friction_{self.name}", "dissipation", loss))
         return entries
 
 
-def wall_terms(walls: Walls, context: Context) -> tuple[Term, ...]:
+def _tangential(a: CoefficientFunction, n: CoefficientFunction) -> CoefficientFunction:
+    return a - (a * n) * n
+
+
+def wall_terms(walls: Walls) -> tuple[Term, ...]:
     """Terms by which walls enter the system; none where the space holds the condition."""
-    terms: list[Term] = [Impenetrability(context, walls)] if walls.multiplied else []
+    terms: list[Term] = [Impenetrability(walls)] if walls.multiplied else []
     terms += [
-        TangentialStress(context, walls, name)
+        TangentialStress(walls, name)
         for name, wall in walls.conditions.items()
         if isinstance(wall, (Traction, NavierFriction))
     ]

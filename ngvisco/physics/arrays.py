@@ -26,18 +26,31 @@ Slope: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
 class Array:
-    """Scalars (points,) or 3x3 tensors (3, 3, points), with what they were made of.
+    """Scalars (points,), vectors (n, points) or matrices (n, m, points), with what they were made of.
 
-    Products, quotients and powers mean what they mean for coefficient functions: ``*`` of two tensors is
-    the matrix product.  What is not supported raises TypeError.
+    Products, quotients and powers mean what they mean for coefficient functions: ``*`` of two vectors is
+    their inner product, of matrices the matrix product.  What is not supported raises TypeError.  Values may
+    be complex: an increment of 1e-30 i carries a derivative along (``slope_along``).
     """
 
     __array_ufunc__ = None  # numpy's numbers leave the operation to this class
 
-    def __init__(self, value: np.ndarray, parents: Sequence[tuple[Array, Any]] = ()) -> None:
-        """``parents`` come with the maps that carry a derivative by this one back to them."""
-        self.value, self.parents, self.number = value, parents, next(_number)
-        self.is_constant = False
+    def __init__(self, value: np.ndarray, parents: Sequence[tuple[Array, Any]] | None = ()) -> None:
+        """``parents`` come with the maps that carry a derivative by this one back to them.
+
+        An empty sequence is an argument, None a value that nothing is differentiated by.
+        """
+        self.value, self.number = value, next(_number)
+        self.is_constant = parents is None
+        if parents:
+            parents = [each for each in parents if not each[0].is_constant]
+            self.is_constant = not parents
+        self.parents = parents or ()
+
+    @property
+    def rank(self) -> int:
+        """0 for scalars, 1 for vectors, 2 for matrices."""
+        return self.value.ndim - 1
 
     @property
     def is_scalar(self) -> bool:
@@ -45,35 +58,33 @@ class Array:
 
     def like(self, number: float) -> Array:
         """Scalars all equal to ``number``."""
-        return Array(np.full(self.value.shape[-1], number))
+        return Array(np.full(self.value.shape[-1], number), None)
 
     def __add__(self, other: Any) -> Array:
+        if isinstance(other, Linear):
+            return NotImplemented
         other = _array(other)
-        value = self.value + other.value
-        if value.ndim != max(self.value.ndim, other.value.ndim) or self.is_scalar != other.is_scalar:
-            raise TypeError("sums of scalars and tensors are not defined")
-        return Array(value, [(self, _same), (other, _same)])
+        if self.rank != other.rank:
+            raise TypeError("sums of scalars, vectors and tensors are not defined")
+        return Array(self.value + other.value, [(self, _same), (other, _same)])
 
     def __neg__(self) -> Array:
         return Array(-self.value, [(self, np.negative)])
 
     def __sub__(self, other: Any) -> Array:
-        return self + (-_array(other))
+        if isinstance(other, Linear):
+            return NotImplemented
+        other = _array(other)
+        if self.rank != other.rank:
+            raise TypeError("differences of scalars, vectors and tensors are not defined")
+        return Array(self.value - other.value, [(self, _same), (other, np.negative)])
 
     def __mul__(self, other: Any) -> Array:
+        if isinstance(other, Linear):
+            return NotImplemented
         a, b = self, _array(other)
-        if a.is_scalar or b.is_scalar:
-            return Array(
-                a.value * b.value,
-                [(a, lambda g: _summed(g * b.value, a)), (b, lambda g: _summed(g * a.value, b))],
-            )
-        return Array(
-            np.einsum("ikp,kjp->ijp", a.value, b.value),
-            [
-                (a, lambda g: np.einsum("ijp,kjp->ikp", g, b.value)),
-                (b, lambda g: np.einsum("ijp,ikp->kjp", g, a.value)),
-            ],
-        )
+        value, pull_a, pull_b = _product(a.value, b.value)
+        return Array(value, [(a, pull_a), (b, pull_b)])
 
     def __truediv__(self, other: Any) -> Array:
         other = _array(other)
@@ -100,17 +111,15 @@ class Array:
     def __rtruediv__(self, other: Any) -> Array:
         return _array(other) / self
 
-    def InnerProduct(self, other: Any) -> Array:
+    def InnerProduct(self, other: Any) -> Any:
         """a : b, under the name by which NGSolve's function asks for it."""
+        if isinstance(other, Linear):
+            return other.InnerProduct(self)
         a, b = self, _array(other)
-        if a.is_scalar != b.is_scalar:
+        if a.rank != b.rank:
             raise TypeError("the inner product of a scalar and a tensor is not defined")
-        if a.is_scalar:
-            return a * b
-        return Array(
-            np.einsum("ijp,ijp->p", a.value, b.value),
-            [(a, lambda g: g * b.value), (b, lambda g: g * a.value)],
-        )
+        value = a.value * b.value if a.is_scalar else contracted(a.value, b.value)
+        return Array(value, [(a, lambda g: g * b.value), (b, lambda g: g * a.value)])
 
     @property
     def trans(self) -> Array:
@@ -121,19 +130,30 @@ class Array:
     def trace(self) -> Array:
         """The trace."""
         self._require_tensor()
-        identity = np.eye(3)[:, :, None]
+        identity = np.eye(len(self.value))[:, :, None]
         return Array(np.einsum("iip->p", self.value), [(self, lambda g: g * identity)])
 
     def entry(self, i: int, j: int) -> Array:
         """The scalars A_ij."""
         self._require_tensor()
+        return self[i, j]
+
+    def __getitem__(self, index: int | tuple[int, int]) -> Array:
+        """The scalars A_ij, or v_i."""
+        if self.rank != (len(index) if isinstance(index, tuple) else 1):
+            raise TypeError(f"no entry {index} of rank {self.rank}")
 
         def pull(g: np.ndarray) -> np.ndarray:
-            result = np.zeros((3, 3, g.shape[-1]), g.dtype)
-            result[i, j] = g
+            result = np.zeros((*self.value.shape[:-1], g.shape[-1]), g.dtype)
+            result[index] = g
             return result
 
-        return Array(self.value[i, j], [(self, pull)])
+        return Array(self.value[index], [(self, pull)])
+
+    def mapped(self, matrix: np.ndarray, shape: tuple[int, ...]) -> Array:
+        """matrix @ entries, in row-major order, as a tensor of ``shape``."""
+        value, pull = _mapped(matrix, self.value, shape)
+        return Array(value, [(self, pull)])
 
     def log(self) -> Array:
         """The natural logarithm of scalars."""
@@ -141,17 +161,227 @@ class Array:
             raise TypeError("only scalars have a logarithm")
         return Array(np.log(self.value), [(self, lambda g: g / self.value)])
 
+    def sqrt(self) -> Array:
+        """The square root of scalars."""
+        if not self.is_scalar:
+            raise TypeError("only scalars have a square root")
+        root = np.sqrt(self.value)
+        return Array(root, [(self, lambda g: 0.5 * g / root)])
+
     def where_positive(self, then: Any, otherwise: Any) -> Array:
         """``then`` where this scalar is > 0, ``otherwise`` elsewhere."""
-        a, b, positive = _array(then), _array(otherwise), self.value > 0
+        a, b, positive = _array(then), _array(otherwise), self.value.real > 0
         return Array(
             np.where(positive, a.value, b.value),
             [(a, lambda g: np.where(positive, g, 0.0)), (b, lambda g: np.where(positive, 0.0, g))],
         )
 
     def _require_tensor(self) -> None:
-        if self.is_scalar:
-            raise TypeError("a scalar has no transpose, trace or entries")
+        if self.rank != 2:
+            raise TypeError("only matrices have a transpose, a trace and entries")
+
+
+class Linear:
+    """What is linear in test functions: it has a shape and no value, only maps back to these.
+
+    With a test function in its place, ``Term.cells`` and ``Term.facets`` give an integrand that is linear in
+    the tests; ``slots`` reads off what multiplies each of them.
+    """
+
+    __array_ufunc__ = None
+
+    def __init__(
+        self, shape: tuple[int, ...], parents: Sequence[tuple[Linear, Any]] = (), slot: str | None = None
+    ) -> None:
+        """``slot`` is the name of a test function; ``parents`` as those of ``Array``."""
+        self.shape, self.parents, self.slot, self.number = shape, parents, slot, next(_number)
+
+    @property
+    def rank(self) -> int:
+        return len(self.shape)
+
+    def __add__(self, other: Any) -> Linear:
+        if not isinstance(other, Linear):
+            if isinstance(other, (int, float)) and other == 0:
+                return self
+            raise TypeError("what is added to a linear form has to be linear in the test functions too")
+        if self.shape != other.shape:
+            raise TypeError("sums of scalars, vectors and tensors are not defined")
+        return Linear(self.shape, [(self, _same), (other, _same)])
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Linear:
+        return Linear(self.shape, [(self, np.negative)])
+
+    def __sub__(self, other: Any) -> Linear:
+        return self + (-other)
+
+    def __rsub__(self, other: Any) -> Linear:
+        return -self + other
+
+    def __mul__(self, other: Any) -> Linear:
+        b = _array(other).value
+        return Linear(
+            _product_shape(self.shape, b.shape[:-1]), [(self, lambda g: _pulled_left(g, self.shape, b))]
+        )
+
+    def __rmul__(self, other: Any) -> Linear:
+        a = _array(other).value
+        return Linear(
+            _product_shape(a.shape[:-1], self.shape), [(self, lambda g: _pulled_right(g, a, self.shape))]
+        )
+
+    def __truediv__(self, other: Any) -> Linear:
+        other = _array(other)
+        if not other.is_scalar:
+            raise TypeError("division by a tensor is not defined")
+        return self * Array(1 / other.value, None)
+
+    def InnerProduct(self, other: Any) -> Linear:
+        """a : b, under the name by which NGSolve's function asks for it."""
+        b = _array(other).value
+        if b.ndim - 1 != self.rank:
+            raise TypeError("the inner product of a scalar and a tensor is not defined")
+        return Linear((), [(self, lambda g: b if g.size == 1 and g[0] == 1.0 else g * b)])
+
+    @property
+    def trans(self) -> Linear:
+        """The transpose."""
+        return Linear(self.shape[::-1], [(self, lambda g: g.swapaxes(0, 1))])
+
+    def trace(self) -> Linear:
+        """The trace."""
+        identity = np.eye(self.shape[0])[:, :, None]
+        return Linear((), [(self, lambda g: g * identity)])
+
+    def entry(self, i: int, j: int) -> Linear:
+        """A_ij."""
+        return self[i, j]
+
+    def __getitem__(self, index: int | tuple[int, int]) -> Linear:
+        def pull(g: np.ndarray) -> np.ndarray:
+            result = np.zeros((*self.shape, g.shape[-1]), g.dtype)
+            result[index] = g
+            return result
+
+        return Linear((), [(self, pull)])
+
+    def mapped(self, matrix: np.ndarray, shape: tuple[int, ...]) -> Linear:
+        """matrix @ entries, in row-major order, as a tensor of ``shape``."""
+
+        def pull(g: np.ndarray) -> np.ndarray:
+            return _applied(matrix.T, g, self.shape)
+
+        return Linear(shape, [(self, pull)])
+
+
+def contracted(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Sum over all but the last axis of a * b."""
+    axes = "ij"[: a.ndim - 1]
+    return np.einsum(f"{axes}p,{axes}p->p", a, b)
+
+
+def _product_shape(a: tuple[int, ...], b: tuple[int, ...]) -> tuple[int, ...]:
+    if not a or not b:
+        return a + b
+    if a[-1] != b[0]:
+        raise TypeError(f"shapes {a} and {b} have no product")
+    return () if len(a) == len(b) == 1 else a[:-1] + b[1:]
+
+
+def _product(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, Any, Any]:
+    """The product and the maps that carry derivatives by it back to both factors."""
+    left, right = a.shape[:-1], b.shape[:-1]
+    _product_shape(left, right)
+    if not left or not right:
+        value = a * b
+    elif len(left) == len(right) == 1:
+        value = np.einsum("ip,ip->p", a, b)
+    elif len(left) == 2 and len(right) == 1:
+        value = np.einsum("ikp,kp->ip", a, b)
+    elif len(left) == len(right) == 2:
+        value = np.einsum("ikp,kjp->ijp", a, b)
+    else:
+        raise TypeError("a vector times a matrix is not defined")
+    return value, lambda g: _pulled_left(g, left, b), lambda g: _pulled_right(g, a, right)
+
+
+def _pulled_left(g: np.ndarray, shape: tuple[int, ...], b: np.ndarray) -> np.ndarray:
+    """The derivative by a of ``shape`` from that by a b."""
+    if not shape and b.ndim > 1:
+        return contracted(g, b)
+    if not shape or b.ndim == 1 or g.ndim == 1:
+        return g * b
+    return np.einsum("ip,kp->ikp", g, b) if b.ndim == 2 else np.einsum("ijp,kjp->ikp", g, b)
+
+
+def _pulled_right(g: np.ndarray, a: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """The derivative by b of ``shape`` from that by a b."""
+    if not shape and a.ndim > 1:
+        return contracted(g, a)
+    if not shape or a.ndim == 1 or g.ndim == 1:
+        return g * a
+    return np.einsum("ip,ikp->kp", g, a) if len(shape) == 1 else np.einsum("ijp,ikp->kjp", g, a)
+
+
+def _applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    # the matrices embed and select: few entries, and real where values may be complex
+    entries = value.reshape(matrix.shape[1], -1)
+    result = np.zeros((matrix.shape[0], entries.shape[1]), value.dtype)
+    for i, j in np.argwhere(matrix):
+        result[i] += entries[j] if matrix[i, j] == 1.0 else matrix[i, j] * entries[j]
+    return result.reshape(*shape, -1)
+
+
+def _mapped(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, Any]:
+    entries = value.shape[:-1]
+    return _applied(matrix, value, shape), lambda g: _applied(matrix.T, g, entries)
+
+
+def slots(form: Linear) -> dict[str, np.ndarray]:
+    """What multiplies each test function in a scalar linear form, by its name."""
+    if form.shape:
+        raise TypeError("an integrand is a scalar")
+    found: dict[int, np.ndarray] = {form.number: np.ones(1)}
+    nodes = {form.number: form}
+    result: dict[str, np.ndarray] = {}
+    sums: set[int] = set()  # which of those found are arrays of their own, to be added to in place
+    while nodes:
+        number = max(nodes)  # whatever is made of it has a larger number
+        node, g = nodes.pop(number), found.pop(number)
+        if node.slot is not None:
+            result[node.slot] = g
+        for parent, pull in node.parents:
+            at, share = parent.number, pull(g)
+            if at not in found:
+                found[at], nodes[at] = share, parent
+            elif at in sums and _holds(found[at], share):
+                found[at] += share
+            else:
+                found[at] = found[at] + share
+                sums.add(at)
+    return result
+
+
+def _holds(total: np.ndarray, share: np.ndarray) -> bool:
+    """Whether ``share`` can be added in place."""
+    same_shape = total.shape == np.broadcast_shapes(total.shape, share.shape)
+    return same_shape and np.result_type(total, share) == total.dtype
+
+
+TINY = 1e-30
+"""Length of a complex increment, relative to the direction."""
+
+
+def slope_along(
+    function: Callable[[np.ndarray], np.ndarray], at: np.ndarray, direction: np.ndarray
+) -> np.ndarray:
+    """The derivative of an analytic function of arrays in a direction.
+
+    It is the imaginary part of a tiny complex increment: no difference is taken, so that nothing cancels.
+    """
+    return np.ascontiguousarray(function(at + (TINY * 1j) * direction).imag) / TINY
 
 
 def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:
@@ -169,8 +399,6 @@ def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:
         if number in wanted:
             results[number] = g
         for parent, pull in node.parents:
-            if parent.is_constant:
-                continue
             share = pull(g)
             found[parent.number] = found[parent.number] + share if parent.number in found else share
             nodes[parent.number] = parent
@@ -210,20 +438,12 @@ def array_slope(material: Material, dim: int) -> Slope | None:
 def _array(value: Any) -> Array:
     if isinstance(value, Array):
         return value
-    if isinstance(value, (int, float)):
-        constant = Array(np.array([float(value)]))
-    elif isinstance(value, np.ndarray) and value.shape == (3, 3):
-        constant = Array(value[:, :, None])
-    else:
-        raise TypeError(f"{type(value).__name__} does not combine with arrays")
-    constant.is_constant = True
-    return constant
+    if isinstance(value, (int, float, np.floating)):
+        return Array(np.array([float(value)]), None)
+    if isinstance(value, np.ndarray) and value.ndim in (1, 2) and value.dtype.kind == "f":
+        return Array(value[..., None], None)
+    raise TypeError(f"{type(value).__name__} does not combine with arrays")
 
 
 def _same(g: np.ndarray) -> np.ndarray:
     return g
-
-
-def _summed(g: np.ndarray, target: Array) -> np.ndarray:
-    """A derivative by scalars, of one in the shape of tensors."""
-    return g.sum(axis=(0, 1)) if target.is_scalar and g.ndim == 3 else g

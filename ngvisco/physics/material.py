@@ -184,19 +184,6 @@ def creep_tensors(creep: Creep | None, dim: int) -> TensorSpace:
     return symmetric_tensors(dim) if creep is not None and creep.has_trace else trace_free_tensors(dim)
 
 
-def local_creep_rate(
-    material: Material, creep: Creep, z: Values, zeta: Values, dim: int
-) -> CoefficientFunction:
-    """Pi = R (a M + b zeta) at a point, 3x3, 1/s; a and b by the law of creep, zeta of the conformation."""
-    a, b = creep.weights
-    if b == 0:
-        return creep.R * mandel_stress(material, z, zeta, dim)
-    assert material.conformation is not None
-    space = creep_tensors(creep, dim)
-    direct = creep.R * b * space.tensor(space.components(zeta[material.conformation]))
-    return direct if a == 0 else creep.R * a * mandel_stress(material, z, zeta, dim) + direct
-
-
 def component_slices(material: Material, dim: int) -> dict[str, slice]:
     """Where every variable stands in the concatenated component vector, by name."""
     slices, start = {}, 0

@@ -10,11 +10,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from ngsolve import CF, CoefficientFunction, IfPos
+from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import require_above, require_nonnegative, require_positive
-from ngvisco.physics.tensors import Scalar, power_of_square
+from ngvisco.physics.tensors import Scalar, if_positive, power_of_square
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,11 +82,6 @@ class Regularisation:
         """delta |grad rho|^{r-2}, m^2/s, of |grad rho|^2."""
         return self.delta_density * power_of_square(gradient_square, 0.5 * (self.r - 2), self.floor)
 
-    def diffusivity_slope(self, gradient_square: Scalar) -> Scalar:
-        """Its derivative by |grad rho|^2, (m^2/s)/(kg/m^4)^2."""
-        power = power_of_square(gradient_square, 0.5 * (self.r - 4), self.floor)
-        return 0.5 * (self.r - 2) * self.delta_density * power
-
     def friction(self, speed_square: CoefficientFunction) -> CoefficientFunction:
         """epsilon |v|^{p-2} of |v|^2."""
         return self.epsilon * power_of_square(speed_square, 0.5 * (self.p - 2), self.floor)
@@ -102,18 +96,4 @@ class Regularisation:
             return CF(1.0)
         s = (rho - self.rho_max) * (1 / self.width)
         smooth = 1 - s * s * (3 - 2 * s)
-        return IfPos(rho, IfPos(s, IfPos(1 - s, smooth, 0.0), 1.0), 0.0)
-
-    def cut_off_values(self, rho: np.ndarray) -> np.ndarray:
-        """K(rho) of an array."""
-        if self.rho_max is None:
-            return np.ones_like(rho)
-        s = np.clip((rho - self.rho_max) / self.width, 0.0, 1.0)
-        return np.where(rho > 0, 1 - s * s * (3 - 2 * s), 0.0)
-
-    def cut_off_slope(self, rho: np.ndarray) -> np.ndarray:
-        """K'(rho) of an array, m^3/kg, away from the jump at 0 (paper: cut-off)."""
-        if self.rho_max is None:
-            return np.zeros_like(rho)
-        s = np.clip((rho - self.rho_max) / self.width, 0.0, 1.0)
-        return -6 * s * (1 - s) / self.width
+        return if_positive(rho, if_positive(s, if_positive(1 - s, smooth, 0.0), 1.0), 0.0)

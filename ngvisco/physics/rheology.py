@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -15,7 +16,13 @@ from ngvisco.errors import (
     require_nonnegative,
     require_positive,
 )
-from ngvisco.physics.tensors import IDENTITY, Scalar, dev, power_of_square, square, tr
+from ngvisco.physics.tensors import Scalar, dev, identity_like, power_of_square, square, tr
+
+Values: TypeAlias = Mapping[str, CoefficientFunction]
+"""Values of a material's variables at a point, by name."""
+
+Modulus: TypeAlias = float | CoefficientFunction
+"""A number, or what an expression of values gives at every point."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,17 +41,22 @@ class StokesViscosity:
     def __post_init__(self) -> None:
         require_nonnegative(self, K_v=self.K_v, G_v=self.G_v)
 
-    def stress(self, eps: CoefficientFunction) -> CoefficientFunction:
-        """D eps, 3x3, Pa, for the strain rate eps(v), 3x3, 1/s."""
-        return self.K_v * tr(eps) * IDENTITY + 2 * self.G_v * dev(eps)
+    def moduli(self, z: Values) -> tuple[Modulus, Modulus]:
+        """K_v and G_v, Pa s, where the variables have the values ``z``: numbers here, the same everywhere."""
+        return self.K_v, self.G_v
 
-    def bulk_dissipation(self, eps: CoefficientFunction) -> CoefficientFunction:
+    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """D eps, 3x3, Pa, for the strain rate eps(v), 3x3, 1/s, at a point with the values ``z``."""
+        K_v, G_v = self.moduli(z)
+        return (K_v * tr(eps)) * identity_like(eps) + (2 * G_v) * dev(eps)
+
+    def bulk_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
         """K_v (tr eps)^2, W/m^3."""
-        return self.K_v * tr(eps) * tr(eps)
+        return self.moduli(z)[0] * tr(eps) * tr(eps)
 
-    def shear_dissipation(self, eps: CoefficientFunction) -> CoefficientFunction:
+    def shear_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
         """2 G_v |dev eps|^2, W/m^3."""
-        return 2 * self.G_v * square(dev(eps))
+        return 2 * self.moduli(z)[1] * square(dev(eps))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,14 +96,24 @@ class HyperViscosity:
         """Whether the hyperstress is linear in hess v (p = 2)."""
         return self.p == 2
 
-    def coefficient(self, s: Scalar) -> Scalar:
-        """c(s) = mu_1 + mu s^{(p-2)/2} for s = |hess v|^2, a coefficient function or an array."""
-        power = self.mu * power_of_square(s, 0.5 * (self.p - 2), self.floor)
-        return power + self.mu_1 if self.mu_1 else power
+    def moduli(self, z: Values) -> tuple[Modulus, Modulus]:
+        """mu and mu_1 where the variables have the values ``z``: numbers here, the same everywhere."""
+        return self.mu, self.mu_1
 
-    def slope(self, s: CoefficientFunction) -> CoefficientFunction:
+    def linear(self, z: Values) -> Modulus:
+        """c of p = 2, Pa s m^2."""
+        mu, mu_1 = self.moduli(z)
+        return mu + mu_1
+
+    def coefficient(self, s: Scalar, z: Values) -> Scalar:
+        """c(s) = mu_1 + mu s^{(p-2)/2} for s = |hess v|^2, a coefficient function or an array."""
+        mu, mu_1 = self.moduli(z)
+        power = mu * power_of_square(s, 0.5 * (self.p - 2), self.floor)
+        return power if isinstance(mu_1, (int, float)) and mu_1 == 0 else power + mu_1
+
+    def slope(self, s: Scalar, z: Values) -> Scalar:
         """c'(s) = mu (p-2)/2 s^{(p-4)/2}."""
-        return 0.5 * (self.p - 2) * self.mu * power_of_square(s, 0.5 * (self.p - 4), self.floor)
+        return 0.5 * (self.p - 2) * self.moduli(z)[0] * power_of_square(s, 0.5 * (self.p - 4), self.floor)
 
 
 CreepLaw: TypeAlias = Literal["mandel", "conformation", "leonov"]
@@ -165,6 +187,21 @@ class Creep:
     def R(self) -> float:
         """Reciprocal creep modulus 1/G_m, 1/(Pa s)."""
         return 1 / self.G_m
+
+    def mobility(self, z: Values) -> Modulus:
+        """R, 1/(Pa s), where the variables have the values ``z``: a number here, the same everywhere."""
+        return self.R
+
+    def rate(
+        self, M: CoefficientFunction | None, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        """Pi = R (a M + b zeta), 1/s, of a local law, at a point with the values ``z``.
+
+        M and zeta are tensors, or both components in a space of tensors; None where their weight is zero.
+        """
+        a, b = self.weights
+        parts = [weight * value for weight, value in ((a, M), (b, zeta)) if weight]
+        return self.mobility(z) * (parts[0] if len(parts) == 1 else parts[0] + parts[1])
 
     @property
     def weights(self) -> tuple[float, float]:

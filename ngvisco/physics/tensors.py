@@ -41,7 +41,12 @@ def tr(A: CoefficientFunction) -> CoefficientFunction:
 
 def sph(A: CoefficientFunction) -> CoefficientFunction:
     """Spherical part (tr A / 3) I (paper: St.Venenat-Kirchhoff-linear)."""
-    return (1 / 3) * tr(A) * (np.eye(3) if hasattr(A, "trace") else IDENTITY)
+    return (1 / 3) * tr(A) * identity_like(A)
+
+
+def identity_like(A: CoefficientFunction) -> CoefficientFunction | np.ndarray:
+    """The 3x3 identity, to be combined with A."""
+    return np.eye(3) if hasattr(A, "trace") else IDENTITY
 
 
 def dev(A: CoefficientFunction) -> CoefficientFunction:
@@ -62,6 +67,19 @@ def square(A: CoefficientFunction) -> CoefficientFunction:
 def log(a: CoefficientFunction) -> CoefficientFunction:
     """Natural logarithm of a scalar."""
     return a.log() if hasattr(a, "log") else ngsolve.log(a)
+
+
+def sqrt(a: CoefficientFunction) -> CoefficientFunction:
+    """Square root of a scalar."""
+    return a.sqrt() if hasattr(a, "sqrt") else ngsolve.sqrt(a)
+
+
+def linear_map(matrix: np.ndarray, A: CoefficientFunction, shape: tuple[int, ...]) -> CoefficientFunction:
+    """A constant matrix times the entries of A, row by row, as a vector or matrix of ``shape``."""
+    if hasattr(A, "mapped"):
+        return A.mapped(matrix, shape)
+    product = CF(tuple(matrix.ravel()), dims=matrix.shape) * A.Reshape((matrix.shape[1],))
+    return product if len(shape) == 1 else product.Reshape(shape)
 
 
 def entry(A: CoefficientFunction, i: int, j: int) -> CoefficientFunction:
@@ -92,8 +110,15 @@ def embed_gradient(grad: CoefficientFunction, dim: int) -> CoefficientFunction:
     """The 3x3 velocity gradient (grad v)_ij = d_j v_i from the dim x dim one (plane strain in 2D)."""
     if dim == 3:
         return grad
+    if hasattr(grad, "mapped"):
+        return grad.mapped(_EMBEDDING, (3, 3))
     columns = CF((1, 0, 0, 1, 0, 0), dims=(3, 2))
     return columns * grad * columns.trans
+
+
+_EMBEDDING = np.zeros((9, 4))
+_EMBEDDING[(0, 1, 3, 4), (0, 1, 2, 3)] = 1.0
+"""Of the entries of a 2x2 matrix in a 3x3 one."""
 
 
 def power_of_square(s: Scalar, exponent: float, floor: float) -> Scalar:
@@ -152,16 +177,15 @@ class TensorSpace:
     def tensor(self, components: CoefficientFunction) -> CoefficientFunction:
         """The 3x3 tensor (or scalar) with these components, a vector of length ``size``."""
         if self.is_scalar:
-            return components[0] if components.dims else components
-        matrix = CF(tuple(self.columns.ravel()), dims=(9, self.size))
-        return (matrix * components).Reshape((3, 3))
+            is_vector = components.rank if hasattr(components, "rank") else components.dims
+            return components[0] if is_vector else components
+        return linear_map(self.columns, components, (3, 3))
 
     def components(self, value: CoefficientFunction) -> CoefficientFunction:
         """Components of the orthogonal projection of a 3x3 tensor (or scalar) to this space."""
         if self.is_scalar:
-            return CF((value,))
-        matrix = CF(tuple(self.columns.T.ravel()), dims=(self.size, 9))
-        return matrix * value.Reshape((9,))
+            return value.mapped(np.ones((1, 1)), (1,)) if hasattr(value, "mapped") else CF((value,))
+        return linear_map(self.columns.T, value, (self.size,))
 
 
 def _space(name: str, basis: list[np.ndarray], labels: list[str]) -> TensorSpace:

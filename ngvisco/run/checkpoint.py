@@ -199,7 +199,7 @@ def snapshot(simulation: Simulation) -> Snapshot:
         "velocity_scale": simulation.velocity_scale,
         **dataclasses.asdict(balance),
     }
-    solver, stepping = simulation.solver.memory(), simulation.stepper.memory()
+    solver, stepping = simulation.solver.state_dict(), simulation.stepper.state_dict()
     state = simulation.rothe_step.state.vec.FV().NumPy().copy()
     return Snapshot(
         {"": numbers, "solver": solver[0], "stepping": stepping[0], "passive": {}},
@@ -243,8 +243,8 @@ def restore(
     simulation.rothe_step.start_from_old()
     simulation.set_time(numbers["time"], number)
     simulation.set_velocity_scale(numbers["velocity_scale"])
-    simulation.solver.recall(one.numbers["solver"], one.arrays["solver"])
-    simulation.stepper.recall(simulation, one.numbers["stepping"], one.arrays["stepping"])
+    simulation.solver.load_state_dict(one.numbers["solver"], one.arrays["solver"])
+    simulation.stepper.load_state_dict(simulation, one.numbers["stepping"], one.arrays["stepping"])
     ledger.keep(names)
     ledger.resume(balance_of(one), rows)
 

@@ -19,13 +19,13 @@ from ngvisco.forms.locating import nearest_wall
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically
 from ngvisco.run.observers import write_vtu
-from ngvisco.solver.options import NewtonIteration
+from ngvisco.solver.solution import Attempt, iterations
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
 _SHOWN = 8
-"""Increments of the last iterations that a report shows."""
+"""Increments of an attempt's last iterations that a report shows."""
 
 _FAST = 1.0
 """Courant number above which a report speaks of it."""
@@ -49,8 +49,8 @@ class FailureReport:
         All coefficients of that solution, for ``showing``.
     courant : float
         Largest tau |v|/h at the state before, in cell ``fastest`` at ``place`` (m), near ``wall``.
-    history : tuple of NewtonIteration
-        Of all attempts.
+    history : tuple of Attempt
+        What was tried, by which strategy.
     advice : tuple of str
         What to change.
     """
@@ -65,29 +65,40 @@ class FailureReport:
     fastest: int
     place: tuple[float, ...]
     wall: str | None
-    history: tuple[NewtonIteration, ...]
+    history: tuple[Attempt, ...]
     advice: tuple[str, ...]
 
     def __str__(self) -> str:
         at = ", ".join(f"{c:.4g}" for c in self.place)
         near = "" if self.wall is None else f", nearest wall {self.wall!r}"
-        increments = ", ".join(f"{one.increment:.1e}" for one in self.history[-_SHOWN:])
         lines = [
             f"step {self.number} from t = {self.time:.6g} s over {self.tau:.4g} s was not taken",
             f"reason     {self.reason}",
             f"where      {self.violation or 'no solution was found, nor refused'}",
             f"flow       Courant number {self.courant:.3g} at most, in cell {self.fastest} at ({at}) m{near}",
-            f"history    {len(self.history)} iterations; the last increments are {increments or 'none'}",
+            *(f"tried      {_described(attempt)}" for attempt in self.history),
             *(f"advice     {line}" for line in self.advice),
         ]
         return "\n".join(lines)
+
+
+def _described(attempt: Attempt) -> str:
+    """An attempt in a line."""
+    solution, which = attempt.solution, attempt.strategy
+    if attempt.width != 1.0:
+        which += f", upwinding {attempt.width:g} times as wide"
+    if attempt.length != 1.0:
+        which += f", {attempt.length:.3g} of the step"
+    increments = ", ".join(f"{one.increment:.1e}" for one in solution.history[-_SHOWN:])
+    last = f", the last increments {increments}" if increments else ""
+    return f"{which}: {len(iterations([attempt]))} iterations{last}; {solution.reason or 'solved'}"
 
 
 def failure_report(
     simulation: Simulation,
     tau: float,
     reason: str,
-    history: Sequence[NewtonIteration],
+    history: Sequence[Attempt],
     refused: tuple[Violation, np.ndarray] | None,
 ) -> FailureReport:
     """The report on a step of length ``tau`` (s) from the simulation's present state.

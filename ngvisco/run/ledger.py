@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, sqrt
 
-from ngvisco.errors import UnknownNameError
-from ngvisco.forms.context import Entry, Integrand, Kind
+from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import Entry, Integrand, Kind
 from ngvisco.physics.defects import relative_defects
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.tensors import square
@@ -202,7 +202,7 @@ class Ledger:
         ``error`` is the estimate of the step's relative error, None where there is none.
         """
         assert self.balance is not None
-        tau, iterations = taken.tau, len(taken.history)
+        tau, iterations = taken.tau, taken.iterations
         self.step.energy.require()
         values = {LIMITER: 0.0} | self._absent | self._pending
         values |= self._state() | taken.rates | taken.numerical
@@ -344,4 +344,6 @@ class _Integrals:
 
 def _check_names(entries: list[Entry]) -> None:
     names = [entry.name for entry in entries]
-    assert len(set(names)) == len(names), f"two ledger entries share a name: {names}"
+    for name in names:
+        if names.count(name) > 1:
+            raise ParameterError("Entry.name", name, "names that no other term's columns have")

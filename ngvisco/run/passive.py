@@ -43,7 +43,6 @@ from ngsolve.krylovspace import GMRESSolver
 
 from ngvisco.errors import CheckpointError, StepError, UnknownNameError
 from ngvisco.forms.system import Step
-from ngvisco.forms.transport import Transport
 from ngvisco.physics.tensors import inner, square
 
 TOLERANCE, ENOUGH, ITERATIONS = 1e-12, 1e-9, 200
@@ -89,7 +88,7 @@ class PassiveFields:
                 self._sources[f"displacement_{i + 1}"] = step.now.v[i]
         if "creep_strain" in self.names:
             self._add_group("creep_strain", 1, flow)
-            Pi = Transport(step.model, step.context).creep_rate(step.now)
+            Pi = step.context.rates.creep(step.now)
             if Pi is not None:
                 self._sources["creep_strain_1"] = sqrt(2 / 3 * square(Pi))
 
@@ -183,7 +182,7 @@ class _Carrier:
         convected = Grad(f) * v if vector else inner(Grad(f), v)
         if rate is not None:
             convected = convected - rate * f
-        inflow, rules = c.inflow(v), step.quadrature
+        inflow, rules = step.now.upwinding.inflow, step.quadrature
         cells = c.rate(inner(f, g)) + inner(convected, g)
         # the cell that v enters takes the trace, and the trace is what the other cell has
         entering = (v * c.normal) * inflow * inner(f_hat - f, g)

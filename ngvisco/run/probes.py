@@ -10,6 +10,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError
+from ngvisco.expressions import parse
 from ngvisco.forms.locating import as_points, locate
 from ngvisco.forms.reactions import WallReactions
 from ngvisco.run.fields import component_fields, components
@@ -231,8 +232,6 @@ class Integrals(Series):
         self.integrands = dict(integrands)
 
     def prepare(self, simulation: Simulation) -> list[str]:
-        from ngvisco.case.expressions import parse  # ngvisco.case imports this package
-
         known = components(simulation.fields)
         parts = []
         for value in self.integrands.values():

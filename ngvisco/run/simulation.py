@@ -26,7 +26,7 @@ from ngvisco.errors import (
     require_type,
 )
 from ngvisco.forms.bounds import Bounds, Violation
-from ngvisco.forms.context import Term, time
+from ngvisco.forms.context import time
 from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
 from ngvisco.forms.mesh_arrays import coordinates
@@ -34,6 +34,7 @@ from ngvisco.forms.momentum import Loading
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import Term
 from ngvisco.forms.walls import Conditions
 from ngvisco.physics.convexity import check_convexity
 from ngvisco.physics.material import Material
@@ -51,6 +52,7 @@ from ngvisco.run.passive import PassiveFields
 from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, RejectionObserver, make_stepper
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
+from ngvisco.solver.strategies import Strategy
 from ngvisco.threads import computing
 from ngvisco.timestepping.integrator import Integrator
 from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
@@ -97,6 +99,8 @@ class Simulation:
     newton : NewtonOptions, optional
     solver : str, optional
         ``"auto"``, ``"coupled"`` or ``"split"``: short for ``NewtonOptions(method=...)``.
+    strategies : sequence of Strategy, optional
+        What is tried to solve a step, in order, in place of the solver's own list (``RotheSolver``).
     observers : sequence of Observer
     velocity_scale : float, optional
         A typical velocity, m/s; sets the width of the smoothed upwinding (1e-4 of it).  Default: the
@@ -137,6 +141,7 @@ class Simulation:
         discretisation: Discretisation | None = None,
         newton: NewtonOptions | None = None,
         solver: str | None = None,
+        strategies: Sequence[Strategy] | None = None,
         observers: Sequence[Observer] = (),
         velocity_scale: float | None = None,
         sources: Term | None = None,
@@ -176,7 +181,7 @@ class Simulation:
         options = newton or NewtonOptions()
         if solver is not None:
             options = replace(options, method=solver)
-        self.solver = RotheSolver(self.rothe_step, options, self.defect)
+        self.solver = RotheSolver(self.rothe_step, options, self.defect, strategies)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.closure_check = ClosureCheck(options.tolerance)
         self.bounds = Bounds(self.rothe_step, self.sampler, limiter)
@@ -382,7 +387,7 @@ class Simulation:
         speed = math.sqrt(self.sampler.extrema(square(u.v))[1])
         fall = 0.0
         for load in model.loads:
-            acceleration = square(Loading(load, self.rothe_step.context).force(u) / u.rho)
+            acceleration = square(Loading(load, self.mesh.dim).force(u) / u.rho)
             largest = math.sqrt(self.sampler.extrema(acceleration)[1])
             fall = max(fall, math.sqrt(largest * self._diameter()))
         rest = {v.name: v.from_distortion(Id(3)) for v in model.material.variables}

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 from ngvisco.errors import ParameterError, StepError, require_count, require_positive
+from ngvisco.solver.strategies import Effort
 from ngvisco.timestepping.error import ErrorEstimate
 from ngvisco.timestepping.integrator import StepTaken
 
@@ -114,13 +115,13 @@ class Stepper(Protocol):
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
         """Take one step that does not pass ``stop``; raises StepError and leaves the old state."""
 
-    def memory(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         """Numbers and arrays that a restart needs."""
 
-    def recall(
+    def load_state_dict(
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
-        """Take up what ``memory`` gave."""
+        """Take up what ``state_dict`` gave."""
 
     def begin(self, time: float, number: int) -> None:
         """Count steps from the state of step ``number`` at ``time``, as a run that goes on with another
@@ -167,10 +168,10 @@ class FixedStepper:
         # (n + 1) dt, not a running sum: times are the same in a restarted run
         return Accepted(self._start + (simulation.number - self._first + 1) * self.dt, taken)
 
-    def memory(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         return {"start": self._start, "first": float(self._first)}, {}
 
-    def recall(
+    def load_state_dict(
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
         t, number = simulation.t, simulation.number
@@ -207,7 +208,7 @@ class AdaptiveStepper:
             tau, new_time = self._length(t, stop)
             try:
                 taken = integrator.advance(
-                    t, tau, simulation.number, with_continuation=False, meets=new_time == stop
+                    t, tau, simulation.number, efforts=Effort.DIRECT, meets=new_time == stop
                 )
             except StepError as failure:
                 # the cause, which does not say again which step it was
@@ -281,14 +282,14 @@ class AdaptiveStepper:
             f"accepted; tried {tried}"
         )
 
-    def memory(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        numbers, arrays = ({}, {}) if self._estimate is None else self._estimate.memory()
+    def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+        numbers, arrays = ({}, {}) if self._estimate is None else self._estimate.state_dict()
         numbers |= {"dt": self.dt, "streak": float(self.streak)}
         if self._last_error is not None:
             numbers["last_error"] = self._last_error
         return numbers, arrays
 
-    def recall(
+    def load_state_dict(
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
         if "streak" not in numbers:  # the checkpoint is of a run with fixed steps
@@ -297,4 +298,4 @@ class AdaptiveStepper:
         self._last_error = numbers.get("last_error")
         if arrays and self.options.tolerance is not None:
             self._estimate = _estimate_for(simulation)
-            self._estimate.recall(numbers, arrays)
+            self._estimate.load_state_dict(numbers, arrays)

@@ -106,7 +106,7 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     target.set_time(source.t, 0)
     target.stepper.begin(source.t, 0)
     target.set_velocity_scale(source.velocity_scale)
-    target.solver.forget()
+    target.solver.reset()
     ledger = target.ledger
     ledger.rows, ledger.balance = [], None
     ledger.keep([TRANSFER])

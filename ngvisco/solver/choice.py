@@ -1,6 +1,8 @@
-"""Which of the two solvers solves a step."""
+"""Which of the two solvers solves a step, and what is tried where it fails."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from ngsolve import VERTEX, Mesh
@@ -10,31 +12,56 @@ from scipy.sparse.csgraph import connected_components
 from ngvisco.errors import ParameterError
 from ngvisco.forms.mesh_arrays import is_simplicial, vertices
 from ngvisco.forms.system import Step
+from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.split.claims import term_obstacle
-from ngvisco.solver.split.sources import source_obstacle
+from ngvisco.solver.split.right_hand_side import source_obstacle
+from ngvisco.solver.strategies import (
+    WIDTHS,
+    Effort,
+    FromExtrapolation,
+    FromStartValue,
+    LengthContinuation,
+    Strategy,
+    UpwindingContinuation,
+)
 
-SPLIT_FROM = {2: 60, 3: 10}
-"""Cells, by dimension, from which the split solver is the faster one (tests/benchmarks)."""
 
-COUPLED_UP_TO = {2: 20_000, 3: 1_000}
-"""Cells up to which the coupled solver's factorisation fits a workstation."""
-
-
-def chosen_method(step: Step, method: str) -> str:
-    """``"coupled"`` or ``"split"``.
+def default_strategies(step: Step, options: NewtonOptions) -> tuple[Strategy, ...]:
+    """What is tried for this step, in order.
 
     Raises
     ------
     ParameterError
-        If ``method`` is ``"split"`` for a step that the split solver cannot take.
+        If ``options.method`` is ``"split"`` for a step that the split solver cannot take.
     """
+    coupled: tuple[Strategy, ...] = (
+        FromStartValue(name="coupled"),
+        UpwindingContinuation(name="coupled, wide upwinding", full_steps=12),
+        LengthContinuation(name="coupled, growing step"),
+    )
+    if chosen_method(step, options) == "coupled":
+        return coupled
+    largest = options.split.coupled_up_to
+    return (
+        FromExtrapolation(name="split, extrapolated start", solver="split"),
+        FromStartValue(name="split", solver="split"),
+        # fewer widths than the coupled solver's, which comes after it
+        UpwindingContinuation(
+            name="split, wide upwinding", solver="split", path=replace(WIDTHS, tries=6), lengths=None
+        ),
+        *(replace(one, effort=Effort.OTHER_SOLVER, largest_mesh=largest) for one in coupled),
+    )
+
+
+def chosen_method(step: Step, options: NewtonOptions) -> str:
+    """``"coupled"`` or ``"split"``."""
     obstacle = split_obstacle(step)
-    if method == "split" and obstacle is not None:
-        raise ParameterError("NewtonOptions.method", method, f"'coupled': {obstacle}")
-    if method == "auto":
-        large = step.mesh.ne >= SPLIT_FROM[step.mesh.dim]
+    if options.method == "split" and obstacle is not None:
+        raise ParameterError("NewtonOptions.method", options.method, f"'coupled': {obstacle}")
+    if options.method == "auto":
+        large = step.mesh.ne >= options.split.chosen_from[step.mesh.dim - 2]
         return "split" if large and obstacle is None else "coupled"
-    return method
+    return options.method
 
 
 def split_obstacle(step: Step) -> str | None:
@@ -55,8 +82,3 @@ def meets_itself(mesh: Mesh) -> bool:
     _, label = connected_components(graph, directed=False)
     of_cells = np.sort(label[vertices(mesh)], axis=1)
     return bool((np.diff(of_cells, axis=1) == 0).any())
-
-
-def is_affordable(mesh: Mesh) -> bool:
-    """Whether the coupled solver can be asked where the split one fails."""
-    return mesh.ne <= COUPLED_UP_TO[mesh.dim]

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from ngsolve import BaseVector
 
 from ngvisco.forms.system import Step
-
-FARTHEST = 3.0
-"""Distance of the extrapolated time from the last solution, in units of that between the last two."""
 
 
 class Extrapolation:
@@ -35,36 +33,37 @@ class Extrapolation:
         """Forget: the states at hand do not follow from each other."""
         self._times.clear()
 
-    def start(self, time: float) -> bool:
-        """Make ``step.state`` a value extrapolated to ``time``; False if there is nothing to do so from.
+    def guess(self, time: float, farthest: float, largest_change: float) -> BaseVector | None:
+        """The state extrapolated to ``time``, s; None if there is nothing to do so from.
 
-        Densities and elastic variables that would lose half of their size or more are not extrapolated: the
-        start value is to stay in the energy's domain.
+        It is not farther from the last solution than ``farthest``, in units of the time between the two, and
+        changes densities and elastic variables by less than ``largest_change``, in units of their size.
         """
         if len(self._times) < 2:
-            return False
-        (earlier, last), ranges = self._times, self.step.layout.ranges
+            return None
+        earlier, last = self._times
         if last <= earlier:  # stages of a tableau need not go forward in time
-            return False
+            return None
         reach = (time - last) / (last - earlier)
-        if not 0 < reach <= FARTHEST:
-            return False
+        if not 0 < reach <= farthest:
+            return None
         change = reach * (self._states[1] - self._states[0])
         for name in ("rho", "z"):
-            where = ranges[name]
+            where = self.step.layout.ranges[name]
             size = abs(self._states[1][where]).max(initial=0.0)
-            if not abs(change[where]).max(initial=0.0) < 0.5 * size:
-                return False
-        self.step.state.vec.FV().NumPy()[:] = self._states[1] + change
-        return True
+            if not abs(change[where]).max(initial=0.0) < largest_change * size:
+                return None
+        guess = self.step.state.vec.CreateVector()
+        guess.FV().NumPy()[:] = self._states[1] + change
+        return guess
 
-    def memory(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         """Numbers and arrays for a restart."""
         kept = list(zip(("earlier", "last"), self._times, self._states, strict=False))
         return {f"{name}_time": t for name, t, _ in kept}, {name: state.copy() for name, _, state in kept}
 
-    def recall(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
-        """Take up what ``memory`` gave."""
+    def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
+        """Take up what ``state_dict`` gave."""
         self._times = []
         for i, name in enumerate(("earlier", "last")):
             if name in arrays:

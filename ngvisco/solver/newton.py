@@ -1,4 +1,4 @@
-"""Damped Newton iteration with a reused factorisation, on the statically condensed system.
+"""The coupled solver: damped Newton iteration with a reused factorisation, statically condensed.
 
 A Jacobian is assembled and factorised only where it is needed: at the start of a run and whenever the
 contraction of the last increment, theta = |d_{i+1}|/|d_i|, is worse than ``refresh``.  In between,
@@ -9,38 +9,78 @@ equations, so residuals in different units are never compared.  Both increments 
 scales, the larger of those before and after the step: a step that is far too long would otherwise
 pass the test because it makes the scale grow.
 
-Norm.  Increments are measured by ``BlockNorm``; an iteration that a fresh Jacobian no longer advances also
-ends where the increment is below the tolerance with its large floor, or below ten times the tolerance.
-
 Rounding.  The residual sums parts that cancel: near F = I those of the elastic force have the size of the
 modulus G, and their rounding leaves a force of eps G/h that the stiffness of a strain does not resist where
-it moves the body as a whole: v is known to eps G tau/(rho h) only (G = 1e6 Pa, tau = 10 s, h = 0.4 m,
-rho = 1 kg/m3: 3e-9 m/s).  How large that is, the problem itself tells: the state is perturbed by one unit
-in the last place of every number, and what this changes in the increment cannot be iterated away.  Where a
-fresh Jacobian no longer advances the iteration, an increment of at most ``NOISE_MARGIN`` times that change,
-and at most ``NOISE_CAP`` tolerances, is accepted.
+it moves the body as a whole: v is known to eps G tau/(rho h) only.  How large that is, the problem itself
+tells: the state is perturbed by one unit in the last place of every number, and what this changes in the
+increment cannot be iterated away.  Where a fresh Jacobian no longer advances the iteration, it ends with an
+increment of that size, or one below the tolerance with the norm's coarse floor (``CoupledOptions``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from ngsolve import BaseVector, BilinearForm
+from ngsolve import BaseVector, BilinearForm, BitArray, SetHeapSize
 
 from ngvisco.errors import StepError
-from ngvisco.solver.condensed import CondensedJacobian
 from ngvisco.solver.norm import BlockNorm
-from ngvisco.solver.options import NewtonIteration, NewtonOptions
+from ngvisco.solver.options import NewtonOptions
+from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status
 
-NOISE_SAMPLES = 2
-"""Perturbations by rounding that are tried; the largest change of the increment counts."""
 
-NOISE_MARGIN = 10.0
-"""Increments of a stalled iteration, in units of that change: both are random, of a few modes."""
+class CondensedJacobian:
+    """The factorised linearisation of a condensed form; applies its inverse to full residuals."""
 
-NOISE_CAP = 100.0
-"""The largest increment, in tolerances, that is accepted as rounding."""
+    def __init__(self, form: BilinearForm, inverse: str, heap_sizes: Sequence[int] = ()) -> None:
+        """``heap_sizes`` are NGSolve's memory, bytes, tried for the matrix of a cell that its own is too
+        small for."""
+        self.form, self.inverse_type, self.heap_sizes = form, inverse, heap_sizes
+        self.free: BitArray = form.space.FreeDofs(True)
+        self._inverse = None
+        self._rhs: BaseVector | None = None
+
+    @property
+    def exists(self) -> bool:
+        return self._inverse is not None
+
+    def factorise(self, state: BaseVector) -> None:
+        """Assemble and factorise at ``state``; raises StepError if the matrix is singular."""
+        try:
+            self._assemble(state)
+            if self._inverse is None:
+                self._inverse = self.form.mat.Inverse(self.free, inverse=self.inverse_type)
+                self._rhs = state.CreateVector()
+            else:
+                self._inverse.Update()
+        except Exception as error:  # NGSolve raises NgException and std::exception alike
+            self._inverse = None
+            raise StepError(f"the linearised step has no factorisation: {error}") from error
+
+    def _assemble(self, state: BaseVector) -> None:
+        for size in (*self.heap_sizes, None):
+            try:
+                self.form.AssembleLinearization(state)
+                return
+            except Exception as error:
+                if size is None or "heap overflow" not in str(error).lower():
+                    raise
+                SetHeapSize(size)
+
+    def forget(self) -> None:
+        """Drop the factorisation, so that the next solve makes a new one."""
+        self._inverse = None
+
+    def solve(self, residual: BaseVector, increment: BaseVector) -> None:
+        """increment = Jacobian^{-1} residual, all blocks."""
+        form, rhs = self.form, self._rhs
+        assert rhs is not None and self._inverse is not None
+        rhs.data = residual
+        rhs.data += form.harmonic_extension_trans * residual
+        increment.data = self._inverse * rhs
+        increment.data += form.harmonic_extension * increment
+        increment.data += form.inner_solve * rhs
 
 
 class Newton:
@@ -53,41 +93,77 @@ class Newton:
         norm: BlockNorm,
         eliminate: Callable[[], None],
         options: NewtonOptions,
-        on_factorise: Callable[[], None] = lambda: None,
         refresh: Callable[[], None] = lambda: None,
     ) -> None:
         """``eliminate`` recomputes the local unknowns of ``state`` from the others.
 
-        ``on_factorise`` is called with the state at which the Jacobian has just been factorised,
-        ``refresh`` before the form is used at a state that ``eliminate`` was not just called at.
+        ``refresh`` is called before the form is used at a state that ``eliminate`` was not just called at.
         """
         self.form, self.state, self.norm, self.options = form, state, norm, options
-        self.eliminate, self.on_factorise, self.refresh = eliminate, on_factorise, refresh
-        self.jacobian = CondensedJacobian(form, options.inverse)
+        self.eliminate, self.refresh = eliminate, refresh
+        self.jacobian = CondensedJacobian(form, options.inverse, options.coupled.heap_sizes)
         self._residual = state.CreateVector()
         self._trial_residual = state.CreateVector()
         self._increment = state.CreateVector()
         self._next = state.CreateVector()
         self._base = state.CreateVector()
 
-    def solve(self, full_steps: int | None = None) -> list[NewtonIteration]:
-        """Iterate from the present state to a solution; returns the history.
+    @property
+    def is_factorised(self) -> bool:
+        return self.jacobian.exists
+
+    def reset(self) -> None:
+        """Drop the factorisation, so that the next solve makes a new one."""
+        self.jacobian.forget()
+
+    def factorise(self, problem: Problem) -> None:
+        """Factorise the Jacobian at the present state; raises StepError if it is singular."""
+        problem.pose()
+        self._factorise(problem)
+
+    def _factorise(self, problem: Problem) -> None:
+        self.refresh()
+        self.jacobian.factorise(self.state)
+        problem.factorised()
+
+    def solve(self, problem: Problem, guess: BaseVector, full_steps: int | None = None) -> Solution:
+        """Iterate from ``guess``; ``state`` is then the solution, or some iterate where there is none.
 
         Parameters
         ----------
+        problem : Problem
+        guess : BaseVector
         full_steps : int, optional
             Take at most so many full steps whatever the increments, as for a semismooth equation, in
             place of damped ones: they may lead to a solution that no path of smaller increments joins.
-
-        Raises
-        ------
-        StepError
-            When the iteration does not converge; the state is then some iterate.
         """
         history: list[NewtonIteration] = []
+        self.state.data = guess
+        problem.pose()
+        try:
+            status = self._iterate(problem, history, full_steps)
+        except StepError as error:  # of a factorisation
+            return Solution(Status.SINGULAR, tuple(history), str(error))
+        reason = ""
+        if status is Status.NOT_FINITE:
+            reason = "the residual at the start of the step is not finite"
+        elif status is not Status.CONVERGED:
+            last = history[-1].increment if history else np.inf
+            reason = (
+                f"Newton did not converge ({status.value}; {len(history)} iterations, last increment "
+                f"{last:.1e}, wanted {self.options.tolerance:.0e}): take a smaller step"
+            )
+        return Solution(status, tuple(history), reason)
+
+    def _iterate(self, problem: Problem, history: list[NewtonIteration], full_steps: int | None) -> Status:
         options, u, jacobian = self.options, self.state, self.jacobian
-        fresh = self._start(history)
-        damping, reason = 1.0, "too many iterations"
+        self.refresh()
+        self.form.Apply(u, self._residual)
+        if not np.isfinite(self._residual.Norm()):
+            return Status.NOT_FINITE
+        fresh = not jacobian.exists
+        self._set_increment(problem, fresh)
+        damping = 1.0
         while len(history) < (full_steps or options.max_iterations):
             self._base.data = u
             u.data -= damping * self._increment
@@ -107,46 +183,41 @@ class Newton:
                 if contraction < 1:
                     u.data -= self._next
                     self.eliminate()
-                return history
+                return Status.CONVERGED
             if not contraction <= (np.finfo(float).max if full_steps else 1 - damping / 4):
                 u.data = self._base
                 if not fresh:
-                    fresh = self._refresh(history)
-                    damping = 1.0
+                    fresh, damping = True, 1.0
+                    self._set_increment(problem, fresh)
                 elif damping > options.min_damping:
                     damping /= 2
                 else:
-                    reason = "no step length reduces the increment"
-                    break
+                    return Status.STALLED
                 continue
             self._residual.data = self._trial_residual
-            if contraction > options.refresh or damping < 1:
-                fresh = self._refresh(history)
+            fresh = contraction > options.refresh or damping < 1
+            if fresh:
+                self._set_increment(problem, fresh)
             else:
                 self._increment.data = self._next
-                fresh = False
             damping = min(1.0, 2 * damping)
-        last = history[-1].increment if history else np.inf
-        raise StepError(
-            f"Newton did not converge ({reason}; {len(history)} iterations, last increment "
-            f"{last:.1e}, wanted {options.tolerance:.0e}): take a smaller step",
-            history,
-        )
+        return Status.TOO_MANY_ITERATIONS
+
+    def _set_increment(self, problem: Problem, fresh: bool) -> None:
+        """The increment of the present residual, by a Jacobian of the present state if ``fresh``."""
+        if fresh:
+            self._factorise(problem)
+        self.jacobian.solve(self._residual, self._increment)
 
     def _is_rounding(self) -> bool:
-        """Whether the next increment is below the tolerance in the norm with the large floor, or nearly so.
-
-        Near in the fine norm: with long steps in a stiff fluid rounding of the pressure alone moves a slow
-        velocity by 4e-10 of itself (``barotropic`` demo with steps of a period), and a fresh Jacobian
-        contracts quadratically there, so that a factor above ``refresh`` is rounding.
-        """
-        tolerance = self.options.tolerance
+        """Whether the next increment is no larger than what rounding leaves of it."""
+        options, tolerance = self.options.coupled, self.options.tolerance
         if self.norm(self._next, self.state, coarse=True) <= tolerance:
             return True
         size = self.norm(self._next, self.state)
-        if not size <= NOISE_CAP * tolerance:
+        if not size <= options.noise_cap * tolerance:
             return False
-        return size <= 10 * tolerance or size <= NOISE_MARGIN * self._noise()
+        return size <= options.near * tolerance or size <= options.noise_margin * self._noise()
 
     def _noise(self) -> float:
         """How much the present increment changes where the state does by one unit in the last place.
@@ -160,7 +231,7 @@ class Newton:
         kept.data = u
         signs = np.random.default_rng(0)  # a run does the same again
         largest = 0.0
-        for _ in range(NOISE_SAMPLES):
+        for _ in range(self.options.coupled.noise_samples):
             values *= 1 + np.finfo(float).eps * signs.choice((-1.0, 1.0), len(values))
             self.eliminate()
             self.form.Apply(u, rows)
@@ -170,23 +241,3 @@ class Newton:
             largest = max(largest, self.norm(change, u))
         self.refresh()
         return largest
-
-    def _start(self, history: list[NewtonIteration]) -> bool:
-        self.refresh()
-        self.form.Apply(self.state, self._residual)
-        if not np.isfinite(self._residual.Norm()):
-            raise StepError("the residual at the start of the step is not finite", history)
-        if not self.jacobian.exists:
-            return self._refresh(history)
-        self.jacobian.solve(self._residual, self._increment)
-        return False
-
-    def _refresh(self, history: list[NewtonIteration]) -> bool:
-        self.refresh()
-        try:
-            self.jacobian.factorise(self.state)
-        except StepError as error:
-            raise StepError(str(error), history) from error
-        self.on_factorise()
-        self.jacobian.solve(self._residual, self._increment)
-        return True

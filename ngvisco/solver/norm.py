@@ -3,9 +3,9 @@
 |d| = max over the blocks v, rho, z of |d_block|_2 / scale_block, in coefficients, with
 scale_v = |v|_2 + f sqrt(n) h/tau, scale_rho = |rho|_2, scale_z = |z|_2 + f sqrt(n), where n is the
 number of the block's coefficients and h the smallest cell size: a velocity counts by the strain that
-it makes in the step.  The other unknowns are functions of these three.  The floor f = 1e-9 lets small
-strains and velocities converge relatively to themselves, as the ledger needs; near a state of rest that
-is below rounding, where a stalled iteration is asked about with f = 1e-3.
+it makes in the step.  The other unknowns are functions of these three.  The floor f (``NormOptions``) lets
+small strains and velocities converge relatively to themselves; a stalled iteration is asked about with a
+larger one.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from collections.abc import Mapping
 import numpy as np
 from ngsolve import BaseVector
 
+from ngvisco.solver.options import NormOptions
+
 
 class BlockNorm:
     """The norm of the module's docstring.
@@ -23,17 +25,18 @@ class BlockNorm:
     ----------
     ranges : mapping of block names to slices of the coefficient vector
     units : mapping of the counted blocks' names to the size that one unit of the floor f has there
+    options : NormOptions, optional
     """
 
-    FINE, COARSE = 1e-9, 1e-3
-
-    def __init__(self, ranges: Mapping[str, slice], units: dict[str, float]) -> None:
-        self.ranges, self.units = ranges, units
+    def __init__(
+        self, ranges: Mapping[str, slice], units: dict[str, float], options: NormOptions | None = None
+    ) -> None:
+        self.ranges, self.units, self.options = ranges, units, options or NormOptions()
 
     def __call__(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> float:
         """|increment| with the scales of the largest of ``states`` in each block."""
         d = increment.FV().NumPy()
-        floor = self.COARSE if coarse else self.FINE
+        floor = self.options.coarse_floor if coarse else self.options.floor
         sizes = []
         with np.errstate(over="ignore", invalid="ignore"):  # a diverging iterate is inf or NaN here
             for name, size in self.units.items():

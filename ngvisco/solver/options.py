@@ -1,55 +1,159 @@
-"""What may be chosen of the solver, and a line of its history."""
+"""What may be chosen of the solvers: one frozen, checked dataclass for each part of them.
+
+Pairs are values in 2D and in 3D.  Measurements behind the defaults are in ``ngvisco/solver/NOTES.md``.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 
-from ngvisco.errors import ParameterError, require_choice, require_count, require_positive
+from ngvisco.errors import (
+    ParameterError,
+    as_integer,
+    require_choice,
+    require_count,
+    require_positive,
+    require_type,
+)
 
 METHODS = ("auto", "coupled", "split")
 INVERSES = ("umfpack", "pardiso", "mumps")
 _ROUNDING = 1e-14
 
 
-@dataclass(frozen=True, kw_only=True)
-class NewtonOptions:
-    """Tolerances of the iteration, in the norm of ``ngvisco.solver.norm``.
-
-    Parameters
-    ----------
-    tolerance : float
-        The iteration ends when an increment is below it; that increment is still added.
-    max_iterations : int
-        Residual evaluations a Rothe step may take, over which the typed error is raised.
-    refresh : float
-        Contraction above which the Jacobian is assembled anew, in (0, 1).
-    min_damping : float
-        Smallest step length tried.
-    inverse : str
-        NGSolve's name of a sparse direct solver for nonsymmetric matrices: ``"umfpack"``, and ``"pardiso"``
-        (``pip install mkl``) or ``"mumps"`` where the installation has them.
-    method : str
-        ``"coupled"``: all unknowns at once; ``"split"``: one problem for the velocity, with the fields as
-        functions of it, whose cost grows like the mesh; ``"auto"`` (default): the faster one for the
-        mesh's dimension and size.  Both solve the same equations.
-    """
-
-    tolerance: float = 1e-10
-    max_iterations: int = 60
-    refresh: float = 0.25
-    min_damping: float = 1e-3
-    inverse: str = "umfpack"
-    method: str = "auto"
+class _Checked:
+    """Options of numbers > 0, counts >= 1, tuples of integers >= 0, and other options."""
 
     def __post_init__(self) -> None:
-        require_positive(
-            self,
-            tolerance=self.tolerance,
-            refresh=self.refresh,
-            min_damping=self.min_damping,
-        )
-        require_count(self, max_iterations=self.max_iterations)
+        for option in fields(self):  # type: ignore[arg-type]
+            name, value, default = option.name, getattr(self, option.name), option.default
+            if isinstance(default, _Checked):
+                require_type(f"{type(self).__name__}.{name}", value, type(default))
+            elif isinstance(default, tuple):
+                numbers = [as_integer(number) for number in value] if isinstance(value, tuple) else []
+                if len(numbers) != len(default) or any(n is None or n < 0 for n in numbers):
+                    expected = f"{len(default)} integers >= 0, as {default}"
+                    raise ParameterError(f"{type(self).__name__}.{name}", value, expected)
+            elif isinstance(default, int):
+                require_count(self, **{name: value})
+            elif isinstance(default, float):
+                require_positive(self, **{name: value})
+
+
+@dataclass(frozen=True, kw_only=True)
+class NormOptions(_Checked):
+    """Floors of the scales that increments are measured by (``ngvisco.solver.norm``)."""
+
+    floor: float = 1e-9
+    """Small strains and velocities converge relatively to themselves, as the ledger needs."""
+    coarse_floor: float = 1e-3
+    """By it a stalled iteration is asked: near a state of rest the other floor is below rounding."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoupledOptions(_Checked):
+    """The coupled solver's acceptance of rounding, and its memory."""
+
+    noise_samples: int = 2
+    """Perturbations of the state by rounding; the largest change of the increment counts."""
+    noise_margin: float = 10.0
+    """A stalled increment that is accepted, in units of that change: both are random, of a few modes."""
+    noise_cap: float = 100.0
+    """The largest increment, in tolerances, that is accepted as rounding."""
+    near: float = 10.0
+    """The same without a measurement: rounding of a stiff pressure moves slow velocities so much."""
+    heap_sizes: tuple[int, int] = (500_000_000, 2_000_000_000)
+    """NGSolve's memory for a cell's matrix, bytes, tried where its own is too small: k = 3, m = 2 in 3D."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class KrylovOptions(_Checked):
+    """Newton-Krylov iteration of the split solver, where its own is slow."""
+
+    tolerance: float = 0.01
+    """Of an increment's linear system; with 0.1 one of six long steps failed."""
+    directions: int = 40
+    """Derivatives taken for one increment at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwoLevelOptions(_Checked):
+    """The smoother of ``TwoLevelSolver``."""
+
+    sweeps: int = 2
+    """Jacobi sweeps before and after the coarse problem."""
+    damping: float = 1.65
+    """In units of 1/(largest eigenvalue of D^{-1} A), below 2; the eigenvalue depends on the mesh."""
+    dropped: float = 1e-2
+    """Entries left out, relative to the diagonal: two thirds, for a hundredth more of GMRES's iterations."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.damping >= 2:
+            raise ParameterError("TwoLevelOptions.damping", self.damping, "a number in (0, 2)")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitOptions(_Checked):
+    """The split solver's choice, iteration and linear systems."""
+
+    chosen_from: tuple[int, int] = (60, 10)
+    """Cells from which ``method = "auto"`` takes it: from there it is the faster one (tests/benchmarks)."""
+    coupled_up_to: tuple[int, int] = (20_000, 1_000)
+    """Cells up to which the coupled solver is asked where this one fails: it has to fit a workstation."""
+    margin: float = 0.1
+    """The increment wanted, in tolerances: a later one would be smaller by the contraction only."""
+    slow: int = 24
+    """Iterations after which Newton-Krylov takes over."""
+    stall: float = 0.3
+    """So it does where ``window`` iterations shorten the increment by less: above a Courant number of one."""
+    window: int = 4
+    restarts: int = 4
+    """New starts from the best iterate within a step, after which Newton-Krylov takes over."""
+    renewed_after: tuple[int, int] = (8, 12)
+    """Iterations for the flow's linear system after which its preconditioner is made anew."""
+    renewed_above: float = 0.5
+    """Increment after which it is: made at rest it does not know the curvature of v."""
+    linearised_above: float = 1e-2
+    """Increment below which only hyperviscosity and upwinding, which change suddenly, are linearised anew."""
+    rounding: float = 1e-8
+    """Increment, relative to the smallest velocities, from which a stall may be rounding."""
+    forcing: float = 0.03
+    """Tolerance of the flow's linear system: 0.1 takes twice the iterations of Newton, 0.01 hardly fewer."""
+    flow_iterations: int = 30
+    """Iterations for it at most."""
+    direct_up_to: tuple[int, int] = (3_000, 3_000)
+    """Unknowns of v up to which its tangent is factorised as a whole; above, two levels are faster."""
+    krylov: KrylovOptions = KrylovOptions()
+    two_level: TwoLevelOptions = TwoLevelOptions()
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewtonOptions(_Checked):
+    """Tolerances of the iteration, in the norm of ``ngvisco.solver.norm``, and the parts of the solvers."""
+
+    tolerance: float = 1e-10
+    """The iteration ends when an increment is below it; that increment is still added."""
+    max_iterations: int = 60
+    """Residual evaluations of one attempt to solve a Rothe step, after which it has failed."""
+    refresh: float = 0.25
+    """Contraction above which the Jacobian is assembled anew, in (0, 1)."""
+    min_damping: float = 1e-3
+    """Smallest step length tried."""
+    inverse: str = "umfpack"
+    """NGSolve's name of a sparse direct solver for nonsymmetric matrices: ``"umfpack"``, and ``"pardiso"``
+    (``pip install mkl``) or ``"mumps"`` where the installation has them."""
+    method: str = "auto"
+    """``"coupled"``: all unknowns at once; ``"split"``: one problem for the velocity, with the fields as
+    functions of it, whose cost grows like the mesh; ``"auto"``: the faster one for the mesh's dimension and
+    size.  Both solve the same equations."""
+    norm: NormOptions = NormOptions()
+    coupled: CoupledOptions = CoupledOptions()
+    split: SplitOptions = SplitOptions()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.tolerance < _ROUNDING:
             raise ParameterError(
                 "NewtonOptions.tolerance", self.tolerance, f"at least {_ROUNDING:g}, which rounding leaves"
@@ -78,13 +182,3 @@ def is_available(inverse: str) -> bool:
     except Exception:  # NGSolve raises NgException and RuntimeError
         return False
     return True
-
-
-@dataclass(frozen=True)
-class NewtonIteration:
-    """One line of a solver's history: increment and contraction in the norm of ``ngvisco.solver.norm``."""
-
-    increment: float
-    contraction: float
-    damping: float
-    fresh_jacobian: bool

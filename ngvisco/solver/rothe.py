@@ -2,305 +2,254 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from ngsolve import BaseVector
 
-from ngvisco.errors import StepError
+from ngvisco.errors import ParameterError, StepError, require_type
 from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
-from ngvisco.solver.choice import chosen_method, is_affordable
-from ngvisco.solver.continuation import Way, follow
+from ngvisco.solver.choice import default_strategies, split_obstacle
 from ngvisco.solver.extrapolation import Extrapolation
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.norm import BlockNorm
-from ngvisco.solver.options import NewtonIteration, NewtonOptions
+from ngvisco.solver.options import NewtonOptions
+from ngvisco.solver.problem import Interval, RotheProblem
+from ngvisco.solver.solution import Attempt, NonlinearSolver, Solution, Status
 from ngvisco.solver.split.solver import Split
+from ngvisco.solver.strategies import Effort, Strategy
 
-WIDE, WIDEST = 1e2, 1e4
-"""Widths of the smoothed upwinding, in units of the scheme's, from which it is narrowed for start values.
-
-Where v.n changes sign on a facet within the step, the elastic force jumps by [z]:[zeta] across that
-width: the sharp problem can have a fold between the old state and the solution, the soft one has none.
-The widest is about the run's velocity: the upwinding is then nearly central, and steps of growing
-length lead from the old state to tau also where creep is stiff and z jumps from cell to cell.
-"""
-
-SPLIT_TRIES = 6
-"""Widths tried by the split solver before the coupled one is asked."""
-
-FULL_STEPS = 12
-"""Undamped Newton steps tried from a soft solution to the sharp one, where the way between them folds.
-
-Across a fold the sign of v.n changes on a facet: the sharp equation is nearly piecewise smooth, and full
-steps change such signs as damped ones cannot.
-"""
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A Rothe step in time, s: its length, where it begins and ends, and over what its loads are averaged.
-
-    For the paper's scheme ``tau`` = end - begin, and loads are averaged over the same.  A stage of another
-    scheme may start from a combination of states, which belongs to no time: ``begin`` is then that of the
-    state which is its start value.
-    """
-
-    tau: float
-    begin: float
-    end: float
-    loads_from: float
-    loads_over: float
-
-    def shortened(self, fraction: float) -> Interval:
-        """The step with a part of the length, as a start value of the whole one."""
-        end = self.end if fraction == 1.0 else self.begin + fraction * (self.end - self.begin)
-        loads_from = self.loads_from if self.loads_over > 0 else end
-        return Interval(fraction * self.tau, self.begin, end, loads_from, fraction * self.loads_over)
+_PARAMETERS = ("tau", "end", "loads_from", "loads_over")
 
 
 class RotheSolver:
-    """Solves a Step, the implicit Euler formula (paper: Euler-large-viscoelastodyn+disc)."""
+    """Solves a Step, the implicit Euler formula (paper: Euler-large-viscoelastodyn+disc).
+
+    Parameters
+    ----------
+    step : Step
+    options : NewtonOptions
+    defect : callable, optional
+        Says what is wrong with a solution (rho <= 0, J <= 0), or None if nothing is.  The equations of a long
+        step have solutions of negative density too; they are not accepted.
+    strategies : sequence of Strategy, optional
+        How a step is tried to be solved, in this order, in place of those that belong to ``options.method``
+        (``ngvisco.solver.choice.default_strategies``).
+
+    Raises
+    ------
+    ParameterError
+        If a strategy's solver cannot take the step, or two strategies have one name.
+    """
 
     def __init__(
-        self, step: Step, options: NewtonOptions, defect: Callable[[], str | None] | None = None
+        self,
+        step: Step,
+        options: NewtonOptions,
+        defect: Callable[[], str | None] | None = None,
+        strategies: Sequence[Strategy] | None = None,
     ) -> None:
-        """``defect`` says what is wrong with a solution (rho <= 0, J <= 0), or None if nothing is.
-
-        The equations of a long step have solutions of negative density too; they are not accepted.
-        """
         self.step, self.options = step, options
         self.defect = defect or (lambda: None)
+        self.strategies = tuple(default_strategies(step, options) if strategies is None else strategies)
+        if strategies is not None:
+            _check(self.strategies, step)
         self.h_min = min(step.context.h.vec)
-        self.norm = BlockNorm(step.layout.ranges, {"v": 0.0, "rho": 0.0, "z": 1.0})
-        self.newton: Newton | Split
-        if chosen_method(step, options.method) == "split":
-            self.newton = Split(step, self.norm, options, self._remember)
-        else:
-            self.newton = self._coupled(self._remember)
+        self.norm = BlockNorm(step.layout.ranges, {"v": 0.0, "rho": 0.0, "z": 1.0}, options.norm)
+        tried = [one for one in self.strategies if one.obstacle(step.mesh) is None]
+        self.method = (tried or self.strategies)[0].solver
+        """The first strategy's solver: it is kept, the other one made where it is needed."""
+        self.newton = self.made(self.method)
         self.retried = 0
-        """Steps that the split solver gave up and the coupled one was asked for."""
+        """Steps that this solver gave up and the other one was asked for."""
         self._last_tau: float | None = None
         self._factorised = {name: step.state.vec.CreateVector() for name in ("state", "state_old")}
-        self._factorised_at = {"tau": 0.0, "end": 0.0, "loads_from": 0.0, "loads_over": 0.0}
+        self._factorised_at = dict.fromkeys(_PARAMETERS, 0.0)
         self._start = step.state.vec.CreateVector()
         self.extrapolation = Extrapolation(step)
+        self._extrapolates = any(one.extrapolates for one in self.strategies)
 
-    def solve(self, interval: Interval, with_continuation: bool = True) -> list[NewtonIteration]:
+    def made(self, solver: str) -> NonlinearSolver:
+        """A new solver of this step's equations, ``"coupled"`` or ``"split"``."""
+        step, norm, options = self.step, self.norm, self.options
+        if solver == "split":
+            return Split(step, norm, options)
+        eliminate = step.eliminate
+        return Newton(step.residual, step.state.vec, norm, eliminate, options, eliminate.refresh)
+
+    def problem(self, interval: Interval) -> RotheProblem:
+        """The problem of a step over the interval, with the scheme's upwinding."""
+        eta = self.step.context.eta.Get()
+        return RotheProblem(self.step, self.norm, self.h_min, interval, eta, self._remember)
+
+    def solve(self, interval: Interval, efforts: Effort = Effort.ALL) -> list[Attempt]:
         """Solve the step from ``step.old``; ``step.state``, the start value, becomes its solution.
 
-        ``with_continuation`` False gives up where Newton fails from the start value, as is cheaper for
-        a caller that tries a shorter step.
+        Parameters
+        ----------
+        interval : Interval
+        efforts : Effort
+            Strategies of other efforts are left out, as is cheaper for a caller that may take a shorter step.
+
+        Returns
+        -------
+        list of Attempt
+            The step's history, the last entry being the solution.
 
         Raises
         ------
         StepError
-            When Newton or the positivity of rho and J fails, with both continuations too; the state is then
-            the start value again.  A step that the split solver fails is retried with wide upwinding, then
-            by the coupled one where the mesh is small enough for that.
+            When no strategy leads to a solution with positive rho and J; the state is then the start value
+            again, and the error has the history.
         """
-        step = self.step
-        self._start.data = step.state.vec
+        self._start.data = self.step.state.vec
         if interval.tau != self._last_tau:
-            self.forget()
+            self.newton.reset()
             self._last_tau = interval.tau
-        history: list[NewtonIteration] = []
-        split = self.newton
+        run = _Run(self, self.problem(interval), self._start)
         try:
-            if isinstance(split, Split):
-                if self._solved_split(interval, history, with_continuation):
-                    return history
-                self._restore(self._start)
-                self.newton = self._coupled(lambda: None)
-                self.retried += 1
-            for solve in (self._solve_directly, self._soften):
-                try:
-                    solve(interval, history)
-                    return history
-                except StepError:
-                    if not with_continuation:
-                        raise
-                    self._restore(self._start)
-            self._lengthen(interval, history)
-            return history
-        except BaseException as error:  # also an interrupt: never leave an iterate behind
-            self.extrapolation.drop()
-            self._restore(self._start)
-            if isinstance(error, StepError):
-                raise StepError(str(error), history) from error
+            if self._extrapolates and self.extrapolation.is_empty:
+                self.extrapolation.keep(interval.begin)
+            for strategy in self.strategies:
+                if strategy.effort in efforts and run.solves(strategy):
+                    if self._extrapolates:
+                        self.extrapolation.keep(interval.end)
+                    return run.attempts
+            raise StepError(run.reason, run.attempts)
+        except BaseException:  # also an interrupt: never leave an iterate behind
+            self.step.context.eta.Set(run.problem.eta)
+            self.return_to(self._start)
             raise
-        finally:
-            self.newton = split
-
-    def _solved_split(
-        self, interval: Interval, history: list[NewtonIteration], with_continuation: bool
-    ) -> bool:
-        """Solve the step by the split solver; False where the coupled one is to be asked instead."""
-        try:
-            self._solve_split(interval, history)
-            return True
-        except StepError:
-            if not with_continuation:
-                raise
-        self._restore(self._start)
-        try:
-            self._soften(interval, history)
-            return True
-        except StepError:
-            if not is_affordable(self.step.mesh):
-                raise
-        return False
-
-    def _solve_split(self, interval: Interval, history: list[NewtonIteration]) -> None:
-        """Solve from extrapolated values where there are such, from the start value where that fails."""
-        if self.extrapolation.is_empty:
-            self.extrapolation.keep(interval.begin)
-        extrapolated = self.extrapolation.start(interval.end)
-        try:
-            self._solve_directly(interval, history)
-        except StepError:
-            self.extrapolation.drop()
-            if not extrapolated:
-                raise
-            self._restore(self._start)
-            self._solve_directly(interval, history)
-        self.extrapolation.keep(interval.end)
-
-    def _coupled(self, on_factorise: Callable[[], None]) -> Newton:
-        step = self.step
-        return Newton(
-            step.residual,
-            step.state.vec,
-            self.norm,
-            step.eliminate,
-            self.options,
-            on_factorise,
-            step.eliminate.refresh,
-        )
-
-    def _solve_directly(
-        self, interval: Interval, history: list[NewtonIteration], full_steps: int | None = None
-    ) -> None:
-        """Solve the step from the present state, and record the iterations, also failed ones."""
-        try:
-            history += self._solve(interval, full_steps)
-        except StepError as error:
-            history += error.history
-            raise
-
-    def _soften(self, interval: Interval, history: list[NewtonIteration]) -> None:
-        """Solve the step with wide upwinding and narrow it to the scheme's."""
-        eta = self.step.context.eta
-        width = eta.Get()
-
-        def solve(factor: float) -> None:
-            eta.Set(factor * width)
-            try:
-                self._solve_directly(interval, history)
-            except StepError:
-                if factor < WIDEST or isinstance(self.newton, Split):
-                    raise
-                self._restore(self._start)
-                self._lengthen(interval, history)
-
-        def leap() -> None:
-            eta.Set(width)
-            self._solve_directly(interval, history, FULL_STEPS)
-
-        way = Way(first=WIDE, retreat=WIDEST / WIDE, furthest=WIDEST, ratio=0.1)
-        try:
-            if isinstance(self.newton, Split):  # it takes no full steps, and the coupled one comes after it
-                self._follow(solve, replace(way, tries=SPLIT_TRIES))
-            else:
-                self._follow(solve, way, leap)
-        finally:
-            eta.Set(width)
-
-    def _lengthen(self, interval: Interval, history: list[NewtonIteration]) -> None:
-        """Solve steps of growing length, each the start value of the next, up to the whole one."""
-
-        def solve(fraction: float) -> None:
-            self._solve_directly(interval.shortened(fraction), history)
-
-        self._follow(solve, Way(first=0.25, retreat=1 / 8, furthest=0.25 / 8**5, ratio=4.0))
-
-    def _follow(
-        self, solve: Callable[[float], None], way: Way, leap: Callable[[], None] | None = None
-    ) -> None:
-        follow(solve, way, self.step.state.vec, self._restore, leap)
 
     def return_to(self, values: BaseVector) -> None:
         """Make ``values`` the present state, which the solutions since then do not lead on from."""
+        self.step.state.vec.data = values
+        self.reset()
+
+    def reset(self) -> None:
+        """Drop what is kept of earlier steps, as where the state has been set by other means."""
         self.extrapolation.drop()
-        self._restore(values)
+        self.newton.reset()
 
-    def forget(self) -> None:
-        """Drop the factorisation, so that the next solve makes a new one."""
-        self.newton.jacobian.forget()
-
-    def memory(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         """What makes the next step depend on earlier ones: where the Jacobian at hand was factorised.
 
         A restart factorises there again, so that it goes on bit for bit as the run that wrote it.
         """
-        numbers, arrays = self.extrapolation.memory()
-        if not self.newton.jacobian.exists or self._last_tau is None:
+        numbers, arrays = self.extrapolation.state_dict()
+        if not self.newton.is_factorised or self._last_tau is None:
             return numbers, arrays
         numbers |= {**self._factorised_at, "last_tau": self._last_tau}
         return numbers, arrays | {name: vec.FV().NumPy().copy() for name, vec in self._factorised.items()}
 
-    def recall(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
-        """Take up what ``memory`` gave; state, old state and time are left as they are."""
-        self.forget()
-        self.extrapolation.recall(numbers, arrays)
+    def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
+        """Take up what ``state_dict`` gave; state, old state and time are left as they are."""
+        self.newton.reset()
+        self.extrapolation.load_state_dict(numbers, arrays)
         if "last_tau" not in numbers:
             return
         step, now = self.step, time.Get()
         kept = {name: getattr(step, name).vec.FV().NumPy().copy() for name in self._factorised}
         for name in self._factorised:
             getattr(step, name).vec.FV().NumPy()[:] = arrays[name]
-        self._set_context(**{name: numbers[name] for name in self._factorised_at})
-        step.eliminate.refresh()
-        self.newton.jacobian.factorise(step.state.vec)
-        self._remember()
+        parameters = {name: numbers[name] for name in _PARAMETERS}
+        self.newton.factorise(self.problem(Interval(begin=now, **parameters)))
         self._last_tau = numbers["last_tau"]
         for name, values in kept.items():
             getattr(step, name).vec.FV().NumPy()[:] = values
         time.Set(now)
 
-    def _remember(self) -> None:
-        context = self.step.context
-        parameters = {name: getattr(context, name).Get() for name in ("tau", "loads_from", "loads_over")}
-        self._factorised_at = parameters | {"end": time.Get()}
+    def _remember(self, problem: RotheProblem) -> None:
+        self._factorised_at = {name: getattr(problem.interval, name) for name in _PARAMETERS}
         for name, vector in self._factorised.items():
             vector.data = getattr(self.step, name).vec
 
-    def _set_context(self, tau: float, end: float, loads_from: float, loads_over: float) -> None:
-        self.step.context.set_step(tau, end, loads_from, loads_over)
-        self.step.moving_walls.set_values()
 
-    def _solve(self, interval: Interval, full_steps: int | None = None) -> list[NewtonIteration]:
-        self._set_context(interval.tau, interval.end, interval.loads_from, interval.loads_over)
-        self.norm.units["v"] = self.h_min / interval.tau
-        energy = self.step.energy
-        energy.last_failure = None
-        try:
-            # only the coupled iteration takes full steps whatever the increments
-            newton = self.newton
-            history = newton.solve(full_steps) if isinstance(newton, Newton) else newton.solve()
-        except StepError as error:
-            if energy.last_failure is None:
-                raise
-            raise StepError(f"{error}; {energy.last_failure}", error.history) from error
+class _Run:
+    """What one step's strategies have tried: the Task that they work on."""
+
+    def __init__(self, rothe: RotheSolver, problem: RotheProblem, start: BaseVector) -> None:
+        self.rothe, self.problem, self.start = rothe, problem, start
+        self.attempts: list[Attempt] = []
+        self._strategy = rothe.strategies[0]
+        self._other: NonlinearSolver | None = None
+        self._has_tried = False
+
+    @property
+    def state(self) -> BaseVector:
+        return self.rothe.step.state.vec
+
+    @property
+    def reason(self) -> str:
+        """Why the step has failed: the last failure, and what was not tried."""
+        failed = [one for one in self.attempts if not one.solution.converged]
+        left = [one for one in failed if one.solution.status is Status.NOT_TRIED]
+        reasons = [one.solution.reason for one in failed if one not in left][-1:]
+        reasons += [f"{one.strategy} was not tried: {one.solution.reason}" for one in left[:1]]
+        return "; ".join(reasons) or "no strategy was asked for"
+
+    def solves(self, strategy: Strategy) -> bool:
+        """Whether the strategy solves the step."""
+        self._strategy = strategy
+        obstacle = strategy.obstacle(self.rothe.step.mesh)
+        if obstacle is not None:
+            self.attempts.append(Attempt(strategy.name, Solution(Status.NOT_TRIED, (), obstacle)))
+            return False
+        solution = strategy.solve(self)
+        if solution is None:
+            return False
+        if not solution.converged:
+            self.rothe.extrapolation.drop()
+        return solution.converged
+
+    def extrapolated(self, farthest: float, largest_change: float) -> BaseVector | None:
+        return self.rothe.extrapolation.guess(self.problem.interval.end, farthest, largest_change)
+
+    def attempt(self, problem: RotheProblem, guess: BaseVector, full_steps: int | None = None) -> Solution:
+        self.rothe.step.energy.last_failure = None
+        newton = self._newton()
+        if self._has_tried:  # what was factorised belongs to iterates that have been given up
+            newton.reset()
+        self._has_tried = True
+        solution = self._judged(newton.solve(problem, guess, full_steps))
+        self.attempts.append(Attempt(self._strategy.name, solution, problem.width, problem.length))
+        return solution
+
+    def _newton(self) -> NonlinearSolver:
+        """The solver of the present strategy."""
+        rothe, name = self.rothe, self._strategy.solver
+        if name == rothe.method:
+            return rothe.newton
+        rothe.newton.reset()  # it is not where the step will end
+        if self._other is None:
+            self._other = rothe.made(name)
+            rothe.retried += 1
+        return self._other
+
+    def _judged(self, solution: Solution) -> Solution:
+        """The solution, which has failed too where its energy is no number or rho or J is not positive."""
+        energy = self.rothe.step.energy
+        if not solution.converged:
+            parts = [solution.reason, *([] if energy.last_failure is None else [energy.last_failure])]
+            return replace(solution, reason="; ".join(parts))
         if energy.failure is not None:  # of the last increment, which is added without a test
-            raise StepError(energy.failure, history)
-        reason = self.defect()
-        if reason is not None:
-            raise StepError(f"{reason}: take a smaller step or a finer mesh", history)
-        return history
+            return Solution(Status.INADMISSIBLE, solution.history, energy.failure)
+        defect = self.rothe.defect()
+        if defect is None:
+            return solution
+        reason = f"{defect}: take a smaller step or a finer mesh"
+        return Solution(Status.INADMISSIBLE, solution.history, reason)
 
-    def _restore(self, values: BaseVector) -> None:
-        self.step.state.vec.data = values
-        self.forget()
+
+def _check(strategies: Sequence[Strategy], step: Step) -> None:
+    """Raise ParameterError for what are no strategies for this step."""
+    for one in strategies:
+        require_type("RotheSolver.strategies", one, Strategy)
+    names = [one.name for one in strategies]
+    if not names or len(set(names)) < len(names):
+        raise ParameterError("RotheSolver.strategies", names, "strategies of different names")
+    obstacle = split_obstacle(step) if any(one.solver == "split" for one in strategies) else None
+    if obstacle is not None:
+        raise ParameterError("RotheSolver.strategies", names, f"those of the coupled solver: {obstacle}")

@@ -21,7 +21,7 @@ from collections.abc import Callable
 import numpy as np
 from ngsolve import CF, FESpace, GridFunction
 
-from ngvisco.forms.spaces import Fields
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.physics.tensors import square
 from ngvisco.timestepping.scheme import TimeScheme
@@ -88,13 +88,13 @@ class ErrorEstimate:
         state, ranges = self.step.state.vec.FV().NumPy(), self.step.layout.ranges
         return np.concatenate([state[ranges[name]] for name in _EVOLVED])
 
-    def memory(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         """Numbers and arrays for a restart."""
         numbers = {f"known_{i}": t for i, t in enumerate(self._times)}
         return numbers, {f"known_{i}": state.copy() for i, state in enumerate(self._states)}
 
-    def recall(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
-        """Take up what ``memory`` gave."""
+    def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
+        """Take up what ``state_dict`` gave."""
         kept = sorted(name for name in arrays if name.startswith("known_"))
         self._times = [numbers[name] for name in kept]
         self._states = [arrays[name] for name in kept]

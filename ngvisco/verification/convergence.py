@@ -6,10 +6,11 @@ from typing import Any
 
 from ngsolve import GridFunction
 
-from ngvisco.forms.context import Integrand, time
+from ngvisco.forms.context import time
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.momentum import Continuity
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.term import Integrand
 from ngvisco.forms.transport import Kinematics, UpwindTrace
 from ngvisco.geometries import box
 from ngvisco.physics.model import Model
@@ -39,7 +40,7 @@ def transport_rates(kind: str, dim: int, m: int, maxh: float, levels: int, tau: 
             system,
             Discretisation(m=m),
             ("rho", "rho_hat", "z", "z_hat"),
-            lambda c: [Continuity(c), Kinematics(system, c), UpwindTrace(system, c), load],
+            [Continuity(), Kinematics(system), UpwindTrace(), load],
             tau,
         )
         exact = Exact(system, dim, time)

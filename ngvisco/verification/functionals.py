@@ -8,9 +8,9 @@ from typing import Any
 
 from ngsolve import BilinearForm, BitArray, Integrate, LinearForm
 
-from ngvisco.forms.context import Integrand
 from ngvisco.forms.regularisation import DensityDiffusion, FieldDiffusion
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import Integrand
 from ngvisco.physics.tensors import inner, square
 
 
@@ -26,8 +26,8 @@ class DeltaTerms:
         self.step, self.law = step, law
         _, w = self._fields()
         now = step.now
-        self._rho = _Representative(step, "rho", DensityDiffusion(law, step.context).form(now, w))
-        self._z = _Representative(step, "z", FieldDiffusion(law, step.context).form(now, w))
+        self._rho = _Representative(step, "rho", DensityDiffusion(law).form(now, w))
+        self._z = _Representative(step, "z", FieldDiffusion(law).form(now, w))
 
     def _fields(self) -> tuple[Any, Any]:
         trial, test = self.step.layout.space.TnT()

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from ngsolve import BilinearForm, CoefficientFunction, FESpace, GridFunction, Integrate, Mesh
+from ngsolve import BilinearForm, CoefficientFunction, GridFunction, Integrate, Mesh
 
 from ngvisco import Discretisation, Model, NewtonOptions, time
+from ngvisco.errors import StepError
 from ngvisco.forms.boundaries import slip_constraints
-from ngvisco.forms.context import Context, Entry, Integrand, Term
+from ngvisco.forms.context import Context
 from ngvisco.forms.elimination import Elimination
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.quadrature import Quadrature
-from ngvisco.forms.spaces import Fields, Layout
+from ngvisco.forms.spaces import Layout
+from ngvisco.forms.system import equations
+from ngvisco.forms.term import Entry, Integrand, Term
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import square
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.norm import BlockNorm
+from ngvisco.solver.solution import Attempt
+from ngvisco.solver.solution import Problem as Posed
 from ngvisco.verification.manufactured import Exact
 
 ERROR_ORDER = 12
@@ -46,12 +53,9 @@ class PartialLayout(Layout):
         discretisation: Discretisation,
         names: Sequence[str],
     ) -> None:
-        super().__init__(mesh, model, discretisation, slip_constraints(mesh))
-        self.blocks = {name: space for name, space in self.blocks.items() if name in names}
-        self.names = tuple(self.blocks)
-        self.space = FESpace(list(self.blocks.values()))
-        ranges = [self.space.Range(i) for i in range(len(self.names))]
-        self.ranges = {n: slice(r.start, r.stop) for n, r in zip(self.names, ranges, strict=True)}
+        terms = equations(model, mesh.dim)
+        super().__init__(mesh, model.material, discretisation, terms, slip_constraints(mesh))
+        self._make([name for name in self.names if name in names])
 
     def with_given(self, parts: Sequence[Any], exact: Exact | None) -> Fields:
         """Fields of this layout's blocks, completed by the exact ones."""
@@ -87,22 +91,24 @@ class Problem:
         model: Model,
         discretisation: Discretisation,
         names: Sequence[str],
-        terms: Callable[[Context], Sequence[Term]],
+        terms: Sequence[Term],
         tau: float,
         given: bool = True,
     ) -> None:
-        """``terms`` makes the equations' terms; fields not in ``names`` are the exact ones if ``given``."""
+        """``terms`` are those of the equations; fields not in ``names`` are the exact ones if ``given``."""
         self.mesh, self.tau = mesh, tau
         self.layout = layout = PartialLayout(mesh, model, discretisation, names)
         self.state, self.state_old = GridFunction(layout.space), GridFunction(layout.space)
         new = Exact(model, mesh.dim, time) if given else None
         old = Exact(model, mesh.dim, time - tau) if given else None
         self.now = layout.with_given(self.state.components, new)
-        self.context = Context(mesh, layout.with_given(self.state_old.components, old))
+        self.context = layout.context = Context(
+            mesh, model, layout.with_given(self.state_old.components, old)
+        )
         self.context.tau.Set(tau)
         self.context.eta.Set(1e-4)
         self.quadrature = Quadrature.for_orders(mesh, discretisation.k, discretisation.m)
-        self.terms = tuple(terms(self.context))
+        self.terms = tuple(terms)
         trial, test = layout.space.TnT()
         u, w = layout.with_given(trial, new), layout.fields(test)
         form = BilinearForm(layout.space, condense=True)
@@ -119,5 +125,18 @@ class Problem:
     def advance(self, t_old: float) -> None:
         """One step from t_old; with terms without a time derivative, their stationary problem."""
         self.state_old.vec.data = self.state.vec
-        self.context.set_step(self.tau, t_old + self.tau, t_old, self.tau)
-        self.newton.solve()
+        solution = self.newton.solve(_StepFrom(self.context, t_old, self.tau), self.state_old.vec)
+        if not solution.converged:
+            raise StepError(solution.reason, [Attempt("coupled", solution)])
+
+
+@dataclass(frozen=True)
+class _StepFrom(Posed):
+    """The step from ``begin`` over ``tau``, s."""
+
+    context: Context
+    begin: float
+    tau: float
+
+    def pose(self) -> None:
+        self.context.set_step(self.tau, self.begin + self.tau, self.begin, self.tau)

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from ngsolve import CF, CoefficientFunction, specialcf
 
-from ngvisco.forms.context import Entry, Integrand, inner_facets, time
-from ngvisco.forms.spaces import Fields
+from ngvisco.forms.context import inner_facets, time
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import Entry, Integrand
 from ngvisco.physics.material import cauchy_stress, components_of, conjugates, mandel_stress
 from ngvisco.physics.model import Gravity, Model, as_vector
 from ngvisco.physics.tensors import embed_gradient, inner, sym
@@ -85,12 +86,12 @@ class Sources:
         model, new, dim = self.model, self.new, self.dim
         total = CF(tuple([0.0] * dim))
         if model.viscosity is not None:
-            stress = model.viscosity.stress(sym(embed_gradient(new.grad_v, dim)))
+            stress = model.viscosity.stress(sym(embed_gradient(new.grad_v, dim)), new.values)
             total = total - divergence(stress, dim)
         if model.hyperviscosity is not None:
             hess = [[gradient(d, dim) for d in gradient(new.v[i], dim)] for i in range(dim)]
             s = sum(h * h for component in hess for row in component for h in row)
-            c = model.hyperviscosity.coefficient(s)
+            c = model.hyperviscosity.coefficient(s, new.values)
             force = []
             for i in range(dim):
                 terms = [

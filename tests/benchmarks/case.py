@@ -97,7 +97,7 @@ def floor(run: nv.Simulation, method: str) -> float:
         if method == "coupled":
             increment, rows = step.state.vec.CreateVector(), step.state.vec.CreateVector()
             step.residual.Apply(step.state.vec, rows)
-            newton.jacobian.forget()
+            newton.reset()
             began = time.perf_counter()
             newton.jacobian.factorise(step.state.vec)
             newton.jacobian.solve(rows, increment)

@@ -186,7 +186,7 @@ def test_expressions_with_signs_like_units_stay_expressions():
     assert sections.initial.density == "1 if x > 0 else 2"
     scaled = case(CASE, "initial.density='1 if x > 0 else 2 - y*(x + t)'")
     f = scaled.sections.initial.density
-    from ngvisco.case.expressions import parse
+    from ngvisco.expressions import parse
 
     mesh = nv.case.build.catalogue.GEOMETRIES["box"](size=[2000.0, 1000.0], maxh=2000.0)
     nv.time.Set(120.0)

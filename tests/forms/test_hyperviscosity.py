@@ -17,10 +17,10 @@ from support import (
     uncondensed,
 )
 
+from ngvisco.forms.fields import hessian_basis
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.initial import _recover_hessian, complete
 from ngvisco.forms.sampling import Sampler
-from ngvisco.forms.spaces import hessian_basis
 from ngvisco.forms.system import Step
 from ngvisco.physics.tensors import square
 

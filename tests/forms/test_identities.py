@@ -17,9 +17,10 @@ from support import (
 )
 
 from ngvisco import Discretisation, Gravity, Model, StokesViscosity, time
-from ngvisco.forms.context import Integrand, Term
 from ngvisco.forms.initial import complete
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import Integrand, Term
+from ngvisco.forms.transport import transport_in_cells, transport_through_facets
 from ngvisco.physics.material import cauchy_stress, components_of
 from ngvisco.physics.tensors import embed_gradient, inner, square
 
@@ -126,8 +127,8 @@ def test_elastic_force_is_the_adjoint_of_the_transport(case: Case) -> None:
     power = block(step, rows(step, "ElasticForce"), "v") @ coefficients(step, "v")
     trial, test = step.layout.space.TnT()
     u, w = step.layout.fields(trial), step.layout.fields(test)
-    kinematics = term_of(step, "Kinematics")
-    transport = kinematics.operator(u, u, w.z, w.z_tensors, u)
+    transport = [Integrand(part) for part in transport_in_cells(u, u, w, "z")]
+    transport.append(Integrand(facets=transport_through_facets(u, u, w, "z")))
     rate = block(step, powers(step, transport), "z") @ coefficients(step, "zeta")
     assert abs(power) > 1e-3
     assert rate == pytest.approx(power, rel=1e-12)
@@ -152,18 +153,18 @@ def test_creep_power_is_a_square(case: Case) -> None:
     """- int rate(z; 0, Pi) : zeta = int R |M|^2 with the projected conjugates."""
     step = step_of(case)
     randomise(step, 5)
-    kinematics = term_of(step, "Kinematics")
     trial, test = step.layout.space.TnT()
     u, w = step.layout.fields(trial), step.layout.fields(test)
-    creep = kinematics._creep(u, w.z_tensors)
+    rates = step.context.rates
     if not case.creep:
-        assert creep == []
+        assert rates.creep(u) is None
         return
+    creep = [Integrand(part) for part in rates.creep_power(u, rates.creep(u), w, "z")]
     released = -block(step, powers(step, creep), "z") @ coefficients(step, "zeta")
     R = step.model.creep.R
     assert released > 1e-3
     assert released == pytest.approx(
-        step.quadrature.integrate_cells(R * square(kinematics.mandel(step.now))), rel=1e-12
+        step.quadrature.integrate_cells(R * square(rates.mandel(step.now))), rel=1e-12
     )
 
 
@@ -175,7 +176,9 @@ def test_creep_leaves_the_jacobian_alone(case: Case) -> None:
     randomise(step, 5)
     trial, test = step.layout.space.TnT()
     u, w = step.layout.fields(trial), step.layout.fields(test)
-    creep = block(step, powers(step, term_of(step, "Kinematics")._creep(u, w.z_tensors)), "z")
+    rates = step.context.rates
+    power = [Integrand(part) for part in rates.creep_power(u, rates.creep(u), w, "z")]
+    creep = block(step, powers(step, power), "z")
     assert [v.name for v in step.model.material.variables] == ["F", "J"]
     per_component = creep.reshape(-1, creep.size // step.now.z.dim)
     assert np.abs(per_component[:-1]).max() > 1e-3  # F
@@ -277,7 +280,7 @@ def test_trace_is_the_upwind_value(case: Case) -> None:
         correction.data = form.mat.Inverse(free, inverse="umfpack") * residual_vector(form, step)
         step.state.vec.data -= correction
         u, n = step.now, step.context.normal
-        outflow = 0.5 * (1 + (u.v * n) / step.context.modulus(u.v * n)) * step.context.inner
+        outflow = 0.5 * (1 + (u.v * n) / u.upwinding.modulus) * step.context.inner
         downstream = outflow * square(u.z_hat - u.z)
         wall = (1 - step.context.inner) * square(u.z_hat - u.z)
         assert step.quadrature.integrate_facets(square(u.z_hat - u.z)) > 1e-3

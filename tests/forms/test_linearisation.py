@@ -15,8 +15,8 @@ from support import (
     uncondensed,
 )
 
-from ngvisco.forms.context import Integrand, Term
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import Integrand, Term
 
 CASES = [
     Case(),

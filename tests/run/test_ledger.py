@@ -22,17 +22,18 @@ from ngvisco import (
     StokesViscosity,
     time,
 )
-from ngvisco.forms.context import Context, Entry, Integrand
+from ngvisco.forms.context import Context
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.initial import _recover_hessian
 from ngvisco.forms.momentum import Convection, Inertia, Loading, Stokes
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import Entry, Integrand
 from ngvisco.forms.transport import ElasticForce, Kinematics
 from ngvisco.geometries import box
 from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.ledger import NUMERICAL, unit
-from ngvisco.solver.options import NewtonIteration
+from ngvisco.solver.solution import Attempt, NewtonIteration, Solution, Status
 from ngvisco.timestepping.integrator import StepTaken
 
 CASES = [
@@ -170,7 +171,8 @@ def test_closure_is_the_residual_tested_by_the_solution(case: Case) -> None:
     step.state.vec.data = new
     make_consistent(step)
     distance = run.integrator.distance(before, step.evolved())
-    history = [NewtonIteration(0.0, 0.0, 1.0, False)] * 7
+    lines = (NewtonIteration(0.0, 0.0, 1.0, False),) * 7
+    history = [Attempt("coupled", Solution(Status.CONVERGED, lines))]
     row = run.ledger.record(1, 0.5, StepTaken(0.3, history, run.ledger.rates(), distance))
     tested = 0.3 * float(residual(uncondensed(step), step.state.vec) @ own_test(step))
     assert abs(tested) > 1e-3

@@ -7,7 +7,7 @@ import pytest
 from ngsolve import CF, x, y
 
 import ngvisco as nv
-from ngvisco.case.expressions import ExpressionError
+from ngvisco.expressions import ExpressionError
 from ngvisco.geometries import annulus, box, disc
 
 MATERIAL = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)

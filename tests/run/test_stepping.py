@@ -9,6 +9,7 @@ from support import StopAt
 
 import ngvisco as nv
 from ngvisco.geometries import box
+from ngvisco.solver.strategies import Effort
 from ngvisco.timestepping.error import ErrorEstimate
 
 
@@ -40,10 +41,10 @@ def refuse(run, monkeypatch, is_refused):
     """Let the solver fail at the steps (t, tau) for which ``is_refused`` holds."""
     solve = run.solver.solve
 
-    def refusing(interval, with_continuation=True):
+    def refusing(interval, efforts=Effort.ALL):
         if is_refused(interval.begin, interval.tau):
             raise nv.StepError(f"refused {interval.tau:g}")
-        return solve(interval, with_continuation)
+        return solve(interval, efforts)
 
     monkeypatch.setattr(run.solver, "solve", refusing)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ngvisco.solver.split import precision
+from ngvisco.algebra import precision
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import pytest
 from ngsolve import CF, x, y, z
 
 import ngvisco as nv
+from ngvisco.forms.transport import Kinematics
 from ngvisco.geometries import box, disc
 from ngvisco.solver.split.sweep import SWEEPS
 
@@ -36,48 +37,65 @@ def split(request):
     )
     split = run.solver.newton
     rng = np.random.default_rng(1)
-    split.transport.z[:] += 0.02 * rng.standard_normal(split.transport.z.shape)
-    split.transport.rho[:] += 0.02 * rng.standard_normal(split.transport.rho.shape)
+    values = split.unknowns.pack()
+    for name in ("z", "rho"):
+        where = split.unknowns.slices[name]
+        values[where] += 0.02 * rng.standard_normal(where.stop - where.start)
     run.rothe_step.context.tau.Set(0.01)
-    split.momentum.start()
-    split.residual()
-    split.preconditioner.sweep.update()
-    return split
+    split.residual.start()
+    at = split.residual(values)
+    split.preconditioner.sweep.update(at)
+    return split, at
 
 
 def rows(sweep, own, across, values):
     return sweep._sparse(own, across) @ values
 
 
+def blocks_of_fields(split, at):
+    f, r = at.facets.upwinding, split.residual
+    carried, share = f.carried.value, f.share.value
+    return split.preconditioner.sweep.coupling.blocks(-carried, share, carried, r.trace_mass)
+
+
+def blocks_of_density(split, at):
+    f, r = at.facets.upwinding, split.residual
+    outward, inward = f.outward.value, f.inward.value
+    return split.preconditioner.sweep.coupling.blocks(outward, outward, -inward, r.density_mass)
+
+
 def test_rows_of_a_field(split):
-    sweep, f = split.preconditioner.sweep, split.transport.facets
-    own, across = sweep.coupling.blocks(-f.carried, 1 - f.inflow, f.carried, f.trace_mass)
-    expected = f.fields()
+    split, at = split
+    sweep, r = split.preconditioner.sweep, split.residual
+    own, across = blocks_of_fields(split, at)
+    kinematics = [term for term in r.claims.at_points if isinstance(term, Kinematics)]
+    expected = r.facet_terms.rows(kinematics, at.facets)["z"]
     assert np.abs(across).max() > 0
-    for field, row in zip(split.transport.z, expected, strict=True):
+    for field, row in zip(at.coefficients["z"], expected, strict=True):
         assert rows(sweep, own, across, field) == pytest.approx(row, abs=1e-13 * np.abs(expected).max())
 
 
 def test_rows_of_the_density(split):
-    sweep, f = split.preconditioner.sweep, split.transport.facets
-    own, across = sweep.coupling.blocks(f.up, f.up, -f.down, f.density_mass)
-    own += sweep._mass / split.transport.context.tau.Get() - sweep._convection().transpose(0, 2, 1)
-    found = rows(sweep, own, across, split.transport.rho - split.transport.rho_old)
+    split, at = split
+    sweep, where = split.preconditioner.sweep, split.unknowns.slices["rho"]
+    own, across = blocks_of_density(split, at)
+    own += sweep._mass / split.step.context.tau.Get() - sweep._convection(at).transpose(0, 2, 1)
+    old = split.step.state_old.vec.FV().NumPy()[split.step.layout.ranges["rho"]]
+    found = rows(sweep, own, across, at.x[where] - old)
     # the rows are affine in rho: their part from the old density, taken off
-    now = split.transport.residual()[0]
-    split.transport.rho[:] = split.transport.rho_old
-    split.transport.set_traces()
-    expected = now - split.transport.residual()[0]
+    x = at.x.copy()
+    x[where] = old
+    expected = at.residual.density - split.residual(x).residual.density
     assert found == pytest.approx(expected, abs=1e-13 * np.abs(expected).max())
 
 
 def test_sweeps_approach_the_solution(split):
     """Three sweeps are the first terms of the series for T^{-1}; of the density's too."""
-    sweep, t = split.preconditioner.sweep, split.transport
-    f = t.facets
-    own, across = sweep.coupling.blocks(-f.carried, 1 - f.inflow, f.carried, f.trace_mass)
-    own += sweep._mass / t.context.tau.Get() + sweep._convection()
-    T, r = sweep._sparse(own, across), np.ascontiguousarray(t.z.T)
+    split, at = split
+    sweep, tau = split.preconditioner.sweep, split.step.context.tau.Get()
+    own, across = blocks_of_fields(split, at)
+    own += sweep._mass / tau + sweep._convection(at)
+    T, r = sweep._sparse(own, across), np.ascontiguousarray(at.coefficients["z"].T)
     found = sweep.fields(r)
     once = sweep.in_cells(r)
     exact = np.linalg.solve(T.toarray(), r)
@@ -85,9 +103,9 @@ def test_sweeps_approach_the_solution(split):
     twice = once + sweep.in_cells(r - T @ once)
     thrice = twice + sweep.in_cells(r - T @ twice)
     assert found == pytest.approx(thrice, abs=1e-12 * np.abs(found).max())
-    own, across = sweep.coupling.blocks(f.up, f.up, -f.down, f.density_mass)
-    own += sweep._mass / t.context.tau.Get() - sweep._convection().transpose(0, 2, 1)
-    T, r = sweep._sparse(own, across), t.rho - 1.1
+    own, across = blocks_of_density(split, at)
+    own += sweep._mass / tau - sweep._convection(at).transpose(0, 2, 1)
+    T, r = sweep._sparse(own, across), at.coefficients["rho"] - 1.1
     x = np.zeros_like(r)
     for _ in range(SWEEPS):
         x += np.linalg.solve(own, (r - T @ x).reshape(*own.shape[:2], 1)).ravel()

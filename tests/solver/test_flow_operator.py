@@ -7,6 +7,7 @@ import pytest
 from ngsolve import CF
 
 import ngvisco as nv
+from ngvisco.forms.transport import ElasticForce
 from ngvisco.geometries import box
 
 STEP = 1e-5
@@ -32,44 +33,44 @@ def run():
 
 def linear(run, expressions):
     """Coefficients of a linear field in v's space, (dim, .), whatever the walls say."""
-    split = run.solver.newton
     vertices = np.array([vertex.point for vertex in run.mesh.vertices])
-    result = np.zeros_like(split.transport.v)
+    result = np.zeros((2, run.solver.newton.residual.op.v.width))
     for row, values in zip(result, expressions(*vertices.T), strict=True):
         row[: run.mesh.nv] = values
     return result
 
 
-def prepared(run):
+def prepared(run, v, z_noise=0.0):
     split = run.solver.newton
     run.rothe_step.context.tau.Set(0.5)
-    split.momentum.start()
-    split.residual()
-    split.preconditioner.operator.update()
-    return split, split.preconditioner.operator
+    x, slices = split.unknowns.pack(), split.unknowns.slices
+    x[slices["v"]] = v.ravel()
+    x[slices["z"]] += z_noise * np.random.default_rng(0).standard_normal(x[slices["z"]].shape)
+    split.residual.start()
+    at = split.residual(x)
+    split.preconditioner.operator.update(at)
+    return split, at, split.preconditioner.operator
 
 
-def derivative(split, dv, rows):
-    """Central difference of ``rows()`` in the direction dv."""
-    v = split.transport.v.copy()
+def derivative(split, at, dv, rows):
+    """Central difference of ``rows(evaluation)`` in the direction dv."""
     values = []
     for sign in (1, -1):
-        split.transport.v[:] = v + sign * STEP * dv
-        split.transport.set_velocity()
-        values.append(rows())
-    split.transport.v[:] = v
-    split.transport.set_velocity()
+        x = at.x.copy()
+        x[split.unknowns.slices["v"]] += sign * STEP * dv.ravel()
+        values.append(rows(split.residual(x)))
     return (values[0] - values[1]) / (2 * STEP)
 
 
 def test_inertia_convection_and_viscosity(run):
-    split = run.solver.newton
-    split.transport.v[:] = linear(run, lambda x, y: (1 + 2 * y - x, x + 0.5 * y))
-    split, operator = prepared(run)
+    v = linear(run, lambda x, y: (1 + 2 * y - x, x + 0.5 * y))
+    split, at, operator = prepared(run, v)
     operator.elements.from_fields[:] = 0.0  # what the fields answer is not asked here
     operator.derivative = None
     dv = linear(run, lambda x, y: (y - 0.3, 2 * x))  # div dv would change the density too
-    expected = derivative(split, dv, lambda: split.momentum.residual()[: operator.nv])
+    r = split.residual
+    terms = [term for term in r.claims.at_points if not isinstance(term, ElasticForce)]
+    expected = derivative(split, at, dv, lambda at: r.cell_terms.rows(terms, at.cells)["v"].ravel())
     found = operator(np.concatenate([dv.ravel(), np.zeros(operator.size - operator.nv)]), None)[0]
     tests = np.zeros_like(dv, dtype=bool)
     tests[:, : run.mesh.nv] = True  # linear ones
@@ -79,24 +80,21 @@ def test_inertia_convection_and_viscosity(run):
 
 @pytest.mark.parametrize("eta", [0.05, 0.5])
 def test_what_the_fields_and_the_facets_take(run, eta, monkeypatch):
-    """Where every facet counts as reversing nothing is left out."""
-    monkeypatch.setattr("ngvisco.solver.split.reversal.SUDDEN", 0.0)
+    """Where every facet counts as turning round nothing is left out."""
+    monkeypatch.setattr("ngvisco.solver.split.upwind_switch.SUDDEN", 0.0)
     run.rothe_step.context.eta.Set(eta)
-    split = run.solver.newton
-    t = split.transport
-    t.v[:] = linear(run, lambda x, y: (1 + 2 * y - x, x + 0.5 * y))
-    rng = np.random.default_rng(0)
-    t.z += 0.1 * rng.standard_normal(t.z.shape)
-    split, operator = prepared(run)
-    assert operator.reversal.exists
+    v = linear(run, lambda x, y: (1 + 2 * y - x, x + 0.5 * y))
+    split, at, operator = prepared(run, v, z_noise=0.1)
+    assert operator.switch.exists
     dv = linear(run, lambda x, y: (y - 0.3, 2 * x + y))
+    force_only = [term for term in split.residual.claims.at_points if isinstance(term, ElasticForce)]
 
-    def rows():
-        t.facets.set_fields(t.z, t.z_hat)
-        return np.concatenate([t.facets.elastic_force(t.zeta).ravel(), t.residual()[1].ravel()])
+    def rows(at):
+        force = split.residual.facet_terms.rows(force_only, at.facets)["v"]
+        return np.concatenate([force.ravel(), at.residual.z.ravel()])
 
-    expected = derivative(split, dv, rows)
-    force, through = operator.reversal(dv)
+    expected = derivative(split, at, dv, rows)
+    force, through = operator.switch(dv)
     op = operator.op
     source = np.einsum("pnx,xp->np", operator.p.columns[:, :, :4], op.velocity_gradient(dv))
     for j, values in enumerate(op.v(dv)):
@@ -108,7 +106,8 @@ def test_what_the_fields_and_the_facets_take(run, eta, monkeypatch):
     carried = operator.carried(dv, None).T.ravel()
     assert np.abs(carried + found[operator.nv :]).max() <= 1e-12 * np.abs(carried).max()
     # the element matrices' force is that of the resolved fields, tested with the gradients of v's functions
-    dz = rng.standard_normal((t.z.shape[1], t.n))
+    z, rng = at.coefficients["z"], np.random.default_rng(1)
+    dz = rng.standard_normal(z.T.shape)
     resolved = np.einsum("pnm,mp->np", operator.p.resolvent, op.z(dz.T.copy()))
     stress = np.einsum("pxn,np->xp", operator.p.force[:, :4], resolved).reshape(2, 2, -1)
     expected = sum(D.test(np.ascontiguousarray(stress[:, j])) for j, D in enumerate(op.dv))

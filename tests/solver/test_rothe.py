@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ngsolve import CF, BaseVector, Id, IfPos, Integrate, OuterProduct, cos, pi, sin, x, y
+from ngsolve import CF, Id, IfPos, Integrate, OuterProduct, cos, pi, sin, x, y
 from support import MATERIALS
 
 from ngvisco import (
@@ -19,7 +19,9 @@ from ngvisco import (
     time,
 )
 from ngvisco.geometries import box
-from ngvisco.solver.continuation import MAX_CONTINUATION, Way, follow
+from ngvisco.solver.rothe import Interval
+from ngvisco.solver.solution import Status, iterations
+from ngvisco.solver.strategies import Effort
 
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 JUMP = Id(3) + IfPos(x - 0.4, 0.4, -0.2) * OuterProduct(CF((1, 0, 0)), CF((0.3, 1, 0)))
@@ -60,8 +62,9 @@ def test_failed_step_restores_the_state_bitwise() -> None:
     assert (run.t, run.number, time.Get()) == (0.0, 0, 0.0)
     assert len(run.ledger.rows) == 1
     # all attempts are in the history: the step itself and those with shorter steps
-    assert len(error.value.history) > 4
-    assert all(line.increment > 0 for line in error.value.history)
+    lines = iterations(error.value.history)
+    assert len(lines) > 4
+    assert all(line.increment > 0 for line in lines)
 
 
 def test_step_after_a_failure_equals_one_without() -> None:
@@ -75,71 +78,19 @@ def test_step_after_a_failure_equals_one_without() -> None:
         failed.advance()
     assert (failed.t, time.Get()) == (0.05, 0.05)
     failed.solver.newton.options = sound
-    clean.solver.forget()
+    clean.solver.reset()
     rows = [run.advance() for run in (clean, failed)]
     assert np.array_equal(state(clean), state(failed))
     assert rows[0] == rows[1] or {k for k in rows[0] if rows[0][k] != rows[1][k]} <= {"J_min", "J_defect"}
 
 
-def followed(solvable, leap=None, **path) -> list[float]:
-    """The values that a continuation tries where ``solvable(value, solved)`` says what Newton would do."""
-    tried, solved = [], []
-    state = BaseVector(1)
-
-    def solve(value: float) -> None:
-        tried.append(value)
-        if not solvable(value, solved[-1] if solved else None):
-            raise StepError("Newton did not converge")
-        solved.append(value)
-
-    follow(solve, Way(**path), state, lambda values: None, leap)
-    return tried
-
-
-LENGTHEN = {"first": 0.25, "retreat": 1 / 8, "furthest": 0.25 / 8**5, "ratio": 4.0}
-SOFTEN = {"first": 1e2, "retreat": 1e2, "furthest": 1e4, "ratio": 0.1}
-
-
-def test_continuation_goes_to_one_by_its_ratio() -> None:
-    assert followed(lambda value, solved: True, **LENGTHEN) == [0.25, 1.0]
-    assert followed(lambda value, solved: True, **SOFTEN) == pytest.approx([1e2, 1e1, 1.0])
-    assert followed(lambda value, solved: solved or value <= 0.01, **LENGTHEN) == pytest.approx(
-        [0.25, 0.25 / 8, 0.25 / 64, 0.25 / 16, 0.25 / 4, 0.25, 1.0]
-    )
-
-
-def test_continuation_takes_smaller_steps_where_needed() -> None:
-    """Only ratios up to 1.5 are solved: it arrives, by such ratios."""
-    values = followed(lambda value, solved: solved is None or value <= 1.5 * solved, **LENGTHEN)
-    assert values[-1] == 1.0
-    assert len(values) <= MAX_CONTINUATION
-
-
-def test_continuation_gives_up_beyond_the_furthest() -> None:
-    with pytest.raises(StepError, match="did not converge"):
-        followed(lambda value, solved: value > 1e4, **SOFTEN)
-    tried = []
-    with pytest.raises(StepError, match="did not converge"):
-        followed(lambda value, solved: tried.append(value), **LENGTHEN)
-    assert tried == pytest.approx([0.25 / 8**i for i in range(6)])
-
-
-def test_continuation_leaps_where_the_way_folds() -> None:
-    """No value below 30 is reached by a path; the leap is tried after the first failure, and ends it."""
-    leaps = []
-    values = followed(lambda value, solved: value >= 30, **SOFTEN, leap=lambda: leaps.append(1))
-    assert values == pytest.approx([1e2, 1e1])
-    assert leaps == [1]
-
-
 def test_full_steps_are_taken_whatever_the_increments() -> None:
     """From a rough start: increments that grow are kept, none is damped, and there are so many at most."""
     run = simulation("neo_hookean", speed=100.0, F=JUMP, dt=5.0)
-    run.rothe_step.context.set_step(5.0, 5.0, 0.0, 5.0)
-    run.solver.norm.units["v"] = run.solver.h_min / 5.0
-    with pytest.raises(StepError, match="too many iterations") as error:
-        run.solver.newton.solve(full_steps=4)
-    history = error.value.history
+    problem = run.solver.problem(Interval(5.0, 0.0, 5.0, 0.0, 5.0))
+    solution = run.solver.newton.solve(problem, run.rothe_step.state_old.vec, full_steps=4)
+    assert solution.status is Status.TOO_MANY_ITERATIONS
+    history = solution.history
     assert len(history) == 4
     assert all(line.damping == 1.0 for line in history)
     assert max(line.contraction for line in history) > 1
@@ -184,9 +135,9 @@ def test_body_that_starts_at_rest_stays_bitwise_at_rest() -> None:
 def test_change_of_the_step_length_assembles_anew() -> None:
     run = simulation()
     run.advance()
-    assert run.solver.newton.jacobian.exists
+    assert run.solver.newton.is_factorised
     history = run.integrator.advance(run.t, 0.02).history
-    assert history[0].fresh_jacobian
+    assert history[0].solution.history[0].fresh_jacobian
 
 
 def test_stiff_body_that_drifts_is_solved_in_long_steps() -> None:
@@ -198,6 +149,6 @@ def test_stiff_body_that_drifts_is_solved_in_long_steps() -> None:
     run = Simulation(mesh, model, dt=10.0, initial=initial, solver="coupled")
     u = run.rothe_step.now
     before = [Integrate(u.rho * u.v[i], mesh) for i in range(2)]
-    history = run.integrator.advance(0.0, 10.0, with_continuation=False).history
-    assert 10e-10 < history[-1].increment < 100e-10
+    lines = iterations(run.integrator.advance(0.0, 10.0, efforts=Effort.DIRECT).history)
+    assert 10e-10 < lines[-1].increment < 100e-10
     assert [Integrate(u.rho * u.v[i], mesh) for i in range(2)] == pytest.approx(before, abs=2e-8)

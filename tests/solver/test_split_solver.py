@@ -9,12 +9,15 @@ from ngsolve.meshes import MakeStructured2DMesh
 from scipy.sparse.linalg import LinearOperator, gmres
 
 import ngvisco as nv
+from ngvisco.algebra import precision
 from ngvisco.errors import StepError
-from ngvisco.forms.context import Integrand
+from ngvisco.forms.term import Integrand
 from ngvisco.geometries import box, disc
-from ngvisco.solver.choice import SPLIT_FROM, meets_itself
-from ngvisco.solver.rothe import SPLIT_TRIES
-from ngvisco.solver.split import iteration, precision
+from ngvisco.solver.choice import meets_itself
+from ngvisco.solver.options import SplitOptions
+from ngvisco.solver.rothe import Interval
+from ngvisco.solver.solution import Solution, Status
+from ngvisco.solver.split import iteration
 from ngvisco.solver.split.linear import TwoLevelSolver
 from ngvisco.solver.split.solver import Split
 
@@ -36,8 +39,25 @@ def simulation(maxh=0.4, mesh=None, hyperviscosity=None, regularisation=None, sp
     return nv.Simulation(mesh or box((1, 1), maxh=maxh), model, initial=initial, **options)
 
 
+TWO_LEVELS = nv.NewtonOptions(split=SplitOptions(direct_up_to=(0, 0)))
+
+
 def state(run):
     return run.rothe_step.state.vec.FV().NumPy().copy()
+
+
+def taken(run):
+    """Take a step of a run; what was tried for it."""
+    advance, steps = run.integrator.advance, []
+    run.integrator.advance = lambda *arguments: steps.append(advance(*arguments)) or steps[-1]
+    run.advance()
+    del run.integrator.advance
+    return steps[-1].history
+
+
+def first_step(run):
+    """The problem of a run's first step."""
+    return run.solver.problem(Interval(run.dt, 0.0, run.dt, 0.0, run.dt))
 
 
 def test_resumed_run_is_bit_for_bit_the_uninterrupted_one(tmp_path):
@@ -99,8 +119,8 @@ def test_residual_is_the_coupled_one_away_from_a_solution(options):
     free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
     split.unknowns.unpack(split.unknowns.pack() + 1e-3 * noise)
     step.state.vec.FV().NumPy()[~free] = 0.0
-    split._start()
-    r = split.residual()
+    split.residual.start()
+    r = split.residual(split.unknowns.pack()).residual
     rows = step.state.vec.CreateVector()
     step.residual.Apply(step.state.vec, rows)
     full, ranges = rows.FV().NumPy(), step.layout.ranges
@@ -122,20 +142,16 @@ def test_hyperviscosity_s_derivative_is_that_of_its_rows(k, p):
     """But for the rule that integrates the penalty's derivative, where that is no polynomial."""
     run = simulation(hyperviscosity=nv.HyperViscosity(mu=1e-3, p=p), discretisation=nv.Discretisation(k=k))
     run.advance()
-    hyper = run.solver.newton.hyper
-    derivative = run.solver.newton.preconditioner.operator.derivative
+    split = run.solver.newton
+    hyper, derivative = split.residual.hyper, split.preconditioner.operator.derivative
+    now = split.residual(split.unknowns.pack()).coefficients
     rng = np.random.default_rng(1)
-    dv, da = rng.standard_normal(hyper.v.shape), rng.standard_normal(hyper.a.shape)
+    dv, da = rng.standard_normal(now["v"].shape), rng.standard_normal(now["a"].shape)
     # where v is a field with curvature and without jumps that are many times larger
-    hyper.v[:] += 1e-3 * dv
-    hyper.set_local()
-    derivative.update()
+    v, a, z = now["v"] + 1e-3 * dv, now["a"], now["z"]
+    derivative.update(hyper(v, a, z))
     expected = derivative(np.concatenate([dv, da], axis=1))
-    v, a, rows = hyper.v.copy(), hyper.a.copy(), []
-    for sign in (1, -1):
-        hyper.v[:], hyper.a[:] = v + sign * 1e-6 * dv, a + sign * 1e-6 * da
-        hyper.set_local()
-        rows.append(np.concatenate(hyper.residual(), axis=1))
+    rows = [hyper(v + h * dv, a + h * da, z).rows for h in (1e-6, -1e-6)]
     quotient = (rows[0] - rows[1]) / 2e-6
     bound = 1e-4 if p == 3.5 else 1e-8  # a rule of degree 4 is right for (P_1 jumps)^4
     assert np.linalg.norm(quotient - expected) <= bound * np.linalg.norm(quotient)
@@ -158,7 +174,7 @@ def test_single_precision_takes_as_many_iterations(speed, monkeypatch):
     assert single <= iterations() + 1
 
 
-def in_units_of(length, density, seconds):
+def in_units_of(length, density, seconds, newton=None):
     """The swirl with these units, of a box of 1 in them."""
     modulus = density * (length / seconds) ** 2
     model = nv.Model(
@@ -174,16 +190,15 @@ def in_units_of(length, density, seconds):
     speed = length / seconds
     swirl = nv.Initial(velocity=(speed * sin(X) * cos(Y), -speed * cos(X) * sin(Y)), density=density)
     mesh = MakeStructured2DMesh(quads=False, nx=4, ny=4, mapping=lambda X, Y: (length * X, length * Y))
-    return nv.Simulation(mesh, model, dt=0.02 * seconds, initial=swirl, solver="split")
+    return nv.Simulation(mesh, model, dt=0.02 * seconds, initial=swirl, newton=newton, solver="split")
 
 
 @pytest.mark.parametrize("levels", [1, 2])
 @pytest.mark.parametrize("units", [(1e5, 9e20, 3e10), (1e-6, 1e3, 1e-9), (1e-8, 1e3, 1e-11)])
-def test_single_precision_does_not_depend_on_the_units(units, levels, monkeypatch):
+def test_single_precision_does_not_depend_on_the_units(units, levels):
     """Of 1e10 Pa, 100 km and a thousand years mu is 1e57, which has no number in single precision."""
-    if levels == 2:
-        monkeypatch.setattr("ngvisco.solver.split.preconditioner.DIRECT_UP_TO", {2: 0, 3: 0})
-    one, other = in_units_of(1.0, 1.0, 1.0), in_units_of(*units)
+    newton = TWO_LEVELS if levels == 2 else None
+    one, other = in_units_of(1.0, 1.0, 1.0, newton=newton), in_units_of(*units, newton=newton)
     for run in (one, other):
         run.run(0.06 * (1.0 if run is one else units[2]))
         assert run.solver.retried == 0
@@ -200,43 +215,47 @@ def test_two_increments_take_away_a_perturbation():
     run = simulation(maxh=0.15)
     run.run(0.06)
     split = run.solver.newton
-    split.momentum.start()
-    split.residual()
-    split.preconditioner.update(split._clock)
+    split.residual.start()
     x = split.unknowns.pack()
+    at = split.residual(x)
+    split.preconditioner.update(at, split._clock)
     scale = split.unknowns.scales(x)
     noise = np.random.default_rng(3).standard_normal(x.size) * scale * (x != 0)
-    rounding = split.preconditioner(split.residual(), 1e-8)
+    rounding = split.preconditioner(at, 1e-8)
     d = 1e-6 * noise
     for _ in range(2):
-        split.unknowns.unpack(x + d)
-        d = d - (split.preconditioner(split.residual(), 1e-8) - rounding)
+        d = d - (split.preconditioner(split.residual(x + d), 1e-8) - rounding)
     assert np.linalg.norm(d / scale) <= 0.1 * np.linalg.norm(1e-6 * noise / scale)
 
 
-def test_failed_step_is_retried_by_the_coupled_solver(monkeypatch):
-    def fail(self):
-        raise StepError("the split solver did not converge", [])
+FAILED = Solution(Status.STALLED, (), "the split solver did not converge")
 
-    monkeypatch.setattr(Split, "solve", fail)
+
+def test_failed_step_is_retried_by_the_coupled_solver(monkeypatch):
+    monkeypatch.setattr(Split, "solve", lambda self, problem, guess, full_steps=None: FAILED)
     run = simulation()
-    run.advance()
+    history = taken(run)
     assert run.solver.retried == 1
+    assert [a.strategy for a in history] == ["split", *["split, wide upwinding"] * 2, "coupled"]
+    assert [a.width for a in history] == [1, 100, 10000, 1]
+    assert [a.solution.reason for a in history] == [*[FAILED.reason] * 3, ""]
     assert abs(run.ledger.rows[-1]["closure_relative"]) <= 1e-10
 
 
-def test_failed_step_is_an_error_where_the_coupled_solver_is_too_large(monkeypatch):
-    monkeypatch.setattr("ngvisco.solver.choice.COUPLED_UP_TO", {2: 1, 3: 1})
-    run = simulation(newton=nv.NewtonOptions(max_iterations=2))
+def test_failed_step_is_an_error_where_the_coupled_solver_is_too_large():
+    options = nv.NewtonOptions(max_iterations=2, split=SplitOptions(coupled_up_to=(1, 1)))
+    run = simulation(newton=options)
     before = state(run)
-    with pytest.raises(StepError, match="split solver did not converge"):
+    with pytest.raises(StepError, match=r"split solver did not .*; coupled was not tried: .* cells") as error:
         run.advance()
     assert (state(run) == before).all()
+    left = [a for a in error.value.history if a.solution.status is Status.NOT_TRIED]
+    assert [a.strategy for a in left] == ["coupled", "coupled, wide upwinding", "coupled, growing step"]
 
 
 def test_auto_chooses_by_dimension_and_size():
     small, large = simulation(solver="auto"), simulation(maxh=0.05, solver="auto")
-    assert small.mesh.ne < SPLIT_FROM[2] <= large.mesh.ne
+    assert small.mesh.ne < SplitOptions().chosen_from[0] <= large.mesh.ne
     assert not isinstance(small.solver.newton, Split)
     assert isinstance(large.solver.newton, Split)
 
@@ -294,11 +313,10 @@ def test_sources_of_unknowns_and_of_derived_rows_are_for_the_coupled_solver(reas
 
 
 @pytest.mark.parametrize("k", [2, 3])
-def test_two_levels_lead_to_the_same_solution(monkeypatch, k):
+def test_two_levels_lead_to_the_same_solution(k):
     order = nv.Discretisation(k=k)
     direct = simulation(discretisation=order)
-    monkeypatch.setattr("ngvisco.solver.split.preconditioner.DIRECT_UP_TO", {2: 0, 3: 0})
-    two_level = simulation(discretisation=order)
+    two_level = simulation(discretisation=order, newton=TWO_LEVELS)
     assert isinstance(two_level.solver.newton.preconditioner.solver, TwoLevelSolver)
     for run in (direct, two_level):
         run.run(0.04)
@@ -306,11 +324,10 @@ def test_two_levels_lead_to_the_same_solution(monkeypatch, k):
     assert two_level.solver.retried == 0
 
 
-def test_two_levels_take_as_many_iterations_on_finer_meshes(monkeypatch):
-    monkeypatch.setattr("ngvisco.solver.split.preconditioner.DIRECT_UP_TO", {2: 0, 3: 0})
+def test_two_levels_take_as_many_iterations_on_finer_meshes():
     counts = []
     for maxh in (0.3, 0.15, 0.075):
-        run = simulation(maxh=maxh)
+        run = simulation(maxh=maxh, newton=TWO_LEVELS)
         run.advance()
         p = run.solver.newton.preconditioner
         matrix, steps = p.tangent.matrix(), []
@@ -324,11 +341,11 @@ def test_two_levels_take_as_many_iterations_on_finer_meshes(monkeypatch):
     assert counts[2] <= 1.3 * counts[0]
 
 
-def test_walls_stresses_beside_two_levels_take_few_more_iterations(monkeypatch):
+def test_walls_stresses_beside_two_levels_take_few_more_iterations():
     """Without the walls' velocities in the coarse problem they take twice as many."""
 
-    def iterations():
-        run = simulation(mesh=disc(1.0, maxh=0.3))
+    def iterations(newton):
+        run = simulation(mesh=disc(1.0, maxh=0.3), newton=newton)
         preconditioner, counts = run.solver.newton.preconditioner, []
         flow = preconditioner._flow
 
@@ -342,9 +359,7 @@ def test_walls_stresses_beside_two_levels_take_few_more_iterations(monkeypatch):
         assert run.solver.retried == 0
         return sum(counts)
 
-    direct = iterations()
-    monkeypatch.setattr("ngvisco.solver.split.preconditioner.DIRECT_UP_TO", {2: 0, 3: 0})
-    assert iterations() <= 1.4 * direct
+    assert iterations(TWO_LEVELS) <= 1.4 * iterations(None)
 
 
 def test_a_third_step_starts_nearer_to_its_solution_than_the_old_state_is():
@@ -352,11 +367,10 @@ def test_a_third_step_starts_nearer_to_its_solution_than_the_old_state_is():
     run.run(0.02)
     step, extrapolation = run.rothe_step, run.solver.extrapolation
     old = state(run)
-    assert not extrapolation.start(0.02 + 3.1 * 0.01)  # too far from what is known
+    assert extrapolation.guess(0.02 + 3.1 * 0.01, 3.0, 0.5) is None  # too far from what is known
+    assert extrapolation.guess(0.03, 3.0, 1e-6) is None  # too large a change
+    guess = extrapolation.guess(0.03, 3.0, 0.5).FV().NumPy().copy()
     assert (state(run) == old).all()
-    assert extrapolation.start(0.03)
-    guess = state(run)
-    step.state.vec.FV().NumPy()[:] = old
     run.advance()
     where = step.layout.ranges["z"]
     new = state(run)[where]
@@ -367,17 +381,16 @@ def test_a_failure_from_extrapolated_values_is_retried_from_the_old_state(monkey
     run, plain = simulation(), simulation()
     solve, calls = Split.solve, []
 
-    def fail_once(self):
-        calls.append(state(run))
-        if len(calls) == 1:
-            raise StepError("the split solver did not converge", [])
-        return solve(self)
+    def fail_once(self, problem, guess, full_steps=None):
+        calls.append(guess.FV().NumPy().copy())
+        return FAILED if len(calls) == 1 else solve(self, problem, guess)
 
     for each in (run, plain):
         each.run(0.04)
     old = state(run)
     monkeypatch.setattr(Split, "solve", fail_once)
-    run.advance()
+    history = taken(run)
+    assert [a.strategy for a in history] == ["split, extrapolated start", "split"]
     monkeypatch.setattr(Split, "solve", solve)
     plain.advance()
     assert len(calls) == 2 and (calls[0] != old).any() and (calls[1] == old).all()
@@ -390,17 +403,17 @@ def test_newton_krylov_takes_over_where_the_iteration_is_slow(dt, monkeypatch):
     """Newton-Krylov from the third iteration on ends in the same solution as the usual iteration."""
     usual = simulation(dt=dt)
     usual.advance()
-    monkeypatch.setattr("ngvisco.solver.split.iteration.SLOW", 2)
     taken_over = []
     newton_krylov = iteration.newton_krylov
 
-    def counted(split, start, history):
+    def counted(split, problem, start, history):
         before = len(history)
-        newton_krylov(split, start, history)
+        status = newton_krylov(split, problem, start, history)
         taken_over.append(len(history) - before)
+        return status
 
     monkeypatch.setattr(iteration, "newton_krylov", counted)
-    run = simulation(dt=dt)
+    run = simulation(dt=dt, newton=nv.NewtonOptions(split=SplitOptions(slow=2)))
     row = run.advance()
     assert run.solver.retried == 0
     assert taken_over and taken_over[0] > 0
@@ -420,11 +433,11 @@ def test_above_a_courant_number_of_one_no_step_is_retried():
 
 
 def test_newton_krylov_says_when_it_fails(monkeypatch):
-    monkeypatch.setattr("ngvisco.solver.split.iteration.SLOW", 0)
-    monkeypatch.setattr("ngvisco.solver.split.krylov.gmres", lambda operator, f, **_: (0 * f, 0))
-    split = simulation().solver.newton
-    with pytest.raises(StepError, match="did not converge"):
-        split.solve()
+    monkeypatch.setattr(iteration, "gmres", lambda operator, f, **_: (0 * f, 0))
+    run = simulation(newton=nv.NewtonOptions(split=SplitOptions(slow=1)))
+    solution = run.solver.newton.solve(first_step(run), run.rothe_step.state_old.vec)
+    assert solution.status is Status.STALLED
+    assert "split solver did not converge (no step length" in solution.reason
 
 
 def test_a_step_that_fails_is_solved_with_wide_upwinding_first(monkeypatch):
@@ -435,14 +448,15 @@ def test_a_step_that_fails_is_solved_with_wide_upwinding_first(monkeypatch):
     eta = run.rothe_step.context.eta
     width, solve, widths = eta.Get(), Split.solve, []
 
-    def from_wide_only(split):
+    def from_wide_only(split, problem, guess, full_steps=None):
+        problem.pose()
         widths.append(eta.Get() / width)
-        if len(widths) == 1:
-            raise StepError("a fold", [])
-        return solve(split)
+        return FAILED if len(widths) == 1 else solve(split, problem, guess)
 
     monkeypatch.setattr(Split, "solve", from_wide_only)
-    run.advance()
+    history = taken(run)
+    assert [a.strategy for a in history] == ["split", *["split, wide upwinding"] * 3]
+    assert [a.width for a in history] == pytest.approx(widths)
     assert widths == pytest.approx([1, 100, 10, 1])
     assert eta.Get() == width
     assert run.solver.retried == 0
@@ -453,11 +467,12 @@ def test_a_fold_that_wide_upwinding_does_not_pass_is_left_to_the_coupled_solver(
     run = simulation()
     calls = []
 
-    def fails(split):
-        calls.append(1)
-        raise StepError("a fold", [])
+    def solves_the_widest_only(split, problem, guess, full_steps=None):
+        calls.append(problem.width)
+        return Solution(Status.CONVERGED) if problem.width == 1e4 else FAILED
 
-    monkeypatch.setattr(Split, "solve", fails)
-    run.advance()
+    monkeypatch.setattr(Split, "solve", solves_the_widest_only)
+    history = taken(run)
     assert run.solver.retried == 1
-    assert len(calls) <= 1 + SPLIT_TRIES
+    assert [a.strategy for a in history] == ["split", *["split, wide upwinding"] * 6, "coupled"]
+    assert len(calls) == 1 + 6 and calls[:3] == [1, 100, 1e4] and min(calls[3:]) > 1

@@ -9,7 +9,8 @@ from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.solver.split import linear, reversal
+from ngvisco.solver.options import TwoLevelOptions
+from ngvisco.solver.split import linear, upwind_switch
 from ngvisco.solver.split.linear import MANY, largest_eigenvalue
 
 
@@ -40,36 +41,36 @@ def test_the_bound_misses_no_facet(monkeypatch):
         box((1, 1), maxh=0.2), model, dt=0.05, initial=nv.Initial(velocity=velocity), solver="split"
     )
     run.advance()
-    operator, t = run.solver.newton.preconditioner.operator, run.solver.newton.transport
+    split = run.solver.newton
+    operator, at = split.preconditioner.operator, split.residual(split.unknowns.pack())
     chosen = []
     for sudden in (1e-8, 1e-6, 1e-4):
-        monkeypatch.setattr(reversal, "SUDDEN", sudden)
+        monkeypatch.setattr(upwind_switch, "SUDDEN", sudden)
         for bound in (None, 1e100):
             if bound is not None:
-                monkeypatch.setattr(reversal.Reversal, "_largest", lambda self, zeta: 1e100)
-            operator.reversal.update(t.z, t.zeta, t.rho)
-            chosen.append(len(operator.reversal._slope) if operator.reversal.exists else 0)
+                monkeypatch.setattr(upwind_switch.UpwindSwitch, "_largest", lambda self, zeta: 1e100)
+            operator.switch.update(at)
+            chosen.append(len(operator.switch._slope) if operator.switch.exists else 0)
         monkeypatch.undo()
     assert chosen[0::2] == chosen[1::2]
     assert 0 < chosen[2] < chosen[0]
 
 
 @pytest.mark.usefixtures("double_precision")
-def test_two_levels_are_sweeps_around_a_coarse_solution(monkeypatch):
+def test_two_levels_are_sweeps_around_a_coarse_solution():
     """The same by residuals of the whole matrix, where no entry is dropped."""
-    monkeypatch.setattr(linear, "DROPPED", 0.0)
     rng = np.random.default_rng(4)
     n = 30
     B = rng.standard_normal((n, n))
     A = B @ B.T + n * np.eye(n)
     free, vertices, others = np.ones(n, dtype=bool), np.arange(n) < 10, np.zeros(n, dtype=bool)
     free[[3, 20]] = False
-    solver = linear.TwoLevelSolver(free, vertices, others, "umfpack")
+    solver = linear.TwoLevelSolver(free, vertices, others, "umfpack", TwoLevelOptions(dropped=1e-300))
     solver.factorise(sp.csr_matrix(A))
     coarse, fine = np.flatnonzero(free & vertices), np.flatnonzero(free & ~vertices)
     own, r = A[np.ix_(fine, fine)], rng.standard_normal(n)
     scaled = own / np.sqrt(np.outer(np.diag(own), np.diag(own)))
-    damping = solver.DAMPING / np.linalg.eigvalsh(scaled).max()
+    damping = solver.options.damping / np.linalg.eigvalsh(scaled).max()
     x = np.zeros(n)
     for stage in ("fine", "fine", "coarse", "fine", "fine"):
         left = r - A @ x

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from ngvisco import Discretisation, Model, StokesViscosity, time
-from ngvisco.forms.context import Integrand
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Convection, Inertia, Stokes
+from ngvisco.forms.term import Integrand
 from ngvisco.physics.tensors import inner
 from ngvisco.verification.manufactured import Exact
 from ngvisco.verification.models import hyperviscosity, material
@@ -32,9 +32,9 @@ def test_velocity_rate_is_k_plus_1_without_hyperviscosity(k: int) -> None:
             model,
             Discretisation(k=k),
             ("v",),
-            lambda c: [
-                Inertia(c),
-                Convection(c),
+            [
+                Inertia(),
+                Convection(),
                 Stokes(VISCOSITY),
                 Source(lambda w: [Integrand(-inner(force, w.v))]),
             ],
@@ -73,9 +73,9 @@ def hyperviscous_rates(k: int, p: float, levels: int) -> RateTable:
             model,
             Discretisation(k=k),
             BLOCKS,
-            lambda c: [
+            [
                 Stokes(VISCOSITY),
-                Hyperviscosity(model.hyperviscosity, c),
+                Hyperviscosity(model.hyperviscosity),
                 Source(lambda w: [Integrand(-inner(force, w.v))]),
             ],
             TAU,
@@ -88,7 +88,7 @@ def hyperviscous_rates(k: int, p: float, levels: int) -> RateTable:
 
 @pytest.mark.parametrize(("k", "p"), [(2, 2.0), (2, 4.0), (3, 2.0)])
 def test_hyperviscous_rates_are_those_of_the_lifted_penalty(k: int, p: float) -> None:
-    """formulation.md, Section 4: order 2 for k = 2, and 3.6 or more (L2), 2.7 or more (H1) for k = 3."""
+    """FORMULATION.md, Section 5: order 2 for k = 2, and 3.6 or more (L2), 2.7 or more (H1) for k = 3."""
     L2, H1 = RATES[k, p]
     hyperviscous_rates(k, p, 3).require(L2=L2, H1=H1)
 

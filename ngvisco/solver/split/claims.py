@@ -1,72 +1,144 @@
 """Which part of the split solver takes which term of the system: every term is taken by exactly one.
 
 The package's own terms are known by their class, not by inheritance: a class derived from one of them is
-another equation.  Any other term is taken by its own form where it has rows of the flow's unknowns only (v,
-the wall stress, the creep rate field); it may read all fields.  Its derivative by the flow's unknowns is in
-Newton's increments, that by rho, z and the others is not: it acts exactly, and takes more iterations the
-more it changes with these. A term with other rows is none for this solver, which says so by the term's
-name.
+another equation.  Every term that is a function of the values at a point is taken by its arrays
+(``ngvisco.forms.evaluation``), whatever it is.  Any other term is taken by its own form where it has rows of
+the flow's unknowns only (v, the wall stress, the creep rate field); it may read all fields.  Its derivative
+by the flow's unknowns is in Newton's increments, that by rho, z and the others is not: it acts exactly, and
+takes more iterations the more it changes with these.  A term with other rows is none for this solver, which
+says so by the term's name.
 """
 
 from __future__ import annotations
 
-from ngvisco.forms.context import Term
-from ngvisco.forms.creep import CreepRate
+from dataclasses import dataclass, field
+
+from ngvisco.errors import ParameterError
+from ngvisco.forms.evaluation import NotAtPointsError, asked_slots
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.momentum import Continuity, Convection, Inertia, Loading, Stokes
-from ngvisco.forms.regularisation import CutOffVolume, DensityDiffusion, FieldDiffusion, VelocityDamping
-from ngvisco.forms.spaces import Fields
+from ngvisco.forms.momentum import Continuity, Inertia, Loading
+from ngvisco.forms.regularisation import CutOffVolume, DensityDiffusion, FieldDiffusion
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import PointTerm, Term
 from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
-from ngvisco.forms.wall_terms import Impenetrability, TangentialStress
-from ngvisco.solver.split.unknowns import Unknowns
+from ngvisco.solver.split.unknowns import Unknowns, density_by_forms
 from ngvisco.solver.split.withheld import GivenParts, WithheldError
 
-DENSITY = (Continuity, DensityDiffusion)
-"""The continuity equation: at the points, or by forms where it is not linear (``Transport``)."""
+AT_POINTS = {"v", "grad v", "rho", "grad rho", "z", "grad z", "Pi", "grad Pi"}
+"""Tests whose rows are made of arrays."""
 
-FIELDS = (Kinematics, Conjugates, UpwindTrace, FieldDiffusion)
-"""The equations of z, its traces and conjugates (``Transport``)."""
-
-AT_POINTS = (Inertia, Convection, Stokes, Loading, ElasticForce)
-"""Rows of v that ``Momentum`` evaluates at the points."""
-
-HYPERVISCOSITY = (Hyperviscosity,)
-"""``MatrixHyperviscosity``."""
-
-BY_FORMS = (Impenetrability, TangentialStress, VelocityDamping, CreepRate)
-"""Rows of the flow that ``Momentum`` evaluates by the terms' own forms, as those of foreign terms."""
-
-WITHOUT_ROWS = (CutOffVolume,)
-"""Columns of the ledger only."""
-
-_OWN = (*DENSITY, *FIELDS, *AT_POINTS, *HYPERVISCOSITY, *BY_FORMS, *WITHOUT_ROWS)
+_FLOW = {"v", "grad v", "Pi", "grad Pi"}
 
 
-def flow_terms(step: Step) -> list[Term]:
-    """The terms whose rows of the flow are evaluated by their forms."""
-    return [term for term in step.terms if type(term) in BY_FORMS or _is_foreign(step, term)]
+@dataclass
+class Claims:
+    """Terms by the part of the solver that takes them."""
+
+    traces: list[PointTerm] = field(default_factory=list)
+    """Equations of the upwind trace of z, solved for it."""
+    conjugates: list[Term] = field(default_factory=list)
+    """The projection of phi'(z)."""
+    at_points: list[PointTerm] = field(default_factory=list)
+    """By arrays."""
+    continuity: list[PointTerm] = field(default_factory=list)
+    """The continuity equation where it is linear in rho, by arrays; solved for the upwind trace of rho."""
+    density: list[Term] = field(default_factory=list)
+    """The continuity equation where it is not linear in rho, by forms."""
+    by_forms: list[Term] = field(default_factory=list)
+    """Rows of the flow by forms."""
+    diffusion: list[FieldDiffusion] = field(default_factory=list)
+    """delta Laplace z, a constant matrix."""
+    hyperviscosity: list[Hyperviscosity] = field(default_factory=list)
+    sources: list[Term] = field(default_factory=list)
+    """Known before the iteration."""
+    rows: dict[int, set[str]] = field(default_factory=dict)
+    """Names of the tests that a term at points has rows of, by its id."""
+    without_rows: list[Term] = field(default_factory=list)
+    """Columns of the ledger only."""
+
+    @classmethod
+    def of(cls, step: Step) -> Claims:
+        """Every term of the step in exactly one part.
+
+        Raises
+        ------
+        ParameterError
+            For a term that no part takes.
+        """
+        claims = cls()
+        for term in step.terms:
+            claims._claim(step, term)
+        return claims
+
+    def beside_the_points(self) -> list[Term]:
+        """Terms of the flow whose linearisation by v, wall stress and Pi is taken from their forms."""
+        own = (Inertia, ElasticForce, Loading, Kinematics)
+        others = [
+            term
+            for term in self.at_points
+            if type(term) not in own and term not in self.of_gradients() and self.rows[id(term)] & _FLOW
+        ]
+        return [*self.by_forms, *others]
+
+    def of_gradients(self) -> list[PointTerm]:
+        """Terms with rows of grad w, whose linearisation by v a coarse rule will do for; not the elastic
+        force, which changes with the fields."""
+        return [
+            term
+            for term in self.at_points
+            if "grad v" in self.rows[id(term)] and not isinstance(term, ElasticForce)
+        ]
+
+    def _claim(self, step: Step, term: Term) -> None:
+        kind = type(term)
+        if term is step.sources:
+            self.sources.append(term)
+        elif kind in (Continuity, DensityDiffusion) and density_by_forms(step):
+            self.density.append(term)
+        elif isinstance(term, Continuity) and kind is Continuity:
+            self.continuity.append(term)
+        elif isinstance(term, Hyperviscosity) and kind is Hyperviscosity:
+            self.hyperviscosity.append(term)
+        elif isinstance(term, FieldDiffusion) and kind is FieldDiffusion:
+            self.diffusion.append(term)
+        elif isinstance(term, UpwindTrace) and kind is UpwindTrace:
+            self.traces.append(term)
+        elif kind is Conjugates:
+            self.conjugates.append(term)
+        elif kind is CutOffVolume:
+            self.without_rows.append(term)
+        elif isinstance(term, PointTerm) and self._is_at_points(step, term):
+            self.at_points.append(term)
+        else:
+            _require_flow_rows(step, term)
+            self.by_forms.append(term)
+
+    def _is_at_points(self, step: Step, term: PointTerm) -> bool:
+        try:
+            rows = self.rows[id(term)] = asked_slots(step, term, step.tabulated_rates)
+        except NotAtPointsError:
+            return False
+        return rows <= AT_POINTS
 
 
 def term_obstacle(step: Step) -> str | None:
     """Why a term of the step cannot be taken, by its name, or None."""
-    for term in step.terms:
-        if _is_foreign(step, term):
-            try:
-                _require_flow_rows(step, term)
-            except WithheldError as error:
-                return f"{type(term).__name__}: {error}"
+    try:
+        Claims.of(step)
+    except ParameterError as error:
+        return str(error.expected)
     return None
 
 
-def _is_foreign(step: Step, term: Term) -> bool:
-    return type(term) not in _OWN and term is not step.sources
-
-
 def _require_flow_rows(step: Step, term: Term) -> None:
-    """Raise WithheldError if the term has rows of anything but the flow's unknowns."""
+    """Raise ParameterError if the term has rows of anything but the flow's unknowns."""
     layout, names = step.layout, Unknowns(step).flow
     trial, test = layout.space.TnT()
     tests = {name: part for name, part in zip(layout.names, test, strict=True) if name in names}
-    reason = "it has a row of {name}, and the split solver takes terms with rows of the flow only"
-    term.form(layout.fields(trial), Fields(layout, GivenParts(tests, reason)))
+    reason = "it has a row of {name}, and the split solver takes forms with rows of the flow only"
+    try:
+        term.form(layout.fields(trial), Fields(layout, GivenParts(tests, reason)))
+    except WithheldError as error:
+        name = type(term).__name__
+        raise ParameterError("Simulation.terms", name, f"{name}: {error}") from error

@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from ngvisco.solver.split.facets import FacetMass, Facets
+from ngvisco.forms.facet_mass import FacetMass
+from ngvisco.forms.operators import SideOperators
 from ngvisco.threads import product
 
 
 class SideCoupling:
     """Builds the blocks for weights at the sides' points; the functions there are known once."""
 
-    def __init__(self, facets: Facets) -> None:
-        z, mass, per = facets.z, facets.trace_mass, facets.points.per_side
+    def __init__(self, sides: SideOperators, mass: FacetMass) -> None:
+        z, per = sides.z, sides.points.per_side
         self.cells, self.q = z.cells, z.local
         self.sides = z.per_cell // per
-        self._weights = facets.points.weights.reshape(-1, per, 1)
+        self._weights = sides.points.weights.reshape(-1, per, 1)
         self._z = z.blocks.reshape(-1, per, self.q)
         self._z_t = np.ascontiguousarray(self._z.transpose(0, 2, 1))
         self._hat = np.ascontiguousarray(mass.shapes.T).reshape(len(self._z), per, -1)

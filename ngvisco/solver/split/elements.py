@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from ngvisco.algebra import precision
 from ngvisco.errors import MeshError
-from ngvisco.solver.split import precision
-from ngvisco.solver.split.operators import Operators
+from ngvisco.forms.operators import Operators
 from ngvisco.solver.split.tangent import PointTangent
 from ngvisco.threads import product
 
@@ -27,7 +27,7 @@ class FlowElements:
         op = points.op
         v, z = op.v.matrix, op.z.matrix
         self.cells, self.per, self.local, self.q = op.v.cells, op.v.per_cell, v.indptr[1], z.indptr[1]
-        self.d, self.n = len(op.dv), points.t.n
+        self.d, self.n = len(op.dv), points.n
         if not (np.diff(v.indptr) == self.local).all():
             raise MeshError("a cell of a periodic mesh meets its own image: expected two cells or more")
         self.dofs = v.indices.reshape(self.cells, self.per, self.local)[:, 0]

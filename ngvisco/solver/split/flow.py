@@ -11,65 +11,95 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from ngvisco.forms.evaluation import with_velocity
+from ngvisco.forms.momentum import Inertia
+from ngvisco.forms.restricted import RestrictedForm
+from ngvisco.physics.arrays import TINY
 from ngvisco.solver.split.elements import FlowElements
 from ngvisco.solver.split.hyper_derivative import HyperDerivative
-from ngvisco.solver.split.momentum import Momentum
-from ngvisco.solver.split.reversal import Reversal
+from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
 from ngvisco.solver.split.sweep import Sweep
 from ngvisco.solver.split.tangent import PointTangent
+from ngvisco.solver.split.upwind_switch import UpwindSwitch
 from ngvisco.threads import concurrently, product
 
 
 class FlowOperator:
-    """The operator at the state of the last ``update``."""
+    """The operator at the evaluation of the last ``update``."""
 
     def __init__(
-        self, momentum: Momentum, points: PointTangent, sweep: Sweep, derivative: HyperDerivative | None
+        self,
+        residual: ReducedResidual,
+        points: PointTangent,
+        sweep: Sweep,
+        derivative: HyperDerivative | None,
     ) -> None:
-        self.m, self.p, self.sweep, self.derivative = momentum, points, sweep, derivative
-        self.t, self.op, self.d = momentum.transport, points.op, momentum.dim
-        self.elements = FlowElements(points, momentum.op)
-        self.reversal = Reversal(self.t.facets)
-        self.nv = self.t.v.size
-        self.size = momentum.rows
+        self.r, self.p, self.sweep, self.derivative = residual, points, sweep, derivative
+        step, u = residual.step, residual.unknowns
+        self.op, self.d = points.op, step.mesh.dim
+        self.elements = FlowElements(points, residual.op)
+        self.switch = UpwindSwitch(residual)
+        self.nv, self.size = u.slices["v"].stop, u.flow_slice.stop
+        claims = residual.claims
+        others = claims.beside_the_points()
+        self.others = RestrictedForm(step, u.flow, others) if others else None
+        self.leading = claims.of_gradients()
+        self.inertial = [term for term in claims.at_points if isinstance(term, Inertia)]
 
-    def update(self, everything: bool = True) -> None:
-        """Linearise at the present state, whose residual has just been evaluated.
+    def update(self, at: Evaluation, everything: bool = True) -> None:
+        """Linearise at an evaluation.
 
         Without ``everything`` only hyperviscosity, upwinding and a density equation that is not linear.
         """
         self.sweep.linearise()
-        self.reversal.update(self.t.z, self.t.zeta, self.t.rho)
-        if self.derivative is not None:
-            self.derivative.update()
+        self.switch.update(at)
+        if self.derivative is not None and at.hyper is not None:
+            self.derivative.update(at.hyper)
         if not everything:
             return
-        concurrently(self.p.update, self.sweep.update, self.op.points.count * self.t.n**2)
-        inertia = self.m.op.z(self.t.context.rate(0.5 * (self.t.rho + self.t.rho_old)))
-        self.elements.update(self._base(), inertia)
+        count = self.op.points.count * self.p.n**2
+        concurrently(lambda: self.p.update(at), lambda: self.sweep.update(at), count)
+        self.elements.update(self._base(), self._inertia(at))
         self.rest = self._rest()
+
+    def _inertia(self, at: Evaluation) -> np.ndarray:
+        """What multiplies w . dv by inertia, (points of the residual's rule,)."""
+        u, terms = at.cells, self.r.cell_terms
+        v = u.v.value.astype(complex)
+        v[0] += 1j * TINY
+        slots = terms.slots(self.inertial, with_velocity(u, v=v))
+        return slots["v"][0].imag / TINY
 
     def _base(self) -> np.ndarray:
         """dR/d(v, grad v) of convection and viscosity: (points, 0 or 1 + j, i, k, 0 or 1 + l)."""
-        p, d = self.p, self.d
-        rho = p.op.z(self.t.rho)
-        v, L = p.v, p.L
-        A = np.zeros((p.op.points.count, 1 + d, d, d, 1 + d))
-        for i in range(d):
-            for j in range(d):
-                A[:, 0, i, j, 0] += 0.5 * L[i * d + j] * rho
-                A[:, 0, i, i, 1 + j] += 0.5 * rho * v[j]
-                A[:, 1 + j, i, i, 0] -= 0.5 * rho * v[j]
-                A[:, 1 + j, i, j, 0] -= 0.5 * rho * v[i]
-                A[:, 0, i, j, 1 + j] -= 0.5 * rho * v[i]
-        if self.m.stokes is not None:
-            A[:, 1:, :, :, 1:] += self.m.stokes.reshape(d, d, d, d).swapaxes(0, 1)
+        d, u = self.d, self.p.values
+        v, L = u.v.value, u.grad_v.value
+        A = np.zeros((self.op.points.count, 1 + d, d, d, 1 + d))
+        varying = [term for term in self.leading if self.p.terms.constant_matrix(term) is None]
+        for k in range(d):
+            for column in range(1 + d):
+                if column == 0:
+                    changed = v.astype(complex)
+                    changed[k] += 1j * TINY
+                    at = with_velocity(u, v=changed)
+                else:
+                    changed = L.astype(complex)
+                    changed[k, column - 1] += 1j * TINY
+                    at = with_velocity(u, grad_v=changed)
+                slots = self.p.terms.slots(varying, at)
+                A[:, 0, :, k, column] = slots["v"].imag.T
+                A[:, 1:, :, k, column] = slots["grad v"].imag.transpose(2, 1, 0)
+        A /= TINY
+        for term in self.leading:
+            matrix = self.p.terms.constant_matrix(term)
+            if matrix is not None:  # by (i, j) and (k, l)
+                A[:, 1:, :, :, 1:] += matrix.reshape(d, d, d, d).swapaxes(0, 1)
         return A
 
     def _rest(self) -> sp.csr_matrix | None:
-        """Walls, damping and the creep rate field, as a matrix."""
-        rest = None if self.m.by_forms is None else self.m.by_forms.jacobian()
-        if self.t.Pi is None:
+        """Walls, damping, the creep rate field and terms of others, as a matrix."""
+        rest = None if self.others is None else self.others.jacobian()
+        if "Pi" not in self.r.unknowns.flow:
             return rest
         creep = self._creep_stiffness()
         first = self.size - creep.shape[0]
@@ -78,8 +108,8 @@ class FlowOperator:
 
     def _creep_stiffness(self) -> sp.csr_matrix:
         """What M takes from a creep rate field Pi within the step, coupling to v left out."""
-        first = self.t.rates.gradients
-        values = self.op.points.values(self.op.creep)
+        first = self.r.rates.tensors.gradients
+        values = self.op.creep_values.matrix
         C = self.p.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
         size = C.shape[1]
         blocks = [[values.T @ sp.diags(C[:, i, k]) @ values for k in range(size)] for i in range(size)]
@@ -104,7 +134,7 @@ class FlowOperator:
         """Rows of v, (dim, .), without hyperviscosity, with the fields carried along."""
         e = self.elements
         local = e.gathered(dv)
-        force, through = self.reversal(dv) if self.reversal.exists else (0.0, None)
+        force, through = self.switch(dv) if self.switch.exists else (0.0, None)
         carried = self._carried(product(e.to_fields, local).reshape(-1, e.n), through)
         of_cells = product(e.own, local)
         of_cells += product(e.from_fields, carried.reshape(e.cells, -1, 1))
@@ -131,7 +161,7 @@ class FlowOperator:
         if dPi is not None:
             values = at_points(self.p.columns[:, :, self.d**2 :], dPi)
             rows -= self.op.z.test(values).T
-        return self._carried(rows, self.reversal(dv)[1] if self.reversal.exists else None)
+        return self._carried(rows, self.switch(dv)[1] if self.switch.exists else None)
 
     def resolved(self, dz: np.ndarray) -> np.ndarray:
         """(1 - tau K)^{-1} dz at the points, (n, points), of coefficients dz (cells' unknowns, n)."""

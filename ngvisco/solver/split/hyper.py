@@ -5,12 +5,16 @@ once.  What is nonlinear is in scalars on cells (see ``ngvisco.forms.hyperviscos
 
     Hs = lifting(v, a),  s = P |Hs|^2,  c_s = P c(s) + facets,  S = P (c_s Hs),
 
-P the cellwise L2 projections.  The penalty is formed at the sides' points, by the rule of the forms.
+P the cellwise L2 projections.  Coefficients and penalty are the term's own, at the points of the forms'
+rules.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,14 +31,18 @@ from ngsolve import (
     specialcf,
 )
 
+from ngvisco.algebra.blocks import BlockInverse
+from ngvisco.algebra.local import LocalMatrix
+from ngvisco.algebra.sparse import mass_matrix, pruned
+from ngvisco.forms.evaluation import Lazy
+from ngvisco.forms.fields import Fields, contraction, hessian_basis
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.points import CellPoints, csr
 from ngvisco.forms.side_points import SidePoints
-from ngvisco.forms.spaces import contraction, hessian_basis
+from ngvisco.forms.spaces import Layout
 from ngvisco.forms.system import Step
-from ngvisco.solver.split.blocks import BlockInverse
-from ngvisco.solver.split.local import LocalMatrix
-from ngvisco.solver.split.operators import mass_matrix, pruned
+from ngvisco.physics.arrays import Array, contracted
+from ngvisco.physics.variables import Values
 
 
 class SideJumps:
@@ -42,19 +50,57 @@ class SideJumps:
 
     def __init__(self, hyper: MatrixHyperviscosity, points: SidePoints) -> None:
         mesh, n = points.mesh, specialcf.normal(points.mesh.dim)
-        self.points, self.weights = points, points.weights
+        self.points, self.weights, self._layout = points, points.weights, hyper.step.layout
         self.of_v = points.operator(hyper.velocity, lambda u: -(grad(u) * n))
         self.of_a = points.operator(hyper.normal, lambda b: b * n)
         self.matrix = sp.hstack([self.of_v, self.of_a], format="csr")
-        self.h = np.repeat(hyper.term.context.h.vec.FV().NumPy(), points.count // mesh.ne)
-        self.penalty = hyper.law.penalty / self.h
+        self.h = np.repeat(hyper.step.context.h.vec.FV().NumPy(), points.count // mesh.ne)
+        self._context = hyper.step.context
         if not hyper.law.is_linear:
             self.scalar = LocalMatrix(points.values(hyper.squares), mesh.ne, self.weights)
+        if not hyper.is_uniform:
+            self._z = LocalMatrix(points.values(hyper.fields), mesh.ne)
 
     @cached_property
     def jump(self) -> LocalMatrix:
         """j of (v, a) side by side."""
         return LocalMatrix(self.matrix, self.points.mesh.ne, self.weights)
+
+    def values(self, j: np.ndarray, s: np.ndarray | None, z: np.ndarray) -> Fields:
+        """Jumps, |Hs|^2 and the fields on the sides, of jumps there and of coefficients."""
+        makers = {"z": lambda: Array(self._z(z), None)}
+        if s is not None:
+            makers["hess_square"] = lambda: Array(self.scalar(s), None)
+        known = SimpleNamespace(h=Array(self.h, None), curvature=self._context.curvature.Get())
+        u = Fields(self._layout, Lazy(makers, "on facets"), known)  # type: ignore[arg-type]
+        u.__dict__["jump"] = Array(j, None)
+        return u
+
+
+@dataclass
+class HyperValues:
+    """The local unknowns, the jumps at the sides' points and the rows that belong to some (v, a).
+
+    Attributes
+    ----------
+    x : (dim, unknowns of v and a) array
+    hess, stress : (dim components, functions) arrays
+    square, coefficient : (functions,) arrays or None
+        |Hs|^2 and c_s; None where the hyperstress is linear.
+    jumps : (dim, sides' points) array
+    z : (n, functions) array
+        Coefficients of the fields.
+    rows : array of x's shape
+    """
+
+    x: np.ndarray
+    hess: np.ndarray
+    stress: np.ndarray
+    square: np.ndarray | None
+    coefficient: np.ndarray | None
+    jumps: np.ndarray
+    z: np.ndarray
+    rows: np.ndarray
 
 
 class MatrixHyperviscosity:
@@ -64,29 +110,35 @@ class MatrixHyperviscosity:
         self.step, self.term, self.law = step, term, term.law
         layout, self.dim = step.layout, step.mesh.dim
         k = layout.discretisation.k
+        self.is_uniform = self._has_numbers(layout)
         # Hs and all that is made of it are cellwise constant for k = 2: one point does
-        constant = k == 2 and step.mesh.GetCurveOrder() <= 1
+        constant = k == 2 and step.mesh.GetCurveOrder() <= 1 and self.is_uniform
         self.points = CellPoints(step.mesh, 0) if constant else points
-        self.velocity = layout.scalar_velocity_space()
+        self.velocity, self.fields = (
+            layout.scalar_velocity_space(),
+            L2(step.mesh, order=layout.discretisation.m),
+        )
         normal_space = NormalFacetFESpace(step.mesh, order=k - 1)
         self.normal = Periodic(normal_space) if layout.periodic else normal_space
         self.squares = L2(step.mesh, order=2 * k - 4)
-        state = step.state.vec.FV().NumPy()
-        self.v = state[layout.ranges["v"]].reshape(self.dim, -1)
-        start = layout.ranges["a_1"].start
-        stop = layout.ranges[f"a_{self.dim}"].stop
-        self.a = state[start:stop].reshape(self.dim, -1)
         self._lifting(k)
         self.sides = SideJumps(self, sides)
-        self.hess = state[layout.ranges["hess"]].reshape(self.dim * self.size, -1)
-        self.stress = state[layout.ranges["hyperstress"]].reshape(self.dim * self.size, -1)
         if not self.law.is_linear:
-            self.s = state[layout.ranges["hess_square"]]
-            self.c = state[layout.ranges["hyper_coefficient"]]
             self.s_values = self._local(self.points.values(self.squares))
             mass = mass_matrix(self.s_values.matrix, self.points.weights)
             self.s_inverse = BlockInverse(mass)
             self.s_inverse.update(mass)
+        if not self.is_uniform:
+            self._z = LocalMatrix(self.points.values(self.fields), step.mesh.ne)
+
+    def _has_numbers(self, layout: Layout) -> bool:
+        """Whether the law's moduli are the same everywhere."""
+        z = layout.states.tensors(lambda: Array(np.ones((layout.states.size, 1)), None))
+        return all(isinstance(modulus, (int, float)) for modulus in self.law.moduli(z))
+
+    def tensors(self, z: np.ndarray) -> Values:
+        """Values of the variables at the cells' points of this rule, of coefficients."""
+        return self.step.layout.states.tensors(lambda: Array(self._z(z), None))
 
     def _local(self, matrix: sp.csr_matrix) -> LocalMatrix:
         return LocalMatrix(matrix, self.step.mesh.ne, self.points.weights)
@@ -94,7 +146,7 @@ class MatrixHyperviscosity:
     def _lifting(self, k: int) -> None:
         """L_v, L_a with  mass Hs_i = L_v v_i + L_a a_i,  and the lifting of (v, a)."""
         dim, facets = self.dim, self.step.quadrature.facets
-        mesh, n = self.step.mesh, self.term.context.normal
+        mesh, n = self.step.mesh, self.step.context.normal
         scalar = L2(mesh, order=k - 2)
         size = hessian_basis(dim).shape[1]
         tests = VectorValued(scalar, size)
@@ -129,33 +181,39 @@ class MatrixHyperviscosity:
         by_components = loads.reshape(self.dim, self.size, self.step.mesh.ne, -1)
         return self.lift.test(by_components.swapaxes(1, 2).reshape(self.dim, -1))
 
-    def set_local(self) -> None:
-        """Hs, s, c_s, S and the jumps from v and a, into the state."""
-        law, sides = self.law, self.sides
-        x = np.concatenate([self.v, self.a], axis=1)
-        self.hess[:] = self.lifted(x)
-        self.j = sides.jump(x)
+    def __call__(self, v: np.ndarray, a: np.ndarray, z: np.ndarray) -> HyperValues:
+        """Evaluate for coefficients of v, a (dim, .) and z, real or with an infinitesimal imaginary part."""
+        law, sides, x = self.law, self.sides, np.concatenate([v, a], axis=1)
+        hess, j, tensors = self.lifted(x), sides.jump(x), self.tensors(z)
+        at_points = self.h_values(hess)
+        s = coefficient = None
         if law.is_linear:
-            self.stress[:] = (law.mu + law.mu_1) * self.hess
-            self._loads = (law.mu + law.mu_1) * self.h_values.test(self.h_values(self.hess))
-            self.stiffness = sides.penalty * (law.mu + law.mu_1)
-            return
-        at_points = self.h_values(self.hess)
-        self.s[:] = self.s_inverse(self.s_values.test(np.einsum("bp,bp->p", at_points, at_points)))
-        squares = np.einsum("ip,ip->p", self.j, self.j)
-        size = sides.scalar(self.s) + squares / sides.h**2 + self.term.context.curvature.Get() ** 2
-        slope = sides.penalty * law.slope(size)
-        self.stiffness = sides.penalty * law.coefficient(size) + slope * squares / sides.h**2
-        values = law.coefficient(self.s_values(self.s))
-        self.c[:] = self.s_inverse(self.s_values.test(values) + sides.scalar.test(slope * squares))
-        at_points *= self.s_values(self.c)
-        self._loads = self.h_values.test(at_points)
-        self.stress[:] = self.h_inverse(self._loads)
+            at_points = at_points * value_of(law.linear(tensors))
+        else:
+            s = self.s_inverse(self.s_values.test(contracted(at_points, at_points)))
+            on_sides = sides.values(j, s, z)
+            in_cells = law.coefficient(Array(self.s_values(s), None), tensors)
+            _, coupling = self.term.penalty(on_sides)
+            loads = self.s_values.test(in_cells.value) + sides.scalar.test(coupling.value)
+            coefficient = self.s_inverse(loads)
+            at_points = at_points * self.s_values(coefficient)
+        loads = self.h_values.test(at_points)
+        stiffness = value_of(self.term.stiffness(sides.values(j, s, z)))
+        rows = self.tested(loads) + sides.jump.test(stiffness * j)
+        return HyperValues(x, hess, self.h_inverse(loads), s, coefficient, j, z, rows)
 
-    def residual(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of v and of a, (dim, velocity's unknowns) and (dim, facets' unknowns)."""
-        rows = self.tested(self._loads) + self.sides.jump.test(self.stiffness * self.j)
-        return rows[:, : self.v.shape[1]], rows[:, self.v.shape[1] :]
+    def put(self, values: HyperValues) -> None:
+        """Put the local unknowns into the step's state."""
+        state, ranges = self.step.state.vec.FV().NumPy(), self.step.layout.ranges
+        state[ranges["hess"]], state[ranges["hyperstress"]] = values.hess.ravel(), values.stress.ravel()
+        if values.square is not None and values.coefficient is not None:
+            state[ranges["hess_square"]] = values.square
+            state[ranges["hyper_coefficient"]] = values.coefficient
+
+
+def value_of(modulus: Any) -> Any:
+    """Numbers or arrays of a number or of an ``Array``."""
+    return modulus.value if isinstance(modulus, Array) else modulus
 
 
 def _divergence(X: CoefficientFunction, dim: int) -> CoefficientFunction:

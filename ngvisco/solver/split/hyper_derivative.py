@@ -7,13 +7,16 @@ these.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sp
 
+from ngvisco.algebra import precision
+from ngvisco.algebra.local import LocalMatrix
 from ngvisco.forms.side_points import SidePoints
-from ngvisco.solver.split import precision
-from ngvisco.solver.split.hyper import MatrixHyperviscosity, SideJumps
-from ngvisco.solver.split.local import LocalMatrix
+from ngvisco.physics.arrays import Array
+from ngvisco.solver.split.hyper import HyperValues, MatrixHyperviscosity, SideJumps, value_of
 from ngvisco.threads import product
 
 SIDES = 4
@@ -29,17 +32,16 @@ one: there the rule is that of the forms.
 class HyperDerivative:
     """The derivative at the state of the last ``update``."""
 
-    def __init__(self, hyper: MatrixHyperviscosity, exact: bool = False) -> None:
-        """``exact`` is by the rule of the forms, whatever the exponent."""
+    def __init__(self, hyper: MatrixHyperviscosity) -> None:
         step = hyper.step
         self.h = hyper
         self.cells = step.mesh.ne
-        coarse = not exact and step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
+        coarse = step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
         self.sides = SideJumps(hyper, SidePoints(step.mesh, SIDES)) if coarse else hyper.sides
         self._weights = hyper.points.weights.reshape(self.cells, 1, -1, 1)
         self._volume = hyper.points.weights.max()
         self._side_weights = self.sides.weights.reshape(self.cells, -1)
-        self.dtype = np.float64 if exact else precision.SINGLE
+        self.dtype = precision.SINGLE
         self._values = self._together()
         self._at_points = hyper.h_values.blocks.astype(self.dtype)
         if not hyper.law.is_linear:
@@ -55,29 +57,37 @@ class HyperDerivative:
         both = sp.vstack([lift, jump], format="csr")
         return LocalMatrix(both[rows.ravel()], cells, keep=False, dtype=self.dtype)
 
-    def update(self) -> None:
-        """Linearise at the present state."""
+    def update(self, at: HyperValues) -> None:
+        """Linearise at some values."""
         h, law, sides, cells = self.h, self.h.law, self.sides, self.cells
-        if law.is_linear:
-            self._c = self._weights * (law.mu + law.mu_1)
-            self._penalty = self._side_weights * (sides.penalty * (law.mu + law.mu_1)).reshape(cells, -1)
+        tensors, shape = h.tensors(at.z), self._side_weights.shape
+        jumps = at.jumps if sides is h.sides else sides.jump(at.x)
+        self._at, self._on_sides = at, sides.values(jumps, at.square, at.z)
+        if at.square is None or at.coefficient is None:
+            linear = np.broadcast_to(value_of(law.linear(tensors)), h.points.count)
+            self._c = self._weights * linear.reshape(self._weights.shape)
+            penalty, _ = h.term.penalty(self._on_sides)
+            self._penalty = self._side_weights * value_of(penalty).reshape(shape)
             self._normalise()
             return
-        self._hessian, self._j = self._state()
+        hessian = h.h_values(at.hess).reshape(h.dim, h.size, cells, -1)
+        self._hessian, self._j = (
+            hessian.transpose(2, 1, 3, 0),
+            jumps.reshape(h.dim, *shape).transpose(1, 2, 0),
+        )
+        size, z, squared = h.term.size(self._on_sides), self._on_sides.z_tensors, sides.h**2
+        weight = law.penalty / sides.h
         q = np.einsum("cpi,cpi->cp", self._j, self._j).ravel()
-        self._size = size = sides.scalar(h.s) + q / sides.h**2 + h.term.context.curvature.Get() ** 2
-        slope = law.slope(size)
-        bend = 0.5 * (law.p - 4) * slope / size * q  # c'' |j|^2
-        squared = sides.h**2
-        self._c = self._weights * h.s_values(h.c).reshape(self._weights.shape)
-        penalty = sides.penalty * (law.coefficient(size) + slope * q / squared)
-        self._penalty = self._side_weights * penalty.reshape(cells, -1)
+        slope = weight * law.slope(size, z).value
+        bend = 0.5 * (law.p - 4) * slope / size.value * q  # c'' |j|^2
+        self._c = self._weights * h.s_values(at.coefficient).reshape(self._weights.shape)
+        self._penalty = self._side_weights * h.term.stiffness(self._on_sides).value.reshape(shape)
         # second derivatives by s = P |Hs|^2 and q = |j|^2, tested with these: the same both ways
-        weighted = self._side_weights * sides.penalty.reshape(cells, -1)
-        self._s_slope = self._weights[:, 0] * law.slope(h.s_values(h.s)).reshape(cells, -1, 1)
-        self._ss = weighted * bend.reshape(cells, -1)
-        self._sq = weighted * (slope + bend / squared).reshape(cells, -1)
-        self._qq = weighted * ((2 * slope + bend / squared) / squared).reshape(cells, -1)
+        s_slope = law.slope(Array(h.s_values(at.square), None), tensors).value
+        self._s_slope = self._weights[:, 0] * s_slope.reshape(cells, -1, 1)
+        self._ss = self._side_weights * bend.reshape(shape)
+        self._sq = self._side_weights * (slope + bend / squared).reshape(shape)
+        self._qq = self._side_weights * ((2 * slope + bend / squared) / squared).reshape(shape)
         self._normalise()
 
     def _normalise(self) -> None:
@@ -90,13 +100,6 @@ class HyperDerivative:
             units |= {"_s_slope": unit / H**2, "_ss": unit / H**2, "_sq": unit / (H * j), "_qq": unit / j**2}
         for name, size in units.items():
             setattr(self, name, (getattr(self, name) / size).astype(self.dtype))
-
-    def _state(self) -> tuple[np.ndarray, np.ndarray]:
-        """The present Hs and jumps as ``_parts`` has them."""
-        h, dim = self.h, self.h.dim
-        values = h.h_values(h.hess).reshape(dim, h.size, self.cells, -1)
-        jumps = h.j if self.sides is h.sides else self.sides.jump(np.concatenate([h.v, h.a], axis=1))
-        return values.transpose(2, 1, 3, 0), jumps.reshape(dim, self.cells, -1).transpose(1, 2, 0)
 
     def _parts(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of B x: Hs at the points, (cells, components, points, dim), and jumps, (cells, points, dim)."""
@@ -138,15 +141,27 @@ class HyperDerivative:
 
     def tangent_coefficients(self) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``."""
-        h, law, sides = self.h, self.h.law, self.sides
-        if law.is_linear:
-            return np.full(h.step.mesh.ne, law.mu + law.mu_1), sides.penalty * (law.mu + law.mu_1)
-        weights = h.points.weights.reshape(h.step.mesh.ne, -1)
-        c = (h.s_values(h.c).reshape(weights.shape) * weights).sum(axis=1) / weights.sum(axis=1)
-        c_penalty = law.coefficient(np.maximum(self._size, 0))
+        h, law, at, sides = self.h, self.h.law, self._at, self.sides
+        weights = h.points.weights.reshape(self.cells, -1)
+
+        def mean(values: Any) -> np.ndarray:
+            return (np.broadcast_to(value_of(values), h.points.count).reshape(weights.shape) * weights).sum(
+                axis=1
+            ) / weights.sum(axis=1)
+
+        in_cells, on_sides = h.tensors(at.z), self._on_sides.z_tensors
+        if at.coefficient is None:
+            penalty, _ = h.term.penalty(self._on_sides)
+            return mean(law.linear(in_cells)), np.broadcast_to(value_of(penalty), sides.h.shape)
+        c, c_penalty = (
+            mean(h.s_values(at.coefficient)),
+            law.coefficient(h.term.size(self._on_sides), on_sides),
+        )
+        mu_1, mu_1_on_sides = mean(law.moduli(in_cells)[1]), value_of(law.moduli(on_sides)[1])
         stretch = 0.5 * law.p
-        c, c_penalty = (law.mu_1 + stretch * (np.maximum(each, 0) - law.mu_1) for each in (c, c_penalty))
-        return c, sides.penalty * c_penalty
+        c = mu_1 + stretch * (np.maximum(c, 0) - mu_1)
+        stretched = mu_1_on_sides + stretch * (np.maximum(c_penalty.value, 0) - mu_1_on_sides)
+        return c, law.penalty / sides.h * stretched
 
 
 def _largest(values: np.ndarray) -> float:

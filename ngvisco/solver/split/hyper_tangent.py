@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ngvisco.solver.split import precision
-from ngvisco.solver.split.blocks import BlockInverse
+from ngvisco.algebra import precision
+from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.solver.split.hyper_derivative import HyperDerivative
 
 

@@ -1,100 +1,123 @@
-"""The split solver's iteration: when it has converged, starts again, or leaves it to Newton-Krylov."""
+"""The split solver's iteration: when it has converged, starts again, or leaves it to Newton-Krylov.
+
+f(x) = P^{-1} R(x) is the increment of the unknowns x, and x - f(x) the next iterate: Newton's method but for
+a coarser rule and a fixed number of sweeps.  Newton-Krylov solves f(x) = 0 where that is slow: GMRES takes
+P^{-1} dR d with the whole derivative dR (``ReducedResidual.derivative``), to which P is the preconditioner.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.sparse.linalg import LinearOperator, gmres
 
-from ngvisco.errors import StepError
-from ngvisco.solver.options import NewtonIteration
-from ngvisco.solver.split.krylov import MARGIN, newton_krylov
+from ngvisco.solver.solution import NewtonIteration, Problem, Status
+from ngvisco.solver.split.reduced import Evaluation
 
 if TYPE_CHECKING:
     from ngvisco.solver.split.solver import Split
 
-SLOW = 24
-"""Iterations after which the whole derivative is taken."""
 
-STALLED, WINDOW = 0.3, 4
-"""The same where as many iterations as WINDOW shorten the increment by less than this factor: sweeps converge
-like the Courant number, so that above one the iteration does not."""
-
-TOO_MANY = {2: 8, 3: 12}
-"""Iterations for the flow's linear system after which its preconditioner is made anew, by dimension."""
-
-FAR = 0.5
-"""Increment after which the tangent is formed anew: from rest it knows nothing of the curvature of v."""
-
-ROUNDING = 1e-8
-"""Increment, relative to the smallest velocities, from which a stall may be rounding."""
-
-RESTARTS = 4
-"""New tangents within a step, after which the whole derivative is taken."""
-
-
-def iterate(split: Split, history: list[NewtonIteration]) -> None:
-    """Iterate from the present state, which becomes the solution; ``history`` grows.
-
-    Raises
-    ------
-    StepError
-        When the iteration does not converge; the state is then some iterate.
-    """
-    wanted = MARGIN * split.options.tolerance
+def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> Status:
+    """Iterate from the present state, which becomes the solution, or some iterate; ``history`` grows."""
+    options, tolerance = split.options.split, split.options.tolerance
+    wanted, dim = options.margin * tolerance, split.step.mesh.dim
     last = best = np.inf
     best_x, best_f = None, None
     since, restarts = 0, 0  # iterations since the start or a restart, and restarts
     sizes: list[float] = []
+    x = split.unknowns.pack()
     while len(history) < split.options.max_iterations:
-        fresh = not split.exists
-        x, f, size = split.increment(last)
+        fresh = not split.is_factorised
+        _, f, size = split.increment(problem, x, last)
         history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, fresh))
         since += 1
         if size <= wanted:
-            split.unknowns.unpack(x - f)
-            split.residual()
-            return
+            return _ends_at(split, x - f)
         if not size <= 2 * max(best, wanted):
             restarts += 1
             if best_x is None or best_f is None:
-                break
-            if restarts > RESTARTS:
-                _take_over(split, best_x, history)
-                return
+                return Status.NOT_FINITE
+            if restarts > options.restarts:
+                return newton_krylov(split, problem, best_x, history)
             # from half the step of the best iterate, with a preconditioner of its own
-            split.unknowns.unpack(best_x - 0.5**restarts * best_f)
-            split.exists, since, last = False, 0, np.inf
+            x = best_x - 0.5**restarts * best_f
+            split.reset()
+            since, last = 0, np.inf
             continue
         if (
             size > 0.5 * min(last, best)
             and since > 3
-            and size <= ROUNDING
-            and split.size(f, coarse=True) <= split.options.tolerance
+            and size <= options.rounding
+            and split.size(f, coarse=True) <= tolerance
         ):
-            return
+            return Status.CONVERGED
         if size < best:
             best, best_x, best_f = size, x, f
         last = size
         sizes.append(size)
-        stalled = since > 2 * WINDOW and size > max(STALLED * sizes[-1 - WINDOW], ROUNDING)
-        if since > SLOW or stalled:
-            _take_over(split, x, history)
-            return
-        worn = split.preconditioner.iterations > TOO_MANY[split.step.mesh.dim] and size > 1e3 * wanted
-        if worn or size > FAR:
-            split.exists = False
-        split.unknowns.unpack(x - f)
-    raise StepError(
-        f"the split solver did not converge ({len(history)} iterations, last increment {last:.1e}, "
-        f"wanted {wanted:.0e}): take a smaller step or the coupled solver",
-        history,
-    )
+        stalled = since > 2 * options.window and size > max(
+            options.stall * sizes[-1 - options.window], options.rounding
+        )
+        if since > options.slow or stalled:
+            return newton_krylov(split, problem, x, history)
+        worn = split.preconditioner.iterations > options.renewed_after[dim - 2] and size > 1e3 * wanted
+        if worn or size > options.renewed_above:
+            split.reset()
+        x = x - f
+    return Status.TOO_MANY_ITERATIONS
 
 
-def _take_over(split: Split, x: np.ndarray, history: list[NewtonIteration]) -> None:
-    """Go on from ``x`` with the whole derivative."""
-    split.unknowns.unpack(x)
-    split.residual()
-    split.renew()
-    newton_krylov(split, x, history)
+def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[NewtonIteration]) -> Status:
+    """Iterate from ``x``, where the tangent is made anew, by the whole derivative of R."""
+    options, tolerance = split.options.split, split.options.tolerance
+    krylov, wanted = options.krylov, options.margin * tolerance
+    split.renew(problem, split.residual(x))
+    scale = split.unknowns.scales(x)
+
+    def solved(at: Evaluation) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            return split.preconditioner(at, krylov.tolerance * options.forcing)
+
+    def evaluated(x: np.ndarray) -> Evaluation:
+        with np.errstate(all="ignore"):  # a step too long may leave the energy's domain
+            return split.residual(x)
+
+    at = evaluated(x)
+    f = solved(at)
+    size = split.size(f)
+    while len(history) < split.options.max_iterations:
+        derivative = split.residual.derivative(at)
+
+        def along(d: np.ndarray, derivative: Any = derivative, at: Evaluation = at) -> np.ndarray:
+            return solved(replace(at, residual=derivative(scale * d))) / scale
+
+        operator = LinearOperator((len(x), len(x)), along, dtype=float)
+        d, _ = gmres(operator, f / scale, rtol=krylov.tolerance, restart=krylov.directions, maxiter=1)
+        damping = 1.0
+        while True:
+            new_x = x - damping * scale * d
+            new = evaluated(new_x)
+            new_f = solved(new)
+            new_size = split.size(new_f)
+            if new_size <= (1 - 0.25 * damping) * size:
+                break
+            damping /= 2
+            if damping < split.options.min_damping:
+                return _ends_at(split, x) if size <= tolerance else Status.STALLED  # by rounding
+        history.append(NewtonIteration(new_size, new_size / size, damping, True))
+        at, x, f, size = new, new_x, new_f, new_size
+        if size <= wanted:
+            return _ends_at(split, x - f)
+        split.renew(problem, at)
+        f = solved(at)
+        size = split.size(f)
+    return Status.TOO_MANY_ITERATIONS
+
+
+def _ends_at(split: Split, x: np.ndarray) -> Status:
+    """Make x, with the unknowns that it determines, the state."""
+    split.residual(x)
+    return Status.CONVERGED

@@ -9,13 +9,9 @@ import scipy.sparse as sp
 from ngsolve.la import SparseMatrixd
 from scipy.sparse.linalg import eigsh
 
+from ngvisco.algebra import precision
 from ngvisco.errors import StepError
-from ngvisco.solver.split import precision
-
-DROPPED = 1e-2
-"""Entries that a smoother does without, relative to the diagonal: two thirds of them, for one iteration of
-GMRES in a hundred (739 tetrahedra)."""
-
+from ngvisco.solver.options import TwoLevelOptions
 
 MANY = 100
 """Unknowns from which an eigenvalue is found by iteration."""
@@ -27,8 +23,7 @@ class DirectSolver:
     def __init__(self, free: np.ndarray, inverse: str, symmetric: bool = False) -> None:
         """``free`` is a mask of unknowns, ``inverse`` NGSolve's name of a nonsymmetric solver.
 
-        ``symmetric`` factorises the symmetric part instead, by a Cholesky factorisation: half the work, and
-        a third of the time to solve (6 ms instead of 18 ms at 4,341 unknowns in 3D).
+        ``symmetric`` factorises the symmetric part instead, by a Cholesky factorisation: half the work.
         """
         self.free, self.symmetric = np.flatnonzero(free), symmetric
         self.inverse_type = "sparsecholesky" if symmetric else inverse
@@ -70,16 +65,17 @@ class TwoLevelSolver:
     fourth-order term dominates at the mesh's scale the iterations that it takes grow.
     """
 
-    SWEEPS, DAMPING = 2, 1.65
-    """Sweeps, and their damping in units of 1/(largest eigenvalue of D^{-1} A).
-
-    It is 2.7 on Netgen's tetrahedra and 3.4 on these refined, where a damping of 0.6 instead of 0.5 made
-    GMRES take 20 instead of 12 iterations.
-    """
-
-    def __init__(self, free: np.ndarray, vertices: np.ndarray, others: np.ndarray, inverse: str) -> None:
+    def __init__(
+        self,
+        free: np.ndarray,
+        vertices: np.ndarray,
+        others: np.ndarray,
+        inverse: str,
+        options: TwoLevelOptions | None = None,
+    ) -> None:
         """Masks of unknowns: ``free`` ones, velocities at ``vertices``, and ``others`` than velocities."""
         self.free, self.vertices, self.others, self.inverse_type = free, vertices, others, inverse
+        self.options = options or TwoLevelOptions()
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
         """Raises StepError if the coarse block is singular."""
@@ -94,10 +90,10 @@ class TwoLevelSolver:
         self._fine = np.flatnonzero(self.free & ~is_coarse & (diagonal != 0))
         self._coarse = np.flatnonzero(self.free & is_coarse)
         rows, columns = matrix[self._fine], matrix[:, self._fine].tocsr()
-        own = _without_small(rows[:, self._fine], diagonal[self._fine])
+        own = _without_small(rows[:, self._fine], diagonal[self._fine], self.options.dropped)
         between = rows[:, self._coarse].tocsr(), columns[self._coarse].tocsr()
         self._own, self._from_coarse, self._to_coarse = (m.astype(precision.SINGLE) for m in (own, *between))
-        smoother = self.DAMPING / (largest_eigenvalue(own) * diagonal[self._fine])
+        smoother = self.options.damping / (largest_eigenvalue(own) * diagonal[self._fine])
         self._smoother = smoother.astype(precision.SINGLE)
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
@@ -114,15 +110,15 @@ class TwoLevelSolver:
     def _smoothed(self, r: np.ndarray) -> np.ndarray:
         """Sweeps from zero with the fine functions' residual ``r``."""
         x = self._smoother * r
-        for _ in range(self.SWEEPS - 1):
+        for _ in range(self.options.sweeps - 1):
             x += self._smoother * (r - self._own @ x)
         return x
 
 
-def _without_small(matrix: sp.csr_matrix, diagonal: np.ndarray) -> sp.csr_matrix:
-    """The matrix without entries of less than DROPPED of their diagonals' geometric mean."""
+def _without_small(matrix: sp.csr_matrix, diagonal: np.ndarray, share: float) -> sp.csr_matrix:
+    """The matrix without entries of less than ``share`` of their diagonals' geometric mean."""
     size, m = np.sqrt(abs(diagonal)), matrix.tocoo()
-    kept = abs(m.data) >= DROPPED * size[m.row] * size[m.col]
+    kept = abs(m.data) >= share * size[m.row] * size[m.col]
     return sp.csr_matrix((m.data[kept], (m.row[kept], m.col[kept])), shape=m.shape)
 
 

@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ngvisco.solver.split import precision
+from ngvisco.algebra import precision
 from ngvisco.solver.split.coupling import SideCoupling
 from ngvisco.solver.split.linear import DirectSolver
-from ngvisco.solver.split.transport import Transport
+from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
 from ngvisco.threads import product
 
 SWEEPS = 3
@@ -26,40 +26,42 @@ SWEEPS = 3
 class Sweep:
     """Approximate inverses of the scalar transport of z and of the density equation."""
 
-    def __init__(self, transport: Transport, inverse: str) -> None:
-        self.t = transport
-        self.coupling = SideCoupling(transport.facets)
+    def __init__(self, residual: ReducedResidual, inverse: str) -> None:
+        self.r = residual
+        self.coupling = SideCoupling(residual.side_op, residual.trace_mass)
         self._neighbours = self.coupling.neighbours()
-        op = transport.op
+        op = residual.op
         shape = (self.coupling.cells, op.z.per_cell, 1)
         self._tests = np.ascontiguousarray((op.weights.reshape(shape) * op.z.blocks).transpose(0, 2, 1))
         self._mass = product(self._tests, op.z.blocks)
         self._whole = self._own = None
-        if transport.diffusion is not None:
-            self._whole = DirectSolver(np.ones(transport.mass.shape[0], dtype=bool), inverse)
-        if transport.density is not None:
-            self._own = DirectSolver(transport.density.free, inverse)
+        if residual.diffusion is not None:
+            self._whole = DirectSolver(np.ones(residual.mass.shape[0], dtype=bool), inverse)
+        if residual.density is not None:
+            self._own = DirectSolver(residual.density.free, inverse)
 
-    def update(self) -> None:
-        """Form the matrices and invert at the present state."""
-        t, f, storage = self.t, self.t.facets, self.t.context.rate(self._mass)
-        convection = self._convection()
-        own, across = self.coupling.blocks(-f.carried, 1 - f.inflow, f.carried, f.trace_mass)
+    def update(self, at: Evaluation) -> None:
+        """Form the matrices and invert at an evaluation."""
+        r, storage = self.r, self.r.step.context.rate(self._mass)
+        convection, f = self._convection(at), at.facets.upwinding
+        carried = f.carried.value
+        own, across = self.coupling.blocks(-carried, f.share.value, carried, r.trace_mass)
         own += storage + convection
-        if self._whole is not None:
-            self._whole.factorise((self._sparse(own, across) + t.diffusion).tocsr())
+        if self._whole is not None and r.diffusion is not None:
+            self._whole.factorise((self._sparse(own, across) + r.diffusion.matrix).tocsr())
             self._cells = np.linalg.inv(own).astype(precision.SINGLE)
         else:
             self._cells, self._carried = _sweep(own, across)
         if self._own is None:
-            own, across = self.coupling.blocks(f.up, f.up, -f.down, f.density_mass)
+            outward, inward = f.outward.value, f.inward.value
+            own, across = self.coupling.blocks(outward, outward, -inward, r.density_mass)
             own += storage - convection.transpose(0, 2, 1)
             self._rho_cells, self._rho_carried = _sweep(own, across)
 
-    def _convection(self) -> np.ndarray:
+    def _convection(self, at: Evaluation) -> np.ndarray:
         """int (v . grad z) q in cells, (cells, q, q)."""
-        t, shape = self.t, (self.coupling.cells, -1, 1)
-        along = sum(v.reshape(shape) * D.blocks for v, D in zip(t.v_q, t.op.dz, strict=True))
+        v, shape = at.cells.v.value, (self.coupling.cells, -1, 1)
+        along = sum(v_j.reshape(shape) * D.blocks for v_j, D in zip(v, self.r.op.dz, strict=True))
         return product(self._tests, along)
 
     def _sparse(self, own: np.ndarray, across: np.ndarray) -> sp.csr_matrix:
@@ -75,9 +77,8 @@ class Sweep:
 
     def linearise(self) -> None:
         """Let a density equation that is not linear follow the present state."""
-        if self._own is not None:
-            assert self.t.density is not None
-            self._own.factorise(self.t.density.jacobian())
+        if self._own is not None and self.r.density is not None:
+            self._own.factorise(self.r.density.jacobian())
 
     def fields(self, r: np.ndarray) -> np.ndarray:
         """Increments of z before rates and creep, of rows r: both (cells' unknowns, n)."""

@@ -14,23 +14,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from ngvisco.solver.split.operators import Conjugation, Operators
-from ngvisco.solver.split.transport import Transport
+from ngvisco.forms.evaluation import CellTerms
+from ngvisco.forms.operators import Operators
+from ngvisco.forms.slope import PointwiseSlope
+from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
 
 
 class PointTangent:
-    """Values and derivatives at the points of the coarse rule, at the present state."""
+    """Values and derivatives at the points of the coarse rule, at an evaluation."""
 
-    def __init__(self, transport: Transport, operators: Operators) -> None:
-        self.t, self.op = transport, operators
-        self.conjugation = Conjugation(transport.step, operators.points)
+    def __init__(self, residual: ReducedResidual, operators: Operators) -> None:
+        self.r, self.op, self.n = residual, operators, residual.step.layout.states.size
+        self.terms = CellTerms(residual.step, operators, residual.rates)
+        self.slope = PointwiseSlope(residual.step, operators.points)
 
-    def update(self) -> None:
-        """Form K's resolvent, d rate/dX and the force's derivative at the present state."""
-        t, op, rates = self.t, self.op, self.t.rates
-        tau, g = t.context.tau.Get(), rates.gradients
-        self.z, self.zeta, self.v = op.z(t.z), op.z(t.zeta), op.v(t.v)
-        self.L = op.velocity_gradient(t.v)
+    def update(self, at: Evaluation) -> None:
+        """Form K's resolvent, d rate/dX and the force's derivative."""
+        step, rates = self.r.step, self.r.rates.tensors
+        self.tau, g = step.context.tau.Get(), rates.gradients
+        self.values = u = self.terms.fields(at.coefficients)
+        self.z, self.zeta = u.z.value, u.zeta.value
+        self.L = u.grad_v.value.reshape(g, -1)
         slopes = self._second_derivative()  # (points, n, n)
         columns = rates.columns(self.z)  # (points, n, X)
         K = np.einsum("xnm,xp->pnm", rates.linear[:g], self.L, optimize=True)
@@ -38,31 +42,32 @@ class PointTangent:
         # d(zeta : rate)/dX in z: what the elastic force and the Mandel stress take from dz
         force = stress_slope + np.einsum("pnx,pnm->pxm", columns, slopes, optimize=True)
         # -(w . grad z) : zeta with its share of the facets is  phi'(z) : dz div w  to leading order
-        for i in range(t.step.mesh.dim):
-            force[:, i * (t.step.mesh.dim + 1)] += self.zeta.T
-        if t.mobility is not None:
+        for i in range(step.mesh.dim):
+            force[:, i * (step.mesh.dim + 1)] += self.zeta.T
+        if self.r.rates.law is not None and self.r.rates.law.is_local:
             by_Pi = columns[:, :, g:]
-            Pi = t.mobility(np.einsum("np,pnx->xp", self.zeta, by_Pi, optimize=True), self.zeta)
+            of_mandel, of_conjugates = self.r.rates.creep_slopes(u)
+            Pi = self.r.rates.creep(u).value
             K += np.einsum("xnm,xp->pnm", rates.linear[g:], Pi, optimize=True)
-            K -= t.mobility.of_mandel * by_Pi @ force[:, g:]
-            if t.mobility.of_conjugates is not None:
-                K += by_Pi @ (t.mobility.of_conjugates @ slopes)
-        self.resolvent = np.linalg.inv(np.eye(t.n)[None] - tau * K)
+            K -= of_mandel[:, None, None] * (by_Pi @ force[:, g:])
+            if of_conjugates is not None:
+                K += by_Pi @ (of_conjugates @ slopes)
+        self.resolvent = np.linalg.inv(np.eye(self.n)[None] - self.tau * K)
         self.force, self.columns = force, columns
-        self.dz = op.gradients(op.dz, t.z)
+        self.dz = u.grad_z.value
 
     def stiffness(self) -> np.ndarray:
         """C of the module's docstring, (points, X, X)."""
-        return self.t.context.tau.Get() * self.force @ (self.resolvent @ self.columns)
+        return self.tau * self.force @ (self.resolvent @ self.columns)
 
     def _second_derivative(self) -> np.ndarray:
         """phi'' by one-sided differences of phi', (points, n, n)."""
-        n, step = self.t.n, 1e-6
+        n, step = self.n, 1e-6
         result = np.empty((self.op.points.count, n, n))
-        slope, shifted = self.conjugation(self.z), self.z.copy()
+        slope, shifted = self.slope(self.z), self.z.copy()
         for m in range(n):
             size = step * (1 + abs(self.z[m]).max())
             shifted[m] += size
-            result[:, :, m] = ((self.conjugation(shifted) - slope) / size).T
+            result[:, :, m] = ((self.slope(shifted) - slope) / size).T
             shifted[m] = self.z[m]
         return result

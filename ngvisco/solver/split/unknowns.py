@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ngvisco.forms.system import Step
@@ -16,14 +18,16 @@ class Unknowns:
 
     def __init__(self, step: Step) -> None:
         layout = step.layout
-        self.flow: list[str] = [name for name in ("v", "wall_stress", "Pi") if name in layout.names]
-        self.normals = [name for name in layout.names if name.startswith("a_")]
-        density = density_by_forms(step)
-        self.density: list[str] = [n for n in ("rho", "rho_hat", "rho_delta_hat") if n in layout.names]
-        if not density:
-            self.density = ["rho"]
+        self.flow = layout.names_of("velocity", "walls", "continuous")
+        self.normals = layout.names_of("normals")
+        self.density = ["rho"]
+        if density_by_forms(step):
+            facets = layout.names_of("facets")
+            self.density += [name for name in facets if layout.unknowns[name].trace_of == "rho"]
         self.names = [*self.flow, *self.normals, *self.density, "z"]
         self.ranges = layout.ranges
+        sizes = {name: layout.unknowns[name].size for name in self.names}
+        self.components = {name: size for name, size in sizes.items() if size is not None}
         self.state = step.state.vec.FV().NumPy()
         self.slices: dict[str, slice] = {}
         start = 0
@@ -40,13 +44,28 @@ class Unknowns:
         return slice(self.slices[names[0]].start, self.slices[names[-1]].stop)
 
     def pack(self) -> np.ndarray:
-        """A copy of the iterated unknowns."""
+        """A copy of the iterated unknowns of the state."""
         return np.concatenate([self.state[self.ranges[name]] for name in self.names])
 
     def unpack(self, x: np.ndarray) -> None:
         """Put them into the state."""
         for name in self.names:
             self.state[self.ranges[name]] = x[self.slices[name]]
+
+    def put(self, derived: Mapping[str, np.ndarray]) -> None:
+        """Put coefficients of other unknowns, by name, into the state."""
+        for name, values in derived.items():
+            if name in self.ranges and name not in self.slices:
+                self.state[self.ranges[name]] = values.ravel()
+
+    def coefficients(self, x: np.ndarray) -> dict[str, np.ndarray]:
+        """The iterated unknowns by name, (components, functions); the normal derivatives together as a."""
+        result = {name: x[self.slices[name]] for name in self.names if name not in self.normals}
+        for name, count in self.components.items():
+            result[name] = result[name].reshape(count, -1)
+        if self.normals:
+            result["a"] = x[self.normal_slice].reshape(len(self.normals), -1)
+        return result
 
     def scales(self, x: np.ndarray) -> np.ndarray:
         """The size of each one's block, for lengths; a thousand times that for what v determines."""

@@ -10,7 +10,7 @@ from ngvisco.verification.cases.manufactured import LABELS, NAMES, TERMS, THEME
 from ngvisco.verification.convergence import coupled_rates
 
 V_RATES = {(2, 0): 1.0, (2, 1): 1.7, (2, 2): 1.7, (3, 0): 1.0, (3, 1): 1.7, (3, 2): 2.3}
-"""Asked of v with p = 4: 2 for k = 2 (formulation.md, Section 4), above 2 for k = 3, and no more than the
+"""Asked of v with p = 4: 2 for k = 2 (FORMULATION.md, Section 5), above 2 for k = 3, and no more than the
 fields it is coupled to."""
 
 

@@ -21,7 +21,6 @@ from ngvisco.verification.cases.shear import CLOSURE, THEME, stresses
 from ngvisco.verification.rates import RateTable
 
 MYR = 1e6 * 365.25 * 24 * 3600
-SCALED = {"G": 1.0, "eta": 1.0, "tau_0": 2e-3, "duration": 7.9, "size": 1.0, "rho": 1.0}
 ROCK = {"G": 1e10, "eta": 1e22, "tau_0": 20e6, "duration": 0.25 * MYR, "size": 100e3, "rho": 3300.0}
 
 

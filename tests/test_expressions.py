@@ -10,7 +10,7 @@ from netgen.geom2d import unit_square
 from ngsolve import Mesh
 
 import ngvisco as nv
-from ngvisco.case.expressions import FUNCTIONS, MAX_LENGTH, ExpressionError, parse
+from ngvisco.expressions import FUNCTIONS, MAX_LENGTH, ExpressionError, parse
 
 MESH = Mesh(unit_square.GenerateMesh(maxh=1))
 POINT = (0.3, 0.7)

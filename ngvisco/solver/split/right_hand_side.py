@@ -12,12 +12,10 @@ from collections.abc import Iterable
 import numpy as np
 from ngsolve import FESpace, LinearForm
 
-from ngvisco.forms.context import Integrand
-from ngvisco.forms.spaces import Fields
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
-from ngvisco.solver.split.operators import apply
-from ngvisco.solver.split.preconditioner import Residual
-from ngvisco.solver.split.transport import Transport
+from ngvisco.forms.term import Integrand
+from ngvisco.solver.split.diffusion import FieldDiffusionMatrix
 from ngvisco.solver.split.unknowns import Unknowns
 from ngvisco.solver.split.withheld import GivenParts, WithheldError
 
@@ -56,18 +54,18 @@ def _integrands(step: Step, space: FESpace, names: list[str]) -> list[Integrand]
     return step.sources.form(Fields(step.layout, u), Fields(step.layout, w))
 
 
-class KnownRows:
+class RightHandSide:
     """The rows of a step's source, added to the residual."""
 
-    def __init__(self, step: Step, transport: Transport, unknowns: Unknowns) -> None:
-        self.step, self.transport, self.unknowns = step, transport, unknowns
+    def __init__(self, step: Step, unknowns: Unknowns, diffusion: FieldDiffusionMatrix | None) -> None:
+        self.step, self.unknowns, self._diffusion = step, unknowns, diffusion
         self.names = receivers(step)
         self.space = joint_space(step, self.names)
         self.form = LinearForm(self.space)
         step.quadrature.add(self.form, _integrands(step, self.space, self.names))
-        self._eliminates = ELIMINATED in self.names
         self.rows: dict[str, np.ndarray] = {}
-        self._hats = np.zeros(0)
+        self.of_trace: np.ndarray | None = None
+        """What the trace of the delta-regularised z has besides what z makes of it, (n, functions)."""
 
     def start(self) -> None:
         """Assemble for the present step."""
@@ -75,23 +73,12 @@ class KnownRows:
         values = self.form.vec.FV().NumPy()
         ranges = [self.space.Range(i) for i in range(len(self.names))]
         self.rows = {n: values[r.start : r.stop].copy() for n, r in zip(self.names, ranges, strict=True)}
-        if self._eliminates:
-            t = self.transport
-            loads = self.rows.pop(ELIMINATED).reshape(t.n, -1)
-            self._hats = t.delta_hats(loads)
-            self.rows["z"] = self.rows["z"] + apply(t.to_delta_trace.T.tocsr(), loads).ravel()
+        if self._diffusion is not None:
+            loads = self.rows.pop(ELIMINATED).reshape(self.step.layout.states.size, -1)
+            change, of_z = self._diffusion.eliminated(loads)
+            self.of_trace = -change
+            self.rows["z"] = self.rows["z"] + of_z.ravel()
 
-    def correct_traces(self) -> None:
-        """What the source makes of z_delta_hat, into the state."""
-        if self._eliminates:
-            self.unknowns.state[self.step.layout.ranges[ELIMINATED]] -= self._hats.ravel()
-
-    def add_to(self, residual: Residual) -> None:
-        """Add the rows to those of the equations."""
-        u = self.unknowns
-        parts = [(u.flow, residual.flow), (u.density, residual.density), (["z"], residual.z)]
-        if residual.normals is not None:
-            parts.append((u.normals, residual.normals))
-        for names, target in parts:
-            rows = np.concatenate([self.rows[name] for name in names])
-            target += rows.reshape(target.shape)
+    def of(self, names: Iterable[str]) -> np.ndarray:
+        """The rows of these unknowns, one after the other."""
+        return np.concatenate([self.rows[name] for name in names])

@@ -1,7 +1,7 @@
-"""Expressions of x, y, z and t in case files, as NGSolve coefficient functions.
+"""Expressions of x, y, z and t in texts, as NGSolve coefficient functions.
 
 A text is parsed to Python's syntax tree and only the nodes listed here are evaluated, by this module
-and never by Python: a case file cannot execute code.  Written are
+and never by Python: a case file, or an integrand of ``Integrals``, cannot execute code.  Written are
 
 * numbers, ``x y z`` (m), ``t`` (s, the run's time ``ngvisco.time``), ``pi``;
 * ``+ - * / **``, parentheses, unary ``+ -``;
@@ -26,7 +26,7 @@ import ngsolve
 from ngsolve import CF, CoefficientFunction, IfPos
 
 from ngvisco.errors import NgviscoError
-from ngvisco.forms.context import time
+from ngvisco.physics.time import time
 
 Value: TypeAlias = float | CoefficientFunction
 

@@ -9,14 +9,14 @@ import numpy as np
 import scipy.sparse as sp
 from ngsolve import CF, BilinearForm, FESpace, GridFunction
 
-from ngvisco.forms.context import Term
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.points import csr
-from ngvisco.forms.spaces import Fields
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import Term
 
 
-class Subsystem:
+class RestrictedForm:
     """Rows and columns of ``names`` of the given terms, by the terms' own forms."""
 
     def __init__(self, step: Step, names: Sequence[str], terms: Sequence[Term]) -> None:

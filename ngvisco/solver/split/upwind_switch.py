@@ -10,29 +10,35 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ngvisco.solver.split.facets import Facets
-from ngvisco.solver.split.operators import together
+from ngvisco.algebra.sparse import together
+from ngvisco.forms.upwinding import Upwinding
+from ngvisco.physics.arrays import Array, derivatives
+from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
 
 SUDDEN = 2e-4
 """Share of a cell's inertia rho h/tau, in the force by v . n, from which a facet counts."""
 
 
-class Reversal:
+class UpwindSwitch:
     """The derivative by v of the elastic force and of the fields' rows, on the facets that count."""
 
-    def __init__(self, facets: Facets) -> None:
-        self.facets = facets
+    def __init__(self, residual: ReducedResidual) -> None:
+        self.r, self.op, self.mass = residual, residual.side_op, residual.trace_mass
 
-    def update(self, z: np.ndarray, zeta: np.ndarray, rho: np.ndarray) -> None:
-        """Linearise at the present state, given by its coefficients."""
-        f, weights = self.facets, self.facets.points.weights
-        eta, a = f.context.eta.Get(), f.normal_velocity
-        slope = -0.5 * f.inner * eta * eta / (a * a + eta * eta) ** 1.5  # of n^- by v . n
-        facet = f.trace_mass.facet
+    def update(self, at: Evaluation) -> None:
+        """Linearise at an evaluation."""
+        op, weights, upwinding = self.op, self.op.points.weights, at.facets.upwinding
+        z, zeta = at.coefficients["z"], at.coefficients["zeta"]
+
+        known, through = at.facets.context, Array(upwinding.through.value)
+        inflow = Upwinding(through, known.inner, known.eta).inflow
+        (slope,) = derivatives(inflow, [through])  # of n^- by v . n
+        jump = at.facets.z_jump.value
+        facet = self.mass.facet
         # the jump of z is what both sides together are away from its trace
-        z_jump = np.bincount(facet, weights * np.linalg.norm(f.jump, axis=0))
+        z_jump = np.bincount(facet, weights * np.linalg.norm(jump, axis=0))
         area = np.bincount(facet, weights)
-        inertia = f.context.rate(np.bincount(facet, weights * abs(f.z(rho)) * f.h))
+        inertia = self.r.step.context.rate(np.bincount(facet, weights * abs(at.facets.rho.value) * op.h))
         # of the force, slope * z_jump * the jump of zeta, the last is formed only where the others are large
         force = abs(slope) * z_jump[facet]
         possible = force * self._largest(zeta) > SUDDEN * inertia[facet]
@@ -40,28 +46,38 @@ class Reversal:
         self.exists = near.size > 0
         if not self.exists:
             return
-        force = force[near] * np.linalg.norm(f.from_mean(zeta, near), axis=0)
+        force = force[near] * np.linalg.norm(self._from_mean(zeta, near), axis=0)
         force = np.bincount(facet[near], weights[near] * force / area[facet[near]], len(area))
         (where,) = np.nonzero((force > SUDDEN * inertia)[facet])
         self.exists = where.size > 0
         if not self.exists:
             return
-        self._slope, self._weights, self._normals = slope[where], weights[where], f.points.normals[:, where]
-        self._v, self._z, hat = f.v.matrix[where], f.z.matrix[where], f.hat.matrix[where]
+        self._slope, self._weights, self._normals = slope[where], weights[where], op.points.normals[:, where]
+        self._v, self._z, hat = op.v.matrix[where], op.z.matrix[where], op.hat.matrix[where]
         self._v_t, self._z_t = self._v.T.tocsr(), self._z.T.tocsr()
-        self._trace = (hat @ f.trace_mass.inverse() @ hat.T @ sp.diags(self._weights)).tocsr()
+        self._trace = (hat @ self.mass.inverse() @ hat.T @ sp.diags(self._weights)).tocsr()
         self._values, self._zeta = together(self._z, z), together(self._z, zeta)
-        self._jump, self._inflow, self._carried = f.jump[:, where], f.inflow[where], f.carried[where]
-        self._carried_slope = self._inflow + f.through[where] * self._slope
+        self._jump, self._inflow = jump[:, where], upwinding.inflow.value[where]
+        self._carried = upwinding.carried.value[where]
+        self._carried_slope = self._inflow + through.value[where] * self._slope
+
+    def _from_mean(self, zeta: np.ndarray, where: np.ndarray) -> np.ndarray:
+        """How far zeta is from the means of both sides, on the boundary from itself, (n, points there).
+
+        ``where`` are all the sides' points of some facets.
+        """
+        values = together(self.op.z.matrix[where], zeta)
+        shares = self.op.points.weights[where] * (1 - 0.5 * self.op.inner[where])
+        return values - self.mass.fitted(values, shares, where)
 
     def _largest(self, zeta: np.ndarray) -> float:
         """A bound of |zeta - its mean| on facets, from coefficients."""
-        z = self.facets.z
+        z = self.op.z
         shapes = abs(z.blocks).max(axis=(0, 1))  # of each function at the sides' points
         return 2 * float(np.linalg.norm(abs(zeta).reshape(len(zeta), z.cells, -1) @ shapes, axis=0).max())
 
     def __call__(self, dv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of v (dim, .) and of z (n, .), the latter with the sign of ``Facets.fields``."""
+        """Rows of v (dim, .) and of z (n, .), the latter with the sign that they have in the residual."""
         through = (self._normals * together(self._v, dv)).sum(axis=0)
         inflow = self._slope * through
         trace = -together(self._trace, inflow * self._values)

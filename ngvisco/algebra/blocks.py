@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
+from ngvisco.algebra.local import by_parts
 from ngvisco.threads import product
 
 
@@ -58,6 +59,8 @@ class BlockInverse:
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """Inverse times ``r`` (..., n)."""
+        if np.iscomplexobj(r):
+            return by_parts(self, r)
         if self._in_order and self.groups[0].shape[1] == 1:
             return r * self._inverses[0].ravel()
         if self._in_order:

@@ -1,0 +1,370 @@
+"""Terms of a step by arrays: their values at all points of a rule at once, and the rows that these make.
+
+A term's ``cells`` and ``facets`` are evaluated with arrays in place of coefficient functions.  What they give
+is linear in the tests; what multiplies each of these is tested with the functions of its space by the
+matrices of ``Operators`` and ``SideOperators``.  With complex coefficients all values are complex, and the
+imaginary parts of the rows are their derivative.
+"""
+
+from __future__ import annotations
+
+from collections import ChainMap
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from ngsolve import CoefficientFunction, GridFunction
+
+from ngvisco.algebra.local import by_parts
+from ngvisco.errors import NgviscoError
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.operators import Operators, SideOperators
+from ngvisco.forms.rate_tensors import TabulatedRates
+from ngvisco.forms.system import Step
+from ngvisco.forms.term import PointTerm
+from ngvisco.physics.arrays import Array, Linear, slots
+from ngvisco.physics.tensors import trace_free_tensors
+
+Coefficients = Mapping[str, np.ndarray]
+"""Coefficients of unknowns by name, (components, functions); of scalars (functions,)."""
+
+Rows = dict[str, np.ndarray]
+"""Rows of a residual by the tests' unknowns, in the same shapes."""
+
+
+_CELLS, _FACETS = "in cells", "on facets"
+
+
+class NotAtPointsError(NgviscoError, LookupError):
+    """A term asks for something that there is not at the points of a rule."""
+
+
+class Lazy(Mapping[str, Any]):
+    """Values by name that are made when they are asked for."""
+
+    def __init__(self, make: Mapping[str, Callable[[], Any]], place: str) -> None:
+        self._make, self._made, self._place = make, {}, place  # type: ignore[var-annotated]
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._made:
+            if name not in self._make:
+                raise NotAtPointsError(f"there is no {name} {self._place}")
+            self._made[name] = self._make[name]()
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._make)
+
+    def __len__(self) -> int:
+        return len(self._make)
+
+
+class CellContext:
+    """What is known through a step at the points of the cells; the arrays' counterpart of ``Context``."""
+
+    def __init__(self, step: Step, operators: Operators, rates: TabulatedRates) -> None:
+        self._step, self._op, self.rates = step, operators, rates
+        self._averages: dict[int, tuple[CoefficientFunction, GridFunction]] = {}
+
+    def start(self) -> None:
+        """Evaluate what is known through the step: old fields, old momentum and averaged loads."""
+        step, op = self._step, self._op
+        ranges, old = step.layout.ranges, step.state_old.vec.FV().NumPy()
+        rho, z = (old[ranges[name]].copy() for name in ("rho", "z"))
+        self.old = Fields(
+            step.layout,
+            Lazy(
+                {
+                    "rho": lambda: Array(op.z(rho), None),
+                    "z": lambda: Array(op.z(z.reshape(step.layout.states.size, -1)), None),
+                },
+                "of the old state",
+            ),
+            self,  # type: ignore[arg-type]
+        )
+        self.momentum_old = Array(op.points.read(step.momentum_old, step.mesh.dim), None)
+        for value, function in self._averages.values():
+            function.Interpolate(step.context.average(value))
+
+    def rate(self, difference: Any) -> Any:
+        """difference/tau, of arrays of values or of linear forms."""
+        return self._step.context.rate(difference)
+
+    def average(self, value: CoefficientFunction) -> Array:
+        """The mean of a vector over the step, see ``Context.average``."""
+        if id(value) not in self._averages:
+            function = self._op.points.function(value.dim)
+            function.Interpolate(self._step.context.average(value))
+            self._averages[id(value)] = value, function
+        return Array(self._op.points.read(self._averages[id(value)][1], value.dim), None)
+
+
+class SideContext:
+    """What is known on the cells' sides."""
+
+    def __init__(self, step: Step, operators: SideOperators) -> None:
+        self._step = step
+        self.normal = Array(operators.points.normals, None)
+        self.inner = Array(operators.inner, None)
+        self.h = Array(operators.h, None)
+
+    def rate(self, difference: Any) -> Any:
+        """difference/tau."""
+        return self._step.context.rate(difference)
+
+    @property
+    def eta(self) -> float:
+        """Width of the smoothed sign, m/s."""
+        return self._step.context.eta.Get()
+
+    @property
+    def curvature(self) -> float:
+        """See ``Context.curvature``."""
+        return self._step.context.curvature.Get()
+
+
+class CellTerms:
+    """Integrals over the cells."""
+
+    def __init__(self, step: Step, operators: Operators, rates: TabulatedRates) -> None:
+        self.layout, self.op = step.layout, operators
+        self.context = CellContext(step, operators, rates)
+        self._tests = _tests(step, True, self.context)
+        self._step, self._constant = step, dict[int, np.ndarray | None]()
+
+    def fields(self, c: Coefficients) -> Fields:
+        """The unknowns with these coefficients at the points."""
+        op = self.op
+        makers = {
+            "v": lambda: op.v(c["v"]),
+            "rho": lambda: op.z(c["rho"]),
+            "z": lambda: op.z(c["z"]),
+            "zeta": lambda: op.z(c["zeta"]),
+        }
+        gradients = {
+            "v": lambda: op.gradients(op.dv, c["v"]),
+            "rho": lambda: op.gradients(op.dz, c["rho"][None])[0],
+            "z": lambda: op.gradients(op.dz, c["z"]),
+        }
+        if "Pi" in self.layout.ranges:
+            makers["Pi"] = lambda: op.creep_values(c["Pi"])
+            gradients["Pi"] = lambda: op.gradients(op.dcreep, c["Pi"])
+        return _fields(self.layout, makers, gradients, _CELLS, self.context)
+
+    def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
+        """What multiplies each test and its gradient, (..., points)."""
+        summands: list[Linear] = []
+        for term in terms:
+            matrix = self.constant_matrix(term)
+            if matrix is None:
+                summands += term.cells(u, self._tests)
+            else:
+                stress = _product_with(matrix, u.grad_v.value)
+                summands.append(self._tests.grad_v.InnerProduct(Array(stress, None)))
+        return _slots(summands)
+
+    def constant_matrix(self, term: PointTerm) -> np.ndarray | None:
+        """The matrix (dim^2, dim^2) of a term that is grad v : C grad w with the same C everywhere, or None.
+
+        Read off at unit arguments, as the rates are: many times faster than the law at every point.
+        """
+        if id(term) not in self._constant:
+            self._constant[id(term)] = _constant_matrix(self._step, term, self._tests)
+        return self._constant[id(term)]
+
+    def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
+        """Rows of the terms' integrals over the cells."""
+        op, rows = self.op, Rows()
+        found = self.slots(terms, u)
+        spaces = {"v": (op.v, op.dv), "rho": (op.z, op.dz), "z": (op.z, op.dz)}
+        if "Pi" in self.layout.ranges:
+            spaces["Pi"] = op.creep_values, op.dcreep
+        for name, (value, derivatives) in spaces.items():
+            parts = []
+            if name in found:
+                parts.append(value.test(_full(found[name], op.points.count)))
+            if f"grad {name}" in found:
+                gradient = _full(found[f"grad {name}"], op.points.count)
+                for j, D in enumerate(derivatives):
+                    parts.append(D.test(gradient[..., j, :]))
+            if parts:
+                rows[name] = sum(parts[1:], parts[0])
+        return rows
+
+
+class FacetTerms:
+    """Integrals over both sides of all facets."""
+
+    def __init__(self, step: Step, operators: SideOperators) -> None:
+        self.layout, self.op = step.layout, operators
+        self.context = SideContext(step, operators)
+        self._tests = _tests(step, False, self.context)
+
+    def fields(self, c: Coefficients) -> Fields:
+        """The unknowns with these coefficients on the sides."""
+        op = self.op
+        makers = {
+            "v": lambda: op.v(c["v"]),
+            "rho": lambda: op.z(c["rho"]),
+            "z": lambda: op.z(c["z"]),
+            "zeta": lambda: op.z(c["zeta"]),
+            "rho_hat": lambda: op.hat(c["rho_hat"]),
+            "z_hat": lambda: op.hat(c["z_hat"]),
+        }
+        return _fields(self.layout, makers, {}, _FACETS, self.context)
+
+    def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
+        """What multiplies each test, (..., points)."""
+        return _slots([part for term in terms for part in term.facets(u, self._tests)])
+
+    def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
+        """Rows of the terms' integrals over the facets, those of traces left out."""
+        op = self.op
+        values, found = {"v": op.v, "rho": op.z, "z": op.z}, self.slots(terms, u)
+        return {
+            name: space.test(_full(found[name], op.points.count))
+            for name, space in values.items()
+            if name in found
+        }
+
+
+def with_parts(u: Fields, **given: np.ndarray) -> Fields:
+    """The same fields with other values of some unknowns on facets: the upwinding is that of ``u``."""
+    parts = {name: Array(values, None) for name, values in given.items()}
+    other = Fields(u.layout, ChainMap(parts, u.parts), u.context, u.gradient)  # type: ignore[arg-type]
+    other.__dict__["upwinding"] = u.upwinding
+    return other
+
+
+def with_velocity(u: Fields, v: np.ndarray | None = None, grad_v: np.ndarray | None = None) -> Fields:
+    """The same fields with other values of v or of grad v in cells."""
+    parts = u.parts if v is None else ChainMap({"v": Array(v, None)}, u.parts)  # type: ignore[arg-type]
+    other = Fields(u.layout, parts, u.context, u.gradient)
+    if grad_v is not None:
+        other.__dict__["grad_v"] = Array(grad_v, None)
+    return other
+
+
+def _fields(
+    layout: Any, makers: Mapping[str, Any], gradients: Mapping[str, Any], place: str, context: Any
+) -> Fields:
+    def constant(make: Callable[[], np.ndarray]) -> Callable[[], Array]:
+        return lambda: Array(make(), None)
+
+    parts = Lazy({name: constant(make) for name, make in makers.items()}, place)
+    slopes = Lazy({name: constant(make) for name, make in gradients.items()}, f"{place}, as a gradient")
+    return Fields(layout, parts, context, lambda name: slopes[name])
+
+
+def _shapes(step: Step) -> dict[str, tuple[int, ...]]:
+    """Shapes of the values of the unknowns that have tests, by name."""
+    d, n = step.mesh.dim, step.layout.states.size
+    shapes: dict[str, tuple[int, ...]] = {"v": (d,), "rho": (), "z": (n,), "rho_hat": (), "z_hat": (n,)}
+    if "Pi" in step.layout.ranges:
+        shapes["Pi"] = (trace_free_tensors(d).size,)
+    return shapes
+
+
+def _tests(step: Step, in_cells: bool, context: Any) -> Fields:
+    """Tests that record what multiplies them: with gradients in cells, with those of traces on facets."""
+    shapes, d = _shapes(step), step.mesh.dim
+    hats, place = ("rho_hat", "z_hat"), _CELLS if in_cells else _FACETS
+    names = [name for name in shapes if name not in (hats if in_cells else ("Pi",))]
+    parts = {name: (lambda name=name: Linear(shapes[name], slot=name)) for name in names}
+    slopes = {
+        name: (lambda name=name: Linear((*shapes[name], d), slot=f"grad {name}"))
+        for name in (names if in_cells else ())
+    }
+    gradients = Lazy(slopes, f"{place}, as a gradient")
+    return Fields(step.layout, Lazy(parts, place), context, lambda name: gradients[name])
+
+
+def _slots(parts: list[Linear]) -> dict[str, np.ndarray]:
+    if not parts:
+        return {}
+    total = parts[0]
+    for part in parts[1:]:
+        total = total + part
+    return slots(total)
+
+
+def _full(values: np.ndarray, count: int) -> np.ndarray:
+    """Values at all points, of values that may be the same at all."""
+    return values if values.shape[-1] == count else np.broadcast_to(values, (*values.shape[:-1], count))
+
+
+def _product_with(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """A matrix times the entries of values (dim, dim, points)."""
+    entries = values.reshape(len(matrix), -1)
+    product = by_parts(matrix.__matmul__, entries) if np.iscomplexobj(entries) else matrix @ entries
+    return product.reshape(values.shape)
+
+
+def _constant_matrix(step: Step, term: PointTerm, tests: Fields) -> np.ndarray | None:
+    """See ``CellTerms.constant_matrix``: of unit arguments, if it is right at random ones too."""
+    d = step.mesh.dim
+    rng = np.random.default_rng(0)
+    units = np.eye(d * d).reshape(d, d, -1)
+    gradients = np.concatenate([units, rng.standard_normal((d, d, 3)), np.zeros((d, d, 1))], axis=2)
+    shapes = _shapes(step)
+    values = {name: rng.uniform(0.5, 1.5, (*shape, gradients.shape[2])) for name, shape in shapes.items()}
+    parts = Lazy({name: (lambda name=name: Array(values[name], None)) for name in values}, _CELLS)
+    slopes = Lazy({"v": lambda: Array(gradients, None)}, _CELLS)
+    try:
+        # a context that knows nothing: a term that asks for more is none of these
+        u = Fields(step.layout, parts, SimpleNamespace(), lambda name: slopes[name])  # type: ignore[arg-type]
+        found = _slots(list(term.cells(u, tests)))
+    except Exception:  # whatever a term raises at values that it does not know
+        return None
+    if set(found) != {"grad v"} or found["grad v"].shape != gradients.shape:
+        return None
+    slots = found["grad v"].reshape(d * d, -1)
+    matrix = slots[:, : d * d]
+    size = np.abs(matrix).max(initial=0.0)
+    exact = np.allclose(slots, matrix @ gradients.reshape(d * d, -1), rtol=0, atol=1e-13 * d * d * size)
+    return matrix if exact else None
+
+
+def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
+    """Names of the tests that a term has rows of, found by evaluating it at one point with all values one.
+
+    Raises
+    ------
+    NotAtPointsError
+        When the term asks for something that arrays do not have.
+    """
+    d, n = step.mesh.dim, step.layout.states.size
+    shapes = _shapes(step)
+    shapes |= {"zeta": (n,)}
+
+    def ones(shape: tuple[int, ...]) -> Array:
+        return Array(np.ones((*shape, 1)), None)
+
+    def fields(context: Any, names: Iterable[str], place: str) -> Fields:
+        parts = {name: (lambda name=name: ones(shapes[name])) for name in names}
+        slopes = {name: (lambda name=name: ones((*shapes[name], d))) for name in shapes}
+        gradients = Lazy(slopes if place == _CELLS else {}, place)
+        return Fields(step.layout, Lazy(parts, place), context, lambda name: gradients[name])
+
+    inside = SimpleNamespace(
+        momentum_old=ones((d,)),
+        rate=lambda difference: difference,
+        average=lambda value: ones((value.dim,)),
+        rates=rates,
+    )
+    inside.old = fields(inside, ("rho", "z"), _CELLS)
+    side = SimpleNamespace(
+        normal=ones((d,)), inner=ones(()), h=ones(()), eta=1.0, curvature=1.0, rate=inside.rate
+    )
+    cells = [name for name in shapes if not name.endswith("_hat")]
+    facets = [name for name in shapes if name != "Pi"]
+    try:
+        u, w = fields(inside, cells, _CELLS), _tests(step, True, inside)
+        found = set(_slots(list(term.cells(u, w))))
+        u, w = fields(side, facets, _FACETS), _tests(step, False, side)
+        return found | set(_slots(list(term.facets(u, w))))
+    except NotAtPointsError:
+        raise
+    except Exception as error:  # whatever a term raises at values that it does not know
+        raise NotAtPointsError(f"it does not take arrays ({type(error).__name__}: {error})") from error

@@ -1,0 +1,218 @@
+"""The unknowns of a step, tests or known values under the paper's symbols."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction, Grad, specialcf
+
+from ngvisco.forms.upwinding import Upwinding
+from ngvisco.physics.tensors import embed_gradient, trace_free_tensors
+from ngvisco.physics.variables import Values
+
+if TYPE_CHECKING:
+    from ngvisco.forms.context import Context
+    from ngvisco.forms.spaces import Layout
+
+
+def hessian_basis(dim: int) -> np.ndarray:
+    """(dim^2, dim(dim+1)/2): orthonormal basis of symmetric dim x dim matrices, as columns."""
+    columns = []
+    for i in range(dim):
+        for j in range(i, dim):
+            B = np.zeros((dim, dim))
+            B[i, j] = B[j, i] = 1.0 if i == j else np.sqrt(0.5)
+            columns.append(B.ravel())
+    return np.array(columns).T
+
+
+class Fields:
+    """The unknowns of a step (or tests, or known values) under the paper's symbols.
+
+    Everything is lazy: a form takes only what it names.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        parts: Mapping[str, Any],
+        context: Context | None = None,
+        gradient: Callable[[str], Any] | None = None,
+    ) -> None:
+        """``parts`` are proxies, grid functions or arrays of values by the unknowns' names.
+
+        ``context`` is what is known at the same points, that of the layout's step by default; ``gradient``
+        gives the gradient of a part, NGSolve's by default.
+        """
+        self.layout, self.parts = layout, parts
+        self.dim: int = layout.mesh.dim
+        self._context = context
+        self.gradient = gradient or (lambda name: Grad(self.parts[name]))
+
+    @property
+    def context(self) -> Context:
+        """What is known where these values are: old fields, step length, normal, upwinding's width."""
+        return self.layout.context if self._context is None else self._context
+
+    @cached_property
+    def upwinding(self) -> Upwinding:
+        """That of this velocity; on a cell's boundary only."""
+        c = self.context
+        return Upwinding(self.v * c.normal, c.inner, c.eta)
+
+    @property
+    def v(self) -> CoefficientFunction:
+        """Velocity, length dim."""
+        return self.parts["v"]
+
+    @cached_property
+    def grad_v(self) -> CoefficientFunction:
+        """(grad v)_ij = d_j v_i, dim x dim."""
+        return self.gradient("v")
+
+    @cached_property
+    def L(self) -> CoefficientFunction:
+        """grad v as a 3x3 tensor."""
+        return embed_gradient(self.grad_v, self.dim)
+
+    @property
+    def rho(self) -> CoefficientFunction:
+        return self.parts["rho"]
+
+    @cached_property
+    def grad_rho(self) -> CoefficientFunction:
+        return self.gradient("rho")
+
+    @property
+    def rho_hat(self) -> CoefficientFunction:
+        return self.parts["rho_hat"]
+
+    @property
+    def z(self) -> CoefficientFunction:
+        """All transported components, a vector."""
+        return self.parts["z"]
+
+    @cached_property
+    def grad_z(self) -> CoefficientFunction:
+        """Gradient of the components, (components, dim)."""
+        return self.gradient("z")
+
+    @property
+    def z_hat(self) -> CoefficientFunction:
+        return self.parts["z_hat"]
+
+    @cached_property
+    def z_jump(self) -> CoefficientFunction:
+        """z_hat - z; on a cell's boundary only."""
+        return self.z_hat - self.z
+
+    @property
+    def wall_stress(self) -> CoefficientFunction:
+        """Multiplier of v.n = 0 on oblique and curved walls, Pa; on cell boundaries only."""
+        return self.parts["wall_stress"]
+
+    @property
+    def zeta(self) -> CoefficientFunction:
+        """Projected conjugates, components."""
+        return self.parts["zeta"]
+
+    @cached_property
+    def grad_zeta(self) -> CoefficientFunction:
+        """Gradient of the conjugates' components, (components, dim)."""
+        return self.gradient("zeta")
+
+    @property
+    def rho_delta_hat(self) -> CoefficientFunction:
+        """Trace of rho in the delta-regularisation."""
+        return self.parts["rho_delta_hat"]
+
+    @property
+    def z_delta_hat(self) -> CoefficientFunction:
+        """Trace of z in the delta-regularisation."""
+        return self.parts["z_delta_hat"]
+
+    @cached_property
+    def Pi(self) -> CoefficientFunction:
+        """Creep rate, 3x3, symmetric and trace-free, 1/s (where nu > 0)."""
+        return trace_free_tensors(self.dim).tensor(self.parts["Pi"])
+
+    @cached_property
+    def grad_Pi(self) -> CoefficientFunction:
+        """Gradient of the creep rate's components, (components, dim), 1/(m s)."""
+        return self.gradient("Pi")
+
+    @cached_property
+    def z_tensors(self) -> Values:
+        """Transported variables by name, 3x3 or scalar."""
+        return self.layout.states.tensors(lambda: self.z)
+
+    @cached_property
+    def zeta_tensors(self) -> Values:
+        """Conjugates by name, 3x3 or scalar."""
+        return self.layout.states.tensors(lambda: self.zeta)
+
+    @cached_property
+    def hess(self) -> CoefficientFunction:
+        """Components of the recovered Hessian, (dim, dim(dim+1)/2), in an orthonormal basis."""
+        return self._components("hess")
+
+    @cached_property
+    def hyperstress(self) -> CoefficientFunction:
+        """Components of the projected hyperstress, (dim, dim(dim+1)/2)."""
+        return self._components("hyperstress")
+
+    @property
+    def hess_square(self) -> CoefficientFunction:
+        """s = |Hs|^2."""
+        return self.parts["hess_square"]
+
+    @property
+    def hyper_coefficient(self) -> CoefficientFunction:
+        """c_s, the projected coefficient of the hyperstress."""
+        return self.parts["hyper_coefficient"]
+
+    def hyperstress_normal(self, n: CoefficientFunction) -> CoefficientFunction:
+        """(S n)_ij = S_ijk n_k, dim x dim."""
+        return self.hyperstress * contraction(n, self.dim)
+
+    @cached_property
+    def div_hyperstress(self) -> CoefficientFunction:
+        """(div S)_ij = d_k S_ijk in a cell, dim x dim."""
+        basis = hessian_basis(self.dim)
+        size, dim = basis.shape[1], self.dim
+        gradient = self.gradient("hyperstress")  # ((i, B), k)
+        matrix = np.zeros((dim * dim, dim * size * dim))
+        for i in range(dim):
+            for j in range(dim):
+                for b in range(size):
+                    for k in range(dim):
+                        matrix[i * dim + j, (i * size + b) * dim + k] = basis[j * dim + k, b]
+        flat = CF(tuple(matrix.ravel()), dims=matrix.shape) * gradient.Reshape((matrix.shape[1],))
+        return flat.Reshape((dim, dim))
+
+    @cached_property
+    def normal_derivative(self) -> CoefficientFunction:
+        """The single-valued d_n v on facets, length dim; on a cell's boundary only."""
+        n = specialcf.normal(self.dim)
+        return CF(tuple(self.parts[name] * n for name in self.layout.names_of("normals")))
+
+    @cached_property
+    def jump(self) -> CoefficientFunction:
+        """d_n v (facet) - d_n v (cell), length dim; on a cell's boundary only."""
+        return self.normal_derivative - self.grad_v * specialcf.normal(self.dim)
+
+    def _components(self, name: str) -> CoefficientFunction:
+        return self.parts[name].Reshape((self.dim, hessian_basis(self.dim).shape[1]))
+
+
+def contraction(n: CoefficientFunction, dim: int) -> CoefficientFunction:
+    """The (dim(dim+1)/2, dim) matrix with rows B n for the basis matrices B of ``hessian_basis``."""
+    basis = hessian_basis(dim)
+    matrix = np.zeros((basis.shape[1] * dim, dim))
+    for b in range(basis.shape[1]):
+        matrix[b * dim : (b + 1) * dim] = basis[:, b].reshape(dim, dim)
+    rows = CF(tuple(matrix.ravel()), dims=matrix.shape) * n
+    return rows.Reshape((basis.shape[1], dim))

@@ -1,0 +1,65 @@
+"""phi'(z) at the points of a rule and its derivative: by arrays, a material's response, or symbolically."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction
+
+from ngvisco.forms.points import CellPoints
+from ngvisco.forms.system import Step
+from ngvisco.physics.arrays import array_slope, slope_along
+from ngvisco.physics.material import conjugates
+from ngvisco.physics.pointwise import respond
+
+
+class PointwiseSlope:
+    """phi'(z) at the points of a rule, in components."""
+
+    def __init__(self, step: Step, points: CellPoints) -> None:
+        self.material, self.dim = material, dim = step.model.material, step.mesh.dim
+        states = step.layout.states
+        self.n, self.points = states.size, points
+        self.response = self._curvature = material.response(dim)
+        if self.response is not None:
+            return
+        self.arrays, self.is_checked = array_slope(material, dim), False
+        self.at, self.slope = points.function(self.n), points.function(self.n)
+        expression = states.components(conjugates(material, states.tensors(lambda: self.at)))
+        if self.n == 1:
+            expression = CF((expression[0], 0.0))
+        self.expression: CoefficientFunction = expression.Compile()
+
+    def __call__(self, z_values: np.ndarray) -> np.ndarray:
+        """phi'(z), (n, points), for z at the points, (n, points), real or with a tiny imaginary part."""
+        if np.iscomplexobj(z_values):
+            z, dz = np.ascontiguousarray(z_values.real), np.ascontiguousarray(z_values.imag)
+            return self(z) + 1j * self.derivative(z)(dz)
+        if self.response is not None:
+            return np.ascontiguousarray(self.response(z_values.T).slope.T)
+        if self.arrays is None:
+            return self._by_expression(z_values)
+        slope = self.arrays(z_values)
+        if not self.is_checked:
+            self.is_checked = True
+            expected = self._by_expression(z_values)
+            if not np.allclose(slope, expected, rtol=1e-9, atol=1e-12 * abs(expected).max(initial=0.0)):
+                self.arrays = None  # an energy that means something else with arrays
+                return expected
+        return slope
+
+    def derivative(self, z_values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """The map dz -> phi''(z) dz at the points, both (n, points), for z as above."""
+        arrays = self.arrays if self.response is None else None
+        if arrays is not None:
+            return lambda dz: slope_along(arrays, z_values, dz)
+        if self._curvature is None:
+            self._curvature = respond(self.material, self.dim)
+        hessian = self._curvature(z_values.T).hessian
+        return lambda dz: np.einsum("pnm,mp->np", hessian, dz)
+
+    def _by_expression(self, z_values: np.ndarray) -> np.ndarray:
+        self.points.read(self.at, self.n)[:] = z_values
+        self.slope.Interpolate(self.expression)
+        return self.points.read(self.slope, self.n).copy()

@@ -1,0 +1,117 @@
+"""What a term of the system is: an integrand in cells and on facets, linear in the test functions.
+
+``cells(u, w)`` and ``facets(u, w)`` are functions of the values at a point: of the unknowns u, of what is
+known there (``u.context``) and of the tests w, in which they are linear.  They are written once, with
+operations that coefficient functions and arrays share (``ngvisco.physics.tensors``).  With trial and test
+functions of NGSolve for u and w they are the term's form; with arrays of values for u, and tests that only
+record what multiplies them (``ngvisco.physics.arrays.Linear``), they are the rows of a residual, its
+derivative by a complex increment of u, and columns of element matrices.
+
+A term that asks for more than values at a point - an integral, another space - states its ``form`` alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias, runtime_checkable
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.forms.fields import Fields
+from ngvisco.physics.tensors import inner
+
+
+@dataclass(frozen=True)
+class Integrand:
+    """What is to be integrated over the cells and over the cells' boundaries."""
+
+    cells: CoefficientFunction | None = None
+    facets: CoefficientFunction | None = None
+
+
+Kind = Literal["dissipation", "power", "numerical", "monitor"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A column of the ledger: a dissipation or power (W), or a numerical dissipation (J a step).
+
+    ``integrand`` is evaluated at the new state; dissipations and numerical ones enter the energy
+    identity with +, powers with -, monitors not at all.
+    """
+
+    name: str
+    kind: Kind
+    integrand: Integrand
+    evaluate: Callable[[], float] | None = None
+    """Gives the value where it is no integral: the reaction of a wall."""
+
+
+@runtime_checkable
+class Term(Protocol):
+    """One term of the system.
+
+    ``form(u, w)`` is its contribution to R(u; w) = 0, a left-hand side, in summands that are assembled
+    one by one: NGSolve evaluates a whole integrand for each pair of components in it, so small
+    summands are many times cheaper to linearise than their sum.  ``entries(u)`` is what the term
+    puts into the energy ledger, such that form(u; v, zeta) is the sum of the entries' powers.
+    """
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]: ...
+
+    def entries(self, u: Fields) -> list[Entry]: ...
+
+
+class PointTerm:
+    """A term that is a function of the values at a point; see the module's docstring.
+
+    Derived classes override ``cells``, ``facets`` or both, and ``entries`` where the term has a power.
+    """
+
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        """Summands to be integrated over the cells."""
+        return []
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        """Summands to be integrated over the boundaries of all cells, both sides of an inner facet."""
+        return []
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        """``cells`` and ``facets`` for NGSolve."""
+        cells = [Integrand(part) for part in self.cells(u, w)]
+        return cells + [Integrand(facets=part) for part in self.facets(u, w)]
+
+    def entries(self, u: Fields) -> list[Entry]:
+        """Columns of the energy ledger: none, of a term without power."""
+        return []
+
+
+Integrands: TypeAlias = Callable[[CoefficientFunction], Sequence[Integrand]]
+"""Integrands by the test function of a space."""
+
+
+def tested(value: CoefficientFunction) -> Integrands:
+    """int value : test over the cells."""
+    return lambda test: [Integrand(inner(value, test))]
+
+
+@runtime_checkable
+class Projecting(Protocol):
+    """A term whose local unknowns are cellwise projections of what is made of others."""
+
+    def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
+        """Names and loads of local unknowns, in the order in which they depend on each other."""
+        ...
+
+
+@runtime_checkable
+class Storing(Protocol):
+    """A term with a time derivative, that is with a share E of the energy.
+
+    E is convex in (rho, m, z), m the momentum functional (paper: Euler-ED-basic-convexity-calculus).
+    ``distance(a, b)`` is its Bregman distance E(a) - E(b) - E'(b)[a - b] >= 0 as a ledger entry, in a form
+    in which nothing cancels: what a time scheme dissipates is a sum of such.
+    """
+
+    def distance(self, a: Fields, b: Fields) -> Entry: ...

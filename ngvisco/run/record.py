@@ -1,0 +1,84 @@
+"""A run with the usual files and pictures in one call: what demos and short scripts do."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+
+from ngvisco.errors import ParameterError, as_number, require_path
+from ngvisco.expressions import parse
+from ngvisco.run.checkpoint import Checkpoints
+from ngvisco.run.fields import components
+from ngvisco.run.ledger import Ledger
+from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
+from ngvisco.run.plots import figure, plot_energies, plot_fields
+from ngvisco.run.simulation import Observer, Simulation
+
+
+def record(
+    simulation: Simulation,
+    directory: str | os.PathLike[str],
+    until: float,
+    *,
+    every: int = 5,
+    checkpoints: int = 25,
+    show: Mapping[str, str] | None = None,
+) -> Ledger:
+    """Run until ``until`` with progress on the terminal, and leave files and pictures in ``directory``.
+
+    These are ``ledger.csv``, the VTK series ``vtk/fields.pvd``, ``run.h5`` with ledger and checkpoints, and
+    by the extra ``plots`` ``energies.png`` and, of the state at the end, ``fields.png``.  The observers that
+    the simulation has already see the same run.
+
+    Parameters
+    ----------
+    simulation : Simulation
+    directory : path
+    until : float
+        End of the run, s.
+    every : int
+        Steps between states of the VTK series.
+    checkpoints : int
+        Steps between checkpoints.
+    show : mapping of titles to expressions, optional
+        What ``fields.png`` shows, by the names of ``simulation.fields`` and their components:
+        ``{"speed, m/s": "sqrt(velocity_1**2 + velocity_2**2)"}``.  Without it there is no such picture.
+
+    Returns
+    -------
+    Ledger
+
+    Raises
+    ------
+    ParameterError, ExpressionError
+        For an argument or an expression that is none, before anything is computed.
+    PlotError
+        Where matplotlib is missing, before anything is computed.
+    StepError
+        As ``Simulation.run``.
+    """
+    out = require_path("record.directory", directory)
+    if (end := as_number(until)) is None or end <= simulation.t:
+        raise ParameterError("record.until", until, f"a finite number > {simulation.t:g}")
+    known = tuple(components(simulation.fields))
+    pictures = {title: parse(text, known) for title, text in (show or {}).items()}
+    figure(1, 1, (1.0, 1.0))  # matplotlib is missed now, not at the end
+    files: list[Observer] = [
+        Progress(end),
+        LedgerCSV(out / "ledger.csv"),
+        VTKSeries(out / "vtk", every=every),
+        Checkpoints(out / "run.h5", every=checkpoints),
+    ]
+    before = list(simulation.observers)
+    simulation.observers += files
+    try:
+        ledger = simulation.run(end)
+    finally:
+        simulation.observers[:] = before
+    plot_energies(ledger, out / "energies.png")
+    if pictures:
+        scalars = components(simulation.fields)
+        shown = [(title, picture.coefficient(scalars)) for title, picture in pictures.items()]
+        plot_fields(simulation.mesh, shown, out / "fields.png")
+    print(f"largest |closure| {abs(ledger.column('closure_relative')).max():.1e}; results in {out}")
+    return ledger

@@ -1,0 +1,231 @@
+"""The residual with everything derived put in: a function of (v, wall stress, Pi, a, rho, z) alone.
+
+For a given v the kinematic equations are linear but for creep.  The upwind traces, the conjugates zeta, the
+local creep rate, the hyperviscosity's local unknowns and the trace of the delta-regularised z are functions
+of the iterated unknowns: they are evaluated, never iterated.  All rows follow from the terms themselves
+(``ngvisco.forms.evaluation``); with an infinitesimal imaginary part in the unknowns they are Newton's whole
+matrix times a direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ngvisco.algebra.blocks import BlockInverse
+from ngvisco.algebra.sparse import mass_matrix
+from ngvisco.forms.evaluation import CellTerms, FacetTerms, with_parts
+from ngvisco.forms.facet_mass import FacetMass
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.operators import Operators, SideOperators
+from ngvisco.forms.restricted import RestrictedForm
+from ngvisco.forms.slope import PointwiseSlope
+from ngvisco.forms.system import Step
+from ngvisco.physics.arrays import TINY
+from ngvisco.solver.split.claims import Claims
+from ngvisco.solver.split.diffusion import FieldDiffusionMatrix
+from ngvisco.solver.split.hyper import HyperValues, MatrixHyperviscosity
+from ngvisco.solver.split.right_hand_side import RightHandSide
+from ngvisco.solver.split.unknowns import Unknowns
+
+Clock = Callable[[str], AbstractContextManager[None]]
+
+
+@dataclass
+class Residual:
+    """Rows of the flow's unknowns, of the normal derivatives a (dim, .), of the density's and of z (n, .)."""
+
+    flow: np.ndarray
+    normals: np.ndarray | None
+    density: np.ndarray
+    z: np.ndarray
+
+    def parts(self) -> list[np.ndarray]:
+        """The blocks one after the other."""
+        normals = [] if self.normals is None else [self.normals.ravel()]
+        return [self.flow, *normals, self.density, self.z.ravel()]
+
+    @property
+    def is_finite(self) -> bool:
+        return all(bool(np.isfinite(part).all()) for part in self.parts())
+
+
+@dataclass
+class Evaluation:
+    """All that is known of one set of iterated unknowns.
+
+    Attributes
+    ----------
+    x : (unknowns,) array
+        Packed.
+    coefficients : dict
+        Of the iterated and of the derived unknowns by name, (components, functions).
+    cells, facets : Fields
+        Arrays of values at the points of cells and of sides.
+    hyper : HyperValues or None
+    residual : Residual
+    """
+
+    x: np.ndarray
+    coefficients: dict[str, np.ndarray]
+    cells: Fields
+    facets: Fields
+    hyper: HyperValues | None
+    residual: Residual
+
+
+class ReducedResidual:
+    """R of one step at packed unknowns x, and its derivative."""
+
+    def __init__(self, step: Step, clock: Clock = lambda name: nullcontext()) -> None:
+        """``clock(name)`` measures the time of a part."""
+        self.step, self.unknowns, self._clock = step, Unknowns(step), clock
+        self.op = Operators(step, step.quadrature.volume_degree // 2)
+        self.side_op = SideOperators(step, self.op)
+        self.rates = step.tabulated_rates
+        self.cell_terms = CellTerms(step, self.op, self.rates)
+        self.facet_terms = FacetTerms(step, self.side_op)
+        self.slope = PointwiseSlope(step, self.op.points)
+        self.claims = claims = Claims.of(step)
+        self.mass = mass_matrix(self.op.z.matrix, self.op.weights)
+        self.inverse_mass = BlockInverse(self.mass)
+        self.inverse_mass.update(self.mass)
+        flow, density = self.unknowns.flow, self.unknowns.density
+        self.by_forms = RestrictedForm(step, flow, claims.by_forms) if claims.by_forms else None
+        self.density = RestrictedForm(step, density, claims.density) if claims.density else None
+        self._density_of_all: RestrictedForm | None = None
+        self.diffusion = (
+            FieldDiffusionMatrix(step, self.op, claims.diffusion[0]) if claims.diffusion else None
+        )
+        self.hyper: MatrixHyperviscosity | None = None
+        if claims.hyperviscosity:
+            points = self.op.points, self.side_op.points
+            self.hyper = MatrixHyperviscosity(step, claims.hyperviscosity[0], *points)
+        self.right_hand_side: RightHandSide | None = None
+        if step.sources is not None:
+            self.right_hand_side = RightHandSide(step, self.unknowns, self.diffusion)
+        self.trace_mass, self.density_mass = FacetMass(self.side_op.hat), FacetMass(self.side_op.hat)
+        # both sides' shares of an upwind trace sum up to one whatever v (``Upwinding``): v = 0 will do
+        self.trace_mass.update(self.side_op.points.weights * (1 - 0.5 * self.side_op.inner))
+        self._at_points = [*claims.at_points, *claims.continuity]
+        self._zeros = {"z_hat": np.zeros((step.layout.states.size, 1)), "rho_hat": np.zeros(1)}
+
+    def start(self) -> None:
+        """Evaluate what is known through the step."""
+        self.cell_terms.context.start()
+        if self.right_hand_side is not None:
+            self.right_hand_side.start()
+
+    def __call__(self, x: np.ndarray) -> Evaluation:
+        """Evaluate at ``x``; where it is real, it and what is derived from it become the step's state.
+
+        The forms of NGSolve read the state; with complex x they are taken as linear about it.
+        """
+        op, is_real = self.op, not np.iscomplexobj(x)
+        c = self.unknowns.coefficients(x)
+        u, s = self.cell_terms.fields(c), self.facet_terms.fields(c)
+        with self._clock("transport"):
+            self._set_traces(c, s)
+        with self._clock("projections"):
+            c["zeta"] = self.inverse_mass(op.z.test(self.slope(u.z.value)))
+        if is_real:
+            self.unknowns.unpack(x)
+            self.unknowns.put(c)
+        with self._clock("transport"):
+            rows = self.cell_terms.rows(self._at_points, u)
+            for name, values in self.facet_terms.rows(self._at_points, s).items():
+                rows[name] = rows[name] + values if name in rows else values
+            if self.diffusion is not None:
+                rows["z"] = rows["z"] + self.diffusion(c["z"])
+        hyper = None
+        with self._clock("hyperviscosity"):
+            if self.hyper is not None:
+                hyper = self.hyper(c["v"], c["a"], c["z"])
+                rows["v"] = rows["v"] + hyper.rows[:, : c["v"].shape[1]]
+                rows["a"] = hyper.rows[:, c["v"].shape[1] :]
+                if is_real:
+                    self.hyper.put(hyper)
+        with self._clock("forms"):
+            residual = self._joined(x, rows)
+        return Evaluation(x, c, u, s, hyper, residual)
+
+    def derivative(self, at: Evaluation) -> Callable[[np.ndarray], Residual]:
+        """The map from directions d, packed, to rows of dR d at an evaluation, which the state has to be.
+
+        By complex increments of all arrays; of the terms that only forms have, their linearisations.
+        """
+        self._flow_rows = None if self.by_forms is None else self.by_forms.jacobian()
+        self._density_rows = None
+        if self.density is not None:
+            if self._density_of_all is None:
+                names = ["v", *self.unknowns.density]
+                self._density_of_all = RestrictedForm(self.step, names, self.claims.density)
+            count = at.coefficients["v"].size
+            self._density_rows = self._density_of_all.jacobian()[count:]
+
+        def rows(d: np.ndarray) -> Residual:
+            residual = self(at.x + (TINY * 1j) * d).residual
+            parts = {
+                name: None if part is None else np.ascontiguousarray(part.imag) / TINY
+                for name, part in vars(residual).items()
+            }
+            return replace(residual, **parts)
+
+        return rows
+
+    def _set_traces(self, c: dict[str, np.ndarray], s: Fields) -> None:
+        """Solve for the upwind traces of z and rho, and for that of the diffusion of z."""
+        op, weights = self.side_op, self.side_op.points.weights
+        at_zero = with_parts(s, z_hat=self._zeros["z_hat"])
+        found = self.facet_terms.slots(self.claims.traces, at_zero)
+        c["z_hat"] = -self.trace_mass.solve(op.hat.test(found["z_hat"]))
+        if self.diffusion is not None:
+            c["z_delta_hat"] = self.diffusion.trace(c["z"])
+            if self.right_hand_side is not None:
+                c["z_delta_hat"] = c["z_delta_hat"] + self.right_hand_side.of_trace
+        if self.density is not None:
+            return
+        # the rows of rho_hat are linear in it: what multiplies it is their value for rho = 0, rho_hat = 1
+        unit = with_parts(s, rho=np.zeros(1), rho_hat=np.ones(1))
+        factor = self.facet_terms.slots(self.claims.continuity, unit)["rho_hat"]
+        at_zero = with_parts(s, rho_hat=self._zeros["rho_hat"])
+        load = -op.hat.test(self.facet_terms.slots(self.claims.continuity, at_zero)["rho_hat"])
+        if not np.iscomplexobj(factor):
+            self.density_mass.update(weights * factor)
+            c["rho_hat"] = self.density_mass.solve(load)
+            return
+        real = self.density_mass.solve(np.ascontiguousarray(load.real))
+        change = load.imag - op.hat.test(factor.imag * op.hat(real))
+        c["rho_hat"] = real + 1j * self.density_mass.solve(change)
+
+    def _joined(self, x: np.ndarray, rows: dict[str, np.ndarray]) -> Residual:
+        u, dtype, is_real = self.unknowns, x.dtype, not np.iscomplexobj(x)
+        flow = np.zeros(u.flow_slice.stop, dtype)
+        for name in u.flow:
+            if name in rows:
+                flow[u.slices[name]] += rows[name].ravel()
+        if self.by_forms is not None and is_real:
+            flow += self.by_forms.residual()
+        elif self.by_forms is not None:
+            flow += 1j * (self._flow_rows @ x[u.flow_slice].imag)
+        if self.density is None:
+            density = rows["rho"]
+        else:
+            density = np.zeros(u.density_slice.stop - u.density_slice.start, dtype)
+            if is_real:
+                density += self.density.residual()
+            else:
+                direction = np.concatenate([x[u.slices["v"]].imag, x[u.density_slice].imag])
+                density += 1j * (self._density_rows @ direction)
+            if "rho" in rows:
+                density[: rows["rho"].size] += rows["rho"]
+        residual = Residual(flow, rows.get("a"), density, rows["z"])
+        if self.right_hand_side is not None and is_real:
+            names = (u.flow, u.normals, u.density, ["z"])
+            for part, of in zip(vars(residual).values(), names, strict=True):
+                if part is not None:
+                    part += self.right_hand_side.of(of).reshape(part.shape)
+        return residual

@@ -1,0 +1,67 @@
+"""``record``: the usual files of a run, and what it refuses before it computes anything."""
+
+import numpy as np
+import pytest
+
+import ngvisco as nv
+from ngvisco.expressions import ExpressionError
+from ngvisco.geometries import box
+
+
+class Counter:
+    def __init__(self):
+        self.calls = []
+
+    def start(self, simulation):
+        self.calls.append("start")
+
+    def step(self, simulation, row):
+        self.calls.append(row["step"])
+
+    def finish(self, simulation):
+        self.calls.append("finish")
+
+
+def simulation(observers=()):
+    model = nv.Model(material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1), loads=[nv.Gravity((0, -1))])
+    return nv.Simulation(box((1, 1), maxh=1), model, dt=0.02, observers=observers)
+
+
+def test_record_leaves_files_and_pictures_and_the_observers_as_they_were(tmp_path, capsys):
+    counter = Counter()
+    run = simulation([counter])
+    show = {"speed, m/s": "sqrt(velocity_1**2 + velocity_2**2)", "J less 1": "J - 1"}
+    ledger = nv.record(run, tmp_path, 0.04, every=1, checkpoints=1, show=show)
+    assert ledger is run.ledger and run.observers == [counter]
+    assert counter.calls == ["start", 1, 2, "finish"]
+    for file in ("ledger.csv", "run.h5", "vtk/fields.pvd"):
+        assert (tmp_path / file).stat().st_size > 0
+    for picture in ("energies.png", "fields.png"):
+        assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
+    again = simulation()
+    again.restore(tmp_path / "run.h5")
+    assert again.number == 2 and again.run(0.06).column("kinetic")[-1] > ledger.column("kinetic")[-1]
+    assert f"results in {tmp_path}" in capsys.readouterr().out
+
+
+def test_record_without_expressions_draws_energies_only(tmp_path):
+    nv.record(simulation(), tmp_path, 0.02)
+    assert (tmp_path / "energies.png").exists() and not (tmp_path / "fields.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        ((5, 0.02), nv.ParameterError, "record.directory"),
+        (("out", 0.0), nv.ParameterError, "record.until"),
+        (("out", np.nan), nv.ParameterError, "record.until"),
+    ],
+)
+def test_record_refuses_before_anything_is_computed(arguments, error, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run = simulation()
+    with pytest.raises(error, match=words):
+        nv.record(run, *arguments)
+    with pytest.raises(ExpressionError, match="velocity_3"):
+        nv.record(run, "out", 0.02, show={"none in 2D": "velocity_3"})
+    assert run.number == 0 and run.observers == [] and list(tmp_path.iterdir()) == []

@@ -1,0 +1,94 @@
+"""The guide's recipes: their changes are made to a copy of the sources, and their programs run there."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from documents import ROOT
+
+GUIDE = ROOT / "ngvisco" / "GUIDE.md"
+BLOCK = re.compile(r"<!-- (\w+): (new file|change|run) ?([\w./]*) -->\n+```\w+\n(.*?)```", re.DOTALL)
+RECIPES = {name: None for name, *_ in BLOCK.findall(GUIDE.read_text())}
+
+
+def blocks(name: str) -> list[list[str]]:
+    """What a recipe does, to which file, and the text."""
+    return [
+        (what, file, text) for recipe, what, file, text in BLOCK.findall(GUIDE.read_text()) if recipe == name
+    ]
+
+
+def apply(change: str, source: str) -> str:
+    """The source after the hunks of a difference: each fits one place, one of additions alone is its end."""
+    for hunk in change.split("@@\n"):
+        lines = hunk.splitlines()
+        before = "\n".join(line[1:] for line in lines if line[:1] in (" ", "-"))
+        after = "\n".join(line[1:] for line in lines if line[:1] in (" ", "+"))
+        if not before:
+            source = f"{source.rstrip()}\n{after}\n"
+            continue
+        places = source.count(f"\n{before}\n")
+        assert places == 1, f"fits {places} places of the source:\n{before}"
+        source = source.replace(f"\n{before}\n", f"\n{after}\n")
+    return source
+
+
+def test_changes_apply_at_one_place_only():
+    assert apply(" b\n+c\n", "a\nb\nd\n") == "a\nb\nc\nd\n"
+    assert apply("-b\n+c\n@@\n+e\n", "a\nb\nd\n") == "a\nc\nd\ne\n"
+    for source in ("a\nd\n", "a\nb\nb\n"):
+        with pytest.raises(AssertionError, match=r"fits [02] places"):
+            apply("-b\n+c\n", source + "b\n" * source.count("b\nb"))
+
+
+def copied(folder: Path) -> Path:
+    """The sources that a program imports."""
+    for name in ("ngvisco", "geometries"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    return folder
+
+
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_recipe_works_as_it_is_written(recipe, tmp_path):
+    clone = copied(tmp_path)
+    programs = []
+    for what, file, text in blocks(recipe):
+        path = clone / file
+        if what == "run":
+            programs.append(text)
+        elif what == "new file":
+            assert not path.exists(), f"{file} is there already"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        else:
+            path.write_text(apply(text, path.read_text()))
+    assert programs, "a recipe without a program shows nothing"
+    environment = os.environ | {"PYTHONPATH": str(clone), "NGS_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    here = f"import ngvisco; assert ngvisco.__file__.startswith({str(clone)!r})\n"
+    for program in programs:
+        result = subprocess.run(
+            [sys.executable, "-W", "error", "-c", here + program],
+            cwd=clone,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_recipes_code_has_the_projects_style(recipe, tmp_path):
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for i, (what, _, text) in enumerate(blocks(recipe)):
+        if what != "change" and not text.startswith("title"):  # a case file
+            (tmp_path / f"block_{i}.py").write_text(text)
+    for command in (("check", "--ignore=RUF001,RUF002,RUF003,SIM115,E402"), ("format", "--diff")):
+        result = subprocess.run(["ruff", *command, "."], cwd=tmp_path, capture_output=True, text=True)
+        assert result.returncode == 0, result.stdout + result.stderr
