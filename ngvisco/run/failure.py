@@ -18,7 +18,7 @@ from ngvisco.forms.bounds import Violation
 from ngvisco.forms.locating import nearest_wall
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically
-from ngvisco.run.observers import write_vtu
+from ngvisco.run.vtk import write_vtu
 from ngvisco.solver.solution import Attempt, iterations
 
 if TYPE_CHECKING:
