@@ -224,6 +224,7 @@ class Case:
                 startup=sections.time.startup,
                 relaxation=sections.time.relaxation,
                 limiter=sections.time.limiter,
+                halvings=sections.time.halvings,
                 initial=made["initial"],
                 walls=walls,
                 passive=sections.output.passive,

@@ -229,6 +229,11 @@ KEYS: dict[str, Key] = {
         "scaled towards their means after a step; false ends the run there",
         True,
     ),
+    "Time.halvings": Key(
+        "1",
+        "of a step of fixed length that is not solved, before the coupled solver is asked; 0 asks at once",
+        3,
+    ),
     "velocity_scale": Key(
         "m/s", "a typical velocity, which sets the width of the upwinding; default from the data", 1.0
     ),

@@ -12,7 +12,7 @@ Layout::
                                     loads_over, last_tau; data sets state, state_old), and the last two
                                     solutions, which start values are extrapolated from; empty for none
     /checkpoints/<step>/stepping    what the choice of the next step depends on: of fixed steps where they are
-                                    counted from (attributes start, first), of adaptive ones the next length
+                                    counted from (attributes start, level), of adaptive ones the next length
                                     (dt), streak, last_error, and the states known_* of the error estimate
     /checkpoints/<step>/passive     coefficients of the run's passive fields, if any
 

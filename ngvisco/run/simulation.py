@@ -19,7 +19,6 @@ from ngvisco.errors import (
     InitialDataError,
     ParameterError,
     StepError,
-    as_integer,
     as_number,
     as_times,
     require_positive,
@@ -45,17 +44,24 @@ from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.failure import failure_report
 from ngvisco.run.fields import output_fields
-from ngvisco.run.inputs import check_arguments, check_observer, times_of
+from ngvisco.run.inputs import check_arguments, check_observer, checked_scheme, times_of
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
 from ngvisco.run.passive import PassiveFields
-from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, RejectionObserver, make_stepper
+from ngvisco.run.stepping import (
+    HALVINGS,
+    AdaptiveStepper,
+    AdaptiveSteps,
+    Rejection,
+    RejectionObserver,
+    make_stepper,
+)
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.solver.strategies import Strategy
 from ngvisco.threads import computing
 from ngvisco.timestepping.integrator import Integrator
-from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
+from ngvisco.timestepping.scheme import TimeScheme
 
 
 class Observer(Protocol):
@@ -118,6 +124,10 @@ class Simulation:
         towards the cell's mean (``ngvisco.forms.bounds``; default), and only a mean that is not positive ends
         a run.  It changes no other state; the ledger has its energy as ``limiter``.
 
+    halvings : int
+        With steps of one length: how often a step that is not solved is halved before the coupled solver is
+        asked (``FixedStepper``); 0 asks at once.
+
     Raises
     ------
     ParameterError, MeshError, InitialDataError, UnknownNameError
@@ -148,6 +158,7 @@ class Simulation:
         terms: Sequence[Term] = (),
         passive: Sequence[str] = (),
         limiter: bool = True,
+        halvings: int = HALVINGS,
     ) -> None:
         require_type("Simulation.mesh", mesh, Mesh)
         require_type("Simulation.model", model, Model)
@@ -162,9 +173,9 @@ class Simulation:
         if velocity_scale is not None:
             require_positive("Simulation", velocity_scale=velocity_scale)
         check_arguments(observers, walls, stepping, passive, sources, terms)
-        chosen = _checked_scheme(scheme, theta, startup, relaxation, stepping)
+        chosen = checked_scheme(scheme, theta, startup, relaxation, stepping)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
-        self.stepper = make_stepper(self.dt, stepping)
+        self.stepper = make_stepper(self.dt, stepping, halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.check_data([0.0])
@@ -402,45 +413,6 @@ class Simulation:
         """Diagonal of the mesh's bounding box, m."""
         points = coordinates(self.mesh)
         return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
-
-
-LEAST_CONSTANT = 1e-2
-"""Error constant of a scheme, times (p + 1)!, below which its local error cannot be estimated by it."""
-
-
-def _checked_scheme(
-    scheme: str | TimeScheme,
-    theta: float | None,
-    startup: int,
-    relaxation: bool,
-    stepping: AdaptiveSteps | None,
-) -> TimeScheme:
-    """The scheme; raises ParameterError for what does not fit it."""
-    try:
-        chosen = scheme_of(scheme, theta)
-    except ParameterError as error:
-        field = error.field if "." in error.field else f"Simulation.{error.field}"
-        raise ParameterError(field, error.value, error.expected) from error
-    if (count := as_integer(startup)) is None or count < 0:
-        raise ParameterError("Simulation.startup", startup, "a whole number of backward Euler steps, >= 0")
-    require_type("Simulation.relaxation", relaxation, bool)
-    tolerance = None if stepping is None else stepping.tolerance
-    if (
-        tolerance is not None
-        and abs(chosen.error_constant) * math.factorial(chosen.order + 1) < LEAST_CONSTANT
-    ):
-        expected = (
-            f"None with this scheme, whose local error is not that of its order {chosen.order}: "
-            f"its error constant is {chosen.error_constant:.1e}"
-        )
-        raise ParameterError("AdaptiveSteps.tolerance", tolerance, expected)
-    if relaxation and stepping is None:
-        expected = "False with steps of one length: a relaxed step ends where it is without dissipation"
-        raise ParameterError("Simulation.relaxation", relaxation, expected)
-    if relaxation and chosen.A != midpoint().A:
-        expected = f"False with the scheme {chosen.name!r}: only the midpoint rule is relaxed"
-        raise ParameterError("Simulation.relaxation", relaxation, expected)
-    return chosen
 
 
 def _innermost(material: Material) -> Material:
