@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from ngvisco.run.failure import FailureReport
     from ngvisco.solver.solution import Attempt
 
 
@@ -74,7 +75,11 @@ class StepError(NgviscoError, RuntimeError):
     ----------
     history : tuple of Attempt
         What was tried: each solve's strategy, its iterations and why it failed.
+    report : FailureReport or None
+        Where and why, and what to change, of a step of a ``Simulation``.
     """
+
+    report: FailureReport | None = None
 
     def __init__(self, message: str, history: Sequence[Attempt] = ()) -> None:
         self.history = tuple(history)

@@ -233,6 +233,8 @@ class Case:
                 theta=sections.time.theta,
                 startup=sections.time.startup,
                 relaxation=sections.time.relaxation,
+                limiter=sections.time.limiter,
+                halvings=sections.time.halvings,
                 initial=made["initial"],
                 walls=walls,
                 passive=sections.output.passive,

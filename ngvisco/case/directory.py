@@ -10,6 +10,8 @@
 | vtk/          | the VTK series                                                            |
 | samples/      | probes, lines, forces on walls, integrals over the domain, as CSV         |
 | log.txt       | what was done when                                                        |
+| failed.txt    | of a run that ended at a step: where and why, and what to change          |
+| failed.vtu    | the solution that was refused there, else the last state                  |
 | lock          | there while a process runs; released by the system even when it is killed |
 
 The whole case is built before the directory is touched, so that a case that is refused leaves nothing
@@ -39,8 +41,9 @@ from ngvisco.case import changes
 from ngvisco.case.build import Case, load_case
 from ngvisco.case.meshfile import mesh_image, mesh_of, require_whole
 from ngvisco.case.versions import versions
-from ngvisco.errors import CheckpointError, MeshError, NgviscoError, require_path
+from ngvisco.errors import CheckpointError, MeshError, NgviscoError, StepError, require_path
 from ngvisco.run.checkpoint import read_ledger
+from ngvisco.run.failure import write_failure
 from ngvisco.run.files import append, write_atomically
 from ngvisco.run.notebook import data_frame, results_html
 from ngvisco.run.observers import Progress
@@ -65,6 +68,7 @@ class RunDirectory:
         self.run_file = self.path / "run.h5"
         self.log_file = self.path / "log.txt"
         self.vtk = self.path / "vtk"
+        self.failure_file, self.failed_state = self.path / "failed.txt", self.path / "failed.vtu"
         self.lock_file = self.path / "lock"
 
     @property
@@ -75,7 +79,8 @@ class RunDirectory:
         pictures = [self.path / name for name in (*names, "scene.html", "movie.gif", "movie.mp4")]
         series = [*self.vtk.glob("fields*.vtu"), *self.vtk.glob("fields*.pvd")]
         series += [*self.path.glob("samples/*.csv"), *self.path.glob("case.until-step-*.toml")]
-        return [path for path in [*own, self.log_file, *pictures, *series] if path.exists()]
+        own += [self.log_file, self.failure_file, self.failed_state]
+        return [path for path in [*own, *pictures, *series] if path.exists()]
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
@@ -297,6 +302,8 @@ def _go(
     elif not simulation.ledger.rows and (found := place.read_versions().get("from")) is not None:
         notes.append(Origin(Path(found["directory"]), found["step"]).carry_to(simulation))
     _check_times(place, case, simulation, end)
+    for path in (place.failure_file, place.failed_state):  # of an attempt before
+        path.unlink(missing_ok=True)
     log = Log(place.log_file, end, case.sections.output.log_every)
     # an end time given to resume is an output time of its own
     simulation.observers += [*case.observers(place.path, end), log, *observers]
@@ -310,6 +317,9 @@ def _go(
     except BaseException as error:
         with contextlib.suppress(OSError):  # a full disk is what may have ended the run
             log.write(f"ended by {type(error).__name__}: {error}")
+            if isinstance(error, StepError) and error.report is not None:
+                write_failure(place.failure_file, place.failed_state, simulation, error.report)
+                error.add_note(f"what is known of it: {place.failure_file}; its fields: {place.failed_state}")
         raise
     if simulation.stop_requested:
         log.write(f"stopped on request at step {simulation.number}, t = {simulation.t:g} s")

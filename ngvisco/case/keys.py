@@ -273,6 +273,17 @@ KEYS: dict[str, Key] = {
     "Time.relaxation": Key(
         "", "with midpoint and [time.adaptive]: end each step where the scheme dissipates nothing", True
     ),
+    "Time.limiter": Key(
+        "",
+        "whether cells in which rho, J, det F, ... are not positive at a point, though in the mean, are "
+        "scaled towards their means after a step; false ends the run there",
+        True,
+    ),
+    "Time.halvings": Key(
+        "1",
+        "of a step of fixed length that is not solved, before the coupled solver is asked; 0 asks at once",
+        3,
+    ),
     "velocity_scale": Key(
         "m/s", "a typical velocity, which sets the width of the upwinding; default from the data", 1.0
     ),

@@ -35,6 +35,7 @@ from ngvisco.case.laws import EnergyText
 from ngvisco.errors import ParameterError, UnknownNameError, as_number
 from ngvisco.expressions import parse
 from ngvisco.physics.material import Material as MaterialObject
+from ngvisco.run.stepping import HALVINGS, MOST_HALVINGS
 from ngvisco.timestepping.scheme import SCHEMES, scheme_of
 
 _MAX_OUTPUT_TIMES = 100_000
@@ -255,6 +256,8 @@ class Time(Section):
     theta: float | None = None
     startup: int = Field(default=0, ge=0)
     relaxation: bool = False
+    limiter: bool = True
+    halvings: int = Field(default=HALVINGS, ge=0, le=MOST_HALVINGS)
     velocity_scale: float | None = None
     adaptive: Adaptive | None = None  # type: ignore[valid-type]
 

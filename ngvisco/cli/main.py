@@ -204,7 +204,7 @@ def _described(error: Exception) -> str:
     from ngvisco.errors import NgviscoError
 
     if isinstance(error, NgviscoError):
-        return str(error)
+        return "\n".join([str(error), *getattr(error, "__notes__", [])])
     raise error  # a fault of ours: its traceback is what a report needs
 
 

@@ -8,11 +8,13 @@ numerical dissipation of every time scheme is summed of (``ngvisco.timestepping.
 
 from __future__ import annotations
 
+import numpy as np
 from ngsolve import CF, FESpace, GridFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Evolved, Step
 from ngvisco.forms.term import Storing
+from ngvisco.physics.tensors import inner, square
 
 _EVOLVED = ("v", "rho", "z")
 
@@ -33,13 +35,29 @@ class BregmanDistance:
         entries = [term.distance(*self.fields) for term in step.terms if isinstance(term, Storing)]
         self.names = tuple(entry.name for entry in entries)
         self._integrand = CF(tuple(entry.integrand.cells for entry in entries)).Compile()
+        a, b = self.fields
+        self._slope = CF((-0.5 * a.rho * square(b.v), inner(step.energy.slope(b), a.z))).Compile()
 
     def __call__(self, a: Evolved, b: Evolved) -> dict[str, float]:
         """B(a, b) by ledger columns, J (per metre of thickness in plane strain)."""
-        for state, fields, values in zip(self._states, self.fields, (a, b), strict=True):
-            array = state.vec.FV().NumPy()
-            for name, where in zip(_EVOLVED, self._ranges, strict=True):
-                array[where] = getattr(values, name)
-            self.step.energy.refresh(fields)
+        for i, values in enumerate((a, b)):
+            self._put(i, v=values.v, rho=values.rho, z=values.z)
+            self.step.energy.refresh(self.fields[i])
         totals = self.step.quadrature.integrate_cells(self._integrand)
         return {name: float(total) for name, total in zip(self.names, totals, strict=True)}
+
+    def slope(self, b: Evolved, rho: np.ndarray, z: np.ndarray) -> float:
+        """E'(b) in the direction of coefficients (rho, z) with m kept, J.
+
+        int phi'(z_b):z - 1/2 rho |v_b|^2.
+        """
+        self._put(0, rho=rho, z=z)
+        self._put(1, v=b.v, rho=b.rho, z=b.z)
+        self.step.energy.refresh(self.fields[1])
+        return float(sum(self.step.quadrature.integrate_cells(self._slope)))
+
+    def _put(self, i: int, **values: np.ndarray) -> None:
+        array = self._states[i].vec.FV().NumPy()
+        for name, where in zip(_EVOLVED, self._ranges, strict=True):
+            if name in values:
+                array[where] = values[name]

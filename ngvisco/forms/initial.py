@@ -27,7 +27,7 @@ from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.forms.velocity import project_velocity
-from ngvisco.physics.material import components_of, conjugates, volume_ratio
+from ngvisco.physics.material import conjugates, volume_ratio
 from ngvisco.physics.model import VectorLike, as_tensor, as_vector
 from ngvisco.physics.tensors import inner, square, tensor_space
 
@@ -106,7 +106,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     with TaskManager():
         step.state.vec[:] = 0.0
         parts["rho"].Set(density)
-        parts["z"].Set(components_of(step.model.material, values, dim))
+        parts["z"].Set(step.model.material.states(dim).components(values))
         if initial.velocity is not None:
             v_0 = as_vector(initial.velocity, dim, "Initial.velocity")
             sampler.require(inner(v_0, v_0), "|v_0|^2")
@@ -211,7 +211,7 @@ def complete(step: Step) -> None:
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     u, material, dim = step.now, step.model.material, step.mesh.dim
     if step.energy.projected is None:
-        parts["zeta"].Set(components_of(material, conjugates(material, u.z_tensors), dim))
+        parts["zeta"].Set(material.states(dim).components(conjugates(material, u.z_tensors)))
     else:
         step.eliminate.refresh()
         step.eliminate.projections["zeta"]()

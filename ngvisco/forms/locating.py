@@ -1,4 +1,4 @@
-"""Points of space as points of a mesh, where coefficient functions are evaluated."""
+"""Points of space as points of a mesh, where coefficient functions are evaluated, and the walls near them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from ngsolve import VOL, Mesh
+from ngsolve import BND, VOL, Mesh
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.mesh_arrays import coordinates
@@ -65,3 +65,30 @@ def _on_wall(mesh: Mesh, point: np.ndarray, name: str) -> Any:
     ends = np.round(np.array([vertices.min(axis=0), vertices.max(axis=0)]).T / size, 12) * size
     box = " x ".join(f"[{a:.6g}, {b:.6g}]" for a, b in ends + 0.0)
     raise ParameterError(name, [float(c) for c in point], f"a point of the domain, which lies in {box} m")
+
+
+def nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:
+    """The boundary nearest to ``point``, (dim,), m, and its distance, m; walls as straight as their vertices.
+
+    (None, inf) for a mesh without boundary.
+    """
+    vertices = coordinates(mesh)
+    facets = list(mesh.Elements(BND))
+    if not facets:
+        return None, float("inf")
+    corners = [vertices[[v.nr for v in facet.vertices]] for facet in facets]
+    distances = [_distance(point, facet) for facet in corners]
+    nearest = int(np.argmin(distances))
+    return facets[nearest].mat, float(distances[nearest])
+
+
+def _distance(point: np.ndarray, simplex: np.ndarray) -> float:
+    """From a point to a simplex with these vertices, (count, dim); a quadrilateral counts as its sides."""
+    origin, edges = simplex[0], simplex[1:] - simplex[0]
+    weights = np.linalg.lstsq(edges.T, point - origin, rcond=None)[0]
+    is_simplex = len(edges) < len(point)
+    if is_simplex and (weights >= 0).all() and weights.sum() <= 1:
+        return float(np.linalg.norm(point - origin - weights @ edges))
+    if len(simplex) == 2:
+        return float(np.linalg.norm(simplex - point, axis=1).min())
+    return min(_distance(point, simplex[[i, i - 1]]) for i in range(len(simplex)))

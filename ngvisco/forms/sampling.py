@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh
+from ngsolve import CF, ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y, z
 
 from ngvisco.errors import InitialDataError
 from ngvisco.forms.quadrature import Quadrature
@@ -39,6 +39,11 @@ class Sampler:
         """Values at all points, shape (points,) or (points, components)."""
         result = np.asarray(f(self.points))
         return result[:, 0] if result.ndim == 2 and result.shape[1] == 1 else result
+
+    def coordinates(self, indices: np.ndarray) -> np.ndarray:
+        """Where some of the points are, (indices, dim), m."""
+        position = CF((x, y, z)[: self.mesh.dim])
+        return np.asarray(position(self.points[indices])).reshape(len(indices), -1)
 
     def extrema(self, f: CoefficientFunction) -> tuple[float, float]:
         """Minimum and maximum of a scalar."""

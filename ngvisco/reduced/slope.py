@@ -9,7 +9,8 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.forms.points import CellPoints
 from ngvisco.forms.system import Step
-from ngvisco.physics.arrays import array_slope, slope_along
+from ngvisco.physics.array_slope import array_slope
+from ngvisco.physics.arrays import slope_along
 from ngvisco.physics.material import conjugates
 from ngvisco.physics.pointwise import respond
 

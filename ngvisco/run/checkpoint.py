@@ -12,7 +12,7 @@ Layout::
                                     loads_over, last_tau; data sets state, state_old), and the last two
                                     solutions, which start values are extrapolated from; empty for none
     /checkpoints/<step>/stepping    what the choice of the next step depends on: of fixed steps where they are
-                                    counted from (attributes start, first), of adaptive ones the next length
+                                    counted from (attributes start, level), of adaptive ones the next length
                                     (dt), streak, last_error, and the states known_* of the error estimate
     /checkpoints/<step>/passive     coefficients of the run's passive fields, if any
 
@@ -49,13 +49,13 @@ from ngvisco.run.ledger import Balance, unit
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
-FORMAT = 3
+FORMAT = 4
 UNITS = (
     "time, tau, dt, end, loads_from, loads_over, *_time, known_*: s; energy: J; mass: kg; "
     "velocity_scale: m/s (per metre in plane strain)"
 )
 """Of the checkpoints' attributes, as the file says itself; those of the ledger stand at its columns."""
-_WHOLE = ("step", "newton_iterations", "rejections")
+_WHOLE = ("step", "newton_iterations", "rejections", "limited_cells")
 """Ledger columns of whole numbers."""
 _CHECKSUM = "checksum"
 

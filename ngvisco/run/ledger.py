@@ -7,7 +7,9 @@ Euler-large-energy-balance-disc, with their inequalities' remainders written out
 are weighted as the time scheme does.  ``inertial`` and ``bregman`` are the kinetic and the stored part of
 what it dissipates numerically, sums of Bregman distances (``ngvisco.timestepping.scheme``): for the
 implicit Euler step 1/2 int rho_old |v - v_old|^2 and int phi(z_old) - phi(z) - phi'(z):(z_old - z), the
-latter >= 0 where the energy is convex; of either sign for schemes of second order.
+latter >= 0 where the energy is convex; of either sign for schemes of second order.  ``limiter`` is the energy
+that limiting the step's end takes in ``limited_cells`` cells (``ngvisco.forms.bounds``); it is in the balance
+like ``inertial`` and ``bregman``.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
 from ngvisco.run.notebook import data_frame, ledger_html
-from ngvisco.timestepping.integrator import StepTaken
+from ngvisco.timestepping.integrator import LIMITER, StepTaken
 
 NUMERICAL = ("inertial", "bregman")
 """Columns of the scheme's own dissipation, J a step: its kinetic and its stored part."""
@@ -54,6 +56,7 @@ UNITS = {
     "v_max": "m/s",
     "newton_iterations": "1",
     "rejections": "1",
+    "limited_cells": "1",
     "cfl": "1",
     "error_estimate": "1",
     "density_diffusion": "kg^2/m^3/s",
@@ -102,7 +105,8 @@ class Ledger:
 
     def __init__(self, step: Step, sampler: Sampler) -> None:
         self.step, self.sampler = step, sampler
-        self.entries = [*step.entries(), *(Entry(name, "numerical", Integrand()) for name in NUMERICAL)]
+        own = (Entry(name, "numerical", Integrand()) for name in (*NUMERICAL, LIMITER))
+        self.entries = [*step.entries(), *own]
         _check_names(self.entries)
         self._state = _Integrals(step, self._state_integrands())
         self._rates = _Integrals(step, {e.name: e for e in self.entries if e.kind in RATES})
@@ -121,7 +125,7 @@ class Ledger:
             *(entry.name for entry in self.entries),
             *("closure", "closure_relative", "mass", "mass_drift"),
             *("rho_min", "rho_max", "J_min", "J_defect", "defect_rms", "defect_max"),
-            *("v_max", "newton_iterations", "rejections"),
+            *("v_max", "newton_iterations", "rejections", "limited_cells"),
             *("cfl", "error_estimate"),
         ]
 
@@ -146,7 +150,7 @@ class Ledger:
         self.balance = Balance(energy, values["mass"], values["mass"])
         idle = dict.fromkeys((entry.name for entry in self.entries), 0.0)
         row = {"step": 0, "time": time, "dt": 0.0, **idle, **values, "closure": 0.0}
-        row |= {"closure_relative": 0.0, "mass_drift": 0.0, "error_estimate": math.nan}
+        row |= {"closure_relative": 0.0, "mass_drift": 0.0, "error_estimate": math.nan, "limited_cells": 0}
         return self._append(row, 0, 0, 0.0)
 
     def resume(self, balance: Balance, rows: list[dict[str, float]]) -> None:
@@ -200,7 +204,8 @@ class Ledger:
         assert self.balance is not None
         tau, iterations = taken.tau, taken.iterations
         self.step.energy.require()
-        values = self._absent | self._pending | self._state() | taken.rates | taken.numerical
+        values = {LIMITER: 0.0} | self._absent | self._pending
+        values |= self._state() | taken.rates | taken.numerical
         energy = values["kinetic"] + values["stored"]
         dissipated, worked = self._sum(values, "dissipation"), self._sum(values, "power")
         remainder = self._sum(values, "numerical")
@@ -213,6 +218,7 @@ class Ledger:
             **{"step": number, "time": time, "dt": tau, **values},
             **{"closure": closure, "closure_relative": closure / scale if scale else closure},
             **{"mass_drift": drift, "error_estimate": math.nan if error is None else error},
+            "limited_cells": taken.limited,
         }
         row = self._append(row, iterations, rejections, tau)
         self._pending = {}

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import errno
 import io
 import os
 import re
@@ -17,8 +16,6 @@ import time as clock
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
-
-from ngsolve import CF, CoefficientFunction, VTKOutput
 
 from ngvisco.errors import (
     ParameterError,
@@ -33,6 +30,7 @@ from ngvisco.errors import (
 from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.files import append, write_atomically
 from ngvisco.run.further_fields import usual
+from ngvisco.run.vtk import write_vtu
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -76,7 +74,7 @@ class Progress:
         self._print(
             f"step {number:5d}{self._total}  t {row['time']:.4g} s  kinetic {row['kinetic']:.4e}  "
             f"stored {row['stored']:.6e} J  closure {row['closure_relative']:+.0e}  "
-            f"Newton {row['newton_iterations']:2.0f}  left {left:.0f} s"
+            f"Newton {row['newton_iterations']:2.0f}  {_limited(row)}left {left:.0f} s"
         )
 
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
@@ -98,6 +96,12 @@ class Progress:
         # a reader that has gone, or a terminal that cannot take it, does not end a run
         with contextlib.suppress(OSError, ValueError):
             print(line, file=self.stream or sys.stdout, flush=True)
+
+
+def _limited(row: dict[str, float]) -> str:
+    """How many cells the limiter changed, where it did."""
+    cells = row["limited_cells"]
+    return f"limited {cells:.0f} cell{'s' if cells > 1 else ''}  " if cells else ""
 
 
 class LedgerCSV:
@@ -172,7 +176,7 @@ class VTKSeries:
         for name in self.names or ():
             if name not in available:
                 raise UnknownNameError("field", name, available)
-        self._fields = {name: _padded(available[name]) for name in self.names or usual(available)}
+        self._fields = {name: available[name] for name in self.names or usual(available)}
         self.directory.mkdir(parents=True, exist_ok=True)
         self.written = [
             (time, name) for time, name in read_pvd(self._pvd) if time < simulation.t * (1 - 1e-12)
@@ -197,22 +201,9 @@ class VTKSeries:
         return self.directory / "fields.pvd"
 
     def _write(self, simulation: Simulation) -> None:
-        stem = f"fields_{simulation.number:06d}"
-        draft = self.directory / f"{stem}.part"
-        output = VTKOutput(
-            simulation.mesh,
-            coefs=list(self._fields.values()),
-            names=list(self._fields),
-            filename=str(draft),
-            subdivision=self.subdivision,
-            floatsize="double",
-        )
-        output.Do(time=simulation.t)
-        _require_complete(Path(f"{draft}.vtu"))
-        _label_components(Path(f"{draft}.vtu"), self._fields)
-        Path(f"{draft}.vtu").replace(self.directory / f"{stem}.vtu")
-        Path(f"{draft}.pvd").unlink(missing_ok=True)
-        self.written.append((simulation.t, f"{stem}.vtu"))
+        name = f"fields_{simulation.number:06d}.vtu"
+        write_vtu(self.directory / name, simulation.mesh, self._fields, simulation.t, self.subdivision)
+        self.written.append((simulation.t, name))
         self._write_pvd()
 
     def _write_pvd(self) -> None:
@@ -226,36 +217,9 @@ class VTKSeries:
         write_atomically(self._pvd, text.encode())
 
 
-def _require_complete(path: Path) -> None:
-    """Raise OSError unless the file ends as it should: VTKOutput is silent about a full disk."""
-    with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - 40))
-        if b"</VTKFile>" in file.read():
-            return
-    path.unlink()
-    raise OSError(errno.ENOSPC, "the VTK file could not be written completely", str(path))
-
-
 def read_pvd(path: Path) -> list[tuple[float, str]]:
     """(time, file) of every data set that a .pvd of ours lists; empty if there is none."""
     if not path.exists():
         return []
     found = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text(encoding="utf-8"))
     return [(float(time), name) for time, name in found]
-
-
-def _padded(value: CoefficientFunction) -> CoefficientFunction:
-    """Vectors of two components get a third, as ParaView wants them."""
-    return CF((value[0], value[1], 0.0)) if value.dim == 2 else value
-
-
-def _label_components(path: Path, fields: dict[str, CoefficientFunction]) -> None:
-    """Write the components' names into the file's header (the data blocks' offsets stay valid)."""
-    head, mark, tail = path.read_bytes().partition(b"<AppendedData")
-    text = head.decode()
-    for name, value in fields.items():
-        axes = ["1", "2", "3"] if name.startswith("principal") else ["x", "y", "z"]
-        labels = {3: axes, 9: [f"{i}{j}" for i in "123" for j in "123"]}.get(value.dim, [])
-        attributes = "".join(f' ComponentName{i}="{label}"' for i, label in enumerate(labels))
-        text = text.replace(f'Name="{name}" ', f'Name="{name}"{attributes} ')
-    path.write_bytes(text.encode() + mark + tail)

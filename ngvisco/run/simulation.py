@@ -13,17 +13,18 @@ from os import PathLike
 from typing import Protocol
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Id, Mesh
+from ngsolve import CoefficientFunction, Id, Mesh
 
 from ngvisco.errors import (
     InitialDataError,
     ParameterError,
-    as_integer,
+    StepError,
     as_number,
     as_times,
     require_positive,
     require_type,
 )
+from ngvisco.forms.bounds import Bounds, Violation
 from ngvisco.forms.context import time
 from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
@@ -41,18 +42,26 @@ from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
+from ngvisco.run.failure import failure_report
 from ngvisco.run.fields import output_fields
-from ngvisco.run.inputs import check_arguments, check_observer, times_of
+from ngvisco.run.inputs import check_arguments, check_observer, checked_scheme, times_of
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
 from ngvisco.run.passive import PassiveFields
-from ngvisco.run.stepping import AdaptiveStepper, AdaptiveSteps, Rejection, RejectionObserver, make_stepper
+from ngvisco.run.stepping import (
+    HALVINGS,
+    AdaptiveStepper,
+    AdaptiveSteps,
+    Rejection,
+    RejectionObserver,
+    make_stepper,
+)
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.solver.strategies import Strategy
 from ngvisco.threads import computing
 from ngvisco.timestepping.integrator import Integrator
-from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
+from ngvisco.timestepping.scheme import TimeScheme
 
 
 class Observer(Protocol):
@@ -110,6 +119,14 @@ class Simulation:
         with rows of the flow's unknowns; one with others is refused by the split solver, by its name.
     passive : sequence of str
         Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
+    limiter : bool
+        Whether a step's end at which rho, J, det F, ... are not positive at points of a cell is scaled
+        towards the cell's mean (``ngvisco.forms.bounds``; default), and only a mean that is not positive ends
+        a run.  It changes no other state; the ledger has its energy as ``limiter``.
+
+    halvings : int
+        With steps of one length: how often a step that is not solved is halved before the coupled solver is
+        asked (``FixedStepper``); 0 asks at once.
 
     Raises
     ------
@@ -140,6 +157,8 @@ class Simulation:
         sources: Term | None = None,
         terms: Sequence[Term] = (),
         passive: Sequence[str] = (),
+        limiter: bool = True,
+        halvings: int = HALVINGS,
     ) -> None:
         require_type("Simulation.mesh", mesh, Mesh)
         require_type("Simulation.model", model, Model)
@@ -150,12 +169,13 @@ class Simulation:
         ):
             require_type(f"Simulation.{name}", kind() if value is None else value, kind)
         require_positive("Simulation", dt=dt)
+        require_type("Simulation.limiter", limiter, bool)
         if velocity_scale is not None:
             require_positive("Simulation", velocity_scale=velocity_scale)
         check_arguments(observers, walls, stepping, passive, sources, terms)
-        chosen = _checked_scheme(scheme, theta, startup, relaxation, stepping)
+        chosen = checked_scheme(scheme, theta, startup, relaxation, stepping)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
-        self.stepper = make_stepper(self.dt, stepping)
+        self.stepper = make_stepper(self.dt, stepping, halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.check_data([0.0])
@@ -175,16 +195,18 @@ class Simulation:
         self.solver = RotheSolver(self.rothe_step, options, self.defect, strategies)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.closure_check = ClosureCheck(options.tolerance)
-        u, variables = self.rothe_step.now, model.material.variables
-        positive: dict[str, CoefficientFunction] = {}
-        for variable in variables:
-            positive |= variable.positive(u.z_tensors[variable.name])
-        self._positive_names = ("rho", *positive)
-        self._positive_values = CF((u.rho, *positive.values()))
+        self.bounds = Bounds(self.rothe_step, self.sampler, limiter)
         self.passive = PassiveFields(self.rothe_step, passive, F_0)
         self.integrator = Integrator(
-            self.solver, chosen, self.ledger.rates, [self.passive], startup, relaxation
+            self.solver,
+            chosen,
+            self.ledger.rates,
+            [self.passive],
+            startup,
+            relaxation,
+            self.bounds if limiter else None,
         )
+        self._refused: tuple[Violation, np.ndarray] | None = None
         self.wall_time = 0.0
         self.stop_requested = False
 
@@ -262,14 +284,20 @@ class Simulation:
         Raises
         ------
         StepError
-            When the step cannot be solved, or rho or J is not positive everywhere it is evaluated; with
+            When the step cannot be solved, or rho, J, ... are not positive (see ``limiter``); with
             adaptive lengths, when that is so at the smallest length.  The state is then that before
-            the step.
+            the step, and the error's ``report`` says where and why.
         """
         with computing():
             self._start_ledger()
             began = clock.perf_counter()
-            step, number = self.stepper.advance(self, stop), self.number + 1
+            self._refused = None
+            try:
+                step, number = self.stepper.advance(self, stop), self.number + 1
+            except StepError as error:
+                tau = self.integrator.tried
+                error.report = failure_report(self, tau, str(error), error.history, self._refused)
+                raise
             try:
                 row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
             except BaseException:  # an interrupt, or a warning that is an error: no step without its row
@@ -356,13 +384,15 @@ class Simulation:
             self.ledger.start(self.t)
 
     def defect(self) -> str | None:
-        """The first of rho, J (A) that is not positive at a sampling point, in words."""
-        values = self.sampler.values(self._positive_values)
-        minima = values.reshape(len(values), -1).min(axis=0)
-        for name, minimum in zip(self._positive_names, minima, strict=True):
-            if not minimum > 0:
-                return f"{name} is not positive (minimum {minimum:.3e})"
-        return None
+        """Why the present state is not admissible, in words: the first of rho, J, ... that is not positive.
+
+        With a limiter that is so of a cell's mean, without one of a sampling point.
+        """
+        violation = self.bounds.violation()
+        if violation is None:
+            return None
+        self._refused = (violation, self.rothe_step.state.vec.FV().NumPy().copy())
+        return str(violation)
 
     def _typical_velocity(self) -> float:
         u, model = self.rothe_step.now, self.model
@@ -384,45 +414,6 @@ class Simulation:
         """Diagonal of the mesh's bounding box, m."""
         points = coordinates(self.mesh)
         return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
-
-
-LEAST_CONSTANT = 1e-2
-"""Error constant of a scheme, times (p + 1)!, below which its local error cannot be estimated by it."""
-
-
-def _checked_scheme(
-    scheme: str | TimeScheme,
-    theta: float | None,
-    startup: int,
-    relaxation: bool,
-    stepping: AdaptiveSteps | None,
-) -> TimeScheme:
-    """The scheme; raises ParameterError for what does not fit it."""
-    try:
-        chosen = scheme_of(scheme, theta)
-    except ParameterError as error:
-        field = error.field if "." in error.field else f"Simulation.{error.field}"
-        raise ParameterError(field, error.value, error.expected) from error
-    if (count := as_integer(startup)) is None or count < 0:
-        raise ParameterError("Simulation.startup", startup, "a whole number of backward Euler steps, >= 0")
-    require_type("Simulation.relaxation", relaxation, bool)
-    tolerance = None if stepping is None else stepping.tolerance
-    if (
-        tolerance is not None
-        and abs(chosen.error_constant) * math.factorial(chosen.order + 1) < LEAST_CONSTANT
-    ):
-        expected = (
-            f"None with this scheme, whose local error is not that of its order {chosen.order}: "
-            f"its error constant is {chosen.error_constant:.1e}"
-        )
-        raise ParameterError("AdaptiveSteps.tolerance", tolerance, expected)
-    if relaxation and stepping is None:
-        expected = "False with steps of one length: a relaxed step ends where it is without dissipation"
-        raise ParameterError("Simulation.relaxation", relaxation, expected)
-    if relaxation and chosen.A != midpoint().A:
-        expected = f"False with the scheme {chosen.name!r}: only the midpoint rule is relaxed"
-        raise ParameterError("Simulation.relaxation", relaxation, expected)
-    return chosen
 
 
 def _innermost(material: Material) -> Material:

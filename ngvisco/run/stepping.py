@@ -1,5 +1,8 @@
 """How the time loop chooses its steps: fixed, as in the paper, or adaptive.
 
+Fixed.  A step that the split solver does not solve is taken in halves, quarters, eighths before other
+strategies are asked (``FixedStepper``).
+
 Adaptive.  A step is rejected, and its length halved, when Newton fails, or when rho, J (or A) is not
 positive at a sampling point.  With a tolerance, the estimated relative error e of each step
 (``ngvisco.timestepping.error``) is held below it: a step above it is rejected and tried again with the
@@ -25,7 +28,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, StepError, require_count, require_positive
+from ngvisco.errors import ParameterError, StepError, as_integer, require_count, require_positive
 from ngvisco.solver.strategies import Effort
 from ngvisco.timestepping.error import ErrorEstimate
 from ngvisco.timestepping.integrator import StepTaken
@@ -43,6 +46,16 @@ INTEGRAL, PROPORTIONAL = 0.7, 0.4
 
 LARGEST_CHANGE, UNCHANGED = 2.0, 0.1
 """Factor by which a length changes at most, and the share of it below which it is kept."""
+
+HALVINGS, MOST_HALVINGS = 3, 20
+"""Of a step of fixed length, before the coupled solver is asked: by default, and at most."""
+
+_LAST = Effort.CONTINUATION | Effort.OTHER_SOLVER
+"""What is asked where no part of a step is solved from start values at hand."""
+
+_SECONDS, _UNKNOWNS, _GROWTH = (2.7, 6.5), (67_000, 45_000), (1.3, 2.0)
+"""Measured for an iteration of the coupled solver in 2D and 3D (2,360 triangles, 455 tetrahedra: assembly and
+factorisation), and how it grows with the unknowns."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,10 +141,12 @@ class Stepper(Protocol):
         dt."""
 
 
-def make_stepper(dt: float, adaptive: AdaptiveSteps | None) -> Stepper:
+def make_stepper(dt: float, adaptive: AdaptiveSteps | None, halvings: int = HALVINGS) -> Stepper:
     """The stepper of a simulation with first (or only) length ``dt``."""
+    if (count := as_integer(halvings)) is None or not 0 <= count <= MOST_HALVINGS:
+        raise ParameterError("Simulation.halvings", halvings, f"a whole number from 0 to {MOST_HALVINGS}")
     if adaptive is None:
-        return FixedStepper(dt)
+        return FixedStepper(dt, count)
     if not adaptive.dt_min <= dt <= adaptive.dt_max:
         expected = f"a number between dt_min = {adaptive.dt_min:g} and dt_max = {adaptive.dt_max:g}"
         raise ParameterError("Simulation.dt", dt, expected)
@@ -144,14 +159,34 @@ def _estimate_for(simulation: Simulation) -> ErrorEstimate:
 
 
 class FixedStepper:
-    """Steps of one length; a step that cannot be solved ends the run."""
+    """Steps of one length, taken in parts where the solver at hand does not solve them.
 
-    def __init__(self, dt: float) -> None:
-        self.dt = dt
+    A step that it does not solve is taken in halves, these in quarters, down to 2^-``halvings`` of it: each
+    part is a step of the scheme with a row of the ledger of its own, and observers are told of the rejection.
+    Only where the shortest part is not solved either the other strategies are asked, continuation and the
+    coupled solver, for as much of the step as can be made up of halves.  The step after begins with parts
+    twice as long.
+    """
+
+    def __init__(self, dt: float, halvings: int = HALVINGS) -> None:
+        self.dt, self.halvings = dt, halvings
         self.begin(0.0, 0)
 
     def begin(self, time: float, number: int) -> None:
-        self._start, self._first = time, number
+        self._start, self._level = time, 0
+
+    @property
+    def _parts(self) -> int:
+        """How many of the shortest parts a step has."""
+        return 1 << self.halvings
+
+    def _position(self, time: float) -> int:
+        """The shortest parts from the start to ``time``."""
+        return round((time - self._start) / self.dt * self._parts)
+
+    def _time(self, position: int) -> float:
+        # n dt, not a running sum: times are the same in a restarted run
+        return self._start + position / self._parts * self.dt
 
     def check(self, name: str, time: float) -> None:
         covered = time - self._start
@@ -161,24 +196,64 @@ class FixedStepper:
             raise ParameterError(name, time, f"a multiple of dt = {self.dt:g}{after}")
 
     def reached(self, simulation: Simulation, time: float) -> bool:
-        return simulation.number - self._first >= round((time - self._start) / self.dt)
+        return self._position(simulation.t) >= self._position(time)
 
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
-        taken = simulation.integrator.advance(simulation.t, self.dt, simulation.number)
-        # (n + 1) dt, not a running sum: times are the same in a restarted run
-        return Accepted(self._start + (simulation.number - self._first + 1) * self.dt, taken)
+        t, position = simulation.t, self._position(simulation.t)
+        done = position % self._parts
+        level = self._level if done else max(0, self._level - 1)
+        others = any(one.effort is Effort.OTHER_SOLVER for one in simulation.solver.strategies)
+        efforts, rejections = Effort.DIRECT if others and self.halvings else Effort.ALL, 0
+        while True:
+            size = self._parts >> level
+            tau = self.dt * size / self._parts
+            try:
+                taken = simulation.integrator.advance(t, tau, simulation.number, efforts)
+                self._level = level
+                return Accepted(self._time(position + size), taken, rejections)
+            except StepError as failure:
+                if efforts == _LAST or (efforts == Effort.ALL and level == self.halvings):
+                    raise
+                reason = str(failure.__cause__ or failure)
+            if level < self.halvings:
+                level += 1
+                reason += f"; taken in parts of {self.dt / (1 << level):.4g} s"
+            else:  # as much of the step as is made up of halves
+                efforts, level = _LAST, self.halvings - _powers_of_two(done or self._parts)
+                reason += f"; {coupled_cost(simulation)}"
+            rejections += 1
+            simulation.notify_rejection(Rejection(t, tau, reason))
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        return {"start": self._start, "first": float(self._first)}, {}
+        return {"start": self._start, "level": float(self._level)}, {}
 
     def load_state_dict(
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
-        t, number = simulation.t, simulation.number
-        start, first = numbers.get("start", t), int(numbers.get("first", number))
-        if start + (number - first) * self.dt != t:  # steps of other lengths led here
-            start, first = t, number
-        self.begin(start, first)
+        t = simulation.t
+        self.begin(numbers.get("start", t), simulation.number)
+        if self._time(self._position(t)) != t:  # steps of other lengths led here
+            self.begin(t, simulation.number)
+        self._level = min(int(numbers.get("level", 0)), self.halvings)
+
+
+def _powers_of_two(number: int) -> int:
+    """How often 2 divides a number > 0."""
+    return (number & -number).bit_length() - 1
+
+
+def coupled_cost(simulation: Simulation) -> str:
+    """That the coupled solver is asked, and what that is going to cost, in words."""
+    unknowns = sum(simulation.rothe_step.layout.space.FreeDofs(True))
+    dim, cells = simulation.mesh.dim, simulation.mesh.ne
+    seconds = _SECONDS[dim - 2] * (unknowns / _UNKNOWNS[dim - 2]) ** _GROWTH[dim - 2]
+    largest = simulation.solver.options.split.coupled_up_to[dim - 2]
+    if cells > largest:
+        return f"the coupled solver is for meshes up to {largest} cells (NewtonOptions.split.coupled_up_to)"
+    return (
+        f"the coupled solver is asked, with {unknowns} unknowns: roughly {seconds:.2g} s for an iteration, "
+        "of which a step takes 10 to 100 (NewtonOptions.split.coupled_up_to bounds it)"
+    )
 
 
 class AdaptiveStepper:

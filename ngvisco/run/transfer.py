@@ -84,7 +84,7 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     MeshError
         If the domains are not the same.
     InitialDataError
-        If a projected density or Jacobian is not positive somewhere: take a finer mesh.
+        If a projected density or Jacobian is not admissible, also with a limiter: take a finer mesh.
     """
     old, new = source.rothe_step, target.rothe_step
     _require_fit(source, target)
@@ -95,9 +95,11 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     except ParameterError as error:
         raise MeshError(f"a point of the new mesh, {error.value}, is not in the old one") from error
     before, scaled = _energy(source), _set_fields(source, target, points, at)
+    _require_admissible(target)
+    if target.bounds.limits:
+        target.bounds.limit()
     _set_velocity(source, target, points, at)
     _carry_passive(source, target, points, at)
-    _require_positive(target)
     complete(new)
     new.state_old.vec.data = new.state.vec
     new.start_from_old()
@@ -178,7 +180,7 @@ def _carry_passive(source: Simulation, target: Simulation, points: QuadraturePoi
             part.vec.FV().NumPy()[i * space.ndof : (i + 1) * space.ndof] = single.vec.FV().NumPy()
 
 
-def _require_positive(target: Simulation) -> None:
+def _require_admissible(target: Simulation) -> None:
     defect = target.defect()
     if defect is not None:
         raise InitialDataError("transferred state", defect, "positive values: take a finer mesh")

@@ -6,6 +6,16 @@ rho, z and the momentum functional are combined, v follows from the momentum (``
 moving walls at the end's time, and the unknowns that have no time derivative (traces, multipliers, the creep
 rate field) stay those of the last stage.
 
+Bounds.  A step's end that is negative at a point while its means are not is limited
+(``ngvisco.forms.bounds``).  Stages are left as they are solved: they only have to have positive means.
+The momentum functional is kept: v follows from it and the limited density.  With U the last stage, and u_1
+the end before it is limited to u,
+
+    E(u) - E(u_1) = E'(U)[u - u_1] + B(u, U) - B(u_1, U),
+
+and ``limiter`` is what this takes: E(U) - E(u) where u_1 is U.  At an extrapolated end, where u_1 may have
+no energy, R has B(u, U) in place of B(u_1, U) and ``limiter`` is -E'(U)[u - u_1].
+
 Moving walls.  In the rows of v that are prescribed, m_1 = int rho_1 v_1 . w is not the combination of the
 stages' momenta: the difference is an impulse of the wall, which works on the last stage's velocity.  It is
 added to the wall's power.
@@ -22,6 +32,7 @@ import numpy as np
 from scipy.optimize import root_scalar
 
 from ngvisco.errors import StepError
+from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.context import time
 from ngvisco.forms.distance import BregmanDistance
 from ngvisco.forms.system import Evolved
@@ -66,18 +77,33 @@ class StepTaken:
     """What a step exchanged, besides the state that it left.
 
     ``tau`` is its length, s; ``history`` what was tried, by which strategy; ``rates`` are dissipations and
-    powers, W, weighted as the scheme does; ``numerical`` is R by ledger columns, J.
+    powers, W, weighted as the scheme does; ``numerical`` is R by ledger columns, J, and what the limiter
+    took in ``limited`` cells.
     """
 
     tau: float
     history: list[Attempt]
     rates: dict[str, float]
     numerical: dict[str, float]
+    limited: int = 0
 
     @property
     def iterations(self) -> int:
         """Iterations of all attempts."""
         return len(iterations(self.history))
+
+
+LIMITER = "limiter"
+"""Ledger column of the energy that limiting a step's end takes, J."""
+
+
+@dataclass(frozen=True)
+class _End:
+    """A step's end that is no stage's solution: its state, cells that were limited, -E'(U)[u - u_1], J."""
+
+    state: Evolved
+    limited: int
+    taken: float
 
 
 class Integrator:
@@ -96,6 +122,8 @@ class Integrator:
     relaxed : bool
         Whether the midpoint rule's end is where the numerical remainder R is zero, to the rounding of the
         energies; steps have other lengths than asked for then.
+    bounds : Bounds, optional
+        Limits the ends of steps; None for a run without a limiter.
     """
 
     def __init__(
@@ -106,12 +134,16 @@ class Integrator:
         carried: Sequence[Carried] = (),
         startup: int = 0,
         relaxed: bool = False,
+        bounds: Bounds | None = None,
     ) -> None:
+        self.bounds = bounds
         self.rothe, self.step, self.scheme = rothe, rothe.step, scheme
         self.meter, self.carried, self.startup, self.relaxed = meter, list(carried), startup, relaxed
         self.distance = BregmanDistance(self.step)
         self._before = self.step.state.vec.CreateVector()
         self._t = 0.0
+        self.tried = 0.0
+        """Length of the last step that was begun, s."""
         self._velocity: VelocityOfMomentum | None = None
         self.impulse: np.ndarray | None = None
         """Walls' impulse on the rows of v at the last step's end over its length, N; None without."""
@@ -140,11 +172,10 @@ class Integrator:
         Raises
         ------
         StepError
-            When a stage is not solved, or the end's density or Jacobian is not positive; the state is then
-            that before the step.
+            When a stage is not solved, or the end is not admissible; the state is then that before the step.
         """
         self._before.data = self.step.state.vec
-        self._t = t
+        self._t, self.tried = t, tau
         history: list[Attempt] = []
         try:
             scheme = self.scheme_of(number)
@@ -185,9 +216,15 @@ class Integrator:
         self._end = scheme.end
         if not scheme.ends_at_last_stage:
             end = self._combined(scheme.end, states, t + tau, tau, rates)
-            _add(numerical, -1.0, self.distance(end, states[-1]))
-            self._complete()
-        return StepTaken(tau, history, rates, numerical)
+            _add(numerical, -1.0, self.distance(end.state, states[-1]))
+        elif self.bounds is not None and self.bounds.is_exceeded():
+            of_last = np.eye(len(states))[-1]
+            end = self._combined(of_last, states, t + tau, tau, rates)
+            end = replace(end, taken=end.taken - sum(self.distance(end.state, states[-1]).values()))
+        else:
+            return StepTaken(tau, history, rates, numerical | {LIMITER: 0.0})
+        self._complete()
+        return StepTaken(tau, history, rates, numerical | {LIMITER: end.taken}, end.limited)
 
     def _stages(
         self,
@@ -227,13 +264,15 @@ class Integrator:
 
     def _combined(
         self, weights: np.ndarray, states: Sequence[Evolved], t: float, tau: float, rates: dict[str, float]
-    ) -> Evolved:
-        """Make the combination of states the present one, at ``t``; adds to the walls' power in ``rates``.
+    ) -> _End:
+        """Make the combination of states the present one, limited, at ``t``.
+
+        Adds to the walls' power in ``rates``.
 
         Raises
         ------
         StepError
-            When its density or Jacobian is not positive.
+            When it is not admissible.
         """
         step, ranges = self.step, self.step.layout.ranges
         parts = list(zip(weights, states, strict=True))
@@ -243,7 +282,12 @@ class Integrator:
             state[ranges[name]] = old[ranges[name]]
         time.Set(t)
         step.moving_walls.set_values()
-        self._require_positive()
+        self._require_admissible()
+        limited = 0 if self.bounds is None else self.bounds.limit()
+        taken = 0.0
+        if limited:
+            change = {name: state[ranges[name]] - old[ranges[name]] for name in ("rho", "z")}
+            taken = -self.distance.slope(states[-1], **change)
         if self._velocity is None:
             self._velocity = VelocityOfMomentum(
                 step.layout,
@@ -258,7 +302,7 @@ class Integrator:
         for name, (_, mask) in step.moving_walls.moving.items():
             work = float(impulse[mask] @ states[-1].v[mask])
             rates[f"power_wall_{name}"] += work / tau
-        return step.evolved()
+        return _End(step.evolved(), limited, taken)
 
     def _complete(self) -> None:
         """Make the local unknowns those of the combined state; raises StepError where it has no energy."""
@@ -266,7 +310,7 @@ class Integrator:
         if self.step.energy.failure is not None:
             raise StepError(self.step.energy.failure)
 
-    def _require_positive(self) -> None:
+    def _require_admissible(self) -> None:
         """Raise StepError where the present state is not admissible."""
         reason = self.rothe.defect()
         if reason is not None:
@@ -287,11 +331,11 @@ class Integrator:
             # of a step of two Rothe steps' length, over which loads are averaged
             states, rates = self._stages(scheme, t, own / scheme.A[0][0], history, efforts)
             wanted = tau / own if meets else None
-            omega, numerical, rates = self._relaxed_end(states, t, own, rates, wanted)
+            omega, numerical, rates, limited = self._relaxed_end(states, t, own, rates, wanted)
             if not meets or abs(omega * own - tau) <= _MEETING * tau:
                 self._complete()
                 self._end = np.array([1 - omega, omega])
-                return StepTaken(omega * own, history, rates, numerical)
+                return StepTaken(omega * own, history, rates, numerical, limited)
             own = tau / omega
             self.rothe.return_to(self._before)
         raise StepError("the relaxed step does not meet its end: take a smaller step")
@@ -303,23 +347,27 @@ class Integrator:
         own: float,
         rates: dict[str, float],
         wanted: float | None,
-    ) -> tuple[float, dict[str, float], dict[str, float]]:
-        """omega with R = 0, R's parts and the rates there; the state is then u_0 + omega (U - u_0).
+    ) -> tuple[float, dict[str, float], dict[str, float], int]:
+        """omega with R = 0, R's parts and the limiter's, the rates and the number of limited cells there.
 
+        The state is then u_0 + omega (U - u_0).
         It is ``wanted`` where that is as good, R being rounding at both, and 2 where all of R is rounding.
         """
         from_start = self.distance(*states)
         lost, noise = sum(from_start.values()), self._noise(states[0])
 
-        def end_at(omega: float) -> tuple[dict[str, float], dict[str, float]]:
+        def end_at(omega: float) -> tuple[dict[str, float], dict[str, float], _End]:
             of_end, length = dict(rates), omega * own
             end = self._combined(np.array([1 - omega, omega]), states, t + length, length, of_end)
             numerical = dict(from_start)
-            _add(numerical, -1.0, self.distance(end, states[-1]))
-            return numerical, of_end
+            _add(numerical, -1.0, self.distance(end.state, states[-1]))
+            return numerical, of_end, end
 
         omega = 2.0
-        if lost > noise:
+        if self.bounds is not None and end_at(omega)[2].limited:
+            # R jumps where cells begin to be limited, and such a step is not without dissipation anyway
+            omega = 2.0 if wanted is None else wanted
+        elif lost > noise:
             try:
                 found = root_scalar(
                     lambda omega: sum(end_at(omega)[0].values()) / lost,
@@ -336,8 +384,8 @@ class Integrator:
             omega = float(found.root)
             if wanted is not None and abs(omega - wanted) <= noise / lost:
                 omega = wanted
-        numerical, of_end = end_at(omega)
-        return omega, numerical, of_end
+        numerical, of_end, end = end_at(omega)
+        return omega, numerical | {LIMITER: end.taken}, of_end, end.limited
 
     def _noise(self, state: Evolved) -> float:
         """Rounding of a distance at ``state``, J: that between states that differ by rounding."""

@@ -13,7 +13,6 @@ import numpy as np
 from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.forms.context import time
-from ngvisco.physics.material import tensors_of
 from ngvisco.verification.manufactured import (
     NUMERIC,
     creep_rate,
@@ -236,7 +235,7 @@ def mismatch(c: Coefficients, sources: Sources, kind: str, t: float, mesh: Mesh)
         "momentum": independent.momentum(X),
         **independent.kinematics(X),
     }
-    rates = tensors_of(sources.model.material, sources.kinematics, dim)
+    rates = sources.model.material.states(dim).tensors(lambda: sources.kinematics)
     given = {"continuity": sources.continuity, "momentum": sources.momentum, **rates}
     if sources.creep is not None:
         expected["Pi"], given["Pi"] = independent.flow_rule(X), sources.creep

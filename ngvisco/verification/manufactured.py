@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, cos, sin, x, y, z
 
-from ngvisco.physics.material import components_of
 from ngvisco.physics.model import Model
 
 PI = np.pi
@@ -151,7 +150,7 @@ class Exact:
     @property
     def z(self) -> CoefficientFunction:
         """All transported components, as they are stored."""
-        return components_of(self.model.material, self.values, self.dim)
+        return self.model.material.states(self.dim).components(self.values)
 
 
 def gradient(f: CoefficientFunction, dim: int) -> list[CoefficientFunction]:

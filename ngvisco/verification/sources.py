@@ -11,7 +11,7 @@ from ngsolve import CF, CoefficientFunction, specialcf
 from ngvisco.forms.context import inner_facets, time
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand
-from ngvisco.physics.material import cauchy_stress, components_of, conjugates, mandel_stress
+from ngvisco.physics.material import cauchy_stress, conjugates, mandel_stress
 from ngvisco.physics.model import Gravity, Model, as_vector
 from ngvisco.physics.tensors import embed_gradient, inner, sym
 from ngvisco.verification.manufactured import COORDINATES, Exact, divergence, gradient
@@ -55,7 +55,7 @@ class Sources:
         if model.creep is not None:
             Pi = model.creep.R * self._mandel if model.creep.is_local else new.Pi
         rates = {v.name: v.rate(values, L, Pi) for v in model.material.variables}
-        total = (new.z - old.z) / self.tau - components_of(model.material, rates, self.dim)
+        total = (new.z - old.z) / self.tau - model.material.states(self.dim).components(rates)
         for v_j, dz in zip((new.v[j] for j in range(self.dim)), gradient(new.z, self.dim), strict=True):
             total = total + v_j * dz
         if self._delta_fields:

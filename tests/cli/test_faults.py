@@ -273,4 +273,9 @@ def test_a_step_without_solution_ends_with_its_reason(case_file, tmp_path):
     assert rows(tmp_path / "out") == 2  # the first step has no estimate
     log = (tmp_path / "out" / "log.txt").read_text()
     assert "rejected dt 0.02 s" in log and "ended by StepError" in log
+    report = tmp_path / "out" / "failed.txt"
+    assert "step 2 from t = 0.02 s" in report.read_text() and str(report) in err
+    assert (tmp_path / "out" / "failed.vtu").stat().st_size > 0
+    assert command("resume", tmp_path / "out", "--until", "0.02", "--quiet")[0] == DONE
+    assert not report.exists() and not (tmp_path / "out" / "failed.vtu").exists()
     assert len(state(tmp_path / "out", step=1)) > 0

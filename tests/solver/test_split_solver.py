@@ -233,7 +233,7 @@ FAILED = Solution(Status.STALLED, (), "the split solver did not converge")
 
 def test_failed_step_is_retried_by_the_coupled_solver(monkeypatch):
     monkeypatch.setattr(Split, "solve", lambda self, problem, guess, full_steps=None: FAILED)
-    run = simulation()
+    run = simulation(halvings=0)
     history = taken(run)
     assert run.solver.retried == 1
     assert [a.strategy for a in history] == ["split", *["split, wide upwinding"] * 2, "coupled"]
@@ -444,7 +444,7 @@ def test_a_step_that_fails_is_solved_with_wide_upwinding_first(monkeypatch):
     """The widths are narrowed to the scheme's by the split solver itself; the coupled one is not asked."""
     usual = simulation()
     usual.advance()
-    run = simulation()
+    run = simulation(halvings=0)
     eta = run.rothe_step.context.eta
     width, solve, widths = eta.Get(), Split.solve, []
 
@@ -464,7 +464,7 @@ def test_a_step_that_fails_is_solved_with_wide_upwinding_first(monkeypatch):
 
 
 def test_a_fold_that_wide_upwinding_does_not_pass_is_left_to_the_coupled_solver(monkeypatch):
-    run = simulation()
+    run = simulation(halvings=0)
     calls = []
 
     def solves_the_widest_only(split, problem, guess, full_steps=None):

@@ -109,7 +109,7 @@ def test_times_go_on_after_a_restart_with_other_steps(before, after, tmp_path):
 
 
 def test_a_refused_second_stage_leaves_the_state_before_the_step(monkeypatch):
-    run = simulation(scheme="sdirk2", passive=("F_tot",))
+    run = simulation(scheme="sdirk2", passive=("F_tot",), halvings=0)
     run.advance()
     before, carried = state(run), run.passive.arrays()
     solve, calls = run.solver.solve, []
@@ -156,7 +156,7 @@ def test_an_interrupt_after_the_solves_leaves_the_state_before_the_step(where, m
 
 def test_an_end_of_negative_density_is_refused_where_the_stage_is_not(monkeypatch):
     """The midpoint's end is extrapolated: its positivity is asked for like a step's."""
-    run = simulation()
+    run = simulation(halvings=0)
     sound, stage_end = run.solver.defect, 0.5 * run.dt
     late = lambda: "rho is not positive" if nv.time.Get() > stage_end else sound()  # noqa: E731
     monkeypatch.setattr(run.solver, "defect", late)

@@ -11,7 +11,7 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError, require_above, require_choice, require_positive
 from ngvisco.physics.material import Material
-from ngvisco.physics.materials.singular import check_continuation, inverse_power
+from ngvisco.physics.materials.singular import check_continuation, continued_in_J, inverse_power
 from ngvisco.physics.variables import Jacobian, ReciprocalJacobian, Values, Variable
 
 
@@ -110,6 +110,10 @@ class BarotropicFluid(Material):
     @property
     def variables(self) -> tuple[Variable, ...]:
         return (Jacobian(),) if self.form == "J" else (ReciprocalJacobian(),)
+
+    @property
+    def continued(self) -> frozenset[str]:
+        return continued_in_J(self.J_min)
 
     def energy(self, z: Values) -> CoefficientFunction:
         if self.form == "A":

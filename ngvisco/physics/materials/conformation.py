@@ -24,7 +24,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import require_above, require_positive
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.referential import referential_volume
-from ngvisco.physics.materials.singular import check_continuation
+from ngvisco.physics.materials.singular import check_continuation, continued_in_J
 from ngvisco.physics.tensors import log, log_det, tr
 from ngvisco.physics.variables import Jacobian, LeftCauchyGreen, Values, Variable
 
@@ -64,6 +64,10 @@ class OldroydB(Material):
     @property
     def conformation(self) -> str | None:
         return "B"
+
+    @property
+    def continued(self) -> frozenset[str]:
+        return continued_in_J(self.J_min)
 
     def energy(self, z: Values) -> CoefficientFunction:
         chains = tr(z["B"]) - log_det(z["B"]) - 3
@@ -109,6 +113,10 @@ class FENEP(Material):
     @property
     def conformation(self) -> str | None:
         return "B"
+
+    @property
+    def continued(self) -> frozenset[str]:
+        return continued_in_J(self.J_min)
 
     def energy(self, z: Values) -> CoefficientFunction:
         B, slack = z["B"], self.b - 3

@@ -12,7 +12,7 @@ from ngvisco.errors import require_nonnegative, require_positive
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.neo_hookean import NeoHookean, first_invariant, volumetric
 from ngvisco.physics.materials.referential import LogarithmicNeoHookean, referential_volume
-from ngvisco.physics.materials.singular import check_continuation
+from ngvisco.physics.materials.singular import check_continuation, continued_in_J
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import (
     Cofactor,
@@ -117,6 +117,10 @@ class ReferentialMooneyRivlin(IsotropicElastic):
         if self.is_by_B:
             return (LeftCauchyGreen(exponent=-5 / 3), CofactorLeftCauchyGreen(exponent=-7 / 3), Jacobian())
         return (Distortion("H", exponent=-5 / 6), Cofactor("N", exponent=-7 / 6), Jacobian())
+
+    @property
+    def continued(self) -> frozenset[str]:
+        return continued_in_J(self.J_min)
 
     def energy(self, z: Values) -> CoefficientFunction:
         volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)

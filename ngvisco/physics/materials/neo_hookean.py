@@ -8,7 +8,12 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.errors import require_positive
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
-from ngvisco.physics.materials.singular import check_continuation, inverse_power, minus_log
+from ngvisco.physics.materials.singular import (
+    check_continuation,
+    continued_in_J,
+    inverse_power,
+    minus_log,
+)
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen, Values, Variable
 
@@ -68,6 +73,10 @@ class NeoHookean(IsotropicElastic):
     @property
     def variables(self) -> tuple[Variable, ...]:
         return (LeftCauchyGreen(exponent=-2 / 3) if self.is_by_B else Distortion(), Jacobian())
+
+    @property
+    def continued(self) -> frozenset[str]:
+        return continued_in_J(self.J_min, is_total=self.is_by_B)
 
     def energy(self, z: Values) -> CoefficientFunction:
         return volumetric(self, z["J"]) + self.G_e * first_invariant(self, z)

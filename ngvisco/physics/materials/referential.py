@@ -21,7 +21,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.errors import require_nonnegative, require_positive
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
-from ngvisco.physics.materials.singular import check_continuation, inverse_power
+from ngvisco.physics.materials.singular import check_continuation, continued_in_J, inverse_power
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import (
     Distortion,
@@ -82,6 +82,10 @@ class ReferentialNeoHookean(IsotropicElastic):
     def variables(self) -> tuple[Variable, ...]:
         return (_BY_B if self.is_by_B else Distortion("H", exponent=-5 / 6), Jacobian())
 
+    @property
+    def continued(self) -> frozenset[str]:
+        return continued_in_J(self.J_min)
+
     def energy(self, z: Values) -> CoefficientFunction:
         volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)
         return volume + self.G_e * (tr(z["B"]) if self.is_by_B else square(z["H"]))
@@ -127,6 +131,10 @@ class IsochoricNeoHookean(IsotropicElastic):
     @property
     def variables(self) -> tuple[Variable, ...]:
         return (_BY_B if self.is_by_B else Distortion("H", exponent=-1 / 3), Jacobian())
+
+    @property
+    def continued(self) -> frozenset[str]:
+        return continued_in_J(self.J_min, is_total=self.is_by_B)
 
     def energy(self, z: Values) -> CoefficientFunction:
         volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)

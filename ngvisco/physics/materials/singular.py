@@ -38,6 +38,11 @@ def continued(
     return s(above) + slope(above) * (J - above)
 
 
+def continued_in_J(J_min: float | None, is_total: bool = True) -> frozenset[str]:
+    """``Material.continued`` of a material with ``J_min``; ``is_total`` if no other term ends at J = 0."""
+    return frozenset({"J"}) if J_min is not None and is_total else frozenset()
+
+
 def minus_log(epsilon: float, J: Scalar, J_min: float | None) -> Scalar:
     """-epsilon ln J (paper: neo-Hookean-potential-actual)."""
     return continued(lambda a: -epsilon * log(a), lambda a: -epsilon / a, J, J_min)

@@ -8,7 +8,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, Id
 
 from ngvisco.errors import NgviscoError, ParameterError, require_positive
-from ngvisco.physics.material import ElasticState, Material, component_slices, components_of
+from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.pointwise import Respond, Response, respond, squares
 from ngvisco.physics.variables import Values, Variable
 
@@ -71,6 +71,10 @@ class Yosida(Material):
     def conformation(self) -> str | None:
         return self.material.conformation
 
+    @property
+    def continued(self) -> frozenset[str]:
+        return frozenset(variable.name for variable in self.variables)
+
     def energy(self, z: Values) -> CoefficientFunction:
         raise NgviscoError(
             "a Yosida approximation has no expression: use ngvisco.physics.pointwise.respond(material, dim), "
@@ -88,9 +92,9 @@ class _Approximation:
         self.eps = material.eps
         self.inner = respond(material.material, dim)
         identity = {v.name: v.from_distortion(Id(3)) for v in material.variables}
-        rest = components_of(material, identity, dim)
+        rest = material.states(dim).components(identity)
         self.rest = np.asarray(CF(rest)(squares(1)[1])).reshape(-1)
-        slices = component_slices(material, dim)
+        slices = material.states(dim).slices
         self.positive = [slices[v.name].start for v in material.variables if self._is_bounded(v, slices)]
 
     def _is_bounded(self, variable: Variable, slices: dict[str, slice]) -> bool:

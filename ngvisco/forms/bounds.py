@@ -1,0 +1,330 @@
+"""Bounds of a state: rho > 0 and what its variables say must be positive; and the limiter that restores them.
+
+A discontinuous polynomial may be negative at a point of a cell whose mean is positive.  Such a state is
+mended by scaling towards the cell's mean (Zhang and Shu, J. Comput. Phys. 229, 2010),
+
+    rho <- rho_K + s (rho - rho_K),     z <- z_K + s (z - z_K),     0 <= s < 1,
+
+with the largest s of each, up to bisection, for which rho, and all bounds of z, are at least ``SHARE`` of
+their values for the means.  Means are those of the forms' rule, so that mass is kept to rounding; and one s
+for all of z makes the stored energy smaller where it is convex, by Jensen's inequality for that rule:
+
+    int_K phi(z_K + s (z - z_K)) <= s int_K phi(z) + (1 - s) |K| phi(z_K) <= int_K phi(z).
+
+Only a mean out of bounds is beyond mending; it ends a step.  Two bounds do not count: those of variables for
+which the material's energy is continued (``Material.continued``: a Yosida approximation, J_min), and in a
+cell those of variables that the energy does not read there, phi'_z = 0 in all of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from ngsolve import CF, L2, VOL, CoefficientFunction, ElementId, GridFunction, VectorValued
+
+from ngvisco.forms.elimination import LocalProjection
+from ngvisco.forms.locating import nearest_wall
+from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.system import Step
+from ngvisco.forms.term import tested
+
+SHARE = 1e-2
+"""What a limited cell keeps at every point, at least, of the bounded quantities of its mean.
+
+Measured, a neo-Hookean cavity under a lid of full speed near its corners (230 triangles, dt = 0.02 s, until
+0.6 s): with 1e-6, 1e-3 and 1e-2 the same cells are limited and energies agree to 3e-3; the step after, in
+which the body is being torn at two corners, the split solver does not take with these, and does with 0.1
+(until 0.72 s).  Cells are limited where something is <= 0, not where it is below its share of the mean:
+a density that falls to zero along a line is no reason to change it.
+"""
+
+_HALVINGS = 45
+"""Of the interval of s, until it is a number to rounding: limited states depend continuously on theirs."""
+
+_ON_WALL = 1e-12
+"""Distance below which a point is said to be on a wall, m."""
+
+_UNREAD = 1e-14
+"""Size of phi' by a variable, over the median size of phi' in the mesh, which counts as zero."""
+
+
+@dataclass(frozen=True)
+class Violation:
+    """The worst place where a state is out of bounds.
+
+    Attributes
+    ----------
+    quantity : str
+        ``"rho"``, ``"J"``, ``"det F"``, ...
+    value : float
+        Its least value, kg/m^3 for rho, else 1.
+    is_mean : bool
+        Whether it is that of the mean of a cell, and not that at a point.
+    cell : int
+    point : tuple of float
+        A point of the cell, m: its midpoint, or where the value is.
+    wall : str or None
+        The nearest boundary, at ``distance``, m; None in a domain without.
+    cells : int
+        How many cells are out of bounds.
+    """
+
+    quantity: str
+    value: float
+    is_mean: bool
+    cell: int
+    point: tuple[float, ...]
+    wall: str | None
+    distance: float
+    cells: int
+
+    def __str__(self) -> str:
+        at = ", ".join(f"{round(coordinate, 12) + 0.0:.4g}" for coordinate in self.point)
+        where = f"in cell {self.cell} at ({at}) m"
+        if self.wall is not None:
+            near = "on" if self.distance < _ON_WALL else f"{self.distance:.2g} m from"
+            where += f", {near} {self.wall!r}"
+        what = "minimum of the cells' means" if self.is_mean else "minimum"
+        others = f" and {self.cells - 1} other cells" if self.cells > 1 else ""
+        return f"{self.quantity} is not positive ({what} {self.value:.3e} {where}{others})"
+
+
+@dataclass(frozen=True)
+class _Outside:
+    """Cells that are out of bounds at a point: their numbers, and arrays (cells, bounds) of them.
+
+    ``points`` are the sampler's points in these cells and ``owner`` says in which.
+    """
+
+    cells: np.ndarray
+    broken: np.ndarray
+    required: np.ndarray
+    means: np.ndarray
+    least: np.ndarray
+    points: np.ndarray
+    owner: np.ndarray
+
+
+class Bounds:
+    """Finds where the present state of a step is out of bounds, and limits it.
+
+    Parameters
+    ----------
+    step : Step
+    sampler : Sampler
+        Its points are those at which bounds are looked at.
+    limits : bool
+        Whether only means out of bounds are ``violation``; False for a run without a limiter.
+    """
+
+    def __init__(self, step: Step, sampler: Sampler, limits: bool = True) -> None:
+        self.step, self.sampler, self.limits = step, sampler, limits
+        material, dim, u = step.model.material, step.mesh.dim, step.now
+        self._variables: list[str | None] = [None]
+        """The variable that each bound is of; None for rho."""
+        present: dict[str, CoefficientFunction] = {"rho": u.rho}
+        for variable in material.variables:
+            if variable.name not in material.continued:
+                bounds = variable.positive(u.z_tensors[variable.name])
+                present |= bounds
+                self._variables += [variable.name] * len(bounds)
+        self.names = tuple(present)
+        self._present = CF(tuple(present.values()))
+        self._slices, self._size = material.states(dim).slices, material.states(dim).size
+
+    @cached_property
+    def _means(self) -> _Means:
+        return _Means(self.step)
+
+    @cached_property
+    def _bounds_of_means(self) -> CoefficientFunction:
+        material, means = self.step.model.material, self._means
+        z = material.states(self.step.mesh.dim).tensors(lambda: means.z)
+        values = [means.rho]
+        for variable in material.variables:
+            if variable.name not in material.continued:
+                values += variable.positive(z[variable.name]).values()
+        return CF(tuple(values))
+
+    @cached_property
+    def _slope(self) -> CoefficientFunction:
+        return self.step.energy.slope(self.step.now).Compile()
+
+    def violation(self, everywhere: bool = False) -> Violation | None:
+        """What of the present state cannot be admitted, or None.
+
+        With ``everywhere`` also what is out of bounds at points only, and would be limited.
+        """
+        found = self._outside()
+        if found is None:
+            return None
+        if everywhere or not self.limits:
+            return self._worst(found, found.broken, found.least, is_mean=False)
+        broken = found.required & ~(found.means > 0)
+        return self._worst(found, broken, found.means, is_mean=True) if broken.any() else None
+
+    def cells_outside(self) -> np.ndarray:
+        """Numbers of the cells of the present state that are out of bounds at a point."""
+        found = self._outside()
+        return np.zeros(0, dtype=int) if found is None else found.cells
+
+    def limit(self) -> int:
+        """Limit the present state, whose means are within their bounds; gives the number of cells changed.
+
+        Only rho and z change, and only in cells that are out of bounds at a point.
+        """
+        found = self._outside()
+        if found is None:
+            return 0
+        target = SHARE * found.means
+        of_density = np.array([variable is None for variable in self._variables])
+        for name, group in (("rho", of_density), ("z", ~of_density)):
+            outside = (found.broken & group).any(axis=1)
+            if outside.any():
+                self._scale(name, found, outside, found.required & group, target)
+        return len(found.cells)
+
+    def is_exceeded(self) -> bool:
+        """Whether ``limit`` would change the present state."""
+        return self._outside() is not None
+
+    def _scale(
+        self, name: str, found: _Outside, outside: np.ndarray, required: np.ndarray, target: np.ndarray
+    ) -> None:
+        """Scale rho or z in the cells ``outside`` so that what is ``required`` reaches its target."""
+        state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges[name]]
+        values = state.reshape(self._size if name == "z" else 1, -1)
+        mean = self._means.array(name)
+        space, one = self.step.layout.blocks["rho"], self._means.one
+        numbers = [space.GetDofNrs(ElementId(VOL, int(cell))) for cell in found.cells[outside]]
+        dofs = np.concatenate([np.array(own) for own in numbers])
+        cells = np.repeat(np.flatnonzero(outside), [len(own) for own in numbers])
+        centre = mean[:, found.cells[cells]] * one[dofs]
+        rest = values[:, dofs] - centre
+        low, high = np.zeros(len(found.cells)), np.ones(len(found.cells))
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            values[:, dofs] = centre + middle[cells] * rest
+            kept = (~required | (self._at(found) >= target)).all(axis=1)
+            low, high = np.where(kept, middle, low), np.where(kept, high, middle)
+        values[:, dofs] = centre + low[cells] * rest
+
+    def _outside(self) -> _Outside | None:
+        """The cells that are out of bounds at one of the sampler's points; NaN is so."""
+        values = self._rows(self.sampler.values(self._present))
+        bad = ~(values > 0)
+        if not bad.any():
+            return None
+        numbers = self._cell_numbers
+        cells = np.unique(numbers[bad.any(axis=1)])
+        points = np.flatnonzero(np.isin(numbers, cells))
+        owner = np.searchsorted(cells, numbers[points])
+        required = self._required(len(cells), points, owner)
+        least = _least(values[points], owner, len(cells))
+        broken = required & ~(least > 0)
+        kept: np.ndarray = np.any(broken, axis=1)
+        if not kept.any():
+            return None
+        means = self._at_means(points[np.unique(owner, return_index=True)[1]])
+        inside = kept[owner]
+        return _Outside(
+            cells[kept],
+            broken[kept],
+            required[kept],
+            means[kept],
+            least[kept],
+            points[inside],
+            (np.cumsum(kept) - 1)[owner[inside]],
+        )
+
+    def _required(self, count: int, points: np.ndarray, owner: np.ndarray) -> np.ndarray:
+        """Which bounds count in which cell, (cells, bounds): not those of variables without a slope."""
+        required = np.ones((count, len(self.names)), dtype=bool)
+        if self.step.energy.projected is not None:  # no values but at the quadrature points
+            return required
+        sizes = np.nan_to_num(np.abs(self._rows(self.sampler.values(self._slope))), nan=np.inf)
+        unread = _UNREAD * float(np.median(sizes.max(axis=1)))
+        for i, name in enumerate(self._variables):
+            if name is not None:
+                largest = np.zeros(count)
+                np.maximum.at(largest, owner, sizes[points][:, self._slices[name]].max(axis=1))
+                required[:, i] = largest > unread
+        return required
+
+    def _at(self, found: _Outside) -> np.ndarray:
+        """The present least value of every bound in every cell, (cells, bounds)."""
+        values = self._rows(np.asarray(self._present(self.sampler.points[found.points])))
+        return _least(values, found.owner, len(found.cells))
+
+    def _at_means(self, points: np.ndarray) -> np.ndarray:
+        """The bounds' values for the means of the cells that these points are in, (points, bounds)."""
+        self._means.project()
+        return self._rows(np.asarray(self._bounds_of_means(self.sampler.points[points])))
+
+    def _worst(self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool) -> Violation:
+        """Of the first bound that is broken the least value, and where that is."""
+        bound = int(np.flatnonzero(broken.any(axis=0))[0])
+        where = np.flatnonzero(broken[:, bound])
+        least = values[where, bound]
+        i = int(where[np.argmin(np.where(np.isnan(least), -np.inf, least))])
+        own = found.points[found.owner == i]
+        places = self.sampler.coordinates(own)
+        place = places.mean(axis=0)
+        if not is_mean:
+            at_points = self._rows(np.asarray(self._present(self.sampler.points[own])))[:, bound]
+            place = places[int(np.argmin(np.where(np.isnan(at_points), -np.inf, at_points)))]
+        wall, distance = nearest_wall(self.step.mesh, place)
+        return Violation(
+            self.names[bound],
+            float(values[i, bound]),
+            is_mean,
+            int(found.cells[i]),
+            tuple(float(coordinate) for coordinate in place),
+            wall,
+            distance,
+            int(broken.any(axis=1).sum()),
+        )
+
+    @cached_property
+    def _cell_numbers(self) -> np.ndarray:
+        """The cell of every point of the sampler."""
+        return np.asarray(self.sampler.points["nr"])
+
+    def _rows(self, values: np.ndarray) -> np.ndarray:
+        return values.reshape(len(values), -1)
+
+
+def _least(values: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
+    """The least of every column over the points of every owner, (count, columns)."""
+    least = np.full((count, values.shape[1]), np.inf)
+    np.minimum.at(least, owner, values)
+    return least
+
+
+class _Means:
+    """Means over the cells of rho and z of a step's present state, by the rule of the forms."""
+
+    def __init__(self, step: Step) -> None:
+        space, size = L2(step.mesh, order=0), step.model.material.states(step.mesh.dim).size
+        self.rho = GridFunction(space)
+        self.z = GridFunction(VectorValued(space, size))
+        self._projections = [
+            LocalProjection(target.space, target, step.quadrature, tested(value))
+            for target, value in ((self.rho, step.now.rho), (self.z, step.now.z))
+        ]
+        one = GridFunction(step.layout.blocks["rho"])
+        one.Set(1.0)
+        self.one = one.vec.FV().NumPy()
+        """Coefficients of the constant 1 in the space of rho, and of every component of z."""
+
+    def project(self) -> None:
+        """Make them those of the present state."""
+        for projection in self._projections:
+            projection()
+
+    def array(self, name: str) -> np.ndarray:
+        """Means of ``"rho"`` or ``"z"``, (components, cells)."""
+        function = self.rho if name == "rho" else self.z
+        return function.vec.FV().NumPy().reshape(-1, self.rho.space.ndof)

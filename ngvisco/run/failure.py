@@ -1,0 +1,185 @@
+"""What is known of a step that could not be taken: where, which quantity, what was tried, what to change.
+
+``Simulation.advance`` attaches a ``FailureReport`` to the StepError that it raises.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from ngsolve import L2, GridFunction
+
+from ngvisco.forms.bounds import Violation
+from ngvisco.forms.locating import nearest_wall
+from ngvisco.physics.variables import Distortion, LeftCauchyGreen
+from ngvisco.run.files import write_atomically
+from ngvisco.run.vtk import write_vtu
+from ngvisco.solver.solution import Attempt, iterations
+
+if TYPE_CHECKING:
+    from ngvisco.run.simulation import Simulation
+
+_SHOWN = 8
+"""Increments of an attempt's last iterations that a report shows."""
+
+_FAST = 1.0
+"""Courant number above which a report speaks of it."""
+
+
+@dataclass(frozen=True)
+class FailureReport:
+    """A step that a run could not take; ``str`` of it is the report.
+
+    Attributes
+    ----------
+    time, tau : float
+        From where, and how long the step was to be, s (of adaptive steps: the last one tried).
+    number : int
+        Of the step that failed, from 1.
+    reason : str
+        The error's message.
+    violation : Violation or None
+        Where the refused solution is out of bounds; None where no solution was found.
+    state : array or None
+        All coefficients of that solution, for ``showing``.
+    courant : float
+        Largest tau |v|/h at the state before, in cell ``fastest`` at ``place`` (m), near ``wall``.
+    history : tuple of Attempt
+        What was tried, by which strategy.
+    advice : tuple of str
+        What to change.
+    """
+
+    time: float
+    tau: float
+    number: int
+    reason: str
+    violation: Violation | None
+    state: np.ndarray | None
+    courant: float
+    fastest: int
+    place: tuple[float, ...]
+    wall: str | None
+    history: tuple[Attempt, ...]
+    advice: tuple[str, ...]
+
+    def __str__(self) -> str:
+        at = ", ".join(f"{c:.4g}" for c in self.place)
+        near = "" if self.wall is None else f", nearest wall {self.wall!r}"
+        lines = [
+            f"step {self.number} from t = {self.time:.6g} s over {self.tau:.4g} s was not taken",
+            f"reason     {self.reason}",
+            f"where      {self.violation or 'no solution was found, nor refused'}",
+            f"flow       Courant number {self.courant:.3g} at most, in cell {self.fastest} at ({at}) m{near}",
+            *(f"tried      {_described(attempt)}" for attempt in self.history),
+            *(f"advice     {line}" for line in self.advice),
+        ]
+        return "\n".join(lines)
+
+
+def _described(attempt: Attempt) -> str:
+    """An attempt in a line."""
+    solution, which = attempt.solution, attempt.strategy
+    if attempt.width != 1.0:
+        which += f", upwinding {attempt.width:g} times as wide"
+    if attempt.length != 1.0:
+        which += f", {attempt.length:.3g} of the step"
+    increments = ", ".join(f"{one.increment:.1e}" for one in solution.history[-_SHOWN:])
+    last = f", the last increments {increments}" if increments else ""
+    return f"{which}: {len(iterations([attempt]))} iterations{last}; {solution.reason or 'solved'}"
+
+
+def failure_report(
+    simulation: Simulation,
+    tau: float,
+    reason: str,
+    history: Sequence[Attempt],
+    refused: tuple[Violation, np.ndarray] | None,
+) -> FailureReport:
+    """The report on a step of length ``tau`` (s) from the simulation's present state.
+
+    ``refused`` is the last solution that was not admitted and where it is out of bounds, if there is one.
+    """
+    sampler, step = simulation.sampler, simulation.rothe_step
+    speeds = np.linalg.norm(np.asarray(sampler.values(step.now.v)).reshape(len(sampler.points), -1), axis=1)
+    rates = speeds / sampler.values(step.context.h)
+    fastest = int(np.argmax(rates))
+    place = sampler.coordinates(np.array([fastest]))[0]
+    courant = tau * float(rates[fastest])
+    violation, state = (None, None) if refused is None else refused
+    return FailureReport(
+        simulation.t,
+        tau,
+        simulation.number + 1,
+        reason,
+        violation,
+        state,
+        courant,
+        int(sampler.points["nr"][fastest]),
+        tuple(float(c) for c in place),
+        nearest_wall(simulation.mesh, place)[0],
+        tuple(history),
+        tuple(_advice(simulation, violation, courant)),
+    )
+
+
+def _advice(simulation: Simulation, violation: Violation | None, courant: float) -> list[str]:
+    lines = []
+    if violation is not None and not violation.is_mean:
+        lines.append("limiter = True: the run then goes on where the cell's mean is positive")
+    shorter = "shorter steps: stepping = AdaptiveSteps(...), [time.adaptive] in a case file"
+    if courant > _FAST:
+        shorter += f"; the largest Courant number is {courant:.3g}"
+    lines.append(shorter)
+    if violation is None:
+        lines.append("more viscosity, or a start, walls and loads that change over several steps")
+        return lines
+    near = "there" if violation.wall is None else f"near {violation.wall!r}"
+    lines.append(f"a finer mesh {near}, or data that are smooth there (walls that meet with one velocity)")
+    variables = simulation.model.material.variables
+    if violation.quantity != "rho":
+        lines.append("a stored energy that rises faster as the volume goes to zero (epsilon, kappa)")
+        lines.append("J_min or a Yosida approximation, with which a run may pass J = 0")
+    winds = next((v for v in variables if isinstance(v, Distortion)), None)
+    if winds is not None and violation.quantity == f"det {winds.name}":
+        lines.append('elastic_state = "B" where the body flows: F winds up there')
+    if any(isinstance(v, LeftCauchyGreen) for v in variables) and simulation.model.creep is None:
+        lines.append("creep where the body flows, which lets B relax")
+    return lines
+
+
+@contextlib.contextmanager
+def showing(simulation: Simulation, state: np.ndarray) -> Iterator[None]:
+    """Within: the simulation's ``fields`` are those of other coefficients, e.g. of a ``FailureReport``."""
+    step = simulation.rothe_step
+    values = step.state.vec.FV().NumPy()
+    own = values.copy()
+    try:
+        values[:] = state
+        step.eliminate.refresh()
+        yield
+    finally:
+        values[:] = own
+        step.eliminate.refresh()
+
+
+def write_failure(text: Path, fields: Path, simulation: Simulation, report: FailureReport) -> None:
+    """Write the report as text, and the solution that was refused, else the last state, as .vtu.
+
+    Its field ``out_of_bounds`` is 1 in the cells that are so.
+    """
+    state = simulation.rothe_step.state.vec.FV().NumPy().copy()
+    what = f"the last state, t = {report.time:g} s"
+    if report.state is not None:
+        state, what = report.state, "the solution that was refused"
+    write_atomically(text, f"{report}\nfields     {fields.name}: {what}\n".encode())
+    outside = GridFunction(L2(simulation.mesh, order=0))
+    with showing(simulation, state):
+        outside.vec.FV().NumPy()[simulation.bounds.cells_outside()] = 1.0
+        shown = simulation.fields | {"out_of_bounds": outside}
+        write_vtu(fields, simulation.mesh, shown, report.time)

@@ -1,0 +1,250 @@
+"""Bounds of a state and the limiter: what it changes, keeps, and takes."""
+
+import numpy as np
+import pytest
+from ngsolve import CF, VOL, Integrate, x, y, z
+
+import ngvisco as nv
+from ngvisco.forms.bounds import SHARE, Bounds
+from ngvisco.forms.initial import set_initial
+from ngvisco.forms.locating import nearest_wall
+from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.system import Step
+from ngvisco.geometries import box, disc
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen
+
+CONVEX = nv.CustomMaterial(
+    transported=(Distortion(), Jacobian()),
+    stored_energy=lambda F, J: 3 * (J - 1) * (J - 1) + 2 * square(F) + 0.5 * square(F) * square(F),
+)
+"""Convex and finite for all (F, J), so that energies of states out of bounds can be compared."""
+
+BY_B = nv.NeoHookean(K_e=3.0, G_e=1.0, epsilon=0.2, elastic_state="B")
+MESHES = {
+    "triangles": lambda: box((1, 1), 0.4),
+    "tetrahedra": lambda: box((1, 1, 1), 0.8),
+    "curved cells": lambda: disc(1, 0.6),
+}
+
+
+def step_of(mesh=None, material=CONVEX, m=1):
+    step = Step(mesh or box((1, 1), 0.4), nv.Model(material=material), nv.Discretisation(m=m))
+    set_initial(step, nv.Initial(density=2.0), Sampler(step.mesh, step.quadrature))
+    return step
+
+
+def shaken(step, share=0.3, size=2.0, seed=0):
+    """Add random polynomials without a mean to rho and z in a share of the cells; gives these cells."""
+    rng = np.random.default_rng(seed)
+    layout, state = step.layout, step.state.vec.FV().NumPy()
+    space = layout.blocks["rho"]
+    chosen = np.flatnonzero(rng.uniform(size=step.mesh.ne) < share)
+    before = means_of(step)
+    for name in ("rho", "z"):
+        values = state[layout.ranges[name]].reshape(-1, space.ndof)
+        for cell in chosen:
+            dofs = np.array(space.GetDofNrs(list(step.mesh.Elements(VOL))[cell]))
+            values[:, dofs] += size * rng.uniform(-1, 1, (len(values), len(dofs)))
+    one = Bounds(step, Sampler(step.mesh, step.quadrature))._means.one
+    volume = step.quadrature
+    volumes = np.array(Integrate(CF(1.0), step.mesh, element_wise=True, order=volume.volume_degree))
+    for (name, old), new in zip(before.items(), means_of(step).values(), strict=True):
+        values = state[layout.ranges[name]].reshape(-1, space.ndof)
+        for cell in chosen:
+            dofs = np.array(space.GetDofNrs(list(step.mesh.Elements(VOL))[cell]))
+            values[:, dofs] -= ((new - old) / volumes)[:, cell, None] * one[dofs]
+    return chosen
+
+
+def means_of(step):
+    """Integrals of rho and of z's components over the cells, by the rule of the forms."""
+    degree = step.quadrature.volume_degree
+
+    def integrals(f):
+        return np.array(Integrate(f, step.mesh, element_wise=True, order=degree))
+
+    u = step.now
+    return {
+        "rho": integrals(u.rho)[None],
+        "z": np.array([integrals(u.z[i]) for i in range(u.z.dim)]),
+    }
+
+
+def bounds_of(step, **options):
+    return Bounds(step, Sampler(step.mesh, step.quadrature), **options)
+
+
+@pytest.mark.parametrize("m", [1, 2])
+@pytest.mark.parametrize("name", MESHES)
+def test_limiter_keeps_every_mean_and_restores_every_bound(name, m):
+    step = step_of(MESHES[name](), m=m)
+    chosen = shaken(step)
+    bounds = bounds_of(step)
+    assert bounds.violation(everywhere=True) is not None and bounds.violation() is None
+    before, state = means_of(step), step.state.vec.FV().NumPy().copy()
+    assert 0 < bounds.limit() <= len(chosen)
+    assert bounds.violation(everywhere=True) is None and not bounds.is_exceeded()
+    for name, means in means_of(step).items():
+        assert np.abs(means - before[name]).max() <= 1e-13 * np.abs(before[name]).max()
+    changed = np.flatnonzero(step.state.vec.FV().NumPy() != state)
+    space, ranges = step.layout.blocks["rho"], step.layout.ranges
+    dofs = {d for cell in chosen for d in space.GetDofNrs(list(step.mesh.Elements(VOL))[cell])}
+    for i in changed:
+        name = "rho" if ranges["rho"].start <= i < ranges["rho"].stop else "z"
+        assert (i - ranges[name].start) % space.ndof in dofs
+    values = Sampler(step.mesh, step.quadrature).values(CF((step.now.rho, step.now.z_tensors["J"])))
+    assert values.min() >= SHARE * 0.9
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_stored_energy_falls_in_every_cell_where_it_is_convex(name):
+    """Jensen's inequality for the rule of the forms: the limiter's stored part is a dissipation."""
+    step = step_of(MESHES[name]())
+    shaken(step, share=1.0)
+
+    def energies():
+        phi = step.energy.density(step.now)
+        return np.array(Integrate(phi, step.mesh, element_wise=True, order=step.quadrature.volume_degree))
+
+    before = energies()
+    limited = bounds_of(step).limit()
+    lost = before - energies()
+    assert limited > step.mesh.ne / 3 and (lost > 1e-6).sum() > step.mesh.ne / 3
+    assert lost.min() >= -1e-14 * before.max()
+
+
+def test_a_state_within_its_bounds_is_not_touched():
+    step = step_of()
+    shaken(step, size=0.05)
+    before = step.state.vec.FV().NumPy().copy()
+    bounds = bounds_of(step)
+    assert not bounds.is_exceeded() and bounds.limit() == 0
+    assert (step.state.vec.FV().NumPy() == before).all()
+
+
+def test_density_is_limited_by_itself():
+    """z is not scaled where only rho is negative, and the other way round."""
+    step = step_of()
+    state, ranges = step.state.vec.FV().NumPy(), step.layout.ranges
+    dofs = np.array(step.layout.blocks["rho"].GetDofNrs(next(iter(step.mesh.Elements(VOL)))))
+    state[ranges["rho"]][dofs[1:]] += 3.0
+    before = state.copy()
+    assert bounds_of(step).limit() == 1
+    assert (state[ranges["z"]] == before[ranges["z"]]).all()
+    assert (state[ranges["rho"]] != before[ranges["rho"]]).any()
+
+
+def test_positive_definiteness_of_B_is_restored():
+    step = step_of(material=BY_B)
+    shaken(step, size=3.0)
+    bounds = bounds_of(step)
+    assert any(name.startswith("det B") for name in bounds.names)
+    assert bounds.violation(everywhere=True) is not None
+    bounds.limit()
+    sampler = Sampler(step.mesh, step.quadrature)
+    B = np.asarray(sampler.values(step.now.z_tensors["B"])).reshape(-1, 3, 3)
+    assert np.linalg.eigvalsh(B).min() > 0
+
+
+def test_a_mean_out_of_bounds_is_named_with_its_place():
+    step = step_of(box((1, 1), 0.3))
+    sampler = Sampler(step.mesh, step.quadrature)
+    cell = mesh_cell(step.mesh, (0.95, 0.5))
+    state, ranges = step.state.vec.FV().NumPy(), step.layout.ranges
+    dofs = np.array(step.layout.blocks["rho"].GetDofNrs(list(step.mesh.Elements(VOL))[cell]))
+    one = bounds_of(step)._means.one
+    state[ranges["rho"]][dofs] -= 2.5 * one[dofs]
+    found = Bounds(step, sampler).violation()
+    assert (found.quantity, found.cell, found.wall, found.cells) == ("rho", cell, "right", 1)
+    assert found.is_mean and found.value == pytest.approx(-0.5) and found.distance < 0.2
+    for words in ("rho is not positive", "-5.000e-01", f"cell {cell}", "'right'"):
+        assert words in str(found)
+
+
+def mesh_cell(mesh, point):
+    return int(mesh(*point).nr)
+
+
+def test_without_a_limiter_a_point_out_of_bounds_is_a_violation():
+    step = step_of()
+    shaken(step)
+    assert bounds_of(step).violation() is None
+    found = bounds_of(step, limits=False).violation()
+    assert not found.is_mean and found.value <= 0 and found.cells > 1
+
+
+def test_bounds_of_variables_that_the_energy_does_not_read_do_not_count():
+    """F of a fluid whose energy is that of J, wound up until det F < 0; rho and J count as ever."""
+    fluid = nv.CustomMaterial(
+        transported=(Distortion(), Jacobian()), stored_energy=lambda F, J: (J - 2) * (J - 2)
+    )
+    solid = CONVEX
+    for material, is_violated in ((fluid, False), (solid, True)):
+        step = step_of(material=material)
+        components = step.now.z
+        F = CF((-1, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
+        set_F(step, F)
+        assert components.dim == 6
+        assert (bounds_of(step, limits=False).violation() is not None) == is_violated
+        assert (bounds_of(step).violation() is not None) == is_violated
+
+
+def set_F(step, F):
+
+    parts = dict(zip(step.layout.names, step.state.components, strict=True))
+    parts["z"].Set(step.model.material.states(step.mesh.dim).components({"F": F, "J": CF(1.0)}))
+
+
+@pytest.mark.parametrize(
+    "material, names",
+    [
+        (nv.Yosida(material=CONVEX, eps=1e-3), {"F", "J"}),
+        (nv.WithQuadratic(material=nv.Yosida(material=CONVEX, eps=1e-3), delta=1e-3), {"F", "J"}),
+        (nv.BarotropicFluid(B=1.0, gamma=1.4, J_min=0.1), {"J"}),
+        (nv.NeoHookean(K_e=1, G_e=1, epsilon=1, J_min=0.1, elastic_state="B"), {"J"}),
+        # J^(-2/3) |F|^2 ends at J = 0, whatever J_min
+        (nv.NeoHookean(K_e=1, G_e=1, epsilon=1, J_min=0.1, elastic_state="F"), set()),
+        (nv.ReferentialNeoHookean(K_e=1, G_e=1, J_min=0.1, elastic_state="F"), {"J"}),
+        (nv.IsochoricNeoHookean(K_e=1, G_e=1, J_min=0.1, elastic_state="F"), set()),
+        (nv.OldroydB(K_e=1, G_e=1, J_min=0.1), {"J"}),
+        (nv.OldroydB(K_e=1, G_e=1), set()),
+        (CONVEX, set()),
+    ],
+)
+def test_continued_variables_have_no_bounds_and_the_energy_goes_on(material, names):
+    from ngvisco.physics.pointwise import respond
+
+    assert material.continued == names
+    step = Step(box((1, 1), 1.0), nv.Model(material=material))
+    set_initial(step, nv.Initial(), Sampler(step.mesh, step.quadrature))
+    for bound in bounds_of(step).names:
+        assert not any(bound in (name, f"det {name}") for name in names)
+    if "J" in names:
+        state = step.now.z(step.mesh(0.4, 0.4))
+        J = np.array(state)[None].copy()
+        J[0, -1] = -0.3  # the last variable is J
+        assert respond(material, 2)(J).finite.all()
+
+
+def test_nearest_wall_is_exact_in_2d_and_3d():
+    wall, distance = nearest_wall(box((1, 1), 0.4), np.array([0.3, 0.9]))
+    assert wall == "top" and distance == pytest.approx(0.1)
+    wall, distance = nearest_wall(box((1, 1, 1), 0.8), np.array([0.31, 0.55, 0.07]))
+    assert wall == "bottom" and distance == pytest.approx(0.07)
+
+
+def test_limiter_leaves_a_linear_field_of_the_place_alone():
+    """Positive fields of high contrast are no reason to limit."""
+    step = step_of(box((1, 1, 1), 0.8), material=nv.NeoHookean(K_e=3, G_e=1, epsilon=0.2, elastic_state="F"))
+    initial = nv.Initial(density=1e-4 + x + y + z)
+    set_initial(step, initial, Sampler(step.mesh, step.quadrature))
+    assert bounds_of(step).limit() == 0
+
+
+def test_leaving_B_symmetric_variables_have_their_leading_minors():
+    assert set(LeftCauchyGreen().positive(CF((1, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3)))) == {
+        "B_11",
+        "B_11 B_22 - B_12^2",
+        "det B",
+    }

@@ -1,0 +1,71 @@
+"""A step that cannot be taken: the report says where, what and why, and what to change."""
+
+import numpy as np
+import pytest
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.run.failure import showing, write_failure
+
+DT = 0.05
+
+
+def cavity(**options):
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
+        hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
+    )
+    walls = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
+    steps = nv.AdaptiveSteps(dt_min=0.9 * DT, dt_max=DT)
+    return nv.Simulation(box((1, 1), 0.25), model, dt=DT, walls=walls, stepping=steps, **options)
+
+
+def failed_run(until=0.45, **options):
+    run = cavity(**options)
+    with pytest.raises(nv.StepError) as caught:
+        run.run(until)
+    return run, caught.value
+
+
+def test_a_refused_solution_is_reported_with_place_quantity_history_and_advice():
+    run, error = failed_run(limiter=False)
+    report = error.report
+    assert report.violation.quantity == "det F" and report.violation.wall == "left"
+    assert run.mesh(*report.violation.point).nr == report.violation.cell or report.violation.distance == 0
+    assert report.number == run.number + 1 and report.time == run.t and report.tau == DT
+    assert report.history and report.state.shape == (len(run.rothe_step.state.vec),)
+    text = str(report)
+    for words in ("det F is not positive", "'left'", "iterations", "limiter = True", 'elastic_state = "B"'):
+        assert words in text
+
+
+def test_a_step_without_a_solution_is_reported_by_where_the_flow_is_fastest(monkeypatch):
+    run = cavity()
+    run.run(2 * DT)
+
+    def unsolved(*_):
+        raise nv.StepError("did not converge")
+
+    monkeypatch.setattr(run.solver, "solve", unsolved)
+    with pytest.raises(nv.StepError) as caught:
+        run.advance()
+    report = caught.value.report
+    assert report.violation is None and report.state is None
+    assert report.courant == pytest.approx(run.ledger.rows[-1]["cfl"]) and report.wall == "top"
+    assert "did not converge" in str(report) and "shorter steps" in str(report)
+
+
+def test_the_refused_solution_is_written_for_a_look(tmp_path):
+    run, error = failed_run(limiter=False)
+    before = run.rothe_step.state.vec.FV().NumPy().copy()
+    write_failure(tmp_path / "failed.txt", tmp_path / "failed.vtu", run, error.report)
+    assert (run.rothe_step.state.vec.FV().NumPy() == before).all()
+    assert "the solution that was refused" in (tmp_path / "failed.txt").read_text()
+    content = (tmp_path / "failed.vtu").read_bytes()
+    assert b"out_of_bounds" in content and b'Name="F"' in content
+    with showing(run, error.report.state):
+        cells = run.bounds.cells_outside()
+        assert error.report.violation.cell in cells
+        assert run.bounds.violation(everywhere=True).value == error.report.violation.value
+    assert np.isfinite(error.report.state).all() and not run.bounds.is_exceeded()

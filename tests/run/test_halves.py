@@ -1,0 +1,138 @@
+"""Steps of one length that are not solved are taken in halves before the coupled solver is asked."""
+
+import numpy as np
+import pytest
+from ngsolve import cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.run.stepping import FixedStepper
+from ngvisco.solver.solution import Solution, Status
+from ngvisco.solver.split.solver import Split
+
+DT = 0.04
+SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+
+
+def simulation(**options):
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.05, G_v=0.05),
+        hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
+    )
+    initial = nv.Initial(velocity=SWIRL)
+    options = {"solver": "split", "passive": ("reference_map",)} | options
+    return nv.Simulation(box((1, 1), 0.5), model, dt=DT, initial=initial, **options)
+
+
+def fails_above(monkeypatch, length, calls=None):
+    """Let the split solver fail for steps above a length, s."""
+    solve = Split.solve
+
+    def limited(split, problem, guess, full_steps=None):
+        if calls is not None:
+            calls.append(problem.interval.tau)
+        if problem.interval.tau > length * (1 + 1e-9):
+            return Solution(Status.STALLED, (), "stalled")
+        return solve(split, problem, guess, full_steps)
+
+    monkeypatch.setattr(Split, "solve", limited)
+
+
+class Rejections:
+    def __init__(self):
+        self.seen = []
+
+    def start(self, run):
+        """Nothing."""
+
+    def step(self, run, row):
+        """Nothing."""
+
+    def finish(self, run):
+        """Nothing."""
+
+    def rejected(self, run, rejection):
+        self.seen.append(rejection)
+
+
+def state(run):
+    return run.rothe_step.state.vec.FV().NumPy().copy()
+
+
+def test_a_step_that_is_not_solved_is_taken_in_quarters_and_the_run_goes_on(monkeypatch):
+    fails_above(monkeypatch, DT / 4)
+    watch = Rejections()
+    run = simulation(observers=[watch])
+    ledger = run.run(3 * DT)
+    # the second step begins with halves, as the first one ended with quarters; each then fails once
+    assert ledger.column("dt")[1:] == pytest.approx([DT / 4] * 12)
+    assert ledger.column("time")[[4, 8, 12]].tolist() == [DT, 2 * DT, 3 * DT]
+    assert [r.tau for r in watch.seen] == pytest.approx([DT, DT / 2, DT / 2, DT / 2])
+    assert ledger.column("rejections").sum() == 4
+    assert "stalled; taken in parts of 0.01 s" in watch.seen[1].reason
+    assert run.solver.retried == 0
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+
+
+def test_parts_are_the_steps_of_a_run_with_that_length(monkeypatch):
+    """Passive fields and all: the same states, to the solver's tolerance."""
+    whole = simulation()
+    fails_above(monkeypatch, DT / 2)
+    halved, plain = simulation(), simulation()
+    plain.stepper = FixedStepper(DT / 2)
+    for run in (halved, plain):
+        run.run(2 * DT)
+    assert halved.number == plain.number == 4 and whole.number == 0
+    assert np.abs(state(halved) - state(plain)).max() <= 1e-8 * np.abs(state(plain)).max()
+    for name, array in halved.passive.arrays().items():
+        assert np.abs(array - plain.passive.arrays()[name]).max() <= 1e-8
+
+
+def test_the_coupled_solver_is_asked_last_and_its_cost_is_said(monkeypatch):
+    calls = []
+    fails_above(monkeypatch, 0.0, calls)
+    watch = Rejections()
+    run = simulation(observers=[watch])
+    ledger = run.run(DT)
+    assert ledger.column("dt")[1:].tolist() == [DT]
+    assert run.solver.retried == 1
+    assert min(calls) == pytest.approx(DT / 8)
+    assert [r.tau for r in watch.seen] == pytest.approx([DT, DT / 2, DT / 4, DT / 8])
+    assert "the coupled solver is asked" in watch.seen[-1].reason
+    assert "s for an iteration" in watch.seen[-1].reason
+
+
+def test_halvings_are_an_option(monkeypatch):
+    fails_above(monkeypatch, DT / 2)
+    run = simulation(halvings=0)
+    run.advance()
+    assert run.solver.retried == 1 and run.t == DT
+    for wrong in (-1, 1.5, 21, "two"):
+        with pytest.raises(nv.ParameterError, match=r"Simulation\.halvings"):
+            simulation(halvings=wrong)
+
+
+def test_restart_within_a_step_is_bitwise_identical(tmp_path, monkeypatch):
+    fails_above(monkeypatch, DT / 4)
+    file = tmp_path / "run.h5"
+    whole = simulation(observers=[nv.Checkpoints(file, every=1, keep=9)])
+    whole.run(2 * DT)
+    rest = simulation()
+    rest.restore(file, 3)  # three quarters of the first step
+    assert rest.t == pytest.approx(0.75 * DT)
+    rest.run(2 * DT)
+    assert (state(whole) == state(rest)).all() and rest.t == whole.t == 2 * DT
+    for name in whole.ledger.columns:
+        np.testing.assert_array_equal(whole.ledger.column(name), rest.ledger.column(name))
+
+
+def test_a_part_that_no_strategy_solves_ends_the_run_there(monkeypatch):
+    fails_above(monkeypatch, 0.0)
+    monkeypatch.setattr("ngvisco.solver.newton.Newton.solve", lambda *_: Solution(Status.STALLED, (), "no"))
+    run = simulation()
+    before = state(run)
+    with pytest.raises(nv.StepError) as caught:
+        run.advance()
+    assert (state(run) == before).all() and run.number == 0
+    assert "coupled" in str(caught.value.report)

@@ -1,0 +1,198 @@
+"""Runs whose steps end out of bounds at points: limited, with closed books, or ended if so asked for."""
+
+import numpy as np
+import pytest
+from ngsolve import CF, x, y, z
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import Distortion, Jacobian
+
+SCHEMES = ["backward-euler", "midpoint", "sdirk2"]
+DT = 0.05
+LIMITED = 9
+"""Steps after which cells at the corners of the lid are limited, with every scheme."""
+
+
+def cavity(material=None, scheme="backward-euler", lid=(1.0, 0.0), mesh=None, **options):
+    """A body under a lid of full speed up to the corners: 34 triangles."""
+    dim = len(lid)
+    model = nv.Model(
+        material=material or nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
+        hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
+    )
+    mesh = mesh or box((1,) * dim, 0.25)
+    others = tuple(sorted(set(mesh.GetBoundaries()) - {"top"}))
+    walls = {"top": nv.PrescribedTangential(lid), others: nv.NoSlip()}
+    return nv.Simulation(mesh, model, dt=DT, walls=walls, scheme=scheme, **options)
+
+
+def require_closed(ledger, bound=1e-10):
+    assert np.abs(ledger.column("closure_relative")).max() <= bound
+    assert np.abs(ledger.column("mass_drift")).max() <= 1e-11
+
+
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_a_limited_run_goes_on_with_closed_books(scheme, solver):
+    run = cavity(scheme=scheme, solver=solver)
+    ledger = run.run(LIMITED * DT)
+    limited = ledger.column("limited_cells")
+    assert limited[-1] > 0 and limited[:4].max() == 0
+    assert abs(ledger.column("limiter")[limited > 0]).min() > 1e-6 * ledger.column("stored")[-1]
+    assert (ledger.column("limiter")[limited == 0] == 0).all()
+    require_closed(ledger)
+
+
+@pytest.mark.parametrize("scheme", ["backward-euler", "midpoint"])
+def test_without_a_limiter_the_run_ends_and_says_where(scheme):
+    words = r"det F is not positive \(minimum -\S+ in cell \d+ at \(0, 0.75\) m, on 'left'\)"
+    steps = nv.AdaptiveSteps(dt_min=0.9 * DT, dt_max=DT)  # no continuation
+    with pytest.raises(nv.StepError, match=words):
+        cavity(scheme=scheme, limiter=False, stepping=steps).run(LIMITED * DT)
+
+
+def test_what_the_limiter_takes_is_needed_for_closed_books(monkeypatch):
+    """Negative control."""
+    run = cavity()
+    distance = run.integrator.distance
+    monkeypatch.setattr(distance, "slope", lambda b, rho, z: 0.0)
+    with pytest.warns(nv.ClosureWarning):
+        run.run(LIMITED * DT)
+
+
+def test_stored_energy_is_taken_and_never_given_in_a_run():
+    """With a convex energy; what is left of the column is kinetic."""
+    material = nv.CustomMaterial(
+        transported=(Distortion(), Jacobian()),
+        stored_energy=lambda F, J: 10 * (J - 1) * (J - 1) + 0.05 * square(F),
+    )
+    run, parts = cavity(material), []
+    limit, ledger = run.bounds.limit, run.ledger
+
+    def metered():
+        before = ledger._state()["stored"]
+        cells = limit()
+        parts.append((cells, before - ledger._state()["stored"]))
+        return cells
+
+    run.bounds.limit = metered
+    run.run(12 * DT)
+    assert len(parts) > 2
+    assert min(taken for _, taken in parts) > 0
+    require_closed(ledger)
+
+
+def thin_out(run, cell=7):
+    """Let steps end with a density that is negative at a point of a cell."""
+    step, limit = run.rothe_step, run.bounds.limit
+    dofs = np.array(step.layout.blocks["rho"].GetDofNrs(list(run.mesh.Elements())[cell]))
+    state, rho = step.state.vec.FV().NumPy(), step.layout.ranges["rho"]
+
+    def thinned():
+        state[rho][dofs[1:]] += 0.9
+        return limit()
+
+    run.bounds.is_exceeded, run.bounds.limit = lambda: True, thinned
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_limiter_keeps_the_momentum(scheme):
+    """In all rows of v that no wall prescribes: density is limited, v follows."""
+    run = cavity(scheme=scheme)
+    run.run(2 * DT)
+    thin_out(run)
+    run.advance()
+    impulse = run.integrator._velocity()
+    free = run.integrator._velocity.free
+    momentum = np.linalg.norm(run.integrator._velocity._load.vec.FV().NumPy())
+    assert run.ledger.rows[-1]["limited_cells"] == 1
+    assert np.abs(impulse[free]).max() <= 1e-13 * momentum
+    assert np.abs(impulse[~free]).max() > 1e-6 * momentum
+    require_closed(run.ledger)
+
+
+def test_a_limited_step_in_3d_closes():
+    inside = 64 * x * (1 - x) * y * (1 - y) * z * (1 - z)
+    start = nv.Initial(velocity=(inside, -inside, inside))
+    run = cavity(lid=(1.0, 0.0, 0.0), mesh=box((1, 1, 1), 1.0), initial=start)
+    run.run(DT)
+    thin_out(run)
+    run.advance()
+    assert run.ledger.rows[-1]["limited_cells"] == 1 and abs(run.ledger.rows[-1]["limiter"]) > 1e-6
+    require_closed(run.ledger)
+
+
+def test_a_run_within_its_bounds_is_the_same_with_and_without():
+    runs = [cavity(limiter=on) for on in (True, False)]
+    for run in runs:
+        run.run(4 * DT)
+    first, second = (run.rothe_step.state.vec.FV().NumPy() for run in runs)
+    assert (first == second).all()
+
+
+def test_restart_of_a_limited_run_is_bitwise_identical(tmp_path):
+    file = tmp_path / "run.h5"
+    whole = cavity(observers=[nv.Checkpoints(file, every=7)])
+    whole.run(7 * DT)
+    assert whole.ledger.rows[-1]["limited_cells"] > 0
+    rest = cavity()
+    rest.restore(file, 7)
+    for run in (whole, rest):
+        run.observers = []
+        run.run(LIMITED * DT)
+    first, second = (run.rothe_step.state.vec.FV().NumPy() for run in (whole, rest))
+    assert (first == second).all()
+    for name in whole.ledger.columns:
+        np.testing.assert_array_equal(whole.ledger.column(name), rest.ledger.column(name))
+
+
+def test_relaxed_steps_are_limited_too():
+    steps = nv.AdaptiveSteps(dt_min=1e-3, dt_max=DT)
+    ledger = cavity(scheme="midpoint", relaxation=True, stepping=steps).run(LIMITED * DT)
+    assert ledger.column("limited_cells").max() > 0
+    require_closed(ledger)
+    numerical = ledger.column("inertial") + ledger.column("bregman")
+    as_it_is = ledger.column("limited_cells") == 0
+    assert np.abs(numerical[as_it_is]).max() <= 1e-11 * ledger.column("stored").max()
+
+
+CONTINUED = {
+    "Yosida approximation": nv.Yosida(
+        material=nv.NeoHookean(K_e=2.0, G_e=0.05, epsilon=0.1, elastic_state="F"), eps=0.1
+    ),
+    "J_min": nv.NeoHookean(K_e=2.0, G_e=0.05, epsilon=0.01, J_min=0.3, elastic_state="B"),
+}
+
+
+@pytest.mark.parametrize("name", CONTINUED)
+def test_a_continued_energy_lets_a_run_pass_J_of_zero(name):
+    """As the paper's discrete scheme does, which admits any (F, J)."""
+    run = cavity(CONTINUED[name])
+    run.run(DT)
+    step = run.rothe_step
+    parts = dict(zip(step.layout.names, step.state.components, strict=True))
+    one = run.bounds._means.one
+    J = parts["z"].components[-1].vec.FV().NumPy()
+    dofs = np.array(step.layout.blocks["rho"].GetDofNrs(list(run.mesh.Elements())[7]))
+    J[dofs] -= 1.2 * one[dofs]  # a cell turned inside out
+    run.ledger.balance = None
+    run.ledger.start(run.t)
+    ledger = run.run(3 * DT)
+    assert ledger.column("J_min")[-1] < 0 and ledger.column("limited_cells").max() == 0
+    assert np.abs(ledger.column("closure_relative")[-2:]).max() <= 1e-10
+
+
+def test_a_variable_that_the_energy_does_not_read_never_ends_a_run():
+    """F of a fluid, turned inside out; a solid with such an F cannot start."""
+    fluid = nv.CustomMaterial(
+        transported=(Distortion(), Jacobian()), stored_energy=lambda F, J: 10 * (J - 1) * (J - 1)
+    )
+    run = cavity(fluid, limiter=False)
+    step = run.rothe_step
+    parts = dict(zip(step.layout.names, step.state.components, strict=True))
+    parts["z"].components[0].Set(CF(-1.0))
+    run.run(2 * DT)
+    require_closed(run.ledger)
