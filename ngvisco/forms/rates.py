@@ -15,6 +15,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.physics.material import creep_tensors, mandel_stress
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner, trace_free_tensors
+from ngvisco.physics.variables import Values
 
 Conjugate: TypeAlias = Literal["z", "zeta"]
 """Whether a rate is taken with tests of z or with conjugates."""
@@ -70,5 +71,5 @@ class Rates:
         return law.rate(M, zeta, u.z_tensors)
 
 
-def _tensors(G: Fields, name: Conjugate) -> dict[str, CoefficientFunction]:
+def _tensors(G: Fields, name: Conjugate) -> Values:
     return G.z_tensors if name == "z" else G.zeta_tensors

@@ -20,7 +20,9 @@ from ngvisco.physics.tensors import sqrt
 class Upwinding:
     """n^-, a^+ and a^- of coefficient functions or of arrays."""
 
-    def __init__(self, through: CoefficientFunction, inner: CoefficientFunction, eta: object) -> None:
+    def __init__(
+        self, through: CoefficientFunction, inner: CoefficientFunction, eta: CoefficientFunction | float
+    ) -> None:
         """``through`` is v . n (m/s) also on walls, ``inner`` 1 between two cells and 0 on walls.
 
         ``eta`` is the width of the smoothed sign, m/s.

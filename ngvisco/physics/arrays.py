@@ -285,7 +285,7 @@ def contracted(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _product_shape(a: tuple[int, ...], b: tuple[int, ...]) -> tuple[int, ...]:
     if not a or not b:
         return a + b
-    if a[-1] != b[0]:
+    if a[-1] != b[0] or len(a) < len(b):
         raise TypeError(f"shapes {a} and {b} have no product")
     return () if len(a) == len(b) == 1 else a[:-1] + b[1:]
 

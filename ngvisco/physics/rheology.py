@@ -200,7 +200,7 @@ class Creep:
         M and zeta are tensors, or both components in a space of tensors; None where their weight is zero.
         """
         a, b = self.weights
-        parts = [weight * value for weight, value in ((a, M), (b, zeta)) if weight]
+        parts = [weight * value for weight, value in ((a, M), (b, zeta)) if weight and value is not None]
         return self.mobility(z) * (parts[0] if len(parts) == 1 else parts[0] + parts[1])
 
     @property

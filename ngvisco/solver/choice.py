@@ -12,9 +12,9 @@ from scipy.sparse.csgraph import connected_components
 from ngvisco.errors import ParameterError
 from ngvisco.forms.mesh_arrays import is_simplicial, vertices
 from ngvisco.forms.system import Step
+from ngvisco.reduced.claims import term_obstacle
+from ngvisco.reduced.right_hand_side import source_obstacle
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.split.claims import term_obstacle
-from ngvisco.solver.split.right_hand_side import source_obstacle
 from ngvisco.solver.strategies import (
     WIDTHS,
     Effort,

@@ -127,6 +127,16 @@ class SplitOptions(_Checked):
     """Unknowns of v up to which its tangent is factorised as a whole; above, two levels are faster."""
     krylov: KrylovOptions = KrylovOptions()
     two_level: TwoLevelOptions = TwoLevelOptions()
+    transport_sweeps: int = 3
+    """Of the transport over the cells: two take 12 instead of 9 iterations on 2,258 triangles (Courant number
+    0.55) and 11 instead of 10 on 739 tetrahedra; four take as many as three."""
+    switch_share: float = 2e-4
+    """Share of a cell's inertia rho h/tau, in the force by v . n, from which a facet where the flow turns
+    round counts in the linearisation."""
+    penalty_degree: int = 4
+    """Of the rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight cells: right for
+    p = 4, where it takes (P_1 jumps)^4; degree 2 leaves an eigenvalue of 0.5 of the preconditioned error on
+    refined tetrahedra.  For k = 3 and on curved cells the rule is that of the forms."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -200,9 +200,11 @@ class _Run:
         solution = strategy.solve(self)
         if solution is None:
             return False
-        if not solution.converged:
+        # of the step itself, of no other width or length
+        solved = solution.converged and self.attempts[-1] == Attempt(strategy.name, solution)
+        if not solved:
             self.rothe.extrapolation.drop()
-        return solution.converged
+        return solved
 
     def extrapolated(self, farthest: float, largest_change: float) -> BaseVector | None:
         return self.rothe.extrapolation.guess(self.problem.interval.end, farthest, largest_change)

@@ -73,7 +73,7 @@ class Strategy(ABC):
 
     @abstractmethod
     def solve(self, task: Task) -> Solution | None:
-        """Solve ``task.problem``; None where there is nothing to try."""
+        """Solve ``task.problem``, which the last attempt has to be of; None where there is nothing to try."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -59,13 +59,13 @@ class PartialLayout(Layout):
 
     def with_given(self, parts: Sequence[Any], exact: Exact | None) -> Fields:
         """Fields of this layout's blocks, completed by the exact ones."""
-        fields = self.fields(parts)
+        known = dict(zip(self.names, parts, strict=True))
         if exact is not None:
-            for name in ("v", "rho", "z"):
-                if name not in self.names:
-                    fields.parts[name] = getattr(exact, name)
-            if "v" not in self.names:
-                fields.grad_v = exact.grad_v
+            given = {name: getattr(exact, name) for name in ("v", "rho", "z") if name not in self.names}
+            known |= given
+        fields = Fields(self, known)
+        if exact is not None and "v" not in self.names:
+            fields.grad_v = exact.grad_v
         return fields
 
 

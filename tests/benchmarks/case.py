@@ -10,8 +10,8 @@ import time
 from ngsolve import CF, Mesh, SetNumThreads, TaskManager, cos, pi, sin, x, y, z
 
 import ngvisco as nv
+from ngvisco.algebra.factorised import DirectSolver
 from ngvisco.geometries import box
-from ngvisco.solver.split.linear import DirectSolver
 
 DIRECT_UP_TO = 5_000
 """Cells up to which the split solver's tangent is factorised as a whole too, for comparison."""

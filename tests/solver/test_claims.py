@@ -11,7 +11,7 @@ from ngvisco.forms.momentum import Continuity
 from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, square
-from ngvisco.solver.split import claims
+from ngvisco.reduced import claims
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from ngsolve import CF, x, y, z
 import ngvisco as nv
 from ngvisco.forms.transport import Kinematics
 from ngvisco.geometries import box, disc
-from ngvisco.solver.split.sweep import SWEEPS
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 
@@ -107,6 +106,6 @@ def test_sweeps_approach_the_solution(split):
     own += sweep._mass / tau - sweep._convection(at).transpose(0, 2, 1)
     T, r = sweep._sparse(own, across), at.coefficients["rho"] - 1.1
     x = np.zeros_like(r)
-    for _ in range(SWEEPS):
+    for _ in range(sweep.sweeps):
         x += np.linalg.solve(own, (r - T @ x).reshape(*own.shape[:2], 1)).ravel()
     assert sweep.density(r) == pytest.approx(x, abs=1e-12 * np.abs(x).max())

@@ -81,7 +81,7 @@ def test_inertia_convection_and_viscosity(run):
 @pytest.mark.parametrize("eta", [0.05, 0.5])
 def test_what_the_fields_and_the_facets_take(run, eta, monkeypatch):
     """Where every facet counts as turning round nothing is left out."""
-    monkeypatch.setattr("ngvisco.solver.split.upwind_switch.SUDDEN", 0.0)
+    monkeypatch.setattr(run.solver.newton.preconditioner.operator.switch, "share", 0.0)
     run.rothe_step.context.eta.Set(eta)
     v = linear(run, lambda x, y: (1 + 2 * y - x, x + 0.5 * y))
     split, at, operator = prepared(run, v, z_noise=0.1)

@@ -10,6 +10,7 @@ from scipy.sparse.linalg import LinearOperator, gmres
 
 import ngvisco as nv
 from ngvisco.algebra import precision
+from ngvisco.algebra.factorised import TwoLevelSolver
 from ngvisco.errors import StepError
 from ngvisco.forms.term import Integrand
 from ngvisco.geometries import box, disc
@@ -18,7 +19,6 @@ from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.rothe import Interval
 from ngvisco.solver.solution import Solution, Status
 from ngvisco.solver.split import iteration
-from ngvisco.solver.split.linear import TwoLevelSolver
 from ngvisco.solver.split.solver import Split
 
 

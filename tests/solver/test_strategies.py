@@ -162,6 +162,17 @@ def test_a_strategy_of_the_user_s_own_kind_is_tried():
     assert_same(run, plain)
 
 
+def test_a_solution_of_another_problem_is_not_the_step_s():
+    @dataclass(frozen=True, kw_only=True)
+    class StopsHalfWay(Strategy):
+        def solve(self, task):
+            return task.attempt(task.problem.widened(100.0), task.start)
+
+    history = step(simulation(strategies=[StopsHalfWay(name="wide"), FromStartValue(name="sharp")]))
+    assert [attempt.solution.converged for attempt in history] == [True, True]
+    assert names(history) == ["wide", "sharp"] and history[-1].width == 1
+
+
 def test_every_coupled_strategy_is_tried_in_order(monkeypatch):
     run = simulation()
     before = values(run)

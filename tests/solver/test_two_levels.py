@@ -8,10 +8,9 @@ import scipy.sparse as sp
 from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
+from ngvisco.algebra.factorised import MANY, TwoLevelSolver, largest_eigenvalue
 from ngvisco.geometries import box
-from ngvisco.solver.options import TwoLevelOptions
-from ngvisco.solver.split import linear, upwind_switch
-from ngvisco.solver.split.linear import MANY, largest_eigenvalue
+from ngvisco.solver.split import upwind_switch
 
 
 @pytest.mark.parametrize("size", [MANY // 2, 5 * MANY])
@@ -45,10 +44,10 @@ def test_the_bound_misses_no_facet(monkeypatch):
     operator, at = split.preconditioner.operator, split.residual(split.unknowns.pack())
     chosen = []
     for sudden in (1e-8, 1e-6, 1e-4):
-        monkeypatch.setattr(upwind_switch, "SUDDEN", sudden)
+        monkeypatch.setattr(operator.switch, "share", sudden)
         for bound in (None, 1e100):
             if bound is not None:
-                monkeypatch.setattr(upwind_switch.UpwindSwitch, "_largest", lambda self, zeta: 1e100)
+                monkeypatch.setattr(upwind_switch.UpwindSwitchJacobian, "_largest", lambda self, zeta: 1e100)
             operator.switch.update(at)
             chosen.append(len(operator.switch._slope) if operator.switch.exists else 0)
         monkeypatch.undo()
@@ -65,12 +64,12 @@ def test_two_levels_are_sweeps_around_a_coarse_solution():
     A = B @ B.T + n * np.eye(n)
     free, vertices, others = np.ones(n, dtype=bool), np.arange(n) < 10, np.zeros(n, dtype=bool)
     free[[3, 20]] = False
-    solver = linear.TwoLevelSolver(free, vertices, others, "umfpack", TwoLevelOptions(dropped=1e-300))
+    solver = TwoLevelSolver(free, vertices, others, "umfpack", sweeps=2, damping=1.65, dropped=1e-300)
     solver.factorise(sp.csr_matrix(A))
     coarse, fine = np.flatnonzero(free & vertices), np.flatnonzero(free & ~vertices)
     own, r = A[np.ix_(fine, fine)], rng.standard_normal(n)
     scaled = own / np.sqrt(np.outer(np.diag(own), np.diag(own)))
-    damping = solver.options.damping / np.linalg.eigvalsh(scaled).max()
+    damping = solver.damping / np.linalg.eigvalsh(scaled).max()
     x = np.zeros(n)
     for stage in ("fine", "fine", "coarse", "fine", "fine"):
         left = r - A @ x

@@ -13,8 +13,8 @@ import scipy.sparse as sp
 
 from ngvisco.algebra import precision
 from ngvisco.errors import MeshError
-from ngvisco.forms.operators import Operators
-from ngvisco.solver.split.tangent import PointTangent
+from ngvisco.reduced.operators import Operators
+from ngvisco.solver.split.point_tangent import PointTangent
 from ngvisco.threads import product
 
 

@@ -16,28 +16,19 @@ from ngvisco.algebra import precision
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.forms.side_points import SidePoints
 from ngvisco.physics.arrays import Array
-from ngvisco.solver.split.hyper import HyperValues, MatrixHyperviscosity, SideJumps, value_of
+from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity, SideJumps, value_of
 from ngvisco.threads import product
-
-SIDES = 4
-"""Degree of the penalty's rule for k = 2 on straight cells: right for p = 4, where it takes (P_1 jumps)^4.
-
-Means over the sides left an eigenvalue of 0.38 of the preconditioned error on 762 triangles, a rule of
-degree 2 one of 0.5 on Netgen's tetrahedra once refined (21 iterations instead of 11 on 1,440 of them).  For
-k = 3 a rule with as many points as P_2 has functions leaves 0.5, and steps on curved cells failed with
-one: there the rule is that of the forms.
-"""
 
 
 class HyperDerivative:
     """The derivative at the state of the last ``update``."""
 
-    def __init__(self, hyper: MatrixHyperviscosity) -> None:
+    def __init__(self, hyper: MatrixHyperviscosity, penalty_degree: int) -> None:
         step = hyper.step
         self.h = hyper
         self.cells = step.mesh.ne
         coarse = step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
-        self.sides = SideJumps(hyper, SidePoints(step.mesh, SIDES)) if coarse else hyper.sides
+        self.sides = SideJumps(hyper, SidePoints(step.mesh, penalty_degree)) if coarse else hyper.sides
         self._weights = hyper.points.weights.reshape(self.cells, 1, -1, 1)
         self._volume = hyper.points.weights.max()
         self._side_weights = self.sides.weights.reshape(self.cells, -1)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
+from ngvisco.reduced.residual import Evaluation
 from ngvisco.solver.solution import NewtonIteration, Problem, Status
-from ngvisco.solver.split.reduced import Evaluation
 
 if TYPE_CHECKING:
     from ngvisco.solver.split.solver import Split

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import asdict
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from ngvisco.algebra.blocks import BlockInverse
+from ngvisco.algebra.factorised import DirectSolver, TwoLevelSolver
 from ngvisco.algebra.sparse import mass_matrix, together
 from ngvisco.forms.mesh_arrays import mask_of
-from ngvisco.forms.operators import Operators
+from ngvisco.reduced.operators import Operators
+from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.split.flow import FlowOperator
 from ngvisco.solver.split.hyper_derivative import HyperDerivative
 from ngvisco.solver.split.hyper_tangent import HyperTangent
-from ngvisco.solver.split.linear import DirectSolver, TwoLevelSolver
-from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
-from ngvisco.solver.split.sweep import Sweep
-from ngvisco.solver.split.tangent import PointTangent
+from ngvisco.solver.split.point_tangent import PointTangent
+from ngvisco.solver.split.schur_complement import FlowSchurComplement
+from ngvisco.solver.split.transport_sweeps import TransportSweeps
 from ngvisco.solver.split.velocity_tangent import VelocityTangent
 
 
@@ -34,10 +35,14 @@ class Preconditioner:
         self.unknowns, self.options, self.dim = unknowns, options.split, step.mesh.dim
         k, m = step.discretisation.k, step.discretisation.m
         self.op = Operators(step, max(k - 1, m))
-        self.sweep = Sweep(residual, options.inverse)
-        derivative = None if residual.hyper is None else HyperDerivative(residual.hyper)
+        self.sweep = TransportSweeps(residual, options.inverse, self.options.transport_sweeps)
+        derivative = (
+            None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
+        )
         tangent = PointTangent(residual, self.op)
-        self.operator = FlowOperator(residual, tangent, self.sweep, derivative)
+        self.operator = FlowSchurComplement(
+            residual, tangent, self.sweep, derivative, self.options.switch_share
+        )
         self.hyper_tangent = None if derivative is None else HyperTangent(derivative)
         self.tangent = VelocityTangent(self.operator, self.hyper_tangent)
         free = [mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.flow]
@@ -47,8 +52,8 @@ class Preconditioner:
             number = np.arange(len(self.free))
             others = number >= self.operator.nv
             vertices = ~others & (number % residual.op.v.width < step.mesh.nv)
-            two_level = self.options.two_level
-            self.solver = TwoLevelSolver(self.free, vertices, others, options.inverse, two_level)
+            two_level = asdict(self.options.two_level)
+            self.solver = TwoLevelSolver(self.free, vertices, others, options.inverse, **two_level)
         else:
             self.solver = DirectSolver(self.free, options.inverse, symmetric=unknowns.flow == ["v"])
         self._blocks = [unknowns.slices[name] for name in unknowns.flow]

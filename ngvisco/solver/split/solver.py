@@ -4,9 +4,10 @@
 explicit function of (v, a, rho, z) - upwind traces, conjugates, local creep, the hyperviscosity's local
 unknowns - put in exactly, at the points of cells and sides (``ReducedResidual``).  An increment takes sweeps
 of the transport and one linear system of the flow, into which the change of the fields is carried
-(``FlowOperator``), solved by GMRES to 3 per cent (``Preconditioner``): Newton's method but for a coarser rule
-and a fixed number of sweeps.  The operator follows the state, its preconditioner is made anew where it wears
-out.  Where the iteration is slow the whole derivative of R takes its place (``newton_krylov``).
+(``FlowSchurComplement``), solved by GMRES to 3 per cent (``Preconditioner``): Newton's method but for a
+coarser rule and a fixed number of sweeps.  The operator follows the state, its preconditioner is made anew
+where it wears out.  Where the iteration is slow the whole derivative of R takes its place
+(``newton_krylov``).
 Measurements are in ``ngvisco/solver/NOTES.md``.
 """
 
@@ -22,12 +23,12 @@ from ngsolve import BaseVector
 
 from ngvisco.errors import StepError
 from ngvisco.forms.system import Step
+from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status
 from ngvisco.solver.split.iteration import iterate
 from ngvisco.solver.split.preconditioner import Preconditioner
-from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
 from ngvisco.threads import on_arrays
 
 

@@ -13,17 +13,16 @@ import scipy.sparse as sp
 from ngvisco.algebra.sparse import together
 from ngvisco.forms.upwinding import Upwinding
 from ngvisco.physics.arrays import Array, derivatives
-from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
-
-SUDDEN = 2e-4
-"""Share of a cell's inertia rho h/tau, in the force by v . n, from which a facet counts."""
+from ngvisco.reduced.residual import Evaluation, ReducedResidual
 
 
-class UpwindSwitch:
+class UpwindSwitchJacobian:
     """The derivative by v of the elastic force and of the fields' rows, on the facets that count."""
 
-    def __init__(self, residual: ReducedResidual) -> None:
+    def __init__(self, residual: ReducedResidual, share: float) -> None:
+        """``share`` of a cell's inertia rho h/tau, in the force by v . n, from which a facet counts."""
         self.r, self.op, self.mass = residual, residual.side_op, residual.trace_mass
+        self.share = share
 
     def update(self, at: Evaluation) -> None:
         """Linearise at an evaluation."""
@@ -41,14 +40,14 @@ class UpwindSwitch:
         inertia = self.r.step.context.rate(np.bincount(facet, weights * abs(at.facets.rho.value) * op.h))
         # of the force, slope * z_jump * the jump of zeta, the last is formed only where the others are large
         force = abs(slope) * z_jump[facet]
-        possible = force * self._largest(zeta) > SUDDEN * inertia[facet]
+        possible = force * self._largest(zeta) > self.share * inertia[facet]
         (near,) = np.nonzero(np.bincount(facet, possible)[facet])
         self.exists = near.size > 0
         if not self.exists:
             return
         force = force[near] * np.linalg.norm(self._from_mean(zeta, near), axis=0)
         force = np.bincount(facet[near], weights[near] * force / area[facet[near]], len(area))
-        (where,) = np.nonzero((force > SUDDEN * inertia)[facet])
+        (where,) = np.nonzero((force > self.share * inertia)[facet])
         self.exists = where.size > 0
         if not self.exists:
             return

@@ -11,14 +11,14 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ngvisco.solver.split.flow import FlowOperator
 from ngvisco.solver.split.hyper_tangent import HyperTangent
+from ngvisco.solver.split.schur_complement import FlowSchurComplement
 
 
 class VelocityTangent:
     """The matrix of the flow's unknowns; see the module's docstring."""
 
-    def __init__(self, flow: FlowOperator, hyper: HyperTangent | None) -> None:
+    def __init__(self, flow: FlowSchurComplement, hyper: HyperTangent | None) -> None:
         self.flow, self.hyper = flow, hyper
         e = flow.elements
         self.n, self.d = flow.op.v.width, flow.d
@@ -27,7 +27,7 @@ class VelocityTangent:
         self.rows, self.columns = keys // self.n, keys % self.n
 
     def matrix(self) -> sp.csr_matrix:
-        """The matrix of the flow's unknowns where FlowOperator and HyperTangent were last updated."""
+        """The matrix of the flow's unknowns where FlowSchurComplement and HyperTangent were last updated."""
         d, n, flow, e = self.d, self.n, self.flow, self.flow.elements
         fields = flow.sweep.in_cells(e.to_fields.reshape(e.cells * e.q, -1)).reshape(e.to_fields.shape)
         cells = (e.own - e.from_fields @ fields).reshape(e.cells, e.local, d, d, e.local)

@@ -8,10 +8,10 @@ from ngsolve import BilinearForm, FESpace
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.sparse import apply
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.operators import Operators
 from ngvisco.forms.points import csr
 from ngvisco.forms.regularisation import FieldDiffusion
 from ngvisco.forms.system import Step
+from ngvisco.reduced.operators import Operators
 
 
 class FieldDiffusionMatrix:

@@ -34,7 +34,6 @@ from ngsolve import (
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.algebra.sparse import mass_matrix, pruned
-from ngvisco.forms.evaluation import Lazy
 from ngvisco.forms.fields import Fields, contraction, hessian_basis
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.points import CellPoints, csr
@@ -43,6 +42,7 @@ from ngvisco.forms.spaces import Layout
 from ngvisco.forms.system import Step
 from ngvisco.physics.arrays import Array, contracted
 from ngvisco.physics.variables import Values
+from ngvisco.reduced.evaluation import Lazy
 
 
 class SideJumps:
@@ -194,6 +194,7 @@ class MatrixHyperviscosity:
             on_sides = sides.values(j, s, z)
             in_cells = law.coefficient(Array(self.s_values(s), None), tensors)
             _, coupling = self.term.penalty(on_sides)
+            assert coupling is not None
             loads = self.s_values.test(in_cells.value) + sides.scalar.test(coupling.value)
             coefficient = self.s_inverse(loads)
             at_points = at_points * self.s_values(coefficient)

@@ -11,7 +11,6 @@ from scipy.sparse.linalg import eigsh
 
 from ngvisco.algebra import precision
 from ngvisco.errors import StepError
-from ngvisco.solver.options import TwoLevelOptions
 
 MANY = 100
 """Unknowns from which an eigenvalue is found by iteration."""
@@ -71,11 +70,18 @@ class TwoLevelSolver:
         vertices: np.ndarray,
         others: np.ndarray,
         inverse: str,
-        options: TwoLevelOptions | None = None,
+        *,
+        sweeps: int,
+        damping: float,
+        dropped: float,
     ) -> None:
-        """Masks of unknowns: ``free`` ones, velocities at ``vertices``, and ``others`` than velocities."""
+        """Masks of unknowns: ``free`` ones, velocities at ``vertices``, and ``others`` than velocities.
+
+        ``sweeps`` of Jacobi before and after the coarse problem, damped by ``damping`` in units of
+        1/(largest eigenvalue of D^{-1} A), without entries smaller than ``dropped`` of the diagonal.
+        """
         self.free, self.vertices, self.others, self.inverse_type = free, vertices, others, inverse
-        self.options = options or TwoLevelOptions()
+        self.sweeps, self.damping, self.dropped = sweeps, damping, dropped
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
         """Raises StepError if the coarse block is singular."""
@@ -90,10 +96,10 @@ class TwoLevelSolver:
         self._fine = np.flatnonzero(self.free & ~is_coarse & (diagonal != 0))
         self._coarse = np.flatnonzero(self.free & is_coarse)
         rows, columns = matrix[self._fine], matrix[:, self._fine].tocsr()
-        own = _without_small(rows[:, self._fine], diagonal[self._fine], self.options.dropped)
+        own = _without_small(rows[:, self._fine], diagonal[self._fine], self.dropped)
         between = rows[:, self._coarse].tocsr(), columns[self._coarse].tocsr()
         self._own, self._from_coarse, self._to_coarse = (m.astype(precision.SINGLE) for m in (own, *between))
-        smoother = self.options.damping / (largest_eigenvalue(own) * diagonal[self._fine])
+        smoother = self.damping / (largest_eigenvalue(own) * diagonal[self._fine])
         self._smoother = smoother.astype(precision.SINGLE)
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
@@ -110,7 +116,7 @@ class TwoLevelSolver:
     def _smoothed(self, r: np.ndarray) -> np.ndarray:
         """Sweeps from zero with the fine functions' residual ``r``."""
         x = self._smoother * r
-        for _ in range(self.options.sweeps - 1):
+        for _ in range(self.sweeps - 1):
             x += self._smoother * (r - self._own @ x)
         return x
 

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ngvisco.forms.evaluation import CellTerms
-from ngvisco.forms.operators import Operators
-from ngvisco.forms.slope import PointwiseSlope
-from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
+from ngvisco.reduced.evaluation import CellTerms
+from ngvisco.reduced.operators import Operators
+from ngvisco.reduced.residual import Evaluation, ReducedResidual
+from ngvisco.reduced.slope import PointwiseSlope
 
 
 class PointTangent:
@@ -47,7 +47,9 @@ class PointTangent:
         if self.r.rates.law is not None and self.r.rates.law.is_local:
             by_Pi = columns[:, :, g:]
             of_mandel, of_conjugates = self.r.rates.creep_slopes(u)
-            Pi = self.r.rates.creep(u).value
+            creep = self.r.rates.creep(u)
+            assert creep is not None
+            Pi = creep.value
             K += np.einsum("xnm,xp->pnm", rates.linear[g:], Pi, optimize=True)
             K -= of_mandel[:, None, None] * (by_Pi @ force[:, g:])
             if of_conjugates is not None:

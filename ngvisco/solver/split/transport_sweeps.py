@@ -1,7 +1,7 @@
 """Approximate solution of the transport equations for a given velocity.
 
 One component of z, and rho, have the scalar matrix T = M/tau + convection + facets with the trace
-eliminated, in dense blocks: of a cell's own values, and of those across its sides (``SideCoupling``).
+eliminated, in dense blocks: of a cell's own values, and of those across its sides (``FacetCoupling``).
 Sweeps over the cells, each for itself with its neighbours' values (block Jacobi), converge like the
 Courant number; their number is fixed, so that the map stays linear.  With diffusion of z, which cells do not
 resolve, T is factorised.  A density equation that is not linear has a Jacobian of its own.
@@ -13,22 +13,18 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.algebra import precision
-from ngvisco.solver.split.coupling import SideCoupling
-from ngvisco.solver.split.linear import DirectSolver
-from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
+from ngvisco.algebra.factorised import DirectSolver
+from ngvisco.reduced.residual import Evaluation, ReducedResidual
+from ngvisco.solver.split.facet_coupling import FacetCoupling
 from ngvisco.threads import product
 
-SWEEPS = 3
-"""Two take 12 instead of 9 iterations of the solver in a step of 2,258 triangles (Courant number 0.55), and
-11 instead of 10 on 739 tetrahedra; four take as many as three."""
 
-
-class Sweep:
+class TransportSweeps:
     """Approximate inverses of the scalar transport of z and of the density equation."""
 
-    def __init__(self, residual: ReducedResidual, inverse: str) -> None:
-        self.r = residual
-        self.coupling = SideCoupling(residual.side_op, residual.trace_mass)
+    def __init__(self, residual: ReducedResidual, inverse: str, sweeps: int) -> None:
+        self.r, self.sweeps = residual, sweeps
+        self.coupling = FacetCoupling(residual.side_op, residual.trace_mass)
         self._neighbours = self.coupling.neighbours()
         op = residual.op
         shape = (self.coupling.cells, op.z.per_cell, 1)
@@ -99,7 +95,7 @@ class Sweep:
     def _swept(self, cells: np.ndarray, carried: np.ndarray, r: np.ndarray) -> np.ndarray:
         count, q = cells.shape[:2]
         x = start = product(cells, r.astype(precision.SINGLE, copy=False).reshape(count, q, -1))
-        for _ in range(SWEEPS - 1):
+        for _ in range(self.sweeps - 1):
             x = start + product(carried, x[self._neighbours].reshape(count, -1, start.shape[2]))
         return x.reshape(r.shape)
 

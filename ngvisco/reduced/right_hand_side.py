@@ -15,9 +15,9 @@ from ngsolve import FESpace, LinearForm
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
-from ngvisco.solver.split.diffusion import FieldDiffusionMatrix
-from ngvisco.solver.split.unknowns import Unknowns
-from ngvisco.solver.split.withheld import GivenParts, WithheldError
+from ngvisco.reduced.diffusion import FieldDiffusionMatrix
+from ngvisco.reduced.unknowns import Unknowns
+from ngvisco.reduced.withheld import GivenParts, WithheldError
 
 ELIMINATED = "z_delta_hat"
 """The one derived unknown whose equation may have a source: that of the flux through walls."""

@@ -3,7 +3,7 @@
 For a given v the kinematic equations are linear but for creep.  The upwind traces, the conjugates zeta, the
 local creep rate, the hyperviscosity's local unknowns and the trace of the delta-regularised z are functions
 of the iterated unknowns: they are evaluated, never iterated.  All rows follow from the terms themselves
-(``ngvisco.forms.evaluation``); with an infinitesimal imaginary part in the unknowns they are Newton's whole
+(``ngvisco.reduced.evaluation``); with an infinitesimal imaginary part in the unknowns they are Newton's whole
 matrix times a direction.
 """
 
@@ -11,25 +11,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.sparse import mass_matrix
-from ngvisco.forms.evaluation import CellTerms, FacetTerms, with_parts
-from ngvisco.forms.facet_mass import FacetMass
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.operators import Operators, SideOperators
-from ngvisco.forms.restricted import RestrictedForm
-from ngvisco.forms.slope import PointwiseSlope
 from ngvisco.forms.system import Step
 from ngvisco.physics.arrays import TINY
-from ngvisco.solver.split.claims import Claims
-from ngvisco.solver.split.diffusion import FieldDiffusionMatrix
-from ngvisco.solver.split.hyper import HyperValues, MatrixHyperviscosity
-from ngvisco.solver.split.right_hand_side import RightHandSide
-from ngvisco.solver.split.unknowns import Unknowns
+from ngvisco.reduced.claims import Claims
+from ngvisco.reduced.diffusion import FieldDiffusionMatrix
+from ngvisco.reduced.evaluation import CellTerms, FacetTerms, with_parts
+from ngvisco.reduced.facet_mass import FacetMass
+from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity
+from ngvisco.reduced.operators import Operators, SideOperators
+from ngvisco.reduced.restricted import RestrictedForm
+from ngvisco.reduced.right_hand_side import RightHandSide
+from ngvisco.reduced.slope import PointwiseSlope
+from ngvisco.reduced.unknowns import Unknowns
 
 Clock = Callable[[str], AbstractContextManager[None]]
 
@@ -47,6 +47,11 @@ class Residual:
         """The blocks one after the other."""
         normals = [] if self.normals is None else [self.normals.ravel()]
         return [self.flow, *normals, self.density, self.z.ravel()]
+
+    def mapped(self, function: Callable[[np.ndarray], np.ndarray]) -> Residual:
+        """A function of every block."""
+        normals = None if self.normals is None else function(self.normals)
+        return Residual(function(self.flow), normals, function(self.density), function(self.z))
 
     @property
     def is_finite(self) -> bool:
@@ -168,11 +173,7 @@ class ReducedResidual:
 
         def rows(d: np.ndarray) -> Residual:
             residual = self(at.x + (TINY * 1j) * d).residual
-            parts = {
-                name: None if part is None else np.ascontiguousarray(part.imag) / TINY
-                for name, part in vars(residual).items()
-            }
-            return replace(residual, **parts)
+            return residual.mapped(lambda part: np.ascontiguousarray(part.imag) / TINY)
 
         return rows
 

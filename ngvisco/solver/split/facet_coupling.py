@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ngvisco.forms.facet_mass import FacetMass
-from ngvisco.forms.operators import SideOperators
+from ngvisco.reduced.facet_mass import FacetMass
+from ngvisco.reduced.operators import SideOperators
 from ngvisco.threads import product
 
 
-class SideCoupling:
+class FacetCoupling:
     """Builds the blocks for weights at the sides' points; the functions there are known once."""
 
     def __init__(self, sides: SideOperators, mass: FacetMass) -> None:

@@ -1,9 +1,9 @@
 """The flow's linear operator: dR/d(v, wall stress, Pi, a) with the fields carried along.
 
 An increment of v changes z by rate(z; grad dv) - (dv . grad) z, carried by the transport within the step
-(``Sweep``), and dz the elastic force: what remains of Newton's matrix when z is eliminated.  Element
-matrices (``FlowElements``) are of a coarse rule, but for inertia: a rule that does not see all of P_k makes
-it singular.
+(``TransportSweeps``), and dz the elastic force: what remains of Newton's matrix when z is eliminated.
+Element matrices (``FlowElements``) are of a coarse rule, but for inertia: a rule that does not see all of P_k
+makes it singular.
 """
 
 from __future__ import annotations
@@ -11,34 +11,36 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ngvisco.forms.evaluation import with_velocity
 from ngvisco.forms.momentum import Inertia
-from ngvisco.forms.restricted import RestrictedForm
 from ngvisco.physics.arrays import TINY
+from ngvisco.reduced.evaluation import with_velocity
+from ngvisco.reduced.residual import Evaluation, ReducedResidual
+from ngvisco.reduced.restricted import RestrictedForm
 from ngvisco.solver.split.elements import FlowElements
 from ngvisco.solver.split.hyper_derivative import HyperDerivative
-from ngvisco.solver.split.reduced import Evaluation, ReducedResidual
-from ngvisco.solver.split.sweep import Sweep
-from ngvisco.solver.split.tangent import PointTangent
-from ngvisco.solver.split.upwind_switch import UpwindSwitch
+from ngvisco.solver.split.point_tangent import PointTangent
+from ngvisco.solver.split.transport_sweeps import TransportSweeps
+from ngvisco.solver.split.upwind_switch import UpwindSwitchJacobian
 from ngvisco.threads import concurrently, product
 
 
-class FlowOperator:
+class FlowSchurComplement:
     """The operator at the evaluation of the last ``update``."""
 
     def __init__(
         self,
         residual: ReducedResidual,
         points: PointTangent,
-        sweep: Sweep,
+        sweep: TransportSweeps,
         derivative: HyperDerivative | None,
+        switch_share: float,
     ) -> None:
+        """``switch_share`` is that of ``SplitOptions``."""
         self.r, self.p, self.sweep, self.derivative = residual, points, sweep, derivative
         step, u = residual.step, residual.unknowns
         self.op, self.d = points.op, step.mesh.dim
         self.elements = FlowElements(points, residual.op)
-        self.switch = UpwindSwitch(residual)
+        self.switch = UpwindSwitchJacobian(residual, switch_share)
         self.nv, self.size = u.slices["v"].stop, u.flow_slice.stop
         claims = residual.claims
         others = claims.beside_the_points()

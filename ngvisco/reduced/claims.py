@@ -1,8 +1,8 @@
 """Which part of the split solver takes which term of the system: every term is taken by exactly one.
 
 The package's own terms are known by their class, not by inheritance: a class derived from one of them is
-another equation.  Every term that is a function of the values at a point is taken by its arrays
-(``ngvisco.forms.evaluation``), whatever it is.  Any other term is taken by its own form where it has rows of
+another equation.  Every term that is a function of the values at a point is taken by its arrays, whatever it
+is (``ngvisco.reduced.evaluation``).  Any other term is taken by its own form where it has rows of
 the flow's unknowns only (v, the wall stress, the creep rate field); it may read all fields.  Its derivative
 by the flow's unknowns is in Newton's increments, that by rho, z and the others is not: it acts exactly, and
 takes more iterations the more it changes with these.  A term with other rows is none for this solver, which
@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.evaluation import NotAtPointsError, asked_slots
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Continuity, Inertia, Loading
@@ -22,8 +21,9 @@ from ngvisco.forms.regularisation import CutOffVolume, DensityDiffusion, FieldDi
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm, Term
 from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
-from ngvisco.solver.split.unknowns import Unknowns, density_by_forms
-from ngvisco.solver.split.withheld import GivenParts, WithheldError
+from ngvisco.reduced.evaluation import NotAtPointsError, asked_slots
+from ngvisco.reduced.unknowns import Unknowns, density_by_forms
+from ngvisco.reduced.withheld import GivenParts, WithheldError
 
 AT_POINTS = {"v", "grad v", "rho", "grad rho", "z", "grad z", "Pi", "grad Pi"}
 """Tests whose rows are made of arrays."""
