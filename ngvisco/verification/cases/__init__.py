@@ -14,6 +14,7 @@ from ngvisco.verification.cases import (
     manufactured,
     manufactured_space,
     maxwell,
+    positivity,
     pulse,
     rheology,
     robustness,
@@ -47,5 +48,6 @@ MODULES = (
     schemes,
     schemes_exact,
     robustness,
+    positivity,
     comparison,
 )
