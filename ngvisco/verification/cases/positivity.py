@@ -105,8 +105,8 @@ CASES = (
         "whose means are positive are limited, mass and the energy's balance kept, and the run goes on.",
         label="Zhang and Shu, J. Comput. Phys. 229 (2010); paper: Euler-large-ass-phi",
         setting="demos/cavity: a unit box of 230 triangles, the lid at 1 m/s from t = 0 on, other walls "
-        "without slip; neo-Hookean, K_e = 20, G_e = 0.05, epsilon = 0.1 Pa, viscosities 0.01 Pa s, mu = 1e-5, "
-        "p = 4; 20 steps of 0.02 s.",
+        "without slip; neo-Hookean, K_e = 20, G_e = 0.05, epsilon = 0.1 Pa, viscosities 0.01 Pa s, "
+        "mu = 1e-5, p = 4; 20 steps of 0.02 s.",
         bounds=(
             Bound("time reached with a limiter, s", ">=", END * (1 - 1e-9), "the run's end"),
             Bound("latest time reached without, s", "<=", 0.3, "the finding: it ends"),
