@@ -92,8 +92,22 @@ def test_energy_never_rises_without_load_for_any_step(name, factor):
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
 
 
+@pytest.mark.filterwarnings("ignore::ngvisco.run.ledger.DefectWarning")
+def test_cavity_goes_on_where_the_body_is_torn(tmp_path):
+    """Under a lid of full speed cells are limited; under a smooth one none is."""
+    demo = load("cavity")
+    ledger = demo.main(str(tmp_path), until=0.36, maxh=0.25).ledger
+    assert ledger.column("limited_cells").max() > 0
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert np.abs(ledger.column("mass_drift")).max() <= 1e-11
+    for file in ("ledger.csv", "full.png", "smooth.png", "limiter.png", "vtk/fields.pvd"):
+        assert (tmp_path / file).stat().st_size > 0
+    assert demo.simulation("smooth", 0.25).run(0.36).column("limited_cells").max() == 0
+
+
 SCRIPTS = {
     "barotropic": lambda demo: demo.simulation(),
+    "cavity": lambda demo: demo.simulation(maxh=0.35),
     "creep_finite": lambda demo: demo.simulation(maxh=0.6),
     "mooney_rivlin": lambda demo: demo.simulation(maxh=0.6),
     "couette": lambda demo: demo.simulation(maxh=0.7),
@@ -106,6 +120,7 @@ SCRIPTS = {
 }
 MAXH = {
     "barotropic": 0.25,
+    "cavity": 0.35,
     "couette": 0.7,
     "creep": 0.6,
     "creep_finite": 0.6,

@@ -15,6 +15,7 @@ from ngvisco.verification.cases import (
     manufactured,
     manufactured_space,
     maxwell,
+    positivity,
     pulse,
     rheology,
     robustness,
@@ -49,5 +50,6 @@ MODULES = (
     schemes,
     schemes_exact,
     robustness,
+    positivity,
     comparison,
 )
