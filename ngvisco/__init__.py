@@ -26,6 +26,7 @@ from ngvisco.forms.context import time
 from ngvisco.forms.given import function_field, grid_field
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
 from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
 from ngvisco.physics.material import Material
