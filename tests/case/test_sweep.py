@@ -67,6 +67,7 @@ NEEDED = {
     "file": {"path": "missing.vol"},
     "sphere": {"radius": 1.0, "maxh": 2.0},
     "spherical_shell": {"inner": 0.5, "outer": 1.0, "maxh": 1.0},
+    "structured_box": {"size": [1.0, 1.0], "cells": [1, 1]},
     "BarotropicFluid": {"B": 1.0, "gamma": 1.4},
     "FENEP": {"K_e": 10.0, "G_e": 5.0, "b": 50.0},
     "OldroydB": {"K_e": 10.0, "G_e": 5.0},
