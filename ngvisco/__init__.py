@@ -37,10 +37,13 @@ from ngvisco.physics.materials import (
     IsochoricNeoHookean,
     IsotropicStrainEnergy,
     LinearElastic,
+    LogarithmicMooneyRivlin,
     LogarithmicNeoHookean,
     MooneyRivlin,
     NeoHookean,
     OldroydB,
+    PerMass,
+    PerReferentialVolume,
     ReferentialMooneyRivlin,
     ReferentialNeoHookean,
     WithQuadratic,
@@ -48,7 +51,7 @@ from ngvisco.physics.materials import (
 )
 from ngvisco.physics.model import BodyForce, CentralGravity, Gravity, Model
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.physics.rheology import Creep, HyperViscosity, LinearViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.closure import ClosureWarning
@@ -122,6 +125,8 @@ __all__ = [
     "LedgerCSV",
     "LineSamples",
     "LinearElastic",
+    "LinearViscosity",
+    "LogarithmicMooneyRivlin",
     "LogarithmicNeoHookean",
     "Material",
     "MeshError",
@@ -136,6 +141,8 @@ __all__ = [
     "Observer",
     "OldroydB",
     "ParameterError",
+    "PerMass",
+    "PerReferentialVolume",
     "PrescribedTangential",
     "Probes",
     "Progress",

@@ -26,6 +26,7 @@ import ngsolve
 from ngsolve import CF, CoefficientFunction, IfPos
 
 from ngvisco.errors import NgviscoError
+from ngvisco.physics.tensors import if_positive
 from ngvisco.physics.time import time
 
 Value: TypeAlias = float | CoefficientFunction
@@ -63,7 +64,7 @@ class Expression:
         ``fields`` has the scalars of the further names that ``parse`` was given.
         """
         symbols: dict[str, Value] = {"x": ngsolve.x, "y": ngsolve.y, "z": ngsolve.z, "t": time, **CONSTANTS}
-        return CF(_Evaluator(self.text, dict(fields or {}) | symbols).value(self._tree))
+        return CF(Evaluator(self.text, dict(fields or {}) | symbols).value(self._tree))
 
 
 def parse(text: str, fields: Collection[str] = ()) -> Expression:
@@ -74,6 +75,29 @@ def parse(text: str, fields: Collection[str] = ()) -> Expression:
     ExpressionError
         With the position: syntax, unknown name or function, a constant part that is no finite number,
         or one of the limits on length and depth.
+    """
+    tree, lead = syntax_tree(text)
+    # constant parts are evaluated with no coordinate known: this finds every other fault
+    names = [*NAMES, *(name for name in fields if name not in NAMES)]
+    evaluator = Evaluator(text, dict(CONSTANTS), lead, names)
+    evaluator.value(tree)
+    return Expression(text, frozenset(evaluator.seen), shifted(tree, lead))
+
+
+def number(text: str) -> float:
+    """The value of a constant expression, such as ``"-5/6"``; raises ExpressionError."""
+    tree, lead = syntax_tree(text)
+    value = Evaluator(text, dict(CONSTANTS), lead, CONSTANTS).value(tree)
+    return float(value)
+
+
+def syntax_tree(text: str) -> tuple[ast.expr, int]:
+    """A text's tree and the number of blanks before it, which the tree's columns leave out.
+
+    Raises
+    ------
+    ExpressionError
+        For what is no expression by its syntax or size.
     """
     if len(text) > MAX_LENGTH:
         raise ExpressionError(text, MAX_LENGTH, f"longer than {MAX_LENGTH} characters")
@@ -93,13 +117,11 @@ def parse(text: str, fields: Collection[str] = ()) -> Expression:
     except (ValueError, MemoryError, RecursionError):  # absurd nesting or number
         raise ExpressionError(text, 0, "too deeply nested") from None
     _check_size(text, tree, lead)
-    # constant parts are evaluated with no coordinate known: this finds every other fault
-    evaluator = _Evaluator(text, dict(CONSTANTS), lead, fields)
-    evaluator.value(tree)
-    return Expression(text, frozenset(evaluator.seen), _shifted(tree, lead))
+    return tree, lead
 
 
-def _shifted(tree: ast.expr, lead: int) -> ast.expr:
+def shifted(tree: ast.expr, lead: int) -> ast.expr:
+    """The tree with columns that count from the text's first character."""
     for node in ast.walk(tree):
         if hasattr(node, "col_offset"):
             node.col_offset += lead
@@ -116,33 +138,50 @@ def _check_size(text: str, tree: ast.expr, lead: int) -> None:
         layer = [child for node in layer for child in ast.iter_child_nodes(node)]  # type: ignore[misc]
 
 
-class _Unknown:
-    """Stands for a value that depends on x, y, z or t while a text is checked."""
+class Unknown:
+    """Stands for a value that is not known yet while a text is checked."""
+
+    def __neg__(self) -> Unknown:
+        return self
 
 
-_UNKNOWN: Any = _Unknown()
+UNKNOWN: Any = Unknown()
+"""A scalar that depends on x, y, z, t or a field."""
 
 
-class _Evaluator:
-    """Evaluates a tree with floats where it is constant, and coefficient functions elsewhere."""
+class Evaluator:
+    """Evaluates a tree with floats where it is constant, and coefficient functions elsewhere.
+
+    Attributes
+    ----------
+    seen : set of str
+        The names that were read.
+    """
+
+    allowed = "only numbers, names, + - * / ** and the listed functions are allowed"
 
     def __init__(
-        self, text: str, symbols: dict[str, Value], lead: int = 0, fields: Collection[str] = ()
+        self, text: str, symbols: Mapping[str, Any], lead: int = 0, names: Collection[str] | None = None
     ) -> None:
+        """``symbols`` are known by their values; of the other ``names`` only that they may be read."""
         self.text, self.symbols, self.lead = text, symbols, lead
-        self.known = (*NAMES, *(name for name in [*symbols, *fields] if name not in NAMES))
+        self.known = tuple(symbols if names is None else names)
         self.seen: set[str] = set()
 
+    @property
+    def functions(self) -> Mapping[str, tuple[Any, ...]]:
+        """What can be called: the number of arguments first, then what computes the value."""
+        return FUNCTIONS
+
     def value(self, node: ast.expr) -> Any:
+        """The value of a node, UNKNOWN where it is not known; raises ExpressionError."""
         if isinstance(node, ast.Constant):
             return self._number(node)
         if isinstance(node, ast.Name):
             return self._name(node)
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.UAdd, ast.USub)):
             operand = self.value(node.operand)
-            if operand is _UNKNOWN or isinstance(node.op, ast.UAdd):
-                return operand
-            return -operand
+            return operand if isinstance(node.op, ast.UAdd) else -operand
         if isinstance(node, ast.BinOp):
             return self._binary(node)
         if isinstance(node, ast.Call):
@@ -153,7 +192,7 @@ class _Evaluator:
             isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
         ):
             raise self._error(node, "a condition may only stand in 'a if condition else b'")
-        raise self._error(node, "only numbers, names, + - * / ** and the listed functions are allowed")
+        raise self._error(node, self.allowed)
 
     def _error(self, node: ast.AST, reason: str) -> ExpressionError:
         return ExpressionError(self.text, self.lead + getattr(node, "col_offset", 0), reason)
@@ -177,23 +216,26 @@ class _Evaluator:
         name = node.id
         if name not in self.known:
             allowed = ", ".join(self.known)
-            if name in FUNCTIONS:
+            if name in self.functions:
                 raise self._error(node, f"function {name!r} needs its arguments in parentheses")
             raise self._error(node, f"unknown name {name!r}{_hint(name, self.known)} (known: {allowed})")
         self.seen.add(name)
-        return self.symbols.get(name, _UNKNOWN)
+        return self.symbols.get(name, UNKNOWN)
 
     def _binary(self, node: ast.BinOp) -> Any:
         operation = _BINARY.get(type(node.op))
         if operation is None:
             raise self._error(node, "the operators are + - * / **")
         a, b = self.value(node.left), self.value(node.right)
+        return self._combined(node, operation, a, b)
+
+    def _combined(self, node: ast.BinOp, operation: Callable[[Any, Any], Any], a: Any, b: Any) -> Any:
         if isinstance(a, float) and isinstance(b, float):
             return self._finite(node, lambda: operation(a, b))
         if isinstance(node.op, ast.Div) and b == 0.0 and isinstance(b, float):
             raise self._error(node, "division by zero")
-        if a is _UNKNOWN or b is _UNKNOWN:
-            return _UNKNOWN
+        if a is UNKNOWN or b is UNKNOWN:
+            return UNKNOWN
         return operation(a, b)
 
     def _call(self, node: ast.Call) -> Any:
@@ -206,52 +248,64 @@ class _Evaluator:
             if len(node.args) != 3:
                 raise self._error(node, f"where takes 3 arguments, not {len(node.args)}")
             return self._choice(node, *node.args)
-        if name not in FUNCTIONS:
-            known = ", ".join([*FUNCTIONS, "where"])
-            hint = _hint(name, [*FUNCTIONS, "where"])
+        if name not in self.functions:
+            known = ", ".join([*self.functions, "where"])
+            hint = _hint(name, [*self.functions, "where"])
             raise self._error(node, f"unknown function {name!r}{hint} (known: {known})")
-        count, exact, general = FUNCTIONS[name]
+        count = self.functions[name][0]
         if len(node.args) != count:
             plural = "" if count == 1 else "s"
             raise self._error(node, f"{name} takes {count} argument{plural}, not {len(node.args)}")
-        arguments = [self.value(argument) for argument in node.args]
+        return self._applied(node, name, [self.value(argument) for argument in node.args])
+
+    def _applied(self, node: ast.Call, name: str, arguments: list[Any]) -> Any:
+        _, exact, general = self.functions[name]
         if all(isinstance(argument, float) for argument in arguments):
             return self._finite(node, lambda: exact(*arguments))
-        if any(argument is _UNKNOWN for argument in arguments):
-            return _UNKNOWN
+        if any(argument is UNKNOWN for argument in arguments):
+            return UNKNOWN
         return general(*(CF(argument) for argument in arguments))
 
     def _choice(self, node: ast.AST, test: ast.expr, yes: ast.expr, no: ast.expr) -> Any:
         condition, a, b = self._condition(test), self.value(yes), self.value(no)
-        if any(part is _UNKNOWN for part in (condition, a, b)):
-            return _UNKNOWN
+        self._check_choice(node, a, b)
+        unknown = next((part for part in (a, b, condition) if isinstance(part, Unknown)), None)
+        if unknown is not None:
+            return unknown
         if isinstance(condition, float):
             return a if condition > 0 else b
-        return IfPos(condition, CF(a), CF(b))
+        return if_positive(condition, a, b)
+
+    def _check_choice(self, node: ast.AST, a: Any, b: Any) -> None:
+        """Raise ExpressionError where a value cannot be one or the other."""
 
     def _condition(self, node: ast.expr) -> Any:
         """A number or function that is 1 where the condition holds and 0 elsewhere."""
         if isinstance(node, ast.BoolOp):
             parts = [self._condition(value) for value in node.values]
-            if any(part is _UNKNOWN for part in parts):
-                return _UNKNOWN
+            if any(part is UNKNOWN for part in parts):
+                return UNKNOWN
             if isinstance(node.op, ast.And):
                 return math.prod(parts[1:], start=parts[0])
             return 1.0 - math.prod((1.0 - part for part in parts[1:]), start=1.0 - parts[0])
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             inner = self._condition(node.operand)
-            return inner if inner is _UNKNOWN else 1.0 - inner
+            return inner if inner is UNKNOWN else 1.0 - inner
         if not isinstance(node, ast.Compare):
             raise self._error(node, "expected a condition such as x < 0.5")
-        values = [self.value(part) for part in (node.left, *node.comparators)]
+        values = [self._scalar(part) for part in (node.left, *node.comparators)]
         for operator in node.ops:
             if type(operator) not in _COMPARE:
                 raise self._error(node, "the comparisons are < <= > >=")
-        if any(value is _UNKNOWN for value in values):
-            return _UNKNOWN
+        if any(value is UNKNOWN for value in values):
+            return UNKNOWN
         pairs = zip(node.ops, values, values[1:], strict=False)
         parts = [_COMPARE[type(operator)](a, b) for operator, a, b in pairs]
         return math.prod(parts[1:], start=parts[0])
+
+    def _scalar(self, node: ast.expr) -> Any:
+        """The value of a node that has to be a scalar."""
+        return self.value(node)
 
 
 def _power(a: Value, b: Value) -> Value:
@@ -268,7 +322,7 @@ def _less(a: Value, b: Value) -> Value:
     """1 where a < b, 0 elsewhere."""
     if isinstance(a, float) and isinstance(b, float):
         return 1.0 if a < b else 0.0
-    return IfPos(CF(b) - CF(a), CF(1.0), CF(0.0))
+    return if_positive(b - a, 1.0, 0.0)
 
 
 _COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {

@@ -33,13 +33,13 @@ class BlockInverse:
         self.groups = [
             order[starts[sizes == size][:, None] + np.arange(size)[None]] for size in np.unique(sizes)
         ]
-        self.n = pattern.shape[0]
+        self.size = pattern.shape[0]
         self._inverses: list[np.ndarray] = []
         # blocks of a discontinuous space stand one after the other
         self._in_order = (
             len(self.groups) == 1
-            and self.groups[0].size == self.n
-            and bool((self.groups[0].ravel() == np.arange(self.n)).all())
+            and self.groups[0].size == self.size
+            and bool((self.groups[0].ravel() == np.arange(self.size)).all())
         )
         self._entries = [_entries(group) for group in self.groups]
 
@@ -55,7 +55,7 @@ class BlockInverse:
         """The inverse as a sparse matrix."""
         values = np.concatenate([inverse.ravel() for inverse in self._inverses])
         rows, columns = (np.concatenate([entry[i] for entry in self._entries]) for i in range(2))
-        return sp.csr_matrix((values, (rows, columns)), shape=(self.n, self.n))
+        return sp.csr_matrix((values, (rows, columns)), shape=(self.size, self.size))
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """Inverse times ``r`` (..., n)."""

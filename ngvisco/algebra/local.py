@@ -1,8 +1,8 @@
 """Sparse matrices that act cell by cell, as dense blocks.
 
 The rows are points (or other values) that belong to cells, equally many to each, and a row sees unknowns
-of its own cell only.  Products for all components of a field are one small dense product a cell: ten times
-faster than a sparse product for each component (739 tetrahedra, 10 components, 24 points: 0.3 ms, 5 ms).
+of its own cell only.  Products for all components of a field are one small dense product a cell, which is
+many times faster than a sparse product for each component.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import hashlib
 import os
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +31,7 @@ from ngvisco.errors import (
 from ngvisco.expressions import ExpressionError, parse
 from ngvisco.forms.boundaries import check_boundary_names
 from ngvisco.forms.context import time
+from ngvisco.physics.material import Material
 from ngvisco.physics.model import Model, default_elastic_state
 from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints
@@ -132,7 +133,7 @@ class Case:
     def resolved(self) -> str:
         """The case as TOML with every default written out and paths made absolute."""
         data = self.sections.model_dump(exclude_none=True)
-        self._settle_elastic_state(data)
+        self._settle(data)
         if data["domain"]["geometry"] == "file":
             data["domain"]["path"] = str(self._mesh_path)
         return toml.write(data)
@@ -141,17 +142,20 @@ class Case:
     def hash(self) -> str:
         """SHA-256 of all that the solution depends on: not of title, end time and output."""
         data = self.sections.model_dump()
-        self._settle_elastic_state(data)
+        self._settle(data)
         for name in ("title", "units", "output", "domain"):  # the mesh has a hash of its own
             del data[name]
         del data["time"]["until"]
         return hashlib.sha256(toml.write(data).encode()).hexdigest()
 
-    def _settle_elastic_state(self, data: dict[str, Any]) -> None:
-        """Write into a dump whether its material is by F or by B where the case left it to the model."""
+    def _settle(self, data: dict[str, Any]) -> None:
+        """Write into a dump what the case left to the model: whether its material is by F or by B, and the
+        density where no referential one says what it is."""
         creep = self.sections.rheology.creep
         part: Section = self.sections.material
         values = data["material"]
+        if data["initial"].get("density") is None and self._material().referential_density is None:
+            data["initial"] = {"density": None, **data["initial"]} | {"density": 1.0}
         while "material" in type(part).model_fields:
             part, values = part.material, values["material"]  # type: ignore[attr-defined]
         if "elastic_state" in type(part).model_fields and values.get("elastic_state") is None:
@@ -161,6 +165,11 @@ class Case:
             in_order = {name: values[name] for name in type(part).model_fields if name in values}
             values.clear()
             values.update(in_order)
+
+    def _material(self) -> Material:
+        part: Any = self.sections.material
+        made: Material = catalogue.ALL_MATERIALS[part.kind](**parameters(part))
+        return made
 
     @property
     def _mesh_path(self) -> Path:
@@ -178,15 +187,16 @@ class Case:
 
     def model(self, dim: int) -> Model:
         """Material, mechanisms and loads in ``dim`` dimensions; raises CaseError."""
-        material = self._made(
-            self.sections.material, {**catalogue.MATERIALS, **catalogue.WRAPPERS}, ("material",), dim
-        )
+        with self._located("material"):
+            material = self._material()
         mechanisms = {}
         for name, kind in catalogue.MECHANISMS.items():
             part = getattr(self.sections.rheology, name)
             if part is not None:
                 with self._located("rheology", name):
-                    mechanisms[name] = kind(**self._values(part, ("rheology", name), dim))
+                    mechanisms[_MODEL_NAMES.get(name, name)] = kind(
+                        **self._values(part, ("rheology", name), dim)
+                    )
         loads = [
             self._made(load, catalogue.LOADS, ("loads", str(i)), dim)
             for i, load in enumerate(self.sections.loads)
@@ -288,7 +298,9 @@ class Case:
             except ExpressionError as error:
                 raise self._error((*path, "of"), str(error)) from error
 
-    def _made(self, part: Any, table: dict[str, type], path: tuple[str, ...], dim: int) -> Any:
+    def _made(
+        self, part: Any, table: Mapping[str, Callable[..., Any]], path: tuple[str, ...], dim: int
+    ) -> Any:
         with self._located(*path):
             return table[part.kind](**self._values(part, path, dim))
 
@@ -383,6 +395,8 @@ class Case:
         return None if isinstance(value, Section) else value
 
 
+_MODEL_NAMES = {"linear_viscosity": "viscosity"}
+"""Parameters of ``Model`` that have another name than the mechanism's table."""
 _SECTION_OF_NAME = {
     "material variable": ("initial", "values"),
     "passive field": ("output", "passive"),
@@ -397,6 +411,7 @@ _SECTION_OF = {
     "Discretisation": ("discretisation",),
     "NewtonOptions": ("solver",),
     "Regularisation": ("rheology", "regularisation"),
+    "LinearViscosity": ("rheology", "linear_viscosity"),
 }
 """Sections of the objects that the parts of a simulation name in their errors."""
 

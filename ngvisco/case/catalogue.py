@@ -9,6 +9,7 @@ import importlib
 from collections.abc import Callable
 from typing import Any
 
+from ngvisco.case.laws import custom_material, isotropic_strain_energy
 from ngvisco.case.meshfile import read_mesh
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
@@ -18,10 +19,12 @@ from ngvisco.physics.materials import (
     HardeningElastic,
     IsochoricNeoHookean,
     LinearElastic,
+    LogarithmicMooneyRivlin,
     LogarithmicNeoHookean,
     MooneyRivlin,
     NeoHookean,
     OldroydB,
+    PerReferentialVolume,
     ReferentialMooneyRivlin,
     ReferentialNeoHookean,
     WithQuadratic,
@@ -29,7 +32,7 @@ from ngvisco.physics.materials import (
 )
 from ngvisco.physics.model import BodyForce, CentralGravity, Gravity
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.physics.rheology import Creep, HyperViscosity, LinearViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.stepping import AdaptiveSteps
 from ngvisco.solver.options import NewtonOptions
@@ -55,12 +58,16 @@ def _geometries() -> dict[str, Callable[..., Any]]:
 
 GEOMETRIES = _geometries()
 
-MATERIALS: dict[str, type] = {
+MATERIALS: dict[str, Callable[..., Any]] = {
     "BarotropicFluid": BarotropicFluid,
+    "Custom": custom_material,
     "FENEP": FENEP,
     "HardeningElastic": HardeningElastic,
+    "IsentropicFluid": BarotropicFluid.from_state_equation,
     "IsochoricNeoHookean": IsochoricNeoHookean,
+    "IsotropicStrainEnergy": isotropic_strain_energy,
     "LinearElastic": LinearElastic,
+    "LogarithmicMooneyRivlin": LogarithmicMooneyRivlin,
     "LogarithmicNeoHookean": LogarithmicNeoHookean,
     "MooneyRivlin": MooneyRivlin,
     "NeoHookean": NeoHookean,
@@ -69,11 +76,18 @@ MATERIALS: dict[str, type] = {
     "ReferentialNeoHookean": ReferentialNeoHookean,
 }
 
-WRAPPERS: dict[str, type] = {"Yosida": Yosida, "WithQuadratic": WithQuadratic}
+WRAPPERS: dict[str, Callable[..., Any]] = {
+    "PerReferentialVolume": PerReferentialVolume,
+    "Yosida": Yosida,
+    "WithQuadratic": WithQuadratic,
+}
 """Materials of another one, [material.material]: of those above, and of wrappers before them here."""
+
+ALL_MATERIALS = {**MATERIALS, **WRAPPERS}
 
 MECHANISMS: dict[str, type] = {
     "viscosity": StokesViscosity,
+    "linear_viscosity": LinearViscosity,
     "hyperviscosity": HyperViscosity,
     "creep": Creep,
     "regularisation": Regularisation,

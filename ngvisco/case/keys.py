@@ -52,6 +52,7 @@ KEYS: dict[str, Key] = {
     "CaseSections.output": Key("", "what the run directory gets", None),
     "Time.adaptive": Key("", "step lengths chosen by the run; of one length without this table", None),
     "Rheology.viscosity": Key("", "Stokes viscosity", None),
+    "Rheology.linear_viscosity": Key("", "any linear viscosity instead of the isotropic one", None),
     "Rheology.hyperviscosity": Key("", "hyperviscosity of second velocity gradients", None),
     "Rheology.creep": Key("", "Maxwellian creep of the deviatoric part", None),
     "Rheology.regularisation": Key("", "the paper's regularising terms", None),
@@ -131,10 +132,39 @@ KEYS: dict[str, Key] = {
         "Pa", "energy density at the referential density, > 0; the pressure there is (gamma - 1) B", 1.0
     ),
     "gamma": Key("1", "adiabatic exponent, > 1", 1.4),
-    "BarotropicFluid.form": Key("", 'the variable that is carried, "J" or "A" = 1/J', "J"),
+    "form": Key("", 'the variable that is carried, "J" or "A" = 1/J', "J"),
     "BarotropicFluid.J_min": Key(
         "1", 'with form = "J": the energy is continued linearly below this J, > 0', 0.1
     ),
+    "Custom.variables": Key(
+        "",
+        "what is carried: F, H = cof(F), B = F*trans(F), N = cof(F*trans(F)), J = det(F), A = 1/J, "
+        'K = log(J)/J, the small strain E; with a power of J as in "H = J**(-5/6)*F"',
+        ["F", "J"],
+    ),
+    "IsotropicStrainEnergy.energy": Key(
+        "Pa",
+        "stored energy per actual volume of the small strain E, isotropic and convex",
+        "5*tr(E)**2 + 5*norm2(dev(E))",
+    ),
+    "parameters": Key("any", "numbers that the energy reads by name, as they stand", {"G": 5.0}),
+    "Custom.energy": Key(
+        "Pa",
+        'stored energy of the variables; by per = "mass" in J/kg',
+        "3*norm2(F)/J**(2/3) + 4*(J + 1/J)",
+    ),
+    "Custom.per": Key(
+        "",
+        'what the energy is per: "volume" (the actual one), "referential volume" or "mass"; by the latter '
+        "two what is carried are the tensors over J, and A = 1/J",
+        "volume",
+    ),
+    "rho_R": Key(
+        "kg/m^3",
+        "density where J = 1, > 0; with it the initial density and J follow from one another",
+        1000.0,
+    ),
+    "IsentropicFluid.a": Key("Pa (m^3/kg)^gamma", "of the state equation p = a rho^gamma, > 0", 1.0),
     "material": Key("", "the material that is regularised, a table with a kind of its own", None),
     "Yosida.eps": Key("1/Pa", "width of the Yosida approximation, > 0", 1e-3),
     "WithQuadratic.delta": Key("Pa^2", "sqrt(delta)/2 |z|^2 is added to the energy, > 0", 1e-6),
@@ -142,6 +172,24 @@ KEYS: dict[str, Key] = {
     # mechanisms
     "K_v": Key("Pa s", "bulk viscosity, >= 0: stress K_v (div v) I", 0.01),
     "G_v": Key("Pa s", "shear viscosity, >= 0: stress 2 G_v dev eps(v), the usual dynamic viscosity", 0.01),
+    "LinearViscosity.D": Key(
+        "Pa s",
+        "viscous stress D eps(v): 6x6 or 3x3x3x3, symmetric and positive semidefinite",
+        [
+            [4.0, 1.0, 1.0, 0, 0, 0],
+            [1.0, 3.0, 1.0, 0, 0, 0],
+            [1.0, 1.0, 3.0, 0, 0, 0],
+            [0, 0, 0, 2.0, 0, 0],
+            [0, 0, 0, 0, 2.0, 0],
+            [0, 0, 0, 0, 0, 2.0],
+        ],
+    ),
+    "LinearViscosity.notation": Key(
+        "",
+        'how D is written, entries in the order 11, 22, 33, 23, 13, 12: "voigt" has the D_ijkl themselves, '
+        '"mandel" those of an orthonormal basis; "tensor" is 3x3x3x3',
+        "mandel",
+    ),
     "mu": Key("W/m^3 (m s)^p", "hyperviscosity: mu |hess v|^p is its dissipation; > 0", 1e-5),
     "HyperViscosity.p": Key("1", "exponent, > 1; the paper's analysis has p > 3", 4.0),
     "mu_1": Key("Pa s m^2", "coefficient of the quadratic part of the hyperviscosity, >= 0", 1e-4),
@@ -203,7 +251,9 @@ KEYS: dict[str, Key] = {
         "B",
     ),
     # start
-    "density": Key("kg/m^3", "initial density, > 0", 1.0),
+    "density": Key(
+        "kg/m^3", "initial density, > 0; 1 without this key, or rho_R/J for a material with rho_R", 1.0
+    ),
     "Initial.velocity": Key(
         "m/s", "initial velocity; at rest without this key", ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
     ),
@@ -269,19 +319,28 @@ KEYS: dict[str, Key] = {
     "VTK.enabled": Key("", "whether the VTK series is written", True),
     "VTK.every": Key("1", "a file every so many steps", 10),
     "VTK.interval": Key("s", "a file at every multiple of this time instead of every so many steps", 0.1),
-    "VTK.fields": Key("", "which fields; all without this key", ["velocity", "density"]),
+    "VTK.fields": Key(
+        "",
+        "which fields; without this key all but creep_rate, mandel_stress, viscous_stress, hyperstress_1 "
+        "(to 3), principal_stresses, principal_stretches",
+        ["velocity", "density"],
+    ),
     "VTK.subdivision": Key("1", "bisections of cells, 0 to 4: fields are linear in the pieces", 1),
     "Checkpoint.every": Key("1", "a checkpoint every so many steps, and at the end", 10),
     "Checkpoint.keep": Key("1", "how many checkpoints run.h5 holds", 2),
     "Probe.name": Key("", "letters, digits, _ and -; the file is samples/NAME.csv", "tip"),
     "Probe.point": Key("m", "where, a coordinate for each dimension", [0.5, 0.5]),
-    "Probe.fields": Key("", "fields or components of them; all without this key", ["velocity", "F_12"]),
+    "Probe.fields": Key(
+        "", "fields or components of them; without this key as for output.vtk.fields", ["velocity", "F_12"]
+    ),
     "Probe.every": Key("1", "a row every so many steps, and at the end", 1),
     "Line.name": Key("", "letters, digits, _ and -; the file is samples/NAME.csv", "middle"),
     "Line.start": Key("m", "one end, a coordinate for each dimension", [0.0, 0.5]),
     "Line.end": Key("m", "the other end", [1.0, 0.5]),
     "Line.points": Key("1", "how many points, equally spaced, the ends among them", 101),
-    "Line.fields": Key("", "fields or components of them; all without this key", ["density"]),
+    "Line.fields": Key(
+        "", "fields or components of them; without this key as for output.vtk.fields", ["density"]
+    ),
     "Line.every": Key("1", "rows every so many steps, and at the end", 10),
     "Forces.walls": Key("", "names of walls; all without this key", ["left"]),
     "Forces.about": Key("m", "the point that torques refer to; the origin without this key", [0.5, 0.5]),

@@ -20,7 +20,8 @@ from pydantic.fields import FieldInfo
 from ngvisco.case import toml
 from ngvisco.case.faults import models_in
 from ngvisco.case.keys import key
-from ngvisco.case.schema import _TARGETS, CaseSections, FieldValue
+from ngvisco.case.laws import EnergyText
+from ngvisco.case.schema import _TARGETS, CaseSections, FieldValue, NumberValues
 from ngvisco.errors import ParameterError
 
 _TAGS = ("geometry", "kind")
@@ -136,9 +137,17 @@ def _place(annotation: Any) -> tuple[str, ...]:
 
 def type_text(annotation: Any) -> str:
     """A schema's type in words."""
-    plain = {float: "number", int: "whole number", bool: "true or false", str: "text"}
+    plain = {
+        float: "number",
+        int: "whole number",
+        bool: "true or false",
+        str: "text",
+        EnergyText: "expression of the variables",
+    }
     if annotation in plain:
         return plain[annotation]
+    if annotation == NumberValues or annotation == list[Any]:
+        return "array of numbers"
     origin, arguments = get_origin(annotation), get_args(annotation)
     if annotation == FieldValue or annotation is Any:
         return "number, expression, or array of them"
@@ -267,6 +276,10 @@ an array of tables. A key with kinds in italics belongs to these only. An expres
 `z` (m), `t` (s), `pi`, numbers, `+ - * / **`, `sin cos tan asin acos atan atan2 exp log sqrt abs sinh cosh
 tanh min max` and `a if x < 1 else b`. A text with a number and its unit, `"5 km"`, may stand for any number
 that has a unit; `[units]` chooses those of plain numbers.
+
+An expression of the variables, as `energy` is, reads the names in `variables` and `parameters`, `pi`, the
+identity `I` and entries `F[0, 1]`, with `tr det norm2 dot cof inv trans sym dev sph` of tensors (`norm2(A)`
+is A : A) and `exp log sqrt abs sinh cosh tanh min max` of scalars.
 """
 
 
@@ -280,7 +293,7 @@ def json_schema() -> dict[str, Any]:
         node["title"] = name
         for field_name, prop in list(node["properties"].items()):
             if field_name not in _TAGS:
-                if key(owner_name(model), field_name).unit not in ("", "1"):
+                if key(owner_name(model), field_name).unit not in ("", "1", "any"):
                     node["properties"][field_name] = prop = _with_quantities(prop)
                 prop.update(_annotations(model, field_name, model.model_fields[field_name]))
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "ngvisco case file"}

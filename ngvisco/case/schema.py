@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from ngsolve import CoefficientFunction
+from numpy.typing import ArrayLike
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -30,6 +31,7 @@ from pydantic import (
 )
 
 from ngvisco.case import catalogue
+from ngvisco.case.laws import EnergyText
 from ngvisco.errors import ParameterError, UnknownNameError, as_number
 from ngvisco.expressions import parse
 from ngvisco.physics.material import Material as MaterialObject
@@ -69,10 +71,26 @@ FieldValue = Annotated[
 """A scalar, vector or tensor field as it stands in a case file."""
 
 
+def _check_numbers(value: list[Any]) -> list[Any]:
+    """Arrays of arrays of finite numbers; raises ValueError."""
+    for part in value:
+        if isinstance(part, list):
+            _check_numbers(part)
+        elif as_number(part) is None:
+            raise ValueError(f"expected an array of finite numbers, or of such arrays, not of {part!r:.30}")
+    return value
+
+
+NumberValues = Annotated[list[Any], AfterValidator(_check_numbers)]
+"""Numbers in arrays of arrays."""
+
+
 def _annotation(hint: Any) -> Any:
     """The schema's type for a parameter's type hint; None if a case file cannot give it."""
-    if hint in (float, int, bool, str):
+    if hint in (float, int, bool, str, EnergyText):
         return hint
+    if hint == ArrayLike:
+        return NumberValues
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         if _mentions_function(hint):
@@ -131,7 +149,7 @@ def section(
                 raise TypeError(f"{target.__qualname__}.{name}: a case file cannot give a {hints.get(name)}")
             continue
         fields[name] = (annotation, ... if required else _default(annotation, parameter.default))
-    base = _checked_section(target) if _is_plain(target, fields) else Section
+    base = _checked_section(target) if _is_plain(target, fields, hints.get("return")) else Section
     model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
     _TARGETS[model] = target
     _FIELDS[model] = frozenset(
@@ -156,10 +174,14 @@ def _default(annotation: Any, default: Any) -> Any:
     return list(default) if isinstance(default, tuple) else default
 
 
-def _is_plain(target: Callable[..., Any], fields: dict[str, Any]) -> bool:
-    """Whether the object can be made, and so checked, from the file's values alone."""
+def _is_plain(target: Callable[..., Any], fields: dict[str, Any], returned: Any) -> bool:
+    """Whether the object can be made, and so checked, from the file's values alone.
+
+    Functions make materials; those of geometries make meshes, which takes long.
+    """
     has_fields = any(_has_field_value(annotation) for annotation, _ in fields.values())
-    return dataclasses.is_dataclass(target) and not has_fields
+    is_material = isinstance(returned, type) and issubclass(returned, MaterialObject)
+    return not has_fields and (dataclasses.is_dataclass(target) or is_material)
 
 
 def _has_field_value(annotation: Any) -> bool:
@@ -389,6 +411,10 @@ class CaseSections(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> CaseSections:
+        rheology: Any = self.rheology
+        if rheology.viscosity is not None and rheology.linear_viscosity is not None:
+            expected = "no table [rheology.viscosity] beside it: D is the whole of the viscosity"
+            raise ParameterError("rheology.linear_viscosity", "D", expected)
         interval = self.output.vtk.interval
         if interval is not None and self.time.until / interval > _MAX_OUTPUT_TIMES:
             raise ParameterError("output.vtk.interval", interval, f"at most {_MAX_OUTPUT_TIMES} output times")

@@ -21,8 +21,9 @@ from pydantic import BaseModel
 from ngvisco.case.errors import Fault
 from ngvisco.case.faults import Locator, models_in
 from ngvisco.case.keys import key
+from ngvisco.case.laws import EnergyText
 from ngvisco.case.reference import owner_name
-from ngvisco.case.schema import FieldValue
+from ngvisco.case.schema import FieldValue, NumberValues
 from ngvisco.expressions import ExpressionError, parse
 
 SI = {
@@ -137,8 +138,12 @@ class Converter:
         if name in ("kind", "geometry") or inner:
             return value
         unit = key(owner_name(model), name).unit
+        if annotation is EnergyText:
+            # [units] has none of energies per mass: these are in J/kg
+            return value if data.get("per") == "mass" else self._energy(value, unit, path)
         is_field = any(part is Any or part == FieldValue for part in _parts(annotation))
-        if unit == "" or (unit == "1" and not is_field):
+        is_field = is_field and NumberValues not in _parts(annotation)
+        if unit in ("", "any") or (unit == "1" and not is_field):
             return value
         try:
             converted = self._value(value, _with_exponents(unit, model, data), is_field)
@@ -148,6 +153,14 @@ class Converter:
         if converted is not value and converted != value:
             self.written[path] = value
         return converted
+
+    def _energy(self, value: Any, unit: str, path: tuple[str, ...]) -> Any:
+        """The same energy in SI units: its value is in those of the case, its variables are pure numbers."""
+        scale = self._scale(unit)
+        if scale == 1.0 or not isinstance(value, str):
+            return value
+        self.written[path] = value
+        return f"({value})*{scale!r}"
 
     def _value(self, value: Any, unit: str, is_field: bool) -> Any:
         if isinstance(value, bool):
@@ -236,7 +249,7 @@ def _with_exponents(unit: str, model: type[BaseModel], data: dict[str, Any]) -> 
             raise UnitError(f"its unit depends on {name}: expected a number there")
         return f"^({match[1] or ''}{value!r})"
 
-    return re.sub(r"\^\(?(\d-)?([a-z])\b\)?", exponent, unit)
+    return re.sub(r"\^\(?(\d-)?([a-z]+)\b\)?", exponent, unit)
 
 
 def to_si(

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from ngvisco.case import catalogue, reference, template
 from ngvisco.case.schema import CaseSections, section
+from ngvisco.run.further_fields import NAMES as FURTHER
 from ngvisco.run.passive import NAMES as PASSIVE
 from ngvisco.timestepping.scheme import SCHEMES
 
@@ -65,6 +66,7 @@ def listing(options: argparse.Namespace) -> int:
     print(
         "  velocity, density, cauchy_stress, pressure, von_mises, the material's variables (F, B, J, E, ...)"
     )
+    print(f"  by name only: {', '.join(FURTHER)}")
     print("  also ledger.csv, run.h5, log.txt; ngvisco plot and ngvisco scene make PNG and HTML of them")
     print("passive: [output] passive =")
     print(f"  {', '.join(PASSIVE)}")

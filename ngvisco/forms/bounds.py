@@ -29,7 +29,6 @@ from ngvisco.forms.locating import nearest_wall
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import tested
-from ngvisco.physics.material import component_count, component_slices, tensors_of
 
 SHARE = 1e-2
 """What a limited cell keeps at every point, at least, of the bounded quantities of its mean.
@@ -133,7 +132,7 @@ class Bounds:
                 self._variables += [variable.name] * len(bounds)
         self.names = tuple(present)
         self._present = CF(tuple(present.values()))
-        self._slices, self._size = component_slices(material, dim), component_count(material, dim)
+        self._slices, self._size = material.states(dim).slices, material.states(dim).size
 
     @cached_property
     def _means(self) -> _Means:
@@ -142,7 +141,7 @@ class Bounds:
     @cached_property
     def _bounds_of_means(self) -> CoefficientFunction:
         material, means = self.step.model.material, self._means
-        z = tensors_of(material, means.z, self.step.mesh.dim)
+        z = material.states(self.step.mesh.dim).tensors(lambda: means.z)
         values = [means.rho]
         for variable in material.variables:
             if variable.name not in material.continued:
@@ -308,7 +307,7 @@ class _Means:
     """Means over the cells of rho and z of a step's present state, by the rule of the forms."""
 
     def __init__(self, step: Step) -> None:
-        space, size = L2(step.mesh, order=0), component_count(step.model.material, step.mesh.dim)
+        space, size = L2(step.mesh, order=0), step.model.material.states(step.mesh.dim).size
         self.rho = GridFunction(space)
         self.z = GridFunction(VectorValued(space, size))
         self._projections = [

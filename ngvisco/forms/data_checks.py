@@ -28,6 +28,7 @@ from ngvisco.forms.boundaries import pattern
 from ngvisco.forms.moving_walls import OPEN
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.physics.material import Material
 from ngvisco.physics.model import BodyForce, CentralGravity, VectorLike, as_vector
 from ngvisco.physics.tensors import square
 from ngvisco.physics.time import time
@@ -122,12 +123,10 @@ def _warn(message: str) -> None:
 def warn_of_mismatch(step: Step, sampler: Sampler, values: Mapping[str, CoefficientFunction]) -> None:
     """Say that start values of the variables, by name, are not those of one elastic distortion."""
     variables = step.model.material.variables
-    distortion = next((v for v in variables if isinstance(v, Distortion)), None)
-    if distortion is None or step.sources is not None:  # manufactured states need not fit
+    F = distortion_of(step.model.material, values)
+    if F is None or step.sources is not None:  # manufactured states need not fit
         return
-    F = _distortion_of(values[distortion.name], distortion.exponent)
-    if F is None:
-        return
+    distortion = next(v for v in variables if isinstance(v, Distortion))
     for variable in variables:
         expected = variable.from_distortion(F)
         scale = 1 + sampler.extrema(square(expected))[1]
@@ -137,6 +136,14 @@ def warn_of_mismatch(step: Step, sampler: Sampler, values: Mapping[str, Coeffici
                 f"initial values: {variable.name} is not that of {distortion.name} (they differ by up to "
                 f"{worst**0.5:.3g}); both are transported as they are given, as variables of their own"
             )
+
+
+def distortion_of(
+    material: Material, values: Mapping[str, CoefficientFunction]
+) -> CoefficientFunction | None:
+    """F of the variables' values, by name, where one of them tells it; None otherwise."""
+    variable = next((v for v in material.variables if isinstance(v, Distortion)), None)
+    return None if variable is None else _distortion_of(values[variable.name], variable.exponent)
 
 
 def _distortion_of(H: CoefficientFunction, exponent: float) -> CoefficientFunction | None:

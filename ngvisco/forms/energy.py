@@ -25,13 +25,7 @@ from ngvisco.errors import InitialDataError, StepError
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.sampling import Sampler
-from ngvisco.physics.material import (
-    Material,
-    component_count,
-    components_of,
-    conjugates,
-    tensors_of,
-)
+from ngvisco.physics.material import Material, conjugates
 from ngvisco.physics.pointwise import Respond
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values
@@ -56,7 +50,7 @@ class StoredEnergy:
 
     def slope(self, u: Fields) -> CoefficientFunction:
         """Components of phi'(z), Pa, for the same."""
-        return components_of(self.material, conjugates(self.material, u.z_tensors), self.dim)
+        return self.material.states(self.dim).components(conjugates(self.material, u.z_tensors))
 
     def tested_slope(self, u: Fields, w: Fields) -> list[CoefficientFunction]:
         """phi'(z) : X in summands, X the test function of zeta; with its derivative by z."""
@@ -92,7 +86,7 @@ class PointwiseEnergy(StoredEnergy):
         super().__init__(material, quadrature.mesh.dim)
         self.response, self.fields = response, now
         points = IntegrationRuleSpace(quadrature.mesh, order=quadrature.volume_degree // 2)
-        self._size = component_count(material, self.dim)
+        self._size = material.states(self.dim).size
         self._points, self._vectors = points, VectorValued(points, self._size)
         self._values: dict[Fields, _Values] = {}
         self.follow(now)
@@ -115,14 +109,14 @@ class PointwiseEnergy(StoredEnergy):
         return now.slope + hessian * (u.z - now.state)
 
     def tested_slope(self, u: Fields, w: Fields) -> list[CoefficientFunction]:
-        slope = tensors_of(self.material, self.slope(u), self.dim)
+        slope = self.material.states(self.dim).tensors(lambda: self.slope(u))
         return [inner(S, w.zeta_tensors[name]) for name, S in slope.items()]
 
     def anywhere(self, u: Fields) -> CoefficientFunction:
         return self.projected
 
     def samples(self, z: Values, sampler: Sampler) -> np.ndarray:
-        components = components_of(self.material, z, self.dim)
+        components = self.material.states(self.dim).components(z)
         states = np.asarray(sampler.values(components)).reshape(-1, self._size)
         response = self.response(states)
         if response.failure is not None:

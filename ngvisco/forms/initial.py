@@ -17,7 +17,7 @@ from ngsolve import (
 )
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
-from ngvisco.forms.data_checks import warn_of_mismatch
+from ngvisco.forms.data_checks import distortion_of, warn_of_mismatch
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
@@ -27,11 +27,14 @@ from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.forms.velocity import project_velocity
-from ngvisco.physics.material import components_of, conjugates
+from ngvisco.physics.material import conjugates, volume_ratio
 from ngvisco.physics.model import VectorLike, as_tensor, as_vector
 from ngvisco.physics.tensors import inner, square, tensor_space
 
 ScalarLike: TypeAlias = float | CoefficientFunction
+
+_CONTRADICTION = 1e-6
+"""Of rho_0 J_0/rho_R from 1: what is left where one of them is rounded to seven digits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,19 +43,20 @@ class Initial:
 
     Parameters
     ----------
-    density : number or coefficient function
-        rho_0 > 0, kg/m^3.
+    density : number or coefficient function, optional
+        rho_0 > 0, kg/m^3.  Default 1, or rho_R/J_0 for a material with a referential density rho_R.
     velocity : vector of the mesh's dimension, optional
         v_0, m/s; default zero.  It is projected so that v.n = 0 holds on walls,
         and vanishes on walls without slip; on moving walls it keeps its tangential part.
     F : 3x3 coefficient function or array, optional
-        Initial elastic distortion, det F_0 > 0, default I; every variable's start value is derived
+        Initial elastic distortion, det F_0 > 0, default I (of a material with a referential density that of
+        the density given, (rho_R/rho_0)^{1/3} I); every variable's start value is derived
         from it (J_0 = det F_0, E_0 = sym F_0 - I, ...).  In 2D its 13, 23, 31, 32 entries must be 0.
     values : mapping of variable names to coefficient functions, optional
         Start values that replace the derived ones, e.g. ``{"E": E_0}``.
     """
 
-    density: ScalarLike = 1.0
+    density: ScalarLike | None = None
     velocity: VectorLike | None = None
     F: CoefficientFunction | None = None
     values: Mapping[str, CoefficientFunction] = field(default_factory=dict)
@@ -62,15 +66,20 @@ class Initial:
             raise ParameterError("Initial.values", self.values, "a mapping of variable names to functions")
 
 
-def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
+def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFunction:
     """Put the initial data into ``step.state`` and ``step.state_old``.
+
+    Returns
+    -------
+    CoefficientFunction
+        The initial elastic distortion F_0, 3x3: that of the data, or of a start value that tells it.
 
     Raises
     ------
     InitialDataError
         If rho_0 <= 0, det F_0 <= 0, a positive variable is not so, or a value or the stored energy
         is not finite at a sampling point; or if a tensor does not fit its variable (in plane strain:
-        13, 23, 31, 32 entries; E not symmetric).
+        13, 23, 31, 32 entries; E not symmetric); or if density and J contradict the material's rho_R.
     ParameterError
         If a value has the wrong type or shape.
     UnknownNameError
@@ -78,16 +87,26 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
     """
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     dim = step.mesh.dim
-    density = _as_shape("Initial.density", initial.density, ())
     F = Id(3) if initial.F is None else _as_shape("Initial.F", initial.F, (3, 3))
-    values = _initial_values(step, initial, F)
-    sampler.require(density, "density rho_0", minimum=0.0)
     sampler.require(Det(F), "det F_0", minimum=0.0)
+    rho_R = step.model.material.referential_density
+    if initial.density is None:
+        values = _initial_values(step, initial, F)
+        density = CF(1.0) if rho_R is None else rho_R / volume_ratio(step.model.material, values)
+        sampler.require(density, "density rho_0", minimum=0.0)
+    else:
+        density = _as_shape("Initial.density", initial.density, ())
+        sampler.require(density, "density rho_0", minimum=0.0)
+        if rho_R is not None and initial.F is None and not initial.values:
+            F = (rho_R / density) ** (1 / 3) * Id(3)
+        values = _initial_values(step, initial, F)
+        if rho_R is not None:
+            _check_density(rho_R, density, volume_ratio(step.model.material, values), sampler)
     _check_spaces(step, values, sampler)
     with TaskManager():
         step.state.vec[:] = 0.0
         parts["rho"].Set(density)
-        parts["z"].Set(components_of(step.model.material, values, dim))
+        parts["z"].Set(step.model.material.states(dim).components(values))
         if initial.velocity is not None:
             v_0 = as_vector(initial.velocity, dim, "Initial.velocity")
             sampler.require(inner(v_0, v_0), "|v_0|^2")
@@ -104,6 +123,8 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> None:
     warn_of_mismatch(step, sampler, values)
     step.state_old.vec.data = step.state.vec
     step.start_from_old()
+    known = distortion_of(step.model.material, values)
+    return F if known is None else known
 
 
 def _initial_values(step: Step, initial: Initial, F: CoefficientFunction) -> dict[str, CoefficientFunction]:
@@ -115,6 +136,18 @@ def _initial_values(step: Step, initial: Initial, F: CoefficientFunction) -> dic
     for name, value in initial.values.items():
         values[name] = _as_shape(f"Initial.values[{name!r}]", value, tuple(values[name].dims))
     return values
+
+
+def _check_density(
+    rho_R: float, density: CoefficientFunction, J: CoefficientFunction, sampler: Sampler
+) -> None:
+    """Raise InitialDataError unless rho_0 J_0 = rho_R."""
+    sampler.require(J, "material variables: J_0", minimum=0.0)
+    least, most = sampler.extrema(density * J / rho_R)
+    if max(abs(least - 1), abs(most - 1)) > _CONTRADICTION:
+        found = f"rho_0 J_0 from {least * rho_R:.7g} to {most * rho_R:.7g} kg/m^3"
+        expected = f"rho_R = {rho_R:.7g} there, or one of density and J only, from which the other follows"
+        raise InitialDataError("density rho_0", found, expected)
 
 
 def _as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> CoefficientFunction:
@@ -178,7 +211,7 @@ def complete(step: Step) -> None:
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     u, material, dim = step.now, step.model.material, step.mesh.dim
     if step.energy.projected is None:
-        parts["zeta"].Set(components_of(material, conjugates(material, u.z_tensors), dim))
+        parts["zeta"].Set(material.states(dim).components(conjugates(material, u.z_tensors)))
     else:
         step.eliminate.refresh()
         step.eliminate.projections["zeta"]()

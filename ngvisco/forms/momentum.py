@@ -25,7 +25,7 @@ from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.model import CentralGravity, Gravity, Load, as_vector
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import StokesViscosity
+from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import inner, square, sym
 
 
@@ -104,7 +104,7 @@ def carried_density(u: Fields, regularisation: Regularisation | None) -> Coeffic
 class Stokes(PointTerm):
     """int D eps(v) : eps(w) (paper: dissipation-pot)."""
 
-    viscosity: StokesViscosity
+    viscosity: Viscosity
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [inner(self.viscosity.stress(sym(u.L), u.z_tensors), w.L)]

@@ -20,14 +20,7 @@ from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
 from ngvisco.physics.arrays import Array, Linear
-from ngvisco.physics.material import (
-    Material,
-    component_count,
-    component_slices,
-    components_of,
-    creep_tensors,
-    tensors_of,
-)
+from ngvisco.physics.material import Material, creep_tensors
 from ngvisco.physics.model import Model
 from ngvisco.physics.pointwise import squares
 from ngvisco.physics.rheology import Creep
@@ -46,7 +39,7 @@ class RateTensors:
     @classmethod
     def of(cls, material: Material, dim: int, creep: Creep | None = None) -> RateTensors:
         """Read off from ``material.variables`` at z = 0 and at unit vectors of the components."""
-        n, space = component_count(material, dim), creep_tensors(creep, dim)
+        n, space = material.states(dim).size, creep_tensors(creep, dim)
         zero = _constant(np.zeros((3, 3)))
         directions = []
         for unit in np.eye(dim * dim):
@@ -56,12 +49,12 @@ class RateTensors:
         mesh, points = squares(1 + int(np.sqrt(n)))  # a square each for z = 0 and the unit vectors
         z = GridFunction(VectorValued(L2(mesh, order=0), n))
         z.vec.FV().NumPy().reshape(n, -1)[:, 1 : n + 1] = np.eye(n)
-        tensors = tensors_of(material, z, dim)
+        tensors = material.states(dim).tensors(lambda: z)
         constant = np.zeros((len(directions), n))
         linear = np.zeros((len(directions), n, n))
         for x, (L, Pi) in enumerate(directions):
             of_variables = {v.name: v.rate(tensors, L, Pi) for v in material.variables}
-            rates = np.asarray(components_of(material, of_variables, dim)(points)).reshape(-1, n).T
+            rates = np.asarray(material.states(dim).components(of_variables)(points)).reshape(-1, n).T
             constant[x] = rates[:, 0]
             linear[x] = rates[:, 1 : n + 1] - rates[:, :1]
         return cls(constant, linear, dim * dim)
@@ -125,8 +118,8 @@ class TabulatedRates:
         self._of_conjugates: np.ndarray | None = None
         if self.law is not None and self.law.weights[1]:
             assert model.material.conformation is not None
-            where = component_slices(model.material, dim)[model.material.conformation]
-            self._of_conjugates = np.zeros((self.tensors.creep_size, component_count(model.material, dim)))
+            where = model.material.states(dim).slices[model.material.conformation]
+            self._of_conjugates = np.zeros((self.tensors.creep_size, model.material.states(dim).size))
             columns = tensor_space("symmetric", dim).columns
             self._of_conjugates[:, where] = creep_tensors(self.law, dim).columns.T @ columns
 

@@ -106,6 +106,8 @@ class Step:
         terms: Sequence[Term] = (),
     ) -> None:
         check_mesh(mesh)
+        if model.viscosity is not None:
+            model.viscosity.require_dimension(mesh.dim)
         self.mesh, self.model = mesh, model
         self.discretisation = discretisation or Discretisation()
         self.walls = Walls(mesh, conditions)

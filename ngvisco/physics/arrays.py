@@ -1,28 +1,19 @@
-"""Energies at many points as arrays, and their derivatives by the chain rule backwards.
+"""Values at many points as arrays, with derivatives by the chain rule backwards and by complex increments.
 
-NGSolve's symbolic derivative of an energy takes 3 microseconds a point (neo-Hookean, 3D), because it is a
-tree of small tensor operations for each point.  Here every operation of ``Material.energy`` acts on all
-points at once and remembers how to carry derivatives back.  An energy can be written with coefficient
-functions' operations that have no counterpart here; it is then left to NGSolve (``array_slope``).
+``Array`` has the operations of coefficient functions that energies, laws and terms are written with
+(``ngvisco.physics.tensors``); each acts on all points at once and remembers how to carry derivatives back.
+``Linear`` stands for a test function: it has no value, and records what multiplies it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import count
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
-from ngvisco.physics.material import Material, component_count, component_slices
-from ngvisco.physics.tensors import tensor_space
-
-CHUNK = 2048
-"""Points at a time, so that what is made on the way stays in the processor's cache."""
-
 _number = count()
-
-Slope: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
 class Array:
@@ -167,6 +158,30 @@ class Array:
             raise TypeError("only scalars have a square root")
         root = np.sqrt(self.value)
         return Array(root, [(self, lambda g: 0.5 * g / root)])
+
+    def exp(self) -> Array:
+        """The exponential of scalars."""
+        if not self.is_scalar:
+            raise TypeError("only scalars have an exponential")
+        value = np.exp(self.value)
+        return Array(value, [(self, lambda g: g * value)])
+
+    def cofactor(self) -> Array:
+        """The cofactors of 3x3 tensors, (det A) A^-T."""
+        self._require_tensor()
+        return Array(0.5 * _cross(self.value, self.value), [(self, lambda g: _cross(self.value, g))])
+
+    def determinant(self) -> Array:
+        """The determinants of 3x3 tensors."""
+        self._require_tensor()
+        cofactor = 0.5 * _cross(self.value, self.value)
+        value = (self.value[0] * cofactor[0]).sum(axis=0)
+        return Array(value, [(self, lambda g: g * cofactor)])
+
+    @staticmethod
+    def constant(value: float | np.ndarray) -> Array:
+        """A number or one 3x3 tensor, which nothing is differentiated by."""
+        return _array(value)
 
     def where_positive(self, then: Any, otherwise: Any) -> Array:
         """``then`` where this scalar is > 0, ``otherwise`` elsewhere."""
@@ -405,36 +420,6 @@ def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:
     return [results.get(a.number, np.zeros(a.value.shape)) for a in arguments]
 
 
-def array_slope(material: Material, dim: int) -> Slope | None:
-    """phi'(z) for components z (n, points), by arrays; None where the energy does not allow for them."""
-    slices = component_slices(material, dim)
-    spaces = {variable.name: tensor_space(variable.kind, dim) for variable in material.variables}
-
-    def slope(z: np.ndarray) -> np.ndarray:
-        result = np.empty_like(z)
-        with np.errstate(invalid="ignore", divide="ignore"):  # NaN outside the energy's domain
-            for start in range(0, z.shape[1], CHUNK):
-                _slope(z[:, start : start + CHUNK], result[:, start : start + CHUNK])
-        return result
-
-    def _slope(z: np.ndarray, result: np.ndarray) -> None:
-        values = {}
-        for name, where in slices.items():
-            space = spaces[name]
-            part = z[where.start] if space.is_scalar else (space.columns @ z[where]).reshape(3, 3, -1)
-            values[name] = Array(part)
-        energy = material.energy(values)
-        for (name, where), g in zip(slices.items(), derivatives(energy, list(values.values())), strict=True):
-            result[where] = g if spaces[name].is_scalar else spaces[name].columns.T @ g.reshape(9, -1)
-
-    try:
-        with np.errstate(all="ignore"):  # the point need not be in the energy's domain
-            slope(np.ones((component_count(material, dim), 1)))
-    except Exception:  # whatever an energy raises at values that it does not know
-        return None
-    return slope
-
-
 def _array(value: Any) -> Array:
     if isinstance(value, Array):
         return value
@@ -443,6 +428,17 @@ def _array(value: Any) -> Array:
     if isinstance(value, np.ndarray) and value.ndim in (1, 2) and value.dtype.kind == "f":
         return Array(value[..., None], None)
     raise TypeError(f"{type(value).__name__} does not combine with arrays")
+
+
+def _cross(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """The symmetric bilinear map with _cross(A, A) = 2 Cof A; _cross(A, B) : C is that of any order."""
+    return _minors(A, B) + _minors(B, A)
+
+
+def _minors(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """A_jJ B_kK - A_jK B_kJ at (i, I), for (i, j, k) and (I, J, K) cyclic."""
+    one, two = (np.roll(np.arange(3), -1), np.roll(np.arange(3), -2))
+    return A[one][:, one] * B[two][:, two] - A[one][:, two] * B[two][:, one]
 
 
 def _same(g: np.ndarray) -> np.ndarray:

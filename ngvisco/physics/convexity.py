@@ -21,13 +21,7 @@ import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued
 
 from ngvisco.errors import ParameterError, as_integer, require_positive, require_type
-from ngvisco.physics.material import (
-    Material,
-    component_count,
-    components_of,
-    conjugates,
-    tensors_of,
-)
+from ngvisco.physics.material import Material, conjugates
 from ngvisco.physics.pointwise import squares
 from ngvisco.physics.tensors import tensor_space
 
@@ -166,12 +160,12 @@ class StateSampling:
     def __init__(self, material: Material, dim: int) -> None:
         self.material, self.dim = material, dim
         self.mesh, self.points = squares(_CELLS)
-        self.size = component_count(material, dim)
+        self.size = material.states(dim).size
         self.state = GridFunction(VectorValued(L2(self.mesh, order=0), self.size))
         self.response = material.response(dim)
         if self.response is None:
-            z = tensors_of(material, self.state, dim)
-            slope = components_of(material, conjugates(material, z), dim)
+            z = material.states(dim).tensors(lambda: self.state)
+            slope = material.states(dim).components(conjugates(material, z))
             self.outputs = CF((material.energy(z), slope)).Compile()
 
     def fitting_states(self, rng: np.random.Generator, spread: float) -> np.ndarray:
@@ -192,7 +186,7 @@ class StateSampling:
         _set(gf, F.reshape(len(F), 9))
         tensor = gf.Reshape((3, 3))
         values = {v.name: v.from_distortion(tensor) for v in self.material.variables}
-        return self._evaluate(components_of(self.material, values, self.dim))
+        return self._evaluate(self.material.states(self.dim).components(values))
 
     def changed(self, fitting: np.ndarray, rng: np.random.Generator, spread: float) -> np.ndarray:
         """The states with every variable changed on its own: the discrete ones do not fit exactly."""
@@ -264,7 +258,7 @@ class StateSampling:
     def named(self, components: np.ndarray) -> dict[str, np.ndarray]:
         """Components as scalars and 3x3 arrays by name."""
         constant = CF(tuple(float(c) for c in components))
-        tensors = tensors_of(self.material, constant, self.dim)
+        tensors = self.material.states(self.dim).tensors(lambda: constant)
         return {name: np.array(t(self.points[:1])).reshape(t.dims or ()) for name, t in tensors.items()}
 
     def _evaluate(self, f: CoefficientFunction) -> np.ndarray:

@@ -23,12 +23,12 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError
 from ngvisco.physics.rheology import Creep
+from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import (
     IDENTITY,
     TensorSpace,
     inner,
     symmetric_tensors,
-    tensor_space,
     trace_free_tensors,
 )
 from ngvisco.physics.variables import Values, Variable
@@ -70,6 +70,14 @@ class Material(ABC):
         return None
 
     @property
+    def referential_density(self) -> float | None:
+        """rho_R, kg/m^3, where the energy depends on rho = rho_R/J; None (the rule) where it does not.
+
+        The initial density and the initial J then belong together.
+        """
+        return None
+
+    @property
     def continued(self) -> frozenset[str]:
         """Names of variables whose bounds (``Variable.positive``) do not bind: the energy goes on beyond.
 
@@ -78,6 +86,10 @@ class Material(ABC):
         continued: J <= 0 means interpenetration.
         """
         return frozenset()
+
+    def states(self, dim: int) -> StateSpace:
+        """The space of the states, all components of the variables side by side, on meshes of ``dim``."""
+        return StateSpace.of(tuple(self.variables), dim)
 
     def response(self, dim: int) -> Respond | None:
         """None where ``energy`` is an expression (the rule); otherwise what replaces it.
@@ -184,51 +196,15 @@ def creep_tensors(creep: Creep | None, dim: int) -> TensorSpace:
     return symmetric_tensors(dim) if creep is not None and creep.has_trace else trace_free_tensors(dim)
 
 
-def component_slices(material: Material, dim: int) -> dict[str, slice]:
-    """Where every variable stands in the concatenated component vector, by name."""
-    slices, start = {}, 0
-    for variable in material.variables:
-        stop = start + tensor_space(variable.kind, dim).size
-        slices[variable.name] = slice(start, stop)
-        start = stop
-    return slices
+def volume_ratio(material: Material, z: Values) -> CoefficientFunction:
+    """J by the first scalar that has it, otherwise by the first tensor whose determinant depends on it.
 
-
-def component_count(material: Material, dim: int) -> int:
-    """Length of the concatenated component vector."""
-    return sum(tensor_space(v.kind, dim).size for v in material.variables)
-
-
-def tensors_of(
-    material: Material, components: CoefficientFunction, dim: int
-) -> dict[str, CoefficientFunction]:
-    """Values (scalars or 3x3) by name from the concatenated component vector of all variables."""
-    slices, size = component_slices(material, dim), component_count(material, dim)
-    values: dict[str, CoefficientFunction] = {}
-    for variable in material.variables:
-        where = slices[variable.name]
-        space = tensor_space(variable.kind, dim)
-        if space.is_scalar:
-            values[variable.name] = components[where.start]
-            continue
-        # one constant matrix that selects and embeds: far cheaper to linearise than component sums
-        matrix = np.zeros((9, size))
-        matrix[:, where] = space.columns
-        values[variable.name] = (_constant(matrix) * components).Reshape((3, 3))
-    return values
-
-
-def components_of(material: Material, values: Values, dim: int) -> CoefficientFunction:
-    """The concatenated component vector of values by name (orthogonal projection)."""
-    slices, size = component_slices(material, dim), component_count(material, dim)
-    total = CF(tuple([0.0] * size))
-    for variable in material.variables:
-        space = tensor_space(variable.kind, dim)
-        value = values[variable.name]
-        matrix = np.zeros((size, 1 if space.is_scalar else 9))
-        matrix[slices[variable.name]] = 1.0 if space.is_scalar else space.columns.T
-        total = total + _constant(matrix) * (CF((value,)) if space.is_scalar else value.Reshape((9,)))
-    return total
+    The material must have such a variable, as every one at finite strain has.
+    """
+    variables = sorted(material.variables, key=lambda v: v.kind != "scalar")
+    found = (v.volume_ratio(z[v.name]) for v in variables)
+    power, exponent = next(ratio for ratio in found if ratio is not None and abs(ratio[1]) > 1e-12)
+    return power ** (1 / exponent)
 
 
 def _constant(array: np.ndarray) -> CoefficientFunction:

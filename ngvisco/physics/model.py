@@ -13,7 +13,7 @@ from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 from ngvisco.errors import ParameterError, _is_number, as_number, require_number, require_positive
 from ngvisco.physics.material import ElasticState, Material, check_material
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.physics.rheology import Creep, HyperViscosity, Viscosity
 from ngvisco.physics.state_function import check_energy
 
 VectorLike: TypeAlias = CoefficientFunction | Sequence[float | CoefficientFunction]
@@ -103,7 +103,7 @@ class Model:
     material : Material
         Isotropic ones at finite strain that leave ``elastic_state`` open are by B = F F^T where there is
         creep, by F where there is none.
-    viscosity : StokesViscosity, optional
+    viscosity : StokesViscosity or LinearViscosity, optional
     hyperviscosity : HyperViscosity, optional
     creep : Creep, optional
         None (default) is the Kelvin-Voigt rheology, otherwise Jeffreys in the deviatoric part.
@@ -121,7 +121,7 @@ class Model:
     """
 
     material: Material
-    viscosity: StokesViscosity | None = None
+    viscosity: Viscosity | None = None
     hyperviscosity: HyperViscosity | None = None
     creep: Creep | None = None
     loads: tuple[Load, ...] = field(default=())
@@ -130,14 +130,15 @@ class Model:
     def __post_init__(self) -> None:
         for name, kind in (
             ("material", Material),
-            ("viscosity", StokesViscosity),
+            ("viscosity", Viscosity),
             ("hyperviscosity", HyperViscosity),
             ("creep", Creep),
             ("regularisation", Regularisation),
         ):
             value = getattr(self, name)
             if not (isinstance(value, kind) or (value is None and name != "material")):
-                raise ParameterError(f"Model.{name}", value, f"a {kind.__name__}")
+                expected = _EXPECTED.get(name, f"a {kind.__name__}")
+                raise ParameterError(f"Model.{name}", value, expected)
         if not isinstance(self.loads, (tuple, list)):
             raise ParameterError("Model.loads", self.loads, "a sequence of Gravity or BodyForce objects")
         object.__setattr__(self, "loads", tuple(self.loads))
@@ -155,6 +156,9 @@ class Model:
         state = default_elastic_state(self.creep)
         object.__setattr__(self, "material", self.material.with_elastic_state(state))
         check_energy(self.material)
+
+
+_EXPECTED = {"viscosity": "a StokesViscosity or a LinearViscosity"}
 
 
 def default_elastic_state(creep: Creep | None) -> ElasticState:

@@ -1,6 +1,6 @@
 """Energies and their first two derivatives for many states at once, as arrays.
 
-A state is the vector of all components of a material's variables (see ``component_slices``).  A material
+A state is the vector of all components of a material's variables (``StateSpace``).  A material
 whose energy has no expression, such as a Yosida approximation, supplies a ``Respond`` in its place.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from ngsolve import CF, ET, L2, VOL, GridFunction, IntegrationRule, VectorValued
 from ngsolve.meshes import MakeStructured2DMesh
 
-from ngvisco.physics.material import Material, component_count, components_of, tensors_of
+from ngvisco.physics.material import Material
 from ngvisco.physics.tensors import tensor_space
 
 _CELLS = 64  # squares a side of the mesh on which a batch of states is evaluated
@@ -76,7 +76,7 @@ def energies_at(material: Material, F: np.ndarray, dim: int) -> np.ndarray:
     response = material.response(dim)
     with np.errstate(all="ignore"):
         if response is not None:
-            states = np.asarray(components_of(material, z, dim)(points)).reshape(len(points), -1)
+            states = np.asarray(material.states(dim).components(z)(points)).reshape(len(points), -1)
             return response(states[: len(F)]).energy
         return np.asarray(material.energy(z)(points)).reshape(-1)[: len(F)]
 
@@ -90,10 +90,10 @@ class ExpressionResponse:
     """The response of a material that has an expression, by NGSolve's symbolic derivatives."""
 
     def __init__(self, material: Material, dim: int) -> None:
-        self.size = component_count(material, dim)
+        self.size = material.states(dim).size
         self.mesh, self.points = squares(_CELLS)
         self.state = GridFunction(VectorValued(L2(self.mesh, order=0), self.size))
-        variables = tensors_of(material, self.state, dim)
+        variables = material.states(dim).tensors(lambda: self.state)
         z = {name: value.MakeVariable() for name, value in variables.items()}
         phi = material.energy(z)
         slopes = [phi.Diff(value) for value in z.values()]

@@ -1,13 +1,17 @@
-"""Dissipative mechanisms: Stokes viscosity, hyperviscosity, Maxwellian creep."""
+"""Dissipative mechanisms: Stokes-type viscosity, hyperviscosity, Maxwellian creep."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from functools import cached_property
+from typing import Any, Literal, TypeAlias
 
+import numpy as np
 from ngsolve import CoefficientFunction
+from numpy.typing import ArrayLike
 
 from ngvisco.errors import (
     ParameterError,
@@ -16,7 +20,18 @@ from ngvisco.errors import (
     require_nonnegative,
     require_positive,
 )
-from ngvisco.physics.tensors import Scalar, dev, identity_like, power_of_square, square, tr
+from ngvisco.physics.fourth_order import Notation, full_tensor, mandel_matrix, require_semidefinite
+from ngvisco.physics.tensors import (
+    Scalar,
+    dev,
+    identity_like,
+    inner,
+    linear_map,
+    power_of_square,
+    sph,
+    square,
+    tr,
+)
 
 Values: TypeAlias = Mapping[str, CoefficientFunction]
 """Values of a material's variables at a point, by name."""
@@ -25,8 +40,32 @@ Modulus: TypeAlias = float | CoefficientFunction
 """A number, or what an expression of values gives at every point."""
 
 
+class Viscosity(ABC):
+    """A viscous stress D eps, linear in the strain rate, with D symmetric and positive semidefinite."""
+
+    K_v: float
+    G_v: float
+    """Bulk and shear viscosity, Pa s, of the isotropic part of D."""
+
+    @abstractmethod
+    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """D eps, 3x3, Pa, for the strain rate eps(v), 3x3, 1/s, at a point with the values ``z``."""
+
+    def bulk_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """D eps : sph eps, W/m^3: the power of the viscous pressure."""
+        return inner(self.stress(eps, z), sph(eps))
+
+    def shear_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """D eps : dev eps, W/m^3; with ``bulk_dissipation`` this is D eps : eps >= 0."""
+        return inner(self.stress(eps, z), dev(eps))
+
+    def require_dimension(self, dim: int) -> None:
+        """Raise ParameterError where the stress of plane flows is none of plane strain."""
+        return None
+
+
 @dataclass(frozen=True, kw_only=True)
-class StokesViscosity:
+class StokesViscosity(Viscosity):
     """D eps = K_v (tr eps) I + 2 G_v dev eps (paper: dissipation-pot, Euler-small-ass-D).
 
     Parameters
@@ -57,6 +96,78 @@ class StokesViscosity:
     def shear_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
         """2 G_v |dev eps|^2, W/m^3."""
         return 2 * self.moduli(z)[1] * square(dev(eps))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearViscosity(Viscosity):
+    """D eps for any linear, symmetric, positive semidefinite D (paper: Euler-small-ass-D).
+
+    D is constant in the actual frame: directions that it prefers are those of space, not of the matter, and
+    do not turn with it.  Both parts of the ledger's viscous dissipation can be of either sign where D couples
+    sph eps with dev eps; their sum is D eps : eps >= 0.
+
+    Example::
+
+        import ngvisco as nv
+
+        # slow along x_1: a fluid with layers across it
+        D = [[3, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0],
+             [0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]]
+        law = nv.LinearViscosity(D=D, notation="mandel")
+        print(law.K_v, law.G_v)
+
+    Parameters
+    ----------
+    D : array_like
+        (6, 6) or (3, 3, 3, 3), Pa s.
+    notation : str
+        ``"mandel"``, ``"voigt"`` or ``"tensor"``, see ``ngvisco.physics.fourth_order``.  Indices of the 6x6
+        ones are 11, 22, 33, 23, 13, 12.  An isotropic D has D_11 = K_v + 4/3 G_v in both, and D_44 = G_v in
+        Voigt's, 2 G_v in Mandel's.
+
+    Raises
+    ------
+    ParameterError
+        For another shape, what is not finite, and a D that is not symmetric (with the entries) or not
+        positive semidefinite (with the strain rate that shows it).
+    """
+
+    D: ArrayLike
+    notation: Notation
+
+    def __post_init__(self) -> None:
+        require_choice(self, ("mandel", "voigt", "tensor"), notation=self.notation)
+        mandel = mandel_matrix("LinearViscosity.D", self.D, self.notation)
+        require_semidefinite("LinearViscosity.D", self.D, mandel)
+        object.__setattr__(self, "D", _as_tuples(np.asarray(self.D, dtype=float)))
+
+    @cached_property
+    def mandel(self) -> np.ndarray:
+        """D in Mandel's notation, (6, 6), Pa s."""
+        return mandel_matrix("LinearViscosity.D", self.D, self.notation)
+
+    @property
+    def K_v(self) -> float:  # type: ignore[override]
+        """Bulk viscosity of the isotropic part: the mean pressure of eps = I over tr eps, Pa s."""
+        return float(self.mandel[:3, :3].sum()) / 9
+
+    @property
+    def G_v(self) -> float:  # type: ignore[override]
+        """Shear viscosity of the isotropic part: half the mean of D over deviatoric eps of size 1, Pa s."""
+        return (float(np.trace(self.mandel)) - 3 * self.K_v) / 10
+
+    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+        return linear_map(full_tensor(self.mandel).reshape(9, 9), eps, (3, 3))
+
+    def require_dimension(self, dim: int) -> None:
+        out_of_plane = full_tensor(self.mandel)[:2, 2, :2, :2]
+        if dim == 2 and np.abs(out_of_plane).max() > 0:
+            expected = "no stress D_13kl, D_23kl of plane strain rates on a mesh of two dimensions"
+            raise ParameterError("LinearViscosity.D", self.D, expected)
+
+
+def _as_tuples(array: np.ndarray) -> Any:
+    return tuple(map(_as_tuples, array)) if array.ndim else float(array)
 
 
 @dataclass(frozen=True, kw_only=True)

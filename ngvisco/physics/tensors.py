@@ -17,7 +17,7 @@ from typing import TypeVar
 
 import ngsolve
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Id, IfPos, InnerProduct, Trace
+from ngsolve import CF, CoefficientFunction, Cof, Det, Id, IfPos, InnerProduct, Trace
 
 IDENTITY = Id(3)
 
@@ -74,6 +74,21 @@ def sqrt(a: CoefficientFunction) -> CoefficientFunction:
     return a.sqrt() if hasattr(a, "sqrt") else ngsolve.sqrt(a)
 
 
+def exp(a: CoefficientFunction) -> CoefficientFunction:
+    """Exponential of a scalar."""
+    return a.exp() if hasattr(a, "exp") else ngsolve.exp(a)
+
+
+def det(A: CoefficientFunction) -> CoefficientFunction:
+    """Determinant of a 3x3 tensor."""
+    return A.determinant() if hasattr(A, "determinant") else Det(A)
+
+
+def cof(A: CoefficientFunction) -> CoefficientFunction:
+    """Cofactor of a 3x3 tensor, (det A) A^-T where A is invertible."""
+    return A.cofactor() if hasattr(A, "cofactor") else Cof(A)
+
+
 def linear_map(matrix: np.ndarray, A: CoefficientFunction, shape: tuple[int, ...]) -> CoefficientFunction:
     """A constant matrix times the entries of A, row by row, as a vector or matrix of ``shape``."""
     if hasattr(A, "mapped"):
@@ -100,7 +115,7 @@ def log_det(A: CoefficientFunction) -> CoefficientFunction:
 
 
 def if_positive(
-    a: CoefficientFunction, then: CoefficientFunction, otherwise: CoefficientFunction | float
+    a: CoefficientFunction, then: CoefficientFunction | float, otherwise: CoefficientFunction | float
 ) -> CoefficientFunction:
     """``then`` where a > 0, ``otherwise`` elsewhere."""
     return a.where_positive(then, otherwise) if hasattr(a, "where_positive") else IfPos(a, then, otherwise)

@@ -62,5 +62,5 @@ class FacetMass:
         size = self.unknowns.shape[1]
         rows = np.repeat(self.unknowns, size, axis=1).ravel()
         columns = np.tile(self.unknowns, (1, size)).ravel()
-        n = self._pattern.n
+        n = self._pattern.size
         return sp.csr_matrix((self.inverses.ravel(), (rows, columns)), shape=(n, n))

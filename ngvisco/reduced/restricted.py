@@ -33,13 +33,11 @@ class RestrictedForm:
             step.quadrature.add(self.form, term.form(u, w))
         self.at = GridFunction(self.space)
         self._rows = self.at.vec.CreateVector()
-        self.state = step.state.vec.FV().NumPy()
         self.free = mask_of(self.space.FreeDofs())
 
     def _load(self) -> None:
-        self.at.vec.FV().NumPy()[:] = np.concatenate(
-            [self.state[self.step.layout.ranges[name]] for name in self.names]
-        )
+        state, ranges = self.step.state.vec.FV().NumPy(), self.step.layout.ranges
+        self.at.vec.FV().NumPy()[:] = np.concatenate([state[ranges[name]] for name in self.names])
 
     def residual(self) -> np.ndarray:
         """The rows at the present state, block after block."""

@@ -9,7 +9,8 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.forms.points import CellPoints
 from ngvisco.forms.system import Step
-from ngvisco.physics.arrays import array_slope, slope_along
+from ngvisco.physics.array_slope import array_slope
+from ngvisco.physics.arrays import slope_along
 from ngvisco.physics.material import conjugates
 from ngvisco.physics.pointwise import respond
 
@@ -20,14 +21,14 @@ class PointwiseSlope:
     def __init__(self, step: Step, points: CellPoints) -> None:
         self.material, self.dim = material, dim = step.model.material, step.mesh.dim
         states = step.layout.states
-        self.n, self.points = states.size, points
+        self.components, self.points = states.size, points
         self.response = self._curvature = material.response(dim)
         if self.response is not None:
             return
         self.arrays, self.is_checked = array_slope(material, dim), False
-        self.at, self.slope = points.function(self.n), points.function(self.n)
+        self.at, self.slope = points.function(self.components), points.function(self.components)
         expression = states.components(conjugates(material, states.tensors(lambda: self.at)))
-        if self.n == 1:
+        if self.components == 1:
             expression = CF((expression[0], 0.0))
         self.expression: CoefficientFunction = expression.Compile()
 
@@ -60,6 +61,6 @@ class PointwiseSlope:
         return lambda dz: np.einsum("pnm,mp->np", hessian, dz)
 
     def _by_expression(self, z_values: np.ndarray) -> np.ndarray:
-        self.points.read(self.at, self.n)[:] = z_values
+        self.points.read(self.at, self.components)[:] = z_values
         self.slope.Interpolate(self.expression)
-        return self.points.read(self.slope, self.n).copy()
+        return self.points.read(self.slope, self.components).copy()

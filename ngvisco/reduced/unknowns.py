@@ -28,7 +28,7 @@ class Unknowns:
         self.ranges = layout.ranges
         sizes = {name: layout.unknowns[name].size for name in self.names}
         self.components = {name: size for name, size in sizes.items() if size is not None}
-        self.state = step.state.vec.FV().NumPy()
+        self._step = step
         self.slices: dict[str, slice] = {}
         start = 0
         for name in self.names:
@@ -42,6 +42,11 @@ class Unknowns:
 
     def _joint(self, names: list[str]) -> slice:
         return slice(self.slices[names[0]].start, self.slices[names[-1]].stop)
+
+    @property
+    def state(self) -> np.ndarray:
+        """The coefficients of the step's state, for reading and writing; nothing keeps this view."""
+        return self._step.state.vec.FV().NumPy()
 
     def pack(self) -> np.ndarray:
         """A copy of the iterated unknowns of the state."""

@@ -10,6 +10,7 @@ from ngvisco.errors import UnknownNameError
 from ngvisco.forms.system import Step
 from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import dev, square, tr
+from ngvisco.run.further_fields import further_fields, usual
 from ngvisco.run.scales import rest_pressure
 
 USUAL = ("density", "J", "velocity", "pressure", "von_mises")
@@ -20,7 +21,7 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
     """Velocity, density, variables, Cauchy stress, pressure and von Mises stress at the new state.
 
     ``pressure_from_rest`` is the pressure less that of the material at rest, F = I, whose stress phi(I) I
-    a body of a fixed shape does not feel.
+    a body of a fixed shape does not feel.  Those of ``ngvisco.run.further_fields`` follow.
     """
     u, material = step.now, step.model.material
     T = cauchy_stress(material, u.z_tensors, u.zeta_tensors, step.energy.anywhere(u))
@@ -32,13 +33,14 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
         "pressure": (-1 / 3) * tr(T),
         "pressure_from_rest": (-1 / 3) * tr(T) - rest_pressure(material, step.mesh.dim),
         "von_mises": sqrt(1.5 * square(dev(T))),
+        **further_fields(step, T),
     }
 
 
 def scalar_fields(
     fields: Mapping[str, CoefficientFunction], names: Sequence[str] | None = None
 ) -> dict[str, CoefficientFunction]:
-    """Scalars to be drawn: of a vector its modulus or ``NAME_i``, of a tensor the component ``NAME_ij``.
+    """Scalars to be drawn: of a vector or a tensor its norm, or a component ``NAME_i``, ``NAME_ij``.
 
     Parameters
     ----------
@@ -49,7 +51,7 @@ def scalar_fields(
     """
     known = {}
     for name, value in fields.items():
-        if 1 < value.dim <= 3:
+        if value.dim > 1:
             known[name] = sqrt(square(value))
     known |= components(fields)
     if names is None:
@@ -68,7 +70,7 @@ def components(fields: Mapping[str, CoefficientFunction]) -> dict[str, Coefficie
 def component_fields(
     fields: Mapping[str, CoefficientFunction], names: Sequence[str] | None = None
 ) -> dict[str, CoefficientFunction]:
-    """The components of the named fields, or single components by their names; default all.
+    """The components of the named fields, or single components by their names; default the usual fields.
 
     Raises
     ------
@@ -77,7 +79,7 @@ def component_fields(
     """
     every = components(fields)
     chosen: dict[str, CoefficientFunction] = {}
-    for name in fields if names is None else names:
+    for name in usual(fields) if names is None else names:
         if name in fields:
             chosen |= _parts(name, fields[name])
         elif name in every:
@@ -104,6 +106,11 @@ def field_unit(name: str) -> str:
         "pressure_from_rest": "Pa",
         "von_mises": "Pa",
         "cauchy_stress": "Pa",
+        "creep_rate": "1/s",
+        "mandel_stress": "Pa",
+        "viscous_stress": "Pa",
+        **dict.fromkeys(("hyperstress", "hyperstress_1", "hyperstress_2", "hyperstress_3"), "Pa m"),
+        "principal_stresses": "Pa",
         "displacement": "m",
         "reference_map": "m",
     }

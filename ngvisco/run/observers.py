@@ -29,6 +29,7 @@ from ngvisco.errors import (
 )
 from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.files import append, write_atomically
+from ngvisco.run.further_fields import usual
 from ngvisco.run.vtk import write_vtu
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ class VTKSeries:
     every : int
         Write every so many steps, besides the first and the last state; None: only at ``times``.
     fields : sequence of str, optional
-        Names out of ``simulation.fields``; default all.
+        Names out of ``simulation.fields``; default all but those of ``ngvisco.run.further_fields``.
     subdivision : int
         Bisections of every cell for output (fields are linear in the pieces), >= 0.
     times : sequence of float
@@ -175,7 +176,7 @@ class VTKSeries:
         for name in self.names or ():
             if name not in available:
                 raise UnknownNameError("field", name, available)
-        self._fields = {name: available[name] for name in self.names or available}
+        self._fields = {name: available[name] for name in self.names or usual(available)}
         self.directory.mkdir(parents=True, exist_ok=True)
         self.written = [
             (time, name) for time, name in read_pvd(self._pvd) if time < simulation.t * (1 - 1e-12)

@@ -2,9 +2,12 @@
 
 | name          | equation                                              | start |
 |---------------|-------------------------------------------------------|-------|
-| F_tot         | dt F + (v . grad) F = (grad v) F, total deformation   | I     |
+| F_tot         | dt F + (v . grad) F = (grad v) F, total deformation   | F_0   |
 | reference_map | dt xi + (v . grad) xi = 0, where a point came from, m | x     |
 | creep_strain  | dt kappa + (v . grad) kappa = sqrt(2/3) |Pi|          | 0     |
+
+F_0 is the initial elastic distortion: what was there of creep is not known, and F_tot is F as long as none
+follows.  On meshes of two dimensions its entry F_33 is carried as a scalar where it is not 1.
 
 Each stage of the scheme is a linear problem with the stage's velocity, implicit Euler from the combination of
 earlier stages that the scheme prescribes, with upwinding by traces on discontinuous P_k, k the velocity's
@@ -43,7 +46,7 @@ from ngsolve.krylovspace import GMRESSolver
 
 from ngvisco.errors import CheckpointError, StepError, UnknownNameError
 from ngvisco.forms.system import Step
-from ngvisco.physics.tensors import inner, square
+from ngvisco.physics.tensors import IDENTITY, inner, square
 
 TOLERANCE, ENOUGH, ITERATIONS = 1e-12, 1e-9, 200
 """Of the linear systems: what is asked for, what is accepted where rounding is in the way, and how long."""
@@ -59,6 +62,8 @@ class PassiveFields:
     step : Step
     names : sequence of str
         Some of ``NAMES``.
+    F_0 : 3x3 coefficient function
+        What F_tot starts from.
 
     Raises
     ------
@@ -66,7 +71,7 @@ class PassiveFields:
         For any other name.
     """
 
-    def __init__(self, step: Step, names: Sequence[str]) -> None:
+    def __init__(self, step: Step, names: Sequence[str], F_0: CoefficientFunction = IDENTITY) -> None:
         for name in names:
             if name not in NAMES:
                 raise UnknownNameError("passive field", name, NAMES)
@@ -79,9 +84,11 @@ class PassiveFields:
         if "F_tot" in self.names:
             self._add_group("F_tot", dim, _Carrier(step, True, step.now.grad_v))
             for j in range(dim):
-                unit = CF(tuple(float(i == j) for i in range(dim)))
-                self._parts[f"F_tot_{j + 1}"].Set(unit)
+                self._parts[f"F_tot_{j + 1}"].Set(CF(tuple(F_0[i, j] for i in range(dim))))
         flow = _Carrier(step, False, None)
+        if "F_tot" in self.names and dim == 2 and _differs_from_one(F_0[2, 2], step):
+            self._add_group("F_tot_33", 1, flow)
+            self._parts["F_tot_33_1"].Set(F_0[2, 2])
         if "reference_map" in self.names:
             self._add_group("displacement", dim, flow)
             for i in range(dim):
@@ -112,6 +119,8 @@ class PassiveFields:
         if "F_tot" in self.names:
             columns = [parts[f"F_tot_{j + 1}"] for j in range(dim)]
             rows = [[columns[j][i] if max(i, j) < dim else float(i == j) for j in range(3)] for i in range(3)]
+            if "F_tot_33_1" in parts:
+                rows[2][2] = parts["F_tot_33_1"]
             result["F_tot"] = CF(tuple(entry for row in rows for entry in row), dims=(3, 3))
         if "reference_map" in self.names:
             moved = [parts[f"displacement_{i + 1}"] for i in range(dim)]
@@ -158,6 +167,11 @@ class PassiveFields:
             if key not in arrays or arrays[key].shape != (len(field.vec),):
                 raise CheckpointError(f"passive field {key}: missing in the checkpoint, or of another size")
             field.vec.FV().NumPy()[:] = arrays[key]
+
+
+def _differs_from_one(f: CoefficientFunction, step: Step) -> bool:
+    gap = f - 1
+    return float(step.quadrature.integrate_cells(gap * gap)) > 0
 
 
 def _combined(weights: np.ndarray, stages: Sequence[Mapping[str, np.ndarray]], key: str) -> np.ndarray:

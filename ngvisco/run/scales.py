@@ -10,7 +10,7 @@ import numpy as np
 from ngsolve import CF, Integrate
 
 from ngvisco.forms.mesh_arrays import coordinates
-from ngvisco.physics.material import Material, cauchy_stress, components_of, tensors_of
+from ngvisco.physics.material import Material, cauchy_stress
 from ngvisco.physics.pointwise import squares
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler
 
@@ -158,13 +158,13 @@ def _stress(material: Material, F: np.ndarray, dim: int) -> np.ndarray:
     at = squares(1)[1]
     values = {v.name: v.from_distortion(CF(tuple(F.ravel()), dims=(3, 3))) for v in material.variables}
     # constants of their own: derivatives by one variable must not see it within another
-    state = np.asarray(CF(components_of(material, values, dim))(at)).reshape(1, -1)
-    z = tensors_of(material, CF(tuple(float(c) for c in state[0])), dim)
+    state = np.asarray(CF(material.states(dim).components(values))(at)).reshape(1, -1)
+    z = material.states(dim).tensors(lambda: CF(tuple(float(c) for c in state[0])))
     respond, phi, zeta = material.response(dim), None, None
     if respond is not None:
         answer = respond(state)
         phi = CF(float(answer.energy[0]))
-        zeta = tensors_of(material, CF(tuple(float(c) for c in answer.slope[0])), dim)
+        zeta = material.states(dim).tensors(lambda: CF(tuple(float(c) for c in answer.slope[0])))
     return np.asarray(cauchy_stress(material, z, zeta, phi)(at)).reshape(3, 3)
 
 

@@ -182,7 +182,7 @@ class Simulation:
         self.observers = list(observers)
         self.t, self.number = 0.0, 0
         try:
-            set_initial(self.rothe_step, initial or Initial(), self.sampler)
+            F_0 = set_initial(self.rothe_step, initial or Initial(), self.sampler)
         except InitialDataError:
             self._check_convexity(None)  # it may be the reason
             raise
@@ -196,7 +196,7 @@ class Simulation:
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.closure_check = ClosureCheck(options.tolerance)
         self.bounds = Bounds(self.rothe_step, self.sampler, limiter)
-        self.passive = PassiveFields(self.rothe_step, passive)
+        self.passive = PassiveFields(self.rothe_step, passive, F_0)
         self.integrator = Integrator(
             self.solver,
             chosen,
@@ -266,8 +266,9 @@ class Simulation:
         """Velocity, density, the material's variables and stresses at the present time.
 
         ``velocity`` has the mesh's dimension, tensors are 3x3; ``cauchy_stress`` is the elastic one,
-        T of the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all Pa.  The passive
-        fields of the run follow under their names.
+        T of the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all Pa.  Creep rate,
+        Mandel, viscous and hyperstress, principal stresses and stretches follow as far as the model has
+        them (``ngvisco.run.further_fields``), and the passive fields of the run under their names.
         """
         self.rothe_step.eliminate.refresh()
         return {**output_fields(self.rothe_step), **self.passive.fields}

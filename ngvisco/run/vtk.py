@@ -51,7 +51,8 @@ def _label_components(path: Path, fields: dict[str, CoefficientFunction]) -> Non
     head, mark, tail = path.read_bytes().partition(b"<AppendedData")
     text = head.decode()
     for name, value in fields.items():
-        labels = {3: ["x", "y", "z"], 9: [f"{i}{j}" for i in "123" for j in "123"]}.get(value.dim, [])
+        axes = ["1", "2", "3"] if name.startswith("principal") else ["x", "y", "z"]
+        labels = {3: axes, 9: [f"{i}{j}" for i in "123" for j in "123"]}.get(value.dim, [])
         attributes = "".join(f' ComponentName{i}="{label}"' for i, label in enumerate(labels))
         text = text.replace(f'Name="{name}" ', f'Name="{name}"{attributes} ')
     path.write_bytes(text.encode() + mark + tail)

@@ -42,13 +42,13 @@ class Frame:
         return self.cells.shape[1] - 1
 
     def scalar(self, name: str) -> np.ndarray:
-        """A scalar at the points: of a vector its modulus or ``NAME_i``, of a tensor ``NAME_ij``.
+        """A scalar at the points: of a vector or a tensor its norm, or a component ``NAME_i``, ``NAME_ij``.
 
         Raises
         ------
         UnknownNameError
         """
-        if name in self.fields and self.fields[name].shape[1] <= 3:
+        if name in self.fields:
             values = self.fields[name]
             return values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1)
         whole, _, index = name.rpartition("_")
@@ -67,7 +67,7 @@ class Frame:
             for part in {
                 1: [name],
                 3: [name, *(f"{name}_{i}" for i in "123")],
-                9: [f"{name}_{i}{j}" for i in "123" for j in "123"],
+                9: [name, *(f"{name}_{i}{j}" for i in "123" for j in "123")],
             }[values.shape[1]]
         ]
 

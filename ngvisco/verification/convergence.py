@@ -64,13 +64,14 @@ def coupled_rates(
     *,
     regularised: bool = False,
     delta: bool = True,
+    nu: float = 0.0,
     tau: float = 0.05,
     steps: int = 2,
 ) -> RateTable:
     """The whole system: creep, gravity, viscosity, hyperviscosity (unless p is None), and delta- and
-    epsilon-terms if ``regularised``, without delta if not ``delta``; errors in L2 after ``steps`` steps,
-    space only."""
-    system = model(kind, dim, p, regularised, delta)
+    epsilon-terms if ``regularised``, without delta if not ``delta``; creep's gradient with nu > 0; errors in
+    L2 after ``steps`` steps, space only."""
+    system = model(kind, dim, p, regularised, delta, nu)
     terms = (", all terms" if delta else ", all terms but delta") if regularised else ""
     table = RateTable(f"coupled, {kind}, {dim}D, p = {p}, k = {k}, m = {m}{terms}")
     for h, mesh in refinements(dim, maxh, levels):
@@ -91,13 +92,16 @@ def coupled_rates(
 
 
 def errors(simulation: Simulation, exact: Exact) -> dict[str, float]:
-    """L2 errors of v, rho and z."""
+    """L2 errors of v, rho and z, and of Pi where it is a field of its own."""
     u, mesh = simulation.rothe_step.now, simulation.mesh
-    return {
+    found = {
         "v": distance(u.v, exact.v, mesh),
         "rho": distance(u.rho, exact.rho, mesh),
         "z": distance(u.z, exact.z, mesh),
     }
+    if "Pi" in u.parts:
+        found["Pi"] = distance(u.Pi, exact.Pi, mesh)
+    return found
 
 
 def free_solution(

@@ -13,8 +13,15 @@ import numpy as np
 from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.forms.context import time
-from ngvisco.physics.material import tensors_of
-from ngvisco.verification.manufactured import NUMERIC, density, distortion, jacobian, strain, velocity
+from ngvisco.verification.manufactured import (
+    NUMERIC,
+    creep_rate,
+    density,
+    distortion,
+    jacobian,
+    strain,
+    velocity,
+)
 from ngvisco.verification.sources import Sources
 
 _OFFSETS = np.array([-4, -3, -2, -1, 1, 2, 3, 4])
@@ -47,6 +54,8 @@ class Coefficients:
     mu: float = 0.0
     p: float = 2.0
     R: float = 0.0
+    nu: float = 0.0
+    """Of the creep rate's 4-Laplacian; where it is 0, Pi = R M."""
     g: float = 0.0
     """Second component of gravity."""
     delta: float = 0.0
@@ -130,14 +139,28 @@ class FiniteDifferences:
         return 2 * c.G_e * F @ np.swapaxes(F, -1, -2) / J ** (2 / 3) + (J * phi_J + phi) * identity
 
     def creep(self, X: np.ndarray) -> np.ndarray:
-        """Pi = R dev S for E; R sym dev(F^T S_F), S_F = 2 G J^{-2/3} F, for F."""
+        """Pi = R M, or the exact field."""
+        return self.matrix(creep_rate, self.t)(X) if self.c.nu else self.c.R * self.mandel(X)
+
+    def flow_rule(self, X: np.ndarray) -> np.ndarray:
+        """Pi/R - nu div(|grad Pi|^2 grad Pi) - M."""
+        Pi = self.matrix(creep_rate, self.t)
+
+        def flux(Y: np.ndarray) -> np.ndarray:
+            slope = np.stack([difference(Pi, j)(Y) for j in range(self.dim)], axis=-1)
+            return self.c.nu * np.sum(slope**2, axis=(-3, -2, -1), keepdims=True) * slope
+
+        return Pi(X) / self.c.R - self.divergence(flux, X) - self.mandel(X)
+
+    def mandel(self, X: np.ndarray) -> np.ndarray:
+        """M = dev S for E; sym dev(F^T S_F), S_F = 2 G J^{-2/3} F, for F."""
         c, identity = self.c, np.eye(3)
         if self.kind == "linear":
             M = 2 * c.G_e * self.matrix(strain, self.t)(X)
         else:
             F, J = self.matrix(distortion, self.t)(X), self.scalar(jacobian, self.t)(X)[..., None, None]
             M = 2 * c.G_e * np.swapaxes(F, -1, -2) @ F / J ** (2 / 3)
-        return c.R * (M - np.trace(M, axis1=-2, axis2=-1)[..., None, None] / 3 * identity)
+        return np.asarray(M - np.trace(M, axis1=-2, axis2=-1)[..., None, None] / 3 * identity)
 
     def kinematics(self, X: np.ndarray) -> dict[str, np.ndarray]:
         """Residuals of the equations of E, or of F and J."""
@@ -212,8 +235,10 @@ def mismatch(c: Coefficients, sources: Sources, kind: str, t: float, mesh: Mesh)
         "momentum": independent.momentum(X),
         **independent.kinematics(X),
     }
-    rates = tensors_of(sources.model.material, sources.kinematics, dim)
+    rates = sources.model.material.states(dim).tensors(lambda: sources.kinematics)
     given = {"continuity": sources.continuity, "momentum": sources.momentum, **rates}
+    if sources.creep is not None:
+        expected["Pi"], given["Pi"] = independent.flow_rule(X), sources.creep
     result = {}
     for name, values in expected.items():
         found = at_points(given[name], mesh, X).reshape(values.shape)

@@ -2,7 +2,7 @@
 
 The fields are written once, for coefficient functions and for numpy arrays alike.  They meet the
 natural conditions of the walls of the unit box: v.n = 0, no tangential traction, hess v:(n x n) = 0 (not
-those of the delta-regularisation, whose fluxes through walls ``sources`` supplies).
+those of the delta-regularisation, whose fluxes through walls ``sources`` supplies), (n . grad) Pi = 0.
 With f = sin(pi x) and g = 1 - 2S, S the smooth step of degree 7 (g', g'', g''' vanish at 0 and 1),
 v_i = c_i(t) f(x_i) prod_{j != i} g(x_j), and shear components of E and F vanish where they must.
 """
@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, cos, sin, x, y, z
 
-from ngvisco.physics.material import components_of
 from ngvisco.physics.model import Model
 
 PI = np.pi
@@ -94,6 +93,19 @@ def distortion(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
     return tensor(X, t, m, 1.0)
 
 
+def creep_rate(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
+    """Symmetric and trace-free, with (n . grad) Pi = 0 on the walls."""
+    dim, zero = len(X), 0 * X[0]
+    waves = [m.cos(PI * s) for s in X]
+    first = 0.3 * (1 + t) * waves[0]
+    second = -0.2 * m.cos(t) * waves[1]
+    A = [[first, zero, zero], [zero, second, zero], [zero, zero, -first - second]]
+    for i in range(dim):
+        for j in range(i + 1, dim):
+            A[i][j] = A[j][i] = (0.25 - 0.1 * i + 0.05 * j) * (1 - 0.5 * t) * waves[dim - 1 - i]
+    return A
+
+
 EXACT = {"E": strain, "F": distortion, "J": jacobian}
 
 
@@ -131,9 +143,14 @@ class Exact:
         return {v.name: self._value(EXACT[v.name]) for v in self.model.material.variables}
 
     @property
+    def Pi(self) -> CoefficientFunction:
+        """The creep rate, 3x3, where it is a field of its own."""
+        return self._value(creep_rate)
+
+    @property
     def z(self) -> CoefficientFunction:
         """All transported components, as they are stored."""
-        return components_of(self.model.material, self.values, self.dim)
+        return self.model.material.states(self.dim).components(self.values)
 
 
 def gradient(f: CoefficientFunction, dim: int) -> list[CoefficientFunction]:

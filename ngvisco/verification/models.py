@@ -25,8 +25,18 @@ def hyperviscosity(p: float | None) -> HyperViscosity | None:
     return None if p is None else HyperViscosity(mu=1e-2 if p == 2 else 1e-3, p=p)
 
 
-def model(kind: str, dim: int, p: float | None, regularised: bool = False, delta: bool = True) -> Model:
-    """Creep, gravity, viscosity, hyperviscosity with exponent p unless None, delta- and epsilon-terms."""
+def model(
+    kind: str,
+    dim: int,
+    p: float | None,
+    regularised: bool = False,
+    delta: bool = True,
+    nu: float = 0.0,
+) -> Model:
+    """Creep, gravity, viscosity, hyperviscosity with exponent p unless None, delta- and epsilon-terms.
+
+    With nu > 0 creep has its gradient term (q = 4), and its rate is a field of its own.
+    """
     law = Regularisation(
         delta_density=DELTA if delta else 0.0,
         delta_fields=DELTA_FIELDS if delta else 0.0,
@@ -36,13 +46,13 @@ def model(kind: str, dim: int, p: float | None, regularised: bool = False, delta
         material=material(kind),
         viscosity=StokesViscosity(K_v=0.3, G_v=0.2),
         hyperviscosity=hyperviscosity(p),
-        creep=Creep(G_m=2.0),
+        creep=Creep(G_m=2.0, nu=nu, q=4.0),
         loads=(Gravity((0.0, -0.7, 0.0)[:dim]),),
         regularisation=law if regularised else None,
     )
 
 
-def coefficients(kind: str, p: float | None, regularised: bool = False) -> Coefficients:
+def coefficients(kind: str, p: float | None, regularised: bool = False, nu: float = 0.0) -> Coefficients:
     """The same constants once more, for the formulas in numpy."""
     return Coefficients(
         K_e=2.0,
@@ -53,6 +63,7 @@ def coefficients(kind: str, p: float | None, regularised: bool = False) -> Coeff
         mu=0.0 if p is None else (1e-2 if p == 2 else 1e-3),
         p=2.0 if p is None else p,
         R=0.5,
+        nu=nu,
         g=-0.7,
         delta=DELTA if regularised else 0.0,
         delta_fields=DELTA_FIELDS if regularised else 0.0,

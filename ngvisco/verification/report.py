@@ -12,6 +12,7 @@ from string import Template
 
 from ngvisco.run.files import write_atomically
 from ngvisco.verification.case import Case, Result, number
+from ngvisco.verification.labels import label_table
 from ngvisco.verification.pictures import can_draw, draw
 
 NO_PICTURES = 'matplotlib is missing, so there are no pictures: pip install "ngvisco[plots]", and --resume'
@@ -104,7 +105,19 @@ def markdown(entries: Entries, images: Images, version: str) -> str:
             lines += [f"*{table.title}*", "", *_markdown_table(table.columns, table.rows), ""]
         for i, _ in enumerate(images.get(case.name, ())):
             lines += [f"![{result.outcome.plots[i].title}]({_picture(case.name, i)})", ""]
+    table = label_table(_package_cases())
+    lines += [f"## {LABELS}", "", f"{table.title}.", "", *_markdown_table(table.columns, table.rows), ""]
     return "\n".join(lines)
+
+
+LABELS = "The labels of the paper"
+
+
+def _package_cases() -> Sequence[Case]:
+    """All cases: what a label is measured by does not depend on which ones a report has."""
+    from ngvisco.verification.registry import all_cases
+
+    return all_cases()
 
 
 def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[str | float]]) -> list[str]:
@@ -127,6 +140,9 @@ def as_html(entries: Entries, images: Images, version: str) -> str:
             theme = case.theme
             sections.append(f"<h2>{_escape(theme)}</h2>")
         sections.append(_section(case, result, images.get(case.name, ())))
+    table = label_table(_package_cases())
+    sections.append(f"<h2>{LABELS}</h2><p>{_escape(table.title)}.</p>")
+    sections.append(_html_table(table.columns, table.rows))
     return Template(text).substitute(
         headline=_escape(headline(results)),
         machine=_escape(machine(version)),

@@ -11,7 +11,7 @@ from ngsolve import CF, CoefficientFunction, specialcf
 from ngvisco.forms.context import inner_facets, time
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand
-from ngvisco.physics.material import cauchy_stress, components_of, conjugates, mandel_stress
+from ngvisco.physics.material import cauchy_stress, conjugates, mandel_stress
 from ngvisco.physics.model import Gravity, Model, as_vector
 from ngvisco.physics.tensors import embed_gradient, inner, sym
 from ngvisco.verification.manufactured import COORDINATES, Exact, divergence, gradient
@@ -53,15 +53,34 @@ class Sources:
         values, L = new.values, embed_gradient(new.grad_v, self.dim)
         Pi = 0 * L
         if model.creep is not None:
-            zeta = conjugates(model.material, values)
-            Pi = model.creep.R * mandel_stress(model.material, values, zeta, self.dim)
+            Pi = model.creep.R * self._mandel if model.creep.is_local else new.Pi
         rates = {v.name: v.rate(values, L, Pi) for v in model.material.variables}
-        total = (new.z - old.z) / self.tau - components_of(model.material, rates, self.dim)
+        total = (new.z - old.z) / self.tau - model.material.states(self.dim).components(rates)
         for v_j, dz in zip((new.v[j] for j in range(self.dim)), gradient(new.z, self.dim), strict=True):
             total = total + v_j * dz
         if self._delta_fields:
             for s, dz in zip(COORDINATES, gradient(new.z, self.dim), strict=False):
                 total = total - self._delta_fields * dz.Diff(s)
+        return total
+
+    @property
+    def _mandel(self) -> CoefficientFunction:
+        values = self.new.values
+        return mandel_stress(self.model.material, values, conjugates(self.model.material, values), self.dim)
+
+    @property
+    def creep(self) -> CoefficientFunction | None:
+        """G_m Pi - div(nu |grad Pi|^{q-2} grad Pi) - M, 3x3; None where Pi is no field of its own."""
+        creep = self.model.creep
+        if creep is None or creep.is_local:
+            return None
+        slopes = gradient(self.new.Pi, self.dim)
+        coefficient = creep.gradient_coefficient(
+            sum((inner(d, d) for d in slopes[1:]), inner(slopes[0], slopes[0]))
+        )
+        total = creep.G_m * self.new.Pi - self._mandel
+        for s, d in zip(COORDINATES, slopes, strict=False):
+            total = total - (coefficient * d).Diff(s)
         return total
 
     @property
@@ -128,10 +147,12 @@ class Sources:
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
         force = self.momentum - 0.5 * self.continuity * self.new.v
+        creep = self.creep
         return [
             Integrand(-self.continuity * w.rho),
             Integrand(-inner(force, w.v)),
             Integrand(-inner(self.kinematics, w.z)),
+            *([] if creep is None else [Integrand(-inner(creep, w.Pi))]),
             *self._through_walls(u, w),
         ]
 

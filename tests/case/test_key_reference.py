@@ -82,7 +82,7 @@ def placed(entry, kind):
     }
     if kind is not None:
         needed["geometry" if section == ("domain",) else "kind"] = kind
-    if kind in ("Yosida", "WithQuadratic"):
+    if kind in ("PerReferentialVolume", "Yosida", "WithQuadratic"):
         needed["material"] = data["material"]
     node = data
     for depth, part in enumerate(section):

@@ -191,10 +191,9 @@ def test_bounds_of_variables_that_the_energy_does_not_read_do_not_count():
 
 
 def set_F(step, F):
-    from ngvisco.physics.material import components_of
 
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
-    parts["z"].Set(components_of(step.model.material, {"F": F, "J": CF(1.0)}, step.mesh.dim))
+    parts["z"].Set(step.model.material.states(step.mesh.dim).components({"F": F, "J": CF(1.0)}))
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from ngvisco.forms.initial import complete
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand, Term
 from ngvisco.forms.transport import transport_in_cells, transport_through_facets
-from ngvisco.physics.material import cauchy_stress, components_of
+from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import embed_gradient, inner, square
 
 CASES = [
@@ -194,7 +194,7 @@ def elastic_rows(case: Case, values: dict) -> tuple[Step, np.ndarray]:
     randomise(step, 6)
     parts = parts_of(step)
     velocity = parts["v"].vec.FV().NumPy().copy()
-    z_values = components_of(step.model.material, values, case.dim)
+    z_values = step.model.material.states(case.dim).components(values)
     parts["z"].Set(z_values)
     complete(step)
     parts["v"].vec.FV().NumPy()[:] = velocity

@@ -18,7 +18,6 @@ from ngvisco.geometries import (
     sphere,
     spherical_shell,
 )
-from ngvisco.physics.material import components_of
 
 ROTATION = (-y, x)
 
@@ -119,7 +118,7 @@ def test_linearisation_agrees_with_differences(name):
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     parts["rho"].Set(1.0)
     rest = {v.name: v.from_distortion(Id(3)) for v in step.model.material.variables}
-    parts["z"].Set(components_of(step.model.material, rest, mesh.dim))
+    parts["z"].Set(step.model.material.states(mesh.dim).components(rest))
     for vector, size in ((state, 0.02), (direction, 1.0)):
         old = vector.FV().NumPy().copy() if vector is state else 0.0
         vector.FV().NumPy()[:] = old + size * free * rng.standard_normal(len(free))

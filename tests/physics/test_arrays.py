@@ -6,8 +6,8 @@ import ngsolve
 import numpy as np
 import pytest
 
-from ngvisco.physics.arrays import CHUNK, Array, array_slope, derivatives
-from ngvisco.physics.material import component_count, component_slices
+from ngvisco.physics.array_slope import CHUNK, array_slope
+from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.physics.materials.catalogue import examples
 from ngvisco.physics.materials.custom import CustomMaterial
 from ngvisco.physics.materials.neo_hookean import NeoHookean
@@ -25,8 +25,8 @@ EXAMPLES["WithQuadratic"] = WithQuadratic(
 def states(material, dim, count=7):
     """Components near rest."""
     rng = np.random.default_rng(1)
-    z = 0.1 * rng.standard_normal((component_count(material, dim), count))
-    for variable, where in zip(material.variables, component_slices(material, dim).values(), strict=True):
+    z = 0.1 * rng.standard_normal((material.states(dim).size, count))
+    for variable, where in zip(material.variables, material.states(dim).slices.values(), strict=True):
         space = tensor_space(variable.kind, dim)
         rest = np.ones(1) if space.is_scalar else space.columns.T @ np.eye(3).ravel()
         z[where] += (0.0 if isinstance(variable, SmallStrain) else 1.0) * rest[:, None]

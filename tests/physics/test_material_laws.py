@@ -194,6 +194,7 @@ REST_PRESSURE = {
     "IsochoricNeoHookean": 0.0,
     "LogarithmicNeoHookean": 0.0,
     "ReferentialMooneyRivlin": 0.0,
+    "LogarithmicMooneyRivlin": 0.0,
     "BarotropicFluid": -0.4 * 10,
     'BarotropicFluid(form="A")': -0.4 * 10,
 }
@@ -218,6 +219,7 @@ MODULI = {  # usual bulk and shear moduli at rest by the docstrings; K_e = 10, G
     "IsochoricNeoHookean": (10.0, 2 * 5.0),
     "LogarithmicNeoHookean": (10.0 + 0.1, 2 * 5.0),
     "ReferentialMooneyRivlin": (10.0, 2 * (3.0 + 2.0)),
+    "LogarithmicMooneyRivlin": (10.0 + 0.1, 2 * (3.0 + 2.0)),
     "BarotropicFluid": (1.4 * 0.4 * 10, 0.0),
     'BarotropicFluid(form="A")': (1.4 * 0.4 * 10, 0.0),
     "OldroydB": (10.0, 2 * 5.0),
@@ -292,6 +294,9 @@ def test_mooney_rivlin_has_the_isochoric_invariants():
     assert math.isclose(at_point(actual.energy(constants(actual, F))), expected, rel_tol=1e-13)
     expected = (5 * (J - 1) ** 2 + 3 * I_1 + 2 * I_2) / J
     assert math.isclose(at_point(referential.energy(constants(referential, F))), expected, rel_tol=1e-13)
+    logarithmic = EXAMPLES["LogarithmicMooneyRivlin"]
+    expected = (volume + 3 * I_1 + 2 * I_2) / J
+    assert math.isclose(at_point(logarithmic.energy(constants(logarithmic, F))), expected, rel_tol=1e-13)
 
 
 @pytest.mark.parametrize("form", ["J", "A"])
@@ -432,4 +437,4 @@ def test_table_lists_every_material_with_a_label_of_the_paper():
         for name in nv.__all__
         if isinstance(getattr(nv, name), type) and issubclass(getattr(nv, name), nv.Material)
     }
-    assert classes == exported - {"Material", "WithQuadratic", "Yosida"}
+    assert classes == exported - {"Material", "PerMass", "PerReferentialVolume", "WithQuadratic", "Yosida"}

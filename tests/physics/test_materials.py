@@ -11,16 +11,7 @@ from scipy.linalg import expm
 from support import central_difference, random_rotation, tensor, tensors, trace_free, value, values
 
 from ngvisco import CustomMaterial, IsotropicStrainEnergy, LinearElastic, Material, NeoHookean
-from ngvisco.physics.material import (
-    cauchy_stress,
-    component_count,
-    component_slices,
-    components_of,
-    conjugates,
-    mandel_stress,
-    rate_power,
-    tensors_of,
-)
+from ngvisco.physics.material import cauchy_stress, conjugates, mandel_stress, rate_power
 from ngvisco.physics.tensors import dev, square
 from ngvisco.physics.variables import (
     Cofactor,
@@ -304,15 +295,13 @@ def test_bregman_sampling_sees_an_exponent_outside_the_convex_range(
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_component_vector_and_tensors_are_inverse(dim: int, rng: np.random.Generator) -> None:
-    size = component_count(EVERYTHING, dim)
+    size = EVERYTHING.states(dim).size
     assert size == {2: 4 * 5 + 3, 3: 4 * 9 + 3}[dim]
-    covered = [
-        i for where in component_slices(EVERYTHING, dim).values() for i in range(where.start, where.stop)
-    ]
+    covered = [i for where in EVERYTHING.states(dim).slices.values() for i in range(where.start, where.stop)]
     assert covered == list(range(size))
     vector = rng.standard_normal(size)
-    z = tensors_of(EVERYTHING, tensor(vector), dim)
-    assert value(components_of(EVERYTHING, z, dim)) == pytest.approx(vector, abs=1e-14)
+    z = EVERYTHING.states(dim).tensors(lambda: tensor(vector))
+    assert value(EVERYTHING.states(dim).components(z)) == pytest.approx(vector, abs=1e-14)
 
 
 def test_rate_power_sums_all_variables(rng: np.random.Generator) -> None:

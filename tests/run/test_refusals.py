@@ -146,7 +146,7 @@ PARAMETERS = {
                 "a vector of length 2, not 3",
             ),
             ("Initial.velocity", lambda v: starting(velocity=v)(), ((math.nan, 0),), "finite numbers"),
-            ("Initial.density", lambda v: starting(density=v)(), ("1", None, True), "a number or a scalar"),
+            ("Initial.density", lambda v: starting(density=v)(), ("1", (), True), "a number or a scalar"),
             ("Initial.F", lambda v: starting(F=v)(), ([1, 0, 0, 1], 1.0), "a 3x3 coefficient function"),
             ("Initial.values['J']", lambda v: starting(values={"J": v})(), ("1",), "a number or a scalar"),
             ("Variable.name", Distortion, ("F e", "", 3), "a Python identifier"),

@@ -96,9 +96,9 @@ def test_what_the_fields_and_the_facets_take(run, eta, monkeypatch):
     expected = derivative(split, at, dv, rows)
     force, through = operator.switch(dv)
     op = operator.op
-    source = np.einsum("pnx,xp->np", operator.p.columns[:, :, :4], op.velocity_gradient(dv))
+    source = np.einsum("pnx,xp->np", operator.tangent.columns[:, :, :4], op.velocity_gradient(dv))
     for j, values in enumerate(op.v(dv)):
-        source -= operator.p.dz[:, j] * values
+        source -= operator.tangent.dz[:, j] * values
     found = np.concatenate([force.ravel(), (through - op.z.test(source)).ravel()])
     assert np.abs(found - expected).max() <= 1e-7 * np.abs(expected).max()
     # and the operator carries just this source
@@ -108,7 +108,7 @@ def test_what_the_fields_and_the_facets_take(run, eta, monkeypatch):
     # the element matrices' force is that of the resolved fields, tested with the gradients of v's functions
     z, rng = at.coefficients["z"], np.random.default_rng(1)
     dz = rng.standard_normal(z.T.shape)
-    resolved = np.einsum("pnm,mp->np", operator.p.resolvent, op.z(dz.T.copy()))
-    stress = np.einsum("pxn,np->xp", operator.p.force[:, :4], resolved).reshape(2, 2, -1)
+    resolved = np.einsum("pnm,mp->np", operator.tangent.resolvent, op.z(dz.T.copy()))
+    stress = np.einsum("pxn,np->xp", operator.tangent.force[:, :4], resolved).reshape(2, 2, -1)
     expected = sum(D.test(np.ascontiguousarray(stress[:, j])) for j, D in enumerate(op.dv))
     assert np.abs(operator.force(dz) - expected).max() <= 1e-12 * np.abs(expected).max()

@@ -91,7 +91,7 @@ def test_of_energies_without_arrays(kind, monkeypatch):
     if kind == "by its response":
         material = nv.Yosida(material=material, eps=1e-3)
     else:
-        monkeypatch.setattr("ngvisco.forms.slope.array_slope", lambda material, dim: None)
+        monkeypatch.setattr("ngvisco.reduced.slope.array_slope", lambda material, dim: None)
     assert_is_the_derivative(simulation(material=material))
 
 

@@ -5,8 +5,13 @@ from ngvisco.physics.materials.catalogue import examples, table
 from ngvisco.physics.materials.conformation import FENEP, OldroydB
 from ngvisco.physics.materials.custom import CustomMaterial
 from ngvisco.physics.materials.linearised import HardeningElastic, IsotropicStrainEnergy, LinearElastic
-from ngvisco.physics.materials.mooney_rivlin import MooneyRivlin, ReferentialMooneyRivlin
+from ngvisco.physics.materials.mooney_rivlin import (
+    LogarithmicMooneyRivlin,
+    MooneyRivlin,
+    ReferentialMooneyRivlin,
+)
 from ngvisco.physics.materials.neo_hookean import NeoHookean
+from ngvisco.physics.materials.perspective import PerMass, PerReferentialVolume
 from ngvisco.physics.materials.referential import (
     IsochoricNeoHookean,
     LogarithmicNeoHookean,
@@ -23,10 +28,13 @@ __all__ = [
     "IsochoricNeoHookean",
     "IsotropicStrainEnergy",
     "LinearElastic",
+    "LogarithmicMooneyRivlin",
     "LogarithmicNeoHookean",
     "MooneyRivlin",
     "NeoHookean",
     "OldroydB",
+    "PerMass",
+    "PerReferentialVolume",
     "ReferentialMooneyRivlin",
     "ReferentialNeoHookean",
     "WithQuadratic",

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import require_above, require_choice, require_positive
+from ngvisco.errors import ParameterError, require_above, require_choice, require_positive
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.singular import check_continuation, continued_in_J, inverse_power
 from ngvisco.physics.variables import Jacobian, ReciprocalJacobian, Values, Variable
@@ -24,8 +25,9 @@ class BarotropicFluid(Material):
         p = a rho^gamma,   a = (gamma - 1) B / rho_R^gamma,
 
     so that rho/rho_R may be taken for the argument: A = 1/J = rho/rho_R obeys the same equation as the
-    density, and phi = B A^gamma.  ``start`` gives the variable's initial value for an initial density, and
-    ``from_state_equation`` the material from a.  The speed of sound is c^2 = dp/d rho = gamma p/rho.
+    density, and phi = B A^gamma.  ``from_state_equation`` is the material from a.  With ``rho_R`` a run's
+    initial J is that of its initial density, or the other way round (``start`` is J by hand).  The speed of
+    sound is c^2 = dp/d rho = gamma p/rho.
 
     Convex in J for every gamma > 0, in A for gamma >= 1; gamma > 1 is asked for, since the pressure is
     not positive otherwise.  Stress at rest -(gamma - 1) B I; the bulk modulus is gamma p.  There is no
@@ -41,6 +43,8 @@ class BarotropicFluid(Material):
         The transported variable, ``"J"`` (default) or ``"A"``.
     J_min : float, optional
         With ``form="J"``: the energy is continued linearly below it (paper: rem-neo-Hookean-ref).
+    rho_R : float, optional
+        Referential density, kg/m^3, > 0.  Without it nothing ties the initial density to J.
 
     Raises
     ------
@@ -52,6 +56,7 @@ class BarotropicFluid(Material):
     gamma: float
     form: str = "J"
     J_min: float | None = None
+    rho_R: float | None = None
 
     def __post_init__(self) -> None:
         require_positive(self, B=self.B)
@@ -60,11 +65,47 @@ class BarotropicFluid(Material):
         check_continuation(self, self.J_min)
         if self.form == "A":
             require_choice(self, (None,), J_min=self.J_min)
+        if self.rho_R is not None:
+            require_positive(self, rho_R=self.rho_R)
 
     @classmethod
-    def from_state_equation(cls, a: float, gamma: float, rho_R: float, form: str = "J") -> BarotropicFluid:
-        """The fluid with p = a rho^gamma and referential density rho_R, kg/m^3."""
-        return cls(B=a * rho_R**gamma / (gamma - 1), gamma=gamma, form=form)
+    def from_state_equation(
+        cls,
+        a: float,
+        gamma: float,
+        rho_R: float,
+        form: Literal["J", "A"] = "J",
+        J_min: float | None = None,
+    ) -> BarotropicFluid:
+        """The fluid with the isentropic state equation p = a rho^gamma.
+
+        Parameters
+        ----------
+        a : float
+            Pa (m^3/kg)^gamma, > 0.
+        gamma : float
+            Adiabatic exponent, > 1.
+        rho_R : float
+            Referential density, kg/m^3, > 0: that of J = 1.
+        form, J_min
+            As for ``BarotropicFluid``.
+
+        Raises
+        ------
+        ParameterError
+            If a parameter is out of its range.
+        """
+        require_positive("BarotropicFluid", a=a, rho_R=rho_R)
+        require_above("BarotropicFluid", 1, gamma=gamma)
+        with np.errstate(over="ignore"):
+            B = float(a * np.float64(rho_R) ** gamma / (gamma - 1))
+        if not 0 < B < math.inf:
+            raise ParameterError("BarotropicFluid.a", a, "a rho_R^gamma/(gamma - 1) finite and > 0")
+        return cls(B=B, gamma=gamma, form=form, J_min=J_min, rho_R=rho_R)
+
+    @property
+    def referential_density(self) -> float | None:
+        return self.rho_R
 
     @property
     def variables(self) -> tuple[Variable, ...]:

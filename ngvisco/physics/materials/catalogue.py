@@ -15,7 +15,11 @@ from ngvisco.physics.materials.barotropic import BarotropicFluid
 from ngvisco.physics.materials.conformation import FENEP, OldroydB
 from ngvisco.physics.materials.custom import CustomMaterial
 from ngvisco.physics.materials.linearised import HardeningElastic, IsotropicStrainEnergy, LinearElastic
-from ngvisco.physics.materials.mooney_rivlin import MooneyRivlin, ReferentialMooneyRivlin
+from ngvisco.physics.materials.mooney_rivlin import (
+    LogarithmicMooneyRivlin,
+    MooneyRivlin,
+    ReferentialMooneyRivlin,
+)
 from ngvisco.physics.materials.neo_hookean import NeoHookean
 from ngvisco.physics.materials.referential import (
     IsochoricNeoHookean,
@@ -129,6 +133,13 @@ def examples() -> tuple[Example, ...]:
             "joint, strong in (H, N)",
             "exa-Mooney–Rivlin-ref",
         ),
+        Example(
+            LogarithmicMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F"),
+            "LogarithmicMooneyRivlin",
+            "K_e/2 (1/A − 2 + 2ε/K_e + (1 − ε/K_e)² A) + G_e |H|² + G_mr |N|² − ε K",
+            "joint, strong in (H, N)",
+            "exa-Mooney–Rivlin-ref, DT-det-inverse",
+        ),
         *_by_left_cauchy_green(),
         Example(
             OldroydB(K_e=10.0, G_e=5.0),
@@ -229,6 +240,13 @@ def _by_left_cauchy_green() -> tuple[Example, ...]:
             "K_e/2 (J − 2 + 1/J) + G_e tr B + G_mr tr N",
             "joint, strict in J",
             "exa-Mooney–Rivlin-ref",
+        ),
+        Example(
+            LogarithmicMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="B"),
+            'LogarithmicMooneyRivlin(elastic_state="B")',
+            "K_e/2 (1/A − 2 + 2ε/K_e + (1 − ε/K_e)² A) + G_e tr B + G_mr tr N − ε K",
+            "joint, strict in A",
+            "exa-Mooney–Rivlin-ref, DT-det-inverse",
         ),
     )
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError
+from ngvisco.errors import ParameterError, require_positive
 from ngvisco.physics.isotropy import require_isotropy
 from ngvisco.physics.material import Material, check_material
 from ngvisco.physics.state_function import check_energy
+from ngvisco.physics.tensors import IDENTITY
 from ngvisco.physics.variables import Values, Variable
 
 
@@ -44,6 +45,9 @@ class CustomMaterial(Material):
         Takes the variables' values by name and returns the energy per actual volume, Pa, e.g.
         ``lambda F, J: 5 * square(F) / J ** (2/3) + 10 * (J - 1) ** 2``.  Convex jointly in all of
         them if the ledger's Bregman column is to be >= 0.
+    rho_R : float, optional
+        Referential density, kg/m^3, > 0.  Where given, the initial density has to be rho_R/J, and one of the
+        two follows from the other.
 
     Raises
     ------
@@ -58,6 +62,7 @@ class CustomMaterial(Material):
 
     transported: tuple[Variable, ...]
     stored_energy: Callable[..., CoefficientFunction]
+    rho_R: float | None = None
 
     def __post_init__(self) -> None:
         try:
@@ -71,12 +76,20 @@ class CustomMaterial(Material):
                 "CustomMaterial.stored_energy", self.stored_energy, "a function of the variables"
             )
         check_material(self)
+        if self.rho_R is not None:
+            require_positive(self, rho_R=self.rho_R)
+            if all(v.volume_ratio(v.from_distortion(IDENTITY)) is None for v in self.transported):
+                raise ParameterError("CustomMaterial.rho_R", self.rho_R, "a variable that J can be told from")
         check_energy(self)
         require_isotropy(self, "CustomMaterial.stored_energy", self.stored_energy)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
         return self.transported
+
+    @property
+    def referential_density(self) -> float | None:
+        return self.rho_R
 
     def energy(self, z: Values) -> CoefficientFunction:
         return self.stored_energy(**z)

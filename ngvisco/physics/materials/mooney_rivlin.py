@@ -11,7 +11,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import require_nonnegative, require_positive
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.neo_hookean import NeoHookean, first_invariant, volumetric
-from ngvisco.physics.materials.referential import referential_volume
+from ngvisco.physics.materials.referential import LogarithmicNeoHookean, referential_volume
 from ngvisco.physics.materials.singular import check_continuation, continued_in_J
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import (
@@ -127,3 +127,48 @@ class ReferentialMooneyRivlin(IsotropicElastic):
         if self.is_by_B:
             return volume + self.G_e * tr(z["B"]) + self.G_mr * tr(z["N"])
         return volume + self.G_e * square(z["H"]) + self.G_mr * square(z["N"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogarithmicMooneyRivlin(LogarithmicNeoHookean):
+    """``LogarithmicNeoHookean`` with a part of the cofactor (paper: exa-Mooney–Rivlin-ref).
+
+    The paper's referential Mooney-Rivlin energy is neo-Hookean-potential-actual and G_mr |F_iso^-1|^2 per
+    referential volume, with -epsilon ln J:
+
+        phi(H, N, A, K) = K_e/2 (1/A - 2(1 - c) + (1 - c)^2 A) + G_e |H|^2 + G_mr |N|^2 - epsilon K,
+
+    c = epsilon/K_e, H = J^{-5/6} F, N = J^{-7/6} Cof F, A = 1/J, K = ln J/J.  Jointly convex, strongly in
+    (H, N), strictly in A, and it blows up as A -> 0+.  T(I) = 0; the bulk modulus at rest is K_e + epsilon,
+    G_e + G_mr half the usual shear modulus.
+
+    Parameters
+    ----------
+    K_e, G_e, epsilon : float
+        Pa, > 0.
+    G_mr : float
+        Weight of the cofactor's part, Pa, >= 0.
+    elastic_state : str, optional
+        ``"F"`` or ``"B"``; see ``IsotropicElastic``.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
+    """
+
+    G_mr: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_nonnegative(self, G_mr=self.G_mr)
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        by_B, by_F = CofactorLeftCauchyGreen(exponent=-7 / 3), Cofactor("N", exponent=-7 / 6)
+        first, *volume = super().variables
+        return (first, by_B if self.is_by_B else by_F, *volume)
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        second = tr(z["N"]) if self.is_by_B else square(z["N"])
+        return super().energy(z) + self.G_mr * second

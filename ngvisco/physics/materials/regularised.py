@@ -10,7 +10,7 @@ import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, UnknownNameError, require_names, require_positive
-from ngvisco.physics.material import ElasticState, Material, component_count, component_slices
+from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.pointwise import Respond, Response
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values, Variable
@@ -70,6 +70,10 @@ class WithQuadratic(Material):
         return self.material.variables
 
     @property
+    def referential_density(self) -> float | None:
+        return self.material.referential_density
+
+    @property
     def continued(self) -> frozenset[str]:
         return self.material.continued
 
@@ -80,7 +84,7 @@ class WithQuadratic(Material):
         inner_response = self.material.response(dim)
         if inner_response is None:
             return None
-        slices, weights = component_slices(self, dim), np.zeros(component_count(self, dim))
+        slices, weights = self.states(dim).slices, np.zeros(self.states(dim).size)
         for name in self.only or [v.name for v in self.variables]:
             weights[slices[name]] = self.delta**0.5
 

@@ -8,7 +8,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, Id
 
 from ngvisco.errors import NgviscoError, ParameterError, require_positive
-from ngvisco.physics.material import ElasticState, Material, component_slices, components_of
+from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.pointwise import Respond, Response, respond, squares
 from ngvisco.physics.variables import Values, Variable
 
@@ -60,6 +60,10 @@ class Yosida(Material):
     def variables(self) -> tuple[Variable, ...]:
         return self.material.variables
 
+    @property
+    def referential_density(self) -> float | None:
+        return self.material.referential_density
+
     def with_elastic_state(self, state: ElasticState) -> Yosida:
         return replace(self, material=self.material.with_elastic_state(state))
 
@@ -88,9 +92,9 @@ class _Approximation:
         self.eps = material.eps
         self.inner = respond(material.material, dim)
         identity = {v.name: v.from_distortion(Id(3)) for v in material.variables}
-        rest = components_of(material, identity, dim)
+        rest = material.states(dim).components(identity)
         self.rest = np.asarray(CF(rest)(squares(1)[1])).reshape(-1)
-        slices = component_slices(material, dim)
+        slices = material.states(dim).slices
         self.positive = [slices[v.name].start for v in material.variables if self._is_bounded(v, slices)]
 
     def _is_bounded(self, variable: Variable, slices: dict[str, slice]) -> bool:

@@ -23,11 +23,11 @@ class FlowElements:
 
     def __init__(self, points: PointTangent, fine: Operators) -> None:
         """``points`` has the rule of the matrices, ``fine`` that of inertia."""
-        self.p, self.fine = points, fine
+        self.tangent, self.fine = points, fine
         op = points.op
         v, z = op.v.matrix, op.z.matrix
-        self.cells, self.per, self.local, self.q = op.v.cells, op.v.per_cell, v.indptr[1], z.indptr[1]
-        self.d, self.n = len(op.dv), points.n
+        self.cells, self.per, self.local, self.functions = op.v.cells, op.v.per_cell, v.indptr[1], z.indptr[1]
+        self.dim, self.components = len(op.dv), points.components
         if not (np.diff(v.indptr) == self.local).all():
             raise MeshError("a cell of a periodic mesh meets its own image: expected two cells or more")
         self.dofs = v.indices.reshape(self.cells, self.per, self.local)[:, 0]
@@ -35,7 +35,7 @@ class FlowElements:
         self.shapes = shapes.astype(precision.SINGLE)  # (points, 1 + d, local)
         tests = (shapes * op.weights[:, None, None]).reshape(self.cells, -1, self.local)
         self._tests = _single(tests.transpose(0, 2, 1))  # (cells, local, points (1 + d))
-        z_tests = z.data.reshape(self.cells, self.per, self.q) * op.weights.reshape(self.cells, -1, 1)
+        z_tests = z.data.reshape(self.cells, self.per, self.functions) * op.weights.reshape(self.cells, -1, 1)
         self._z_tests = _single(z_tests.transpose(0, 2, 1))  # (cells, q, points)
         places = np.arange(self.dofs.size)
         ones = np.ones(places.size)
@@ -48,7 +48,14 @@ class FlowElements:
 
         ``inertia`` are the coefficients of w . dv at the points of the fine rule, (points,).
         """
-        cells, d, n, local, q, p = self.cells, self.d, self.n, self.local, self.q, self.p
+        cells, d, n, local, q, p = (
+            self.cells,
+            self.dim,
+            self.components,
+            self.local,
+            self.functions,
+            self.tangent,
+        )
         right = product(_single(base).reshape(len(base), -1, 1 + d), self.shapes)
         own = product(self._tests, right.reshape(cells, -1, d * d * local))
         own = own.reshape(cells, local, d, d, local)
@@ -84,7 +91,7 @@ class FlowElements:
 
     def scattered(self, rows: np.ndarray) -> np.ndarray:
         """Sums over the cells of their rows (cells, local dim, 1), (dim, .)."""
-        return (self._scatter @ rows.reshape(-1, self.d)).T
+        return (self._scatter @ rows.reshape(-1, self.dim)).T
 
 
 def _single(array: np.ndarray) -> np.ndarray:

@@ -19,10 +19,10 @@ class FacetCoupling:
 
     def __init__(self, sides: SideOperators, mass: FacetMass) -> None:
         z, per = sides.z, sides.points.per_side
-        self.cells, self.q = z.cells, z.local
+        self.cells, self.functions = z.cells, z.local
         self.sides = z.per_cell // per
         self._weights = sides.points.weights.reshape(-1, per, 1)
-        self._z = z.blocks.reshape(-1, per, self.q)
+        self._z = z.blocks.reshape(-1, per, self.functions)
         self._z_t = np.ascontiguousarray(self._z.transpose(0, 2, 1))
         self._hat = np.ascontiguousarray(mass.shapes.T).reshape(len(self._z), per, -1)
         self._hat_t = np.ascontiguousarray(self._hat.transpose(0, 2, 1))
@@ -63,5 +63,5 @@ class FacetCoupling:
         from_hat = product(from_hat, mass.inverses[self._facet])
         here = product(self._z_t, (w * own.reshape(shape)) * self._z) + product(from_hat, to_hat)
         there = product(from_hat, to_hat[self.across]) * self._inner
-        by_cells = (self.cells, self.sides, self.q, self.q)
+        by_cells = (self.cells, self.sides, self.functions, self.functions)
         return here.reshape(by_cells).sum(axis=1), there.reshape(by_cells)

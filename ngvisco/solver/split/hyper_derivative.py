@@ -25,7 +25,7 @@ class HyperDerivative:
 
     def __init__(self, hyper: MatrixHyperviscosity, penalty_degree: int) -> None:
         step = hyper.step
-        self.h = hyper
+        self.hyper = hyper
         self.cells = step.mesh.ne
         coarse = step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
         self.sides = SideJumps(hyper, SidePoints(step.mesh, penalty_degree)) if coarse else hyper.sides
@@ -42,7 +42,7 @@ class HyperDerivative:
 
     def _together(self) -> LocalMatrix:
         """B: a cell's coefficients of Hs, components after each other, then its jumps."""
-        lift, jump, cells = self.h.lift.matrix, self.sides.matrix, self.cells
+        lift, jump, cells = self.hyper.lift.matrix, self.sides.matrix, self.cells
         jumps = lift.shape[0] + np.arange(jump.shape[0]).reshape(cells, -1)
         rows = np.concatenate([np.arange(lift.shape[0]).reshape(cells, -1), jumps], axis=1)
         both = sp.vstack([lift, jump], format="csr")
@@ -50,7 +50,7 @@ class HyperDerivative:
 
     def update(self, at: HyperValues) -> None:
         """Linearise at some values."""
-        h, law, sides, cells = self.h, self.h.law, self.sides, self.cells
+        h, law, sides, cells = self.hyper, self.hyper.law, self.sides, self.cells
         tensors, shape = h.tensors(at.z), self._side_weights.shape
         jumps = at.jumps if sides is h.sides else sides.jump(at.x)
         self._at, self._on_sides = at, sides.values(jumps, at.square, at.z)
@@ -85,7 +85,7 @@ class HyperDerivative:
         """Measure all in units of its own and round it: in SI units numbers may leave single precision."""
         self._unit = unit = _largest(self._c)
         units = {"_c": unit, "_penalty": unit}
-        if not self.h.law.is_linear:
+        if not self.hyper.law.is_linear:
             H, j = _largest(self._hessian), _largest(self._j)
             units |= {"_hessian": H, "_j": j}
             units |= {"_s_slope": unit / H**2, "_ss": unit / H**2, "_sq": unit / (H * j), "_qq": unit / j**2}
@@ -94,7 +94,7 @@ class HyperDerivative:
 
     def _parts(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of B x: Hs at the points, (cells, components, points, dim), and jumps, (cells, points, dim)."""
-        split, shape = self._of_hessian, (self.cells, self.h.size, -1, values.shape[2])
+        split, shape = self._of_hessian, (self.cells, self.hyper.size, -1, values.shape[2])
         return _at_each(self._at_points, values[:, :split].reshape(shape)), values[:, split:]
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
@@ -103,7 +103,7 @@ class HyperDerivative:
         values = self._values.by_cells(x.T / length)
         dH, dj = self._parts(values)
         of_H, of_j = self._c * dH, self._penalty[..., None] * dj
-        if not self.h.law.is_linear:
+        if not self.hyper.law.is_linear:
             self._bend(dH, dj, of_H, of_j)
         loads, split = np.empty_like(values), self._of_hessian
         tested = _at_each(self._at_points.transpose(0, 2, 1), of_H)
@@ -128,11 +128,11 @@ class HyperDerivative:
 
     def _projected(self, loads: np.ndarray) -> np.ndarray:
         """Coefficients of a projection from its loads, (cells, functions, 1), over the largest weight."""
-        return (self.h.s_inverse(loads.ravel()) * self._volume).reshape(loads.shape).astype(self.dtype)
+        return (self.hyper.s_inverse(loads.ravel()) * self._volume).reshape(loads.shape).astype(self.dtype)
 
     def tangent_coefficients(self) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``."""
-        h, law, at, sides = self.h, self.h.law, self._at, self.sides
+        h, law, at, sides = self.hyper, self.hyper.law, self._at, self.sides
         weights = h.points.weights.reshape(self.cells, -1)
 
         def mean(values: Any) -> np.ndarray:

@@ -18,15 +18,15 @@ class HyperTangent:
     """
 
     def __init__(self, derivative: HyperDerivative) -> None:
-        self.derivative, self.h = derivative, derivative.h
-        h, sides = self.h, derivative.sides
+        self.derivative, self.hyper = derivative, derivative.hyper
+        h, sides = self.hyper, derivative.sides
         self.h_cell = np.arange(h.h_count) // (h.h_count // h.step.mesh.ne)
         pattern = abs(sides.of_a).T @ abs(sides.of_a)
         self._facets = BlockInverse(pattern.tocsr())
 
     def update(self) -> None:
         """Form E, the matrix of v and the facets' blocks where the derivative was last updated."""
-        h, sides = self.h, self.derivative.sides
+        h, sides = self.hyper, self.derivative.sides
         cell, penalty = self.derivative.tangent_coefficients()
         J_v, J_a = sides.of_v, sides.of_a
         J_a_t = (sp.diags(sides.weights * penalty) @ J_a).T.tocsr()

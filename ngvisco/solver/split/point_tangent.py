@@ -24,13 +24,13 @@ class PointTangent:
     """Values and derivatives at the points of the coarse rule, at an evaluation."""
 
     def __init__(self, residual: ReducedResidual, operators: Operators) -> None:
-        self.r, self.op, self.n = residual, operators, residual.step.layout.states.size
+        self.residual, self.op, self.components = residual, operators, residual.step.layout.states.size
         self.terms = CellTerms(residual.step, operators, residual.rates)
         self.slope = PointwiseSlope(residual.step, operators.points)
 
     def update(self, at: Evaluation) -> None:
         """Form K's resolvent, d rate/dX and the force's derivative."""
-        step, rates = self.r.step, self.r.rates.tensors
+        step, rates = self.residual.step, self.residual.rates.tensors
         self.tau, g = step.context.tau.Get(), rates.gradients
         self.values = u = self.terms.fields(at.coefficients)
         self.z, self.zeta = u.z.value, u.zeta.value
@@ -44,17 +44,17 @@ class PointTangent:
         # -(w . grad z) : zeta with its share of the facets is  phi'(z) : dz div w  to leading order
         for i in range(step.mesh.dim):
             force[:, i * (step.mesh.dim + 1)] += self.zeta.T
-        if self.r.rates.law is not None and self.r.rates.law.is_local:
+        if self.residual.rates.law is not None and self.residual.rates.law.is_local:
             by_Pi = columns[:, :, g:]
-            of_mandel, of_conjugates = self.r.rates.creep_slopes(u)
-            creep = self.r.rates.creep(u)
+            of_mandel, of_conjugates = self.residual.rates.creep_slopes(u)
+            creep = self.residual.rates.creep(u)
             assert creep is not None
             Pi = creep.value
             K += np.einsum("xnm,xp->pnm", rates.linear[g:], Pi, optimize=True)
             K -= of_mandel[:, None, None] * (by_Pi @ force[:, g:])
             if of_conjugates is not None:
                 K += by_Pi @ (of_conjugates @ slopes)
-        self.resolvent = np.linalg.inv(np.eye(self.n)[None] - self.tau * K)
+        self.resolvent = np.linalg.inv(np.eye(self.components)[None] - self.tau * K)
         self.force, self.columns = force, columns
         self.dz = u.grad_z.value
 
@@ -64,7 +64,7 @@ class PointTangent:
 
     def _second_derivative(self) -> np.ndarray:
         """phi'' by one-sided differences of phi', (points, n, n)."""
-        n, step = self.n, 1e-6
+        n, step = self.components, 1e-6
         result = np.empty((self.op.points.count, n, n))
         slope, shifted = self.slope(self.z), self.z.copy()
         for m in range(n):

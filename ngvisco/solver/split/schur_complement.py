@@ -36,9 +36,9 @@ class FlowSchurComplement:
         switch_share: float,
     ) -> None:
         """``switch_share`` is that of ``SplitOptions``."""
-        self.r, self.p, self.sweep, self.derivative = residual, points, sweep, derivative
+        self.residual, self.tangent, self.sweep, self.derivative = residual, points, sweep, derivative
         step, u = residual.step, residual.unknowns
-        self.op, self.d = points.op, step.mesh.dim
+        self.op, self.dim = points.op, step.mesh.dim
         self.elements = FlowElements(points, residual.op)
         self.switch = UpwindSwitchJacobian(residual, switch_share)
         self.nv, self.size = u.slices["v"].stop, u.flow_slice.stop
@@ -59,14 +59,14 @@ class FlowSchurComplement:
             self.derivative.update(at.hyper)
         if not everything:
             return
-        count = self.op.points.count * self.p.n**2
-        concurrently(lambda: self.p.update(at), lambda: self.sweep.update(at), count)
+        count = self.op.points.count * self.tangent.components**2
+        concurrently(lambda: self.tangent.update(at), lambda: self.sweep.update(at), count)
         self.elements.update(self._base(), self._inertia(at))
         self.rest = self._rest()
 
     def _inertia(self, at: Evaluation) -> np.ndarray:
         """What multiplies w . dv by inertia, (points of the residual's rule,)."""
-        u, terms = at.cells, self.r.cell_terms
+        u, terms = at.cells, self.residual.cell_terms
         v = u.v.value.astype(complex)
         v[0] += 1j * TINY
         slots = terms.slots(self.inertial, with_velocity(u, v=v))
@@ -74,10 +74,10 @@ class FlowSchurComplement:
 
     def _base(self) -> np.ndarray:
         """dR/d(v, grad v) of convection and viscosity: (points, 0 or 1 + j, i, k, 0 or 1 + l)."""
-        d, u = self.d, self.p.values
+        d, u = self.dim, self.tangent.values
         v, L = u.v.value, u.grad_v.value
         A = np.zeros((self.op.points.count, 1 + d, d, d, 1 + d))
-        varying = [term for term in self.leading if self.p.terms.constant_matrix(term) is None]
+        varying = [term for term in self.leading if self.tangent.terms.constant_matrix(term) is None]
         for k in range(d):
             for column in range(1 + d):
                 if column == 0:
@@ -88,12 +88,12 @@ class FlowSchurComplement:
                     changed = L.astype(complex)
                     changed[k, column - 1] += 1j * TINY
                     at = with_velocity(u, grad_v=changed)
-                slots = self.p.terms.slots(varying, at)
+                slots = self.tangent.terms.slots(varying, at)
                 A[:, 0, :, k, column] = slots["v"].imag.T
                 A[:, 1:, :, k, column] = slots["grad v"].imag.transpose(2, 1, 0)
         A /= TINY
         for term in self.leading:
-            matrix = self.p.terms.constant_matrix(term)
+            matrix = self.tangent.terms.constant_matrix(term)
             if matrix is not None:  # by (i, j) and (k, l)
                 A[:, 1:, :, :, 1:] += matrix.reshape(d, d, d, d).swapaxes(0, 1)
         return A
@@ -101,7 +101,7 @@ class FlowSchurComplement:
     def _rest(self) -> sp.csr_matrix | None:
         """Walls, damping, the creep rate field and terms of others, as a matrix."""
         rest = None if self.others is None else self.others.jacobian()
-        if "Pi" not in self.r.unknowns.flow:
+        if "Pi" not in self.residual.unknowns.flow:
             return rest
         creep = self._creep_stiffness()
         first = self.size - creep.shape[0]
@@ -110,16 +110,16 @@ class FlowSchurComplement:
 
     def _creep_stiffness(self) -> sp.csr_matrix:
         """What M takes from a creep rate field Pi within the step, coupling to v left out."""
-        first = self.r.rates.tensors.gradients
+        first = self.residual.rates.tensors.gradients
         values = self.op.creep_values.matrix
-        C = self.p.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
+        C = self.tangent.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
         size = C.shape[1]
         blocks = [[values.T @ sp.diags(C[:, i, k]) @ values for k in range(size)] for i in range(size)]
         return sp.bmat(blocks, format="csr")
 
     def __call__(self, flow: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
         """Rows of the flow's unknowns and of a, of an increment of these."""
-        dv, of_a = flow[: self.nv].reshape(self.d, -1), None
+        dv, of_a = flow[: self.nv].reshape(self.dim, -1), None
         if self.derivative is None or normals is None:
             rows = self._with_fields(dv)
         else:
@@ -137,7 +137,7 @@ class FlowSchurComplement:
         e = self.elements
         local = e.gathered(dv)
         force, through = self.switch(dv) if self.switch.exists else (0.0, None)
-        carried = self._carried(product(e.to_fields, local).reshape(-1, e.n), through)
+        carried = self._carried(product(e.to_fields, local).reshape(-1, e.components), through)
         of_cells = product(e.own, local)
         of_cells += product(e.from_fields, carried.reshape(e.cells, -1, 1))
         return e.scattered(of_cells) + force
@@ -159,15 +159,15 @@ class FlowSchurComplement:
     def carried(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
         """What z takes from an increment of v (dim, .) and Pi, before rates and creep, as above."""
         e = self.elements
-        rows = product(e.to_fields, e.gathered(dv)).reshape(-1, e.n)
+        rows = product(e.to_fields, e.gathered(dv)).reshape(-1, e.components)
         if dPi is not None:
-            values = at_points(self.p.columns[:, :, self.d**2 :], dPi)
+            values = at_points(self.tangent.columns[:, :, self.dim**2 :], dPi)
             rows -= self.op.z.test(values).T
         return self._carried(rows, self.switch(dv)[1] if self.switch.exists else None)
 
     def resolved(self, dz: np.ndarray) -> np.ndarray:
         """(1 - tau K)^{-1} dz at the points, (n, points), of coefficients dz (cells' unknowns, n)."""
-        return at_points(self.p.resolvent, self.op.z(np.ascontiguousarray(dz.T)))
+        return at_points(self.tangent.resolvent, self.op.z(np.ascontiguousarray(dz.T)))
 
 
 def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:

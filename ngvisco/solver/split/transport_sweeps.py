@@ -23,7 +23,7 @@ class TransportSweeps:
     """Approximate inverses of the scalar transport of z and of the density equation."""
 
     def __init__(self, residual: ReducedResidual, inverse: str, sweeps: int) -> None:
-        self.r, self.sweeps = residual, sweeps
+        self.residual, self.sweeps = residual, sweeps
         self.coupling = FacetCoupling(residual.side_op, residual.trace_mass)
         self._neighbours = self.coupling.neighbours()
         op = residual.op
@@ -38,7 +38,7 @@ class TransportSweeps:
 
     def update(self, at: Evaluation) -> None:
         """Form the matrices and invert at an evaluation."""
-        r, storage = self.r, self.r.step.context.rate(self._mass)
+        r, storage = self.residual, self.residual.step.context.rate(self._mass)
         convection, f = self._convection(at), at.facets.upwinding
         carried = f.carried.value
         own, across = self.coupling.blocks(-carried, f.share.value, carried, r.trace_mass)
@@ -57,7 +57,7 @@ class TransportSweeps:
     def _convection(self, at: Evaluation) -> np.ndarray:
         """int (v . grad z) q in cells, (cells, q, q)."""
         v, shape = at.cells.v.value, (self.coupling.cells, -1, 1)
-        along = sum(v_j.reshape(shape) * D.blocks for v_j, D in zip(v, self.r.op.dz, strict=True))
+        along = sum(v_j.reshape(shape) * D.blocks for v_j, D in zip(v, self.residual.op.dz, strict=True))
         return product(self._tests, along)
 
     def _sparse(self, own: np.ndarray, across: np.ndarray) -> sp.csr_matrix:
@@ -73,8 +73,8 @@ class TransportSweeps:
 
     def linearise(self) -> None:
         """Let a density equation that is not linear follow the present state."""
-        if self._own is not None and self.r.density is not None:
-            self._own.factorise(self.r.density.jacobian())
+        if self._own is not None and self.residual.density is not None:
+            self._own.factorise(self.residual.density.jacobian())
 
     def fields(self, r: np.ndarray) -> np.ndarray:
         """Increments of z before rates and creep, of rows r: both (cells' unknowns, n)."""

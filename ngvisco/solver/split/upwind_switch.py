@@ -21,7 +21,7 @@ class UpwindSwitchJacobian:
 
     def __init__(self, residual: ReducedResidual, share: float) -> None:
         """``share`` of a cell's inertia rho h/tau, in the force by v . n, from which a facet counts."""
-        self.r, self.op, self.mass = residual, residual.side_op, residual.trace_mass
+        self.residual, self.op, self.mass = residual, residual.side_op, residual.trace_mass
         self.share = share
 
     def update(self, at: Evaluation) -> None:
@@ -37,7 +37,9 @@ class UpwindSwitchJacobian:
         # the jump of z is what both sides together are away from its trace
         z_jump = np.bincount(facet, weights * np.linalg.norm(jump, axis=0))
         area = np.bincount(facet, weights)
-        inertia = self.r.step.context.rate(np.bincount(facet, weights * abs(at.facets.rho.value) * op.h))
+        inertia = self.residual.step.context.rate(
+            np.bincount(facet, weights * abs(at.facets.rho.value) * op.h)
+        )
         # of the force, slope * z_jump * the jump of zeta, the last is formed only where the others are large
         force = abs(slope) * z_jump[facet]
         possible = force * self._largest(zeta) > self.share * inertia[facet]

@@ -21,15 +21,17 @@ class VelocityTangent:
     def __init__(self, flow: FlowSchurComplement, hyper: HyperTangent | None) -> None:
         self.flow, self.hyper = flow, hyper
         e = flow.elements
-        self.n, self.d = flow.op.v.width, flow.d
-        flat = e.dofs[:, :, None].astype(np.int64) * self.n + e.dofs[:, None, :]
+        self.width, self.dim = flow.op.v.width, flow.dim
+        flat = e.dofs[:, :, None].astype(np.int64) * self.width + e.dofs[:, None, :]
         keys, self.position = np.unique(flat.ravel(), return_inverse=True)
-        self.rows, self.columns = keys // self.n, keys % self.n
+        self.rows, self.columns = keys // self.width, keys % self.width
 
     def matrix(self) -> sp.csr_matrix:
         """The matrix of the flow's unknowns where FlowSchurComplement and HyperTangent were last updated."""
-        d, n, flow, e = self.d, self.n, self.flow, self.flow.elements
-        fields = flow.sweep.in_cells(e.to_fields.reshape(e.cells * e.q, -1)).reshape(e.to_fields.shape)
+        d, n, flow, e = self.dim, self.width, self.flow, self.flow.elements
+        fields = flow.sweep.in_cells(e.to_fields.reshape(e.cells * e.functions, -1)).reshape(
+            e.to_fields.shape
+        )
         cells = (e.own - e.from_fields @ fields).reshape(e.cells, e.local, d, d, e.local)
         blocks = [[self._assembled(cells[:, :, i, k]) for k in range(d)] for i in range(d)]
         if self.hyper is not None:
@@ -43,4 +45,4 @@ class VelocityTangent:
 
     def _assembled(self, cells: np.ndarray) -> sp.csr_matrix:
         values = np.bincount(self.position, weights=cells.ravel(), minlength=len(self.rows))
-        return sp.csr_matrix((values, (self.rows, self.columns)), shape=(self.n, self.n))
+        return sp.csr_matrix((values, (self.rows, self.columns)), shape=(self.width, self.width))

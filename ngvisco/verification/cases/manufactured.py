@@ -138,7 +138,7 @@ def _cases(kind: str) -> tuple[Case, ...]:
         name=f"manufactured-transport-{name}",
         theme=THEME,
         statement="Density and fields alone, with the exact velocity, converge with order m + 1 in 2D.",
-        label="Euler-small-viscoelastodyn+0disc, +2disc"
+        label="Euler-small-viscoelastodyn+0disc, Euler-small-viscoelastodyn+2disc"
         if kind == "linear"
         else "DT-det-extended, ED-Euler-large2",
         setting="Unit square, 0.4 m refined twice, two steps of 0.25 s (CFL up to 3), m = 0, 1, 2.",

@@ -1,0 +1,272 @@
+"""Energies of case files: what they compute by both backends, what they refuse and where, and their units."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ngvisco as nv
+from ngvisco.case.build import parse_case
+from ngvisco.case.energies import parse_energy
+from ngvisco.case.laws import custom_material, isotropic_strain_energy
+from ngvisco.expressions import ExpressionError
+from ngvisco.physics.array_slope import array_slope
+from ngvisco.physics.arrays import Array, derivatives
+from ngvisco.physics.materials import NeoHookean
+from ngvisco.physics.pointwise import ExpressionResponse
+from ngvisco.physics.variables import Distortion, Jacobian
+
+F_AND_J = (Distortion(), Jacobian())
+CASE = """\
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 0.6
+[material]
+kind = "Custom"
+variables = ["F", "J"]
+energy = "G*norm2(F)/J**(2/3) + 4*(J + 1/J)"
+parameters = { G = 3 }
+[time]
+dt = 0.02
+until = 0.04
+"""
+RNG = np.random.default_rng(3)
+F = np.eye(3)[:, :, None] + 0.2 * RNG.standard_normal((3, 3, 5))
+J = 1 + 0.2 * RNG.random(5)
+
+
+def by_arrays(text, **parameters):
+    """Values at (F, J) and the derivatives by both."""
+    arguments = {"F": Array(F), "J": Array(J)}
+    energy = parse_energy(text, F_AND_J, parameters)(**arguments)
+    return energy.value, derivatives(energy, list(arguments.values()))
+
+
+def each(function):
+    return np.array([function(F[:, :, i], J[i]) for i in range(5)])
+
+
+def cofactor(A):
+    return np.linalg.det(A) * np.linalg.inv(A).T
+
+
+def deviator(A):
+    return A - np.trace(A) / 3 * np.eye(3)
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("tr(F) + J", lambda F, J: np.trace(F) + J),
+        ("det(F)", lambda F, J: np.linalg.det(F)),
+        ("norm2(F - 2*I)", lambda F, J: np.sum((F - 2 * np.eye(3)) ** 2)),
+        ("dot(F, trans(F)*F)", lambda F, J: np.sum(F * (F.T @ F))),
+        ("norm2(cof(F))", lambda F, J: np.sum(cofactor(F) ** 2)),
+        ("tr(inv(F)*cof(F))", lambda F, J: np.trace(np.linalg.inv(F) @ cofactor(F))),
+        ("norm2(sym(F)) - norm2(sph(F))", lambda F, J: np.sum(((F + F.T) / 2) ** 2) - np.trace(F) ** 2 / 3),
+        ("norm2(dev(F)/J)", lambda F, J: np.sum(deviator(F) ** 2) / J**2),
+        ("F[0, 1]*(F*trans(F))[2, 2]", lambda F, J: F[0, 1] * (F @ F.T)[2, 2]),
+        ("J**-2 - sqrt(J)", lambda F, J: J**-2 - J**0.5),
+        ("exp(-J) + log(J)**2", lambda F, J: math.exp(-J) + math.log(J) ** 2),
+        ("abs(J - 1.1) + tanh(J - 1.1)", lambda F, J: abs(J - 1.1) + math.tanh(J - 1.1)),
+        ("sinh(J)*cosh(J)", lambda F, J: math.sinh(J) * math.cosh(J)),
+        ("min(J, 1.1) + max(F[0,0], J)", lambda F, J: min(J, 1.1) + max(F[0, 0], J)),
+        ("J if 1 < J < 1.1 else tr(F)", lambda F, J: J if 1 < J < 1.1 else np.trace(F)),
+        ("norm2(F if not J < 1.1 else I)", lambda F, J: np.sum(F**2) if J >= 1.1 else 3),
+        (
+            "where(J > 1.05 or F[0,0] >= 1, G*J, pi*J)",
+            lambda F, J: J * (7 if J > 1.05 or F[0, 0] >= 1 else math.pi),
+        ),
+    ],
+)
+def test_energy_has_the_value_and_slope_of_its_formula(text, meant):
+    found, slopes = by_arrays(text, G=7)
+    assert np.broadcast_to(found, 5) == pytest.approx(each(meant), rel=1e-13)
+    step = 1e-6
+    for i, j in np.ndindex(3, 3):
+        shift = np.zeros((3, 3))
+        shift[i, j] = step
+        quotient = each(lambda F, J: (meant(F + shift, J) - meant(F - shift, J)) / (2 * step))  # noqa: B023
+        assert np.broadcast_to(slopes[0][i, j], 5) == pytest.approx(quotient, rel=1e-7, abs=1e-7)
+    quotient = each(lambda F, J: (meant(F, J + step) - meant(F, J - step)) / (2 * step))
+    assert np.broadcast_to(slopes[1], 5) == pytest.approx(quotient, rel=1e-7, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    "energy",
+    [
+        "3*norm2(F)/J**(2/3) + 4*(J + 1/J)",
+        "norm2(cof(F))**1.5/J**2 + det(F)**2 + exp(tr(F*trans(F))) + tr(inv(F)*cof(F))",
+        "cosh(J) + tanh(J - 1)**2 + (norm2(F) if J > 1 else max(norm2(F), 3*J)) + norm2(dev(F*trans(F)))",
+    ],
+)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_coefficient_functions_and_arrays_have_the_same_slope(energy, dim):
+    material = custom_material(["F", "J"], energy)
+    z = 0.05 * RNG.standard_normal((material.states(dim).size, 8))
+    z[[0, 2 + dim, -1] if dim == 3 else [0, 3, 4, -1]] += 1
+    if dim == 3:
+        z[[4, 8]] += [[0.0], [1.0]] if z[4].mean() > 0.5 else [[1.0], [1.0]]
+    expected = ExpressionResponse(material, dim)(z.T).slope.T
+    assert np.abs(array_slope(material, dim)(z) - expected).max() <= 1e-13 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(
+    ("text", "reason", "position"),
+    [
+        ("3*F", "an energy is a scalar", 1),
+        ("3*4", "reads at least one of F, J", 1),
+        ("J + F", "no sum", 1),
+        ("J + q", "unknown name 'q' (known: F, J, G, pi, I)", 5),
+        ("J + x", "unknown name 'x'", 5),
+        ("J*t", "unknown name 't'", 3),
+        ("tr(J)", "tr takes tensors", 1),
+        ("J + log(F)", "log takes scalars", 5),
+        ("J + nrm2(F)", "did you mean 'norm2'?", 5),
+        ("2 + sin(J)", "unknown function 'sin'", 5),
+        ("J + F[0]", "two indices from 0 to 2", 7),
+        ("J + F[0, 3]", "two indices from 0 to 2", 7),
+        ("F[True, 0]", "two indices from 0 to 2", 3),
+        ("F[J, 0]", "two indices from 0 to 2", 3),
+        ("F[0:1, 0]", "two indices from 0 to 2", 3),
+        ("J[0, 0]", "only tensors have entries", 1),
+        ("J/F", "inv(A) is its inverse", 1),
+        ("F/0", "division by zero", 1),
+        ("F**2", "only scalars have powers", 1),
+        ("J**J", "an exponent is a number", 1),
+        ("J if F < 1 else 2", "tensors are not compared", 6),
+        ("J if J < 1 else F", "both are tensors", 1),
+        ("J*(1/0)", "no finite number", 4),
+        ("dot(F)", "dot takes 2 arguments, not 1", 1),
+        ("F.trans", "only numbers, names, entries", 1),
+        ("__import__('os').system('true')", "only the listed functions", 1),
+        ("(lambda: J)()", "only the listed functions", 1),
+        ("F[__import__('os'), 0]", "two indices", 3),
+        ("", "not an expression", 1),
+    ],
+)
+def test_wrong_energy_is_refused_with_its_position(text, reason, position):
+    with pytest.raises(ExpressionError) as caught:
+        parse_energy(text, F_AND_J, {"G": 1.0})
+    assert reason in str(caught.value)
+    assert caught.value.position + 1 == position
+
+
+def test_nested_choices_take_no_more_time_than_others():
+    text = "J"
+    for _ in range(25):
+        text = f"where(J < 1, J, {text})"
+    parse_energy(text, F_AND_J)  # once for each node: twice would be 2^25
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.text(alphabet="FJI()[]+-*/.,<>=012 trdeifls", max_size=30))
+def test_any_text_is_an_energy_or_refused(text):
+    try:
+        energy = parse_energy(text, F_AND_J)
+    except ExpressionError as error:
+        assert 0 <= error.position <= len(text)
+    else:
+        with np.errstate(all="ignore"):
+            assert energy(F=Array(F), J=Array(J)).is_scalar
+
+
+def test_the_material_by_text_is_the_material():
+    """The neo-Hookean energy, by its variables of the text and by the package's own class."""
+    by_text = custom_material(
+        ["F", "J"],
+        "K/2*(J - 1 + e/K)**2 - e*log(J) + G*norm2(F)/J**(2/3)",
+        {"K": 10.0, "G": 5.0, "e": 0.1},
+    )
+    own = NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
+    states = np.array([[1.1, 0.1, -0.2, 0.9, 1.0, 1.05]])
+    found, expected = (ExpressionResponse(m, 2)(states) for m in (by_text, own))
+    assert found.energy == pytest.approx(expected.energy, rel=1e-14)
+    assert found.slope == pytest.approx(expected.slope, rel=1e-13)
+    assert found.hessian == pytest.approx(expected.hessian, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "exponent"),
+    [
+        ("F", "F", 0),
+        ("C = cof(F)", "C", 0),
+        ("H = J**(-5/6) * F", "H", -5 / 6),
+        ("b=J**2*F*trans(F)", "b", 2),
+    ],
+)
+def test_variables_by_definition(text, name, exponent):
+    variable = custom_material([text, "J"], f"norm2({name}) + J").variables[0]
+    assert (variable.name, variable.exponent) == (name, pytest.approx(exponent))
+
+
+@pytest.mark.parametrize(
+    ("variables", "energy", "parameters", "field"),
+    [
+        (["Q"], "Q", {}, "Custom.variables"),
+        (["H = J**(F)*F"], "norm2(H)", {}, "Custom.variables"),
+        (["H = F*F"], "norm2(H)", {}, "Custom.variables"),
+        (["pi = F"], "norm2(pi)", {}, "Custom.variables"),
+        (["F", "F"], "norm2(F)", {}, "Custom.variables"),
+        (["K"], "K", {}, "Custom.variables"),
+        ([], "1", {}, "Custom.variables"),
+        (["F"], "norm2(F)*q", {}, "Custom.energy"),
+        (["F"], "F[0, 0]**2", {}, "Custom.energy"),
+        (["J"], "J", {"J": 1.0}, "Custom.parameters"),
+        (["J"], "J", {"I": 1.0}, "Custom.parameters"),
+        (["J"], "a*J", {"a": math.inf}, "Custom.parameters.a"),
+    ],
+)
+def test_wrong_materials_are_refused_by_their_keys(variables, energy, parameters, field):
+    with pytest.raises(nv.ParameterError) as caught:
+        custom_material(variables, energy, parameters)
+    assert caught.value.field == field
+
+
+def test_anisotropic_strain_energy_is_refused_with_the_rotation():
+    isotropic_strain_energy("5*tr(E)**2 + G*norm2(dev(E))", {"G": 5.0})
+    with pytest.raises(nv.ParameterError, match=r"IsotropicStrainEnergy.energy .* under the rotation"):
+        isotropic_strain_energy("norm2(E) + 0.01*E[0, 0]**2")
+
+
+def test_energy_of_a_case_is_in_its_units():
+    plain = parse_case(CASE, "case", Path("."))
+    scaled = parse_case('[units]\npressure = "kPa"\n' + CASE, "case", Path("."))
+    states = np.array([[1.1, 0.1, -0.2, 0.9, 1.0, 1.05]])
+    energies = [ExpressionResponse(case.model(2).material, 2)(states).energy for case in (plain, scaled)]
+    assert energies[1] == pytest.approx(1000 * energies[0], rel=1e-14)
+    again = parse_case(scaled.resolved, "case", Path("."))
+    assert again.hash == scaled.hash != plain.hash
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ('material.energy="3*norm2(F) + q"', ["material.energy", "unknown name 'q'", "at character 14"]),
+        ('material.variables=["F", "Z"]', ["material.variables", "one of F, H, B, N, J, A, K, E"]),
+        ("material.parameters={J=1}", ["material.parameters", "none of F, J, pi, I"]),
+        ('material.parameters.G="5 kPa"', ["material.parameters.G", "expected a number"]),
+        ("material.energy=3", ["material.energy", "expected a text"]),
+    ],
+)
+def test_faults_of_a_case_are_found_when_it_is_read(setting, words):
+    with pytest.raises(nv.CaseError) as caught:
+        parse_case(CASE, "case", Path("."), [setting])
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_case_of_a_custom_material_runs_by_both_solvers():
+    text = CASE + '[[loads]]\nkind = "Gravity"\ng = [0, -1]\n[rheology.viscosity]\nK_v = 0.1\nG_v = 0.1\n'
+    found = []
+    for method in ("coupled", "split"):
+        case = parse_case(text, "case", Path("."), [f"solver.method={method}"])
+        ledger = case.simulation(case.mesh()).run(case.until)
+        assert abs(ledger.column("closure_relative")).max() < 1e-9
+        found.append(ledger.column("kinetic")[-1])
+    assert found[0] == pytest.approx(found[1], rel=1e-8)

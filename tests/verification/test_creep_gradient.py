@@ -1,0 +1,73 @@
+"""Creep with nu > 0: its manufactured source, an independent creep rate on a disc, and that reference."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import jn_zeros, jv, spherical_jn
+
+from ngvisco.geometries import box
+from ngvisco.verification.case import VerificationError
+from ngvisco.verification.cases.creep_gradient import NU, independent
+from ngvisco.verification.convergence import coupled_rates
+from ngvisco.verification.differences import mismatch
+from ngvisco.verification.models import KINDS, coefficients, model
+from ngvisco.verification.radial_creep import RadialCreep
+from ngvisco.verification.sources import Sources
+
+T, TAU = 0.3, 0.05
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("kind", KINDS)
+def test_source_of_the_flow_rule_is_its_strong_residual(kind, dim):
+    mesh, sources = box((1,) * dim, 1.0), Sources(model(kind, dim, 4.0, True, nu=NU), dim, TAU)
+    right = coefficients(kind, 4.0, True, NU)
+    found = mismatch(right, sources, kind, T, mesh)
+    assert "Pi" in found and max(found.values()) < 1e-6, found
+    for name, factor in (("nu", 1.01), ("R", 1.01), ("G_e", 1.01)):
+        wrong = replace(right, **{name: factor * getattr(right, name)})
+        assert mismatch(wrong, sources, kind, T, mesh)["Pi"] > 1e-4, name
+
+
+@pytest.mark.parametrize("kind", ["linear", pytest.param("neo-hookean", marks=pytest.mark.long)])
+def test_creep_rate_converges_with_the_order_of_the_fields(kind):
+    coupled_rates(kind, 2, None, 2, 1, 0.4, 3, nu=NU).require(Pi=1.75, z=1.75, v=2.5)
+
+
+def test_creep_rate_on_a_disc_is_that_of_the_radial_problem():
+    values = independent(2, 0.5, 2).values
+    assert values["relative L2 error of Pi on the finest mesh"] < 6e-3
+    assert values["rate of Pi"] > 1.7
+    assert values["relative L2 distance of M/G_m from the reference"] > 0.2
+
+
+def test_radial_reference_has_the_closed_forms_of_the_linear_problem():
+    """q = 2: an eigenfunction of the Laplacian with zero slope at the wall is divided by G_m + nu k^2."""
+    k = jn_zeros(1, 1)[0]
+    r, a = RadialCreep(2, 1.0, 2.0, 0.3, 2.0, lambda s: jv(0, k * s)).solve(2000)
+    assert a == pytest.approx(jv(0, k * r) / (2.0 + 0.3 * k * k), abs=1e-6)
+    k = 4.493409457909064  # tan k = k
+    r, a = RadialCreep(3, 1.0, 2.0, 0.3, 2.0, lambda s: spherical_jn(0, k * s)).solve(2000)
+    assert a == pytest.approx(spherical_jn(0, k * r) / (2.0 + 0.3 * k * k), abs=1e-6)
+
+
+def test_radial_reference_satisfies_the_nonlinear_equation():
+    """The flux through a ball of radius r is what G_m a - m leaves inside of it."""
+
+    def driving(s):
+        return np.cos(2 * s)
+
+    r, a = RadialCreep(3, 1.0, 1.0, 0.5, 4.0, driving).solve(4000)
+    middle, slope = 0.5 * (r[1:] + r[:-1]), np.diff(a) / np.diff(r)
+    flux = middle**2 * 0.5 * np.abs(slope) ** 2 * slope
+    density = (0.5 * (a[1:] + a[:-1]) - driving(middle)) * middle**2
+    inside = np.cumsum(density * np.diff(r)) - 0.5 * density * np.diff(r)
+    assert flux == pytest.approx(inside, abs=1e-6) and np.abs(inside).max() > 0.02
+
+
+def test_radial_reference_says_where_it_has_no_end():
+    with pytest.raises(VerificationError, match="has not converged"):
+        RadialCreep(2, 1.0, 1.0, 0.5, 4.0, lambda s: np.nan * s).solve(10)

@@ -1,0 +1,130 @@
+"""The table of the paper's labels: complete, true of the package, and no test in it that there is not."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from ngvisco.verification import labels as module
+from ngvisco.verification.case import Bound, Case, Outcome, VerificationError
+from ngvisco.verification.labels import label_modules, label_table, labels, labels_in, rows
+from ngvisco.verification.registry import all_cases
+from ngvisco.verification.report import as_html, markdown
+
+TESTS = Path(__file__).resolve().parents[1]
+
+
+def case(label, reason=""):
+    bounds = (Bound("x", "<=", 1.0, reason),)
+    return Case(
+        name="a-case",
+        theme="T",
+        statement="S",
+        label=label,
+        setting="S",
+        bounds=bounds,
+        run=lambda: Outcome(values={}),
+    )
+
+
+def test_every_label_of_the_paper_is_there_once():
+    assert len(labels()) == 215
+    assert list(labels())[:2] == ["sec-linearized", "ZJ"] and list(labels())[-1] == "rem-neo-Hookean-ref"
+
+
+def test_every_test_of_the_table_exists():
+    missing = []
+    for label in labels().values():
+        for test in label.tests:
+            file, _, name = test.partition("::")
+            path = TESTS / file
+            tree = ast.parse(path.read_text(encoding="utf-8")) if path.is_file() else ast.parse("")
+            if name not in {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}:
+                missing.append(f"{label.name}: {test}")
+    assert not missing
+
+
+def test_a_label_is_measured_or_it_is_said_why_not():
+    table = label_table(all_cases())
+    silent = [row[0] for row in table.rows if row[3] == "not measured"]
+    assert not silent
+    assert {row[3].split(":")[0].split(" ")[0] for row in table.rows} == {"cases", "tests", "with", "not"}
+
+
+def test_every_label_that_the_package_or_a_case_names_is_one_of_the_paper():
+    """Sources name labels after "paper: "; cases name them, or what is no label, between commas."""
+    package = Path(module.__file__).resolve().parents[1]
+    unknown = set()
+    for path in package.rglob("*.py"):
+        for text in path.read_text(encoding="utf-8").split("(paper: ")[1:]:
+            said = " ".join(text.partition(")")[0].split()).replace("- ", "-")
+            if ")" in text and not labels_in(f" {said} ") and len(said.split()) < 3:
+                unknown.add(f"{path.name}: {said}")
+    # words, not labels, that stand there
+    assert {entry.partition(": ")[2] for entry in unknown} <= {"Section 2", "Section 3", "g^k_{delta tau}"}
+    for one in all_cases():
+        for part in one.label.partition(";")[0].split(", "):
+            if part.startswith(("Euler-", "ED-", "DT-", "rem-", "exa-")):
+                assert part in labels(), (one.name, part)
+
+
+def test_labels_are_found_whole():
+    text = "Euler-small-est3+ and Euler-small-est1: Euler-small-viscoelastodyn+0disc. (ZJ), 1/J-continuity-eq"
+    assert labels_in(text) == [
+        "Euler-small-est3+",
+        "Euler-small-est1",
+        "Euler-small-viscoelastodyn+0disc",
+        "ZJ",
+        "1/J-continuity-eq",
+    ]
+    assert labels_in("Euler-small-estimates, ZJs, xZJ, rem-f-ne-0x") == []
+
+
+def test_modules_are_those_that_name_the_label():
+    found = label_modules()
+    assert "physics/variables" in found["DT-det-extended"]
+    assert "physics/rheology" in found["Euler-small-ass-D"]
+    assert found["exa-Mooney–Rivlin-ref"] == (
+        "physics/materials/catalogue",
+        "physics/materials/mooney_rivlin",
+    )
+    # a word of English is no label
+    assert "run/ledger" not in found["cut-off"] and "physics/regularisation" in found["cut-off"]
+
+
+def test_cases_are_those_that_name_the_label_also_in_a_bound():
+    one = case("rem-f-ne-0; an exact solution", "Euler-small-est7: bounded")
+    found = {row.label.name: row.cases for row in rows([one]) if row.cases}
+    assert found == {"rem-f-ne-0": ("a-case",), "Euler-small-est7": ("a-case",)}
+    measured = {row[0]: row[3] for row in label_table([one]).rows}
+    assert measured["Euler-small-est7"] == "cases: a-case"
+    assert measured["Euler-small-est6"] == "not measured, as Euler-small-est++"
+    assert measured["Cauchy-stress++"] == "with rem-referential"
+
+
+def test_report_has_the_table():
+    page = markdown([], {}, "0")
+    assert "## The labels of the paper" in page and "| DT-det-inverse | the equation of 1/J |" in page
+    html = as_html([], {}, "0")
+    assert "<h2>The labels of the paper</h2>" in html and "<td>DT-det-inverse</td>" in html
+
+
+@pytest.mark.parametrize("line", ["a | b | c", "a | nowhere | c | d", "ZJ | | x |\nZJ | | x |"])
+def test_a_line_that_is_none_is_refused(line, monkeypatch):
+    class Text:
+        def joinpath(self, name):
+            return self
+
+        def read_text(self, encoding):
+            return line
+
+    monkeypatch.setattr(module.resources, "files", lambda package: Text())
+    module.labels.cache_clear()
+    try:
+        with pytest.raises(VerificationError, match=r"labels.txt"):
+            module.labels()
+    finally:
+        monkeypatch.undo()
+        module.labels.cache_clear()
