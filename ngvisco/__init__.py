@@ -26,6 +26,7 @@ from ngvisco.forms.context import time
 from ngvisco.forms.given import function_field, grid_field
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
 from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
 from ngvisco.physics.material import Material
@@ -112,6 +113,7 @@ __all__ = [
     "CustomMaterial",
     "DefectWarning",
     "Discretisation",
+    "Entry",
     "Gravity",
     "HardeningElastic",
     "HyperViscosity",
@@ -119,6 +121,7 @@ __all__ = [
     "InitialDataError",
     "InputWarning",
     "Integrals",
+    "Integrand",
     "IsochoricNeoHookean",
     "IsotropicStrainEnergy",
     "IsotropyReport",
@@ -143,6 +146,7 @@ __all__ = [
     "ParameterError",
     "PerMass",
     "PerReferentialVolume",
+    "PointTerm",
     "PrescribedTangential",
     "Probes",
     "Progress",

@@ -90,5 +90,7 @@ def test_recipes_code_has_the_projects_style(recipe, tmp_path):
         if what != "change" and not text.startswith("title"):  # a case file
             (tmp_path / f"block_{i}.py").write_text(text)
     for command in (("check", "--ignore=RUF001,RUF002,RUF003,SIM115,E402"), ("format", "--diff")):
-        result = subprocess.run(["ruff", *command, "."], cwd=tmp_path, capture_output=True, text=True)
+        result = subprocess.run(
+            [sys.executable, "-m", "ruff", *command, "."], cwd=tmp_path, capture_output=True, text=True
+        )
         assert result.returncode == 0, result.stdout + result.stderr

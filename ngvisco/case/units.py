@@ -4,7 +4,8 @@ Two ways, which may be mixed.  ``[units]`` says in which units plain numbers are
 all keys that are lengths and for x, y, z in expressions, ``time = "kyr"`` for all that are times and for t.
 What is not named there is in SI units; nothing is derived from another (with km and kyr a velocity is in m/s
 still, unless ``velocity`` is named).  And any number may be a text with its own unit, ``dt = "10 yr"``,
-``g = [0, "-9.81 m/s^2"]``.
+``g = [0, "-9.81 m/s^2"]``.  An energy that is written as an expression of the material's variables has its
+value in the unit of ``pressure``, and is multiplied as a whole; one per mass is in J/kg.
 """
 
 from __future__ import annotations

@@ -114,9 +114,9 @@ class Simulation:
     sources : Term, optional
         A further term that takes no unknown, for manufactured solutions.
     terms : sequence of Term
-        Further terms of the system, e.g. a drag: objects with ``form(u, w)`` and ``entries(u)``
-        (``ngvisco.forms.context.Term``), whose entries are columns of the ledger.  Both solvers have a term
-        with rows of the flow's unknowns; one with others is refused by the split solver, by its name.
+        Further terms of the system, e.g. a drag: ``PointTerm`` objects with ``cells(u, w)``, ``facets(u, w)``
+        and ``entries(u)`` (``ngvisco.forms.term``), whose entries are columns of the ledger.  They act in
+        both solvers; of a term that states its ``form(u, w)`` alone split takes rows of the flow only.
     passive : sequence of str
         Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
     limiter : bool

@@ -52,7 +52,7 @@ def test_first_step_from_a_rough_start_converges(material: str) -> None:
 
 
 def test_failed_step_restores_the_state_bitwise() -> None:
-    run = simulation(newton=NewtonOptions(max_iterations=2))
+    run = simulation(newton=NewtonOptions(max_iterations=2), halvings=0)
     run.ledger.start(0.0)
     before = state(run)
     with pytest.raises(StepError, match=r"step of length 0\.05 s from t = 0 s.*too many iterations") as error:

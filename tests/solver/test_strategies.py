@@ -229,7 +229,7 @@ def test_a_caller_chooses_the_efforts(efforts, tried, monkeypatch):
 
 def test_a_step_after_a_retry_begins_with_a_new_tangent(monkeypatch):
     """That of the solver which gave up belongs to none of the run's states."""
-    run = simulation(solver="split")
+    run = simulation(solver="split", halvings=0)
     solve, calls = Split.solve, []
 
     def fails_after_solving(self, problem, guess, full_steps=None):
