@@ -4,6 +4,7 @@ from ngvisco.geometries.boxes import bar, block_with_hole, box, channel
 from ngvisco.geometries.files import load
 from ngvisco.geometries.meshing import refine_walls
 from ngvisco.geometries.round import annulus, cylinder, disc, sphere, spherical_shell
+from ngvisco.geometries.structured import structured_box
 
 __all__ = [
     "annulus",
@@ -17,4 +18,5 @@ __all__ = [
     "refine_walls",
     "sphere",
     "spherical_shell",
+    "structured_box",
 ]

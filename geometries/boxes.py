@@ -22,7 +22,7 @@ from netgen.occ import (
 from ngsolve import Mesh
 
 from ngvisco.errors import ParameterError, as_number, require_names
-from ngvisco.geometries.meshing import CURVE_ORDER, as_length, is_delicate, mesh_of, unit_of
+from ngvisco.geometries.meshing import CURVE_ORDER, as_length, box_lengths, is_delicate, mesh_of, unit_of
 
 _WALLS = {
     2: (("left", -X), ("right", X), ("bottom", -Y), ("top", Y)),
@@ -57,7 +57,7 @@ def box(
     ParameterError
         If a length is not a finite positive number, or their number is not 2 or 3.
     """
-    return _box("box", [("size", length) for length in _lengths("box", size)], maxh, periodic, refine)
+    return _box("box", [("size", length) for length in box_lengths("box", size)], maxh, periodic, refine)
 
 
 def channel(
@@ -135,7 +135,7 @@ def block_with_hole(
         Of the curved cells.
     refine : mapping of walls to cell sizes, optional
     """
-    lengths = _lengths("block_with_hole", size)
+    lengths = box_lengths("block_with_hole", size)
     dim, radius = len(lengths), as_length("block_with_hole.radius", radius)
     across = (lengths[0], lengths[-1])
     if 2 * radius >= min(across):
@@ -160,19 +160,6 @@ def block_with_hole(
         hole.faces.name = "hole"
     delicate = is_delicate(length for _, length in parts)
     return mesh_of("block_with_hole", shape - hole, dim, maxh, order, refine, unit=unit, is_delicate=delicate)
-
-
-def _lengths(owner: str, size: Sequence[float]) -> tuple[float, ...]:
-    """The edges' lengths, m; raises ParameterError."""
-    try:
-        lengths = tuple(as_length(f"{owner}.size", length) for length in size)
-    except TypeError:
-        lengths = ()
-    except ParameterError as error:
-        raise ParameterError(error.field, size, f"two or three lengths, each {error.expected}") from None
-    if len(lengths) not in (2, 3):
-        raise ParameterError(f"{owner}.size", size, "two or three finite numbers > 0")
-    return lengths
 
 
 def _box(

@@ -45,6 +45,19 @@ _SMALLEST_ROUND = {2: 1e-4, 3: 1e-3}
 1e-5 m the area is wrong by 1e-7, of a ball of 1e-4 m the volume by 4e-3."""
 
 
+def box_lengths(owner: str, size: Sequence[float]) -> tuple[float, ...]:
+    """The edges' lengths, m; raises ParameterError."""
+    try:
+        lengths = tuple(as_length(f"{owner}.size", length) for length in size)
+    except TypeError:
+        lengths = ()
+    except ParameterError as error:
+        raise ParameterError(error.field, size, f"two or three lengths, each {error.expected}") from None
+    if len(lengths) not in (2, 3):
+        raise ParameterError(f"{owner}.size", size, "two or three finite numbers > 0")
+    return lengths
+
+
 def check_lengths(owner: str, **lengths: float) -> None:
     """Raise ParameterError unless every length is a finite number > 0."""
     for name, value in lengths.items():

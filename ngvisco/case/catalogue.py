@@ -52,6 +52,7 @@ def _geometries() -> dict[str, Callable[..., Any]]:
         "file": read_mesh,
         "sphere": geometries.sphere,
         "spherical_shell": geometries.spherical_shell,
+        "structured_box": geometries.structured_box,
     }
 
 

@@ -68,6 +68,12 @@ KEYS: dict[str, Key] = {
     "maxh": Key("m", "largest size of a cell", 0.1),
     "file.maxh": Key("m", "largest size of a cell, for STEP and BREP files, which are meshed", 0.1),
     "periodic": Key("", 'directions in which opposite walls are one, some of "x", "y", "z"', "x"),
+    "structured_box.cells": Key("1", "rows of cells along each direction, >= 1", [2, 40]),
+    "structured_box.grading": Key(
+        "1",
+        "length of the last row over that of the first one, by direction; 1 where nothing is said",
+        {"y": 5.0},
+    ),
     "refine": Key("m", "smaller cell sizes at walls, by the wall's name", {"left": 0.05}),
     "channel.refine": Key("m", "smaller cell sizes at walls, by the wall's name", {"top": 0.05}),
     "annulus.refine": Key("m", "smaller cell sizes at walls, by the wall's name", {"inner": 0.05}),

@@ -67,6 +67,7 @@ NEEDED = {
     "file": {"path": "missing.vol"},
     "sphere": {"radius": 1.0, "maxh": 2.0},
     "spherical_shell": {"inner": 0.5, "outer": 1.0, "maxh": 1.0},
+    "structured_box": {"size": [1.0, 1.0], "cells": [1, 1]},
     "BarotropicFluid": {"B": 1.0, "gamma": 1.4},
     "Custom": {"variables": ["F", "J"], "energy": "3*norm2(F)/J**(2/3) + 4*(J + 1/J)"},
     "IsotropicStrainEnergy": {"energy": "5*tr(E)**2 + 5*norm2(dev(E))"},

@@ -129,7 +129,7 @@ def test_a_damaged_or_foreign_checkpoint_is_refused_with_the_reason(damage, half
     elif damage == "version":
         with h5py.File(path, "a") as file:
             file.attrs["format"] = 1
-        reason = "its format is 1, this run's is 3"
+        reason = "its format is 1, this run's is 4"
     elif damage == "case":
         text = (half / "case.toml").read_text()
         (half / "case.toml").write_text(text.replace("G_v = 0.01", "G_v = 0.02"))

@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 from netgen.occ import Axis, Box, Circle, Pnt, Rectangle, X
-from ngsolve import BND, CF, Integrate
+from ngsolve import BND, CF, ET, Integrate, IntegrationRule, sin, x, y, z
 
+import ngvisco as nv
 from ngvisco import MeshError, ParameterError, UnknownNameError
 from ngvisco import geometries as g
 
@@ -286,3 +287,60 @@ def test_a_surface_has_no_volume_elements(tmp_path):
     Rectangle(1, 1).Face().WriteStep(str(tmp_path / "sheet.step"))
     with pytest.raises(ParameterError, match="maxh"):
         g.load(tmp_path / "sheet.step")
+
+
+@pytest.mark.parametrize("size", [(2.0, 0.5), (2.0, 0.5, 0.25)])
+def test_structured_box_has_graded_rows_and_the_walls_of_a_box(size):
+    cells = (8, 2, 2)[: len(size)]
+    mesh = g.structured_box(size, cells, grading={"x": 4.0})
+    assert mesh.ne == 32 * (1 if len(size) == 2 else 6)
+    assert pytest.approx(math.prod(size)) == Integrate(CF(1.0), mesh)
+    walls = dict(zip(("left", "right", "front", "back", "bottom", "top"), range(6), strict=True))
+    if len(size) == 2:
+        walls = dict(zip(("left", "right", "bottom", "top"), range(4), strict=True))
+    assert set(mesh.GetBoundaries()) == set(walls)
+    place = CF((x, y, z))
+    for name, number in walls.items():
+        axis, end = number // 2, number % 2
+        assert np.ptp(_on(mesh, name, place)[:, axis]) < 1e-12
+        assert _on(mesh, name, place)[0, axis] == pytest.approx(end * size[axis])
+    lines = np.unique(np.round([v.point[0] for v in mesh.vertices], 9))
+    rows = np.diff(lines)
+    assert len(rows) == 8 and rows[-1] / rows[0] == pytest.approx(4.0)
+    assert rows[1:] / rows[:-1] == pytest.approx(np.full(7, 4 ** (1 / 7)))
+
+
+def _on(mesh, name, place):
+    """Values at points of a wall."""
+    shape = ET.SEGM if mesh.dim == 2 else ET.TRIG
+    region = mesh.Boundaries(name)
+    return np.asarray(place(mesh.MapToAllElements({shape: IntegrationRule(shape, 2)}, region)))
+
+
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_a_thin_periodic_strip_runs_as_one_dimensional(solver):
+    """Two cells across: a sound wave along the strip does not depend on y."""
+    fluid = nv.BarotropicFluid.from_state_equation(1 / 1.4, 1.4, 1.0)
+    mesh = g.structured_box((1.0, 0.1), (10, 2), periodic="y")
+    initial = nv.Initial(density=1.0, velocity=(0.1 * sin(math.pi * x), 0), values=fluid.start(1.0, 1.0))
+    run = nv.Simulation(mesh, nv.Model(material=fluid), dt=0.05, initial=initial, solver=solver)
+    ledger = run.run(0.2)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    v = run.fields["velocity"]
+    assert abs(v(mesh(0.43, 0.013))[0] - v(mesh(0.43, 0.071))[0]) <= 1e-3 * 0.1
+    assert abs(v(mesh(0.43, 0.02))[1]) <= 1e-3 * 0.1
+
+
+@pytest.mark.parametrize(
+    "options, field",
+    [
+        ({"cells": (4,)}, "cells"),
+        ({"cells": (4, 0)}, "cells"),
+        ({"cells": (4, 2), "periodic": "z"}, "periodic"),
+        ({"cells": (4, 2), "grading": {"z": 2.0}}, "grading"),
+        ({"cells": (4, 2), "grading": {"x": 0.0}}, "grading"),
+    ],
+)
+def test_structured_box_refuses_what_it_is_not(options, field):
+    with pytest.raises(ParameterError, match=field):
+        g.structured_box((1, 1), **options)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ngvisco.errors import StepError
+from ngvisco.forms.walls import Conditions
 from ngvisco.geometries import box
 from ngvisco.physics.materials import NeoHookean
 from ngvisco.physics.model import Model
@@ -26,7 +27,7 @@ def cavity(scheme: str, limiter: bool) -> Simulation:
         viscosity=StokesViscosity(K_v=0.01, G_v=0.01),
         hyperviscosity=HyperViscosity(mu=1e-5, p=4),
     )
-    walls = {"top": PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): NoSlip()}
+    walls: Conditions = {"top": PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): NoSlip()}
     steps = None if limiter else AdaptiveSteps(dt_min=DT, dt_max=DT)
     return Simulation(
         box((1, 1), 0.1), model, dt=DT, walls=walls, scheme=scheme, limiter=limiter, stepping=steps

@@ -1,0 +1,85 @@
+"""Boxes of triangles or tetrahedra in rows, evenly spaced or graded: thin strips, columns, layers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from ngsolve import Mesh
+from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
+
+from ngvisco.errors import ParameterError, as_integer, as_number, require_names
+from ngvisco.geometries.meshing import box_lengths
+
+_NAMES = {"back": "left", "front": "right", "left": "front", "right": "back"}
+"""NGSolve's names of the walls of a structured box in 3D, and those of ``box``."""
+
+
+def structured_box(
+    size: Sequence[float],
+    cells: Sequence[int],
+    *,
+    periodic: str | Sequence[str] = (),
+    grading: Mapping[str, float] | None = None,
+) -> Mesh:
+    """A box [0, size_1] x [0, size_2] (x [0, size_3]) of rows of cells, with the walls of ``box``.
+
+    A rectangle of the grid is two triangles, a cuboid six tetrahedra.  A column that is uniform across, the
+    set-up of problems in one dimension, is two periodic cells wide: with one a cell meets its own image.
+
+    Parameters
+    ----------
+    size : two or three positive numbers
+        Edge lengths, m.
+    cells : as many whole numbers
+        Rows of cells along each direction, >= 1.
+    periodic : some of "x", "y", "z"
+        Directions in which the two walls are identified.
+    grading : mapping of directions to numbers > 0, optional
+        Length of the last row over that of the first one, which between them is geometric; default 1.
+
+    Raises
+    ------
+    ParameterError
+        For lengths or numbers of cells that are none, or another direction than the box has.
+    """
+    lengths = box_lengths("structured_box", size)
+    dim = len(lengths)
+    counts = [as_integer(n) for n in cells] if isinstance(cells, (tuple, list)) else []
+    if len(counts) != dim or any(n is None or n < 1 for n in counts):
+        raise ParameterError("structured_box.cells", cells, f"{dim} whole numbers >= 1")
+    axes = "xyz"[:dim]
+    directions = list(periodic) if isinstance(periodic, str) else require_names(_FIELD, periodic)
+    for name in directions:
+        if name not in axes:
+            raise ParameterError(_FIELD, periodic, f"some of {', '.join(axes)}")
+    rows = [_spacing(axis, n or 1, grading) for axis, n in zip(axes, counts, strict=True)]
+    for name in grading or {}:
+        if name not in axes:
+            raise ParameterError("structured_box.grading", grading, f"ratios for some of {', '.join(axes)}")
+
+    def place(*point: float) -> tuple[float, ...]:
+        return tuple(length * row(s) for length, row, s in zip(lengths, rows, point, strict=True))
+
+    options = {f"n{axis}": n for axis, n in zip(axes, counts, strict=True)}
+    options |= {f"periodic_{axis}": axis in directions for axis in axes}
+    if dim == 2:
+        return MakeStructured2DMesh(quads=False, mapping=place, **options)
+    mesh = MakeStructured3DMesh(hexes=False, mapping=place, **options)
+    for number, name in enumerate(mesh.GetBoundaries()):
+        mesh.ngmesh.SetBCName(number, _NAMES.get(name, name))
+    return Mesh(mesh.ngmesh)
+
+
+_FIELD = "structured_box.periodic"
+
+
+def _spacing(axis: str, rows: int, grading: Mapping[str, float] | None) -> Callable[[float], float]:
+    """The place of a grid line, of 1, as a function of its number over that of the rows."""
+    ratio = (grading or {}).get(axis, 1.0)
+    number = as_number(ratio)
+    if number is None or number <= 0:
+        raise ParameterError(f"structured_box.grading[{axis!r}]", ratio, "a finite number > 0")
+    if rows == 1 or number == 1:
+        return lambda s: s
+    growth = number ** (1 / (rows - 1))
+    return lambda s: (growth ** (s * rows) - 1) / (growth**rows - 1)
