@@ -81,8 +81,12 @@ class Context:
         time.Set(end)
 
     def rate(self, difference: Value) -> Value:
-        """difference/tau, of coefficient functions, arrays or matrices: the only place with 1/tau."""
-        return difference / (self.tau if isinstance(difference, CoefficientFunction) else self.tau.Get())
+        """difference/tau, of coefficient functions, numbers, arrays or matrices: the only place with 1/tau.
+
+        A number gives a coefficient function, which follows the step's length.
+        """
+        follows = isinstance(difference, (CoefficientFunction, int, float))
+        return difference / (self.tau if follows else self.tau.Get())
 
     def average(self, value: CoefficientFunction) -> CoefficientFunction:
         """The mean over ``loads_over`` by two Gauss points in time (exact for cubic functions of time;

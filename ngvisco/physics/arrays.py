@@ -87,6 +87,11 @@ class Array:
     def __pow__(self, exponent: float) -> Array:
         if not self.is_scalar or not isinstance(exponent, (int, float)):
             raise TypeError("only scalars have powers, with numbers as exponents")
+        if exponent < 1:  # a power of zero has a value, also where it has no derivative
+            return Array(
+                self.value ** float(exponent),
+                [(self, lambda g: exponent * self.value ** float(exponent - 1) * g)],
+            )
         lower = self.value ** float(exponent - 1)
         return Array(lower * self.value, [(self, lambda g: exponent * lower * g)])
 

@@ -12,6 +12,9 @@ says so by the term's name.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.fields import Fields
@@ -21,7 +24,8 @@ from ngvisco.forms.regularisation import CutOffVolume, DensityDiffusion, FieldDi
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm, Term
 from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
-from ngvisco.reduced.evaluation import NotAtPointsError, asked_slots
+from ngvisco.physics.arrays import Array
+from ngvisco.reduced.evaluation import NotAtPointsError, asked_slots, why
 from ngvisco.reduced.unknowns import Unknowns, density_by_forms
 from ngvisco.reduced.withheld import GivenParts, WithheldError
 
@@ -74,10 +78,11 @@ class Claims:
     def beside_the_points(self) -> list[Term]:
         """Terms of the flow whose linearisation by v, wall stress and Pi is taken from their forms."""
         own = (Inertia, ElasticForce, Loading, Kinematics)
+        at_coarse_points = {id(term) for term in self.of_gradients()}  # not by ==, which is the user's
         others = [
             term
             for term in self.at_points
-            if type(term) not in own and term not in self.of_gradients() and self.rows[id(term)] & _FLOW
+            if type(term) not in own and id(term) not in at_coarse_points and self.rows[id(term)] & _FLOW
         ]
         return [*self.by_forms, *others]
 
@@ -99,6 +104,7 @@ class Claims:
         elif isinstance(term, Continuity) and kind is Continuity:
             self.continuity.append(term)
         elif isinstance(term, Hyperviscosity) and kind is Hyperviscosity:
+            _require_arrays(step, term)
             self.hyperviscosity.append(term)
         elif isinstance(term, FieldDiffusion) and kind is FieldDiffusion:
             self.diffusion.append(term)
@@ -108,18 +114,24 @@ class Claims:
             self.conjugates.append(term)
         elif kind is CutOffVolume:
             self.without_rows.append(term)
-        elif isinstance(term, PointTerm) and self._is_at_points(step, term):
-            self.at_points.append(term)
         else:
-            _require_flow_rows(step, term)
-            self.by_forms.append(term)
+            obstacle = self._obstacle_at_points(step, term)
+            if isinstance(term, PointTerm) and obstacle is None:
+                self.at_points.append(term)
+            else:
+                _require_flow_rows(step, term, obstacle)
+                self.by_forms.append(term)
 
-    def _is_at_points(self, step: Step, term: PointTerm) -> bool:
+    def _obstacle_at_points(self, step: Step, term: Term) -> str | None:
+        """Why a term is not taken by its arrays, or None; notes its rows."""
+        if not isinstance(term, PointTerm) or type(term).form is not PointTerm.form:
+            return "it states its form itself"  # which may say more than ``cells`` and ``facets``
         try:
             rows = self.rows[id(term)] = asked_slots(step, term, step.tabulated_rates)
-        except NotAtPointsError:
-            return False
-        return rows <= AT_POINTS
+        except NotAtPointsError as error:
+            return str(error)
+        others = rows - AT_POINTS
+        return f"no array takes its rows of {', '.join(sorted(others))}" if others else None
 
 
 def term_obstacle(step: Step) -> str | None:
@@ -131,12 +143,34 @@ def term_obstacle(step: Step) -> str | None:
     return None
 
 
-def _require_flow_rows(step: Step, term: Term) -> None:
-    """Raise ParameterError if the term has rows of anything but the flow's unknowns."""
+def _require_arrays(step: Step, term: Hyperviscosity) -> None:
+    """Raise ParameterError if the law's coefficients are not functions of the variables at a point."""
+    law, one = term.law, Array(np.ones(1), None)
+    found: list[Any]
+    z = step.layout.states.tensors(lambda: Array(np.ones((step.layout.states.size, 1)), None))
+    try:
+        with np.errstate(all="ignore"):  # all values one need not be in the law's domain
+            found = [*law.moduli(z)]
+            found += [law.linear(z)] if law.is_linear else [law.coefficient(one, z), law.slope(one, z)]
+        reason = "its coefficients are not made of the variables' values alone"
+    except Exception as error:  # whatever a law raises at values that it does not know
+        found, reason = [None], f"its law does not take arrays: {why(error)}"
+    if not all(isinstance(value, (int, float, Array)) for value in found):
+        name = type(term).__name__
+        raise ParameterError("Simulation.terms", name, f"{name}: {reason}")
+
+
+def _require_flow_rows(step: Step, term: Term, obstacle: str | None) -> None:
+    """Raise ParameterError if the term has rows of anything but the flow's unknowns.
+
+    ``obstacle`` is why it has to be taken by its form.
+    """
     layout, names = step.layout, Unknowns(step).flow
     trial, test = layout.space.TnT()
     tests = {name: part for name, part in zip(layout.names, test, strict=True) if name in names}
     reason = "it has a row of {name}, and the split solver takes forms with rows of the flow only"
+    if obstacle is not None:
+        reason += f"; as arrays it cannot be taken: {obstacle}".replace("{", "{{").replace("}", "}}")
     try:
         term.form(layout.fields(trial), Fields(layout, GivenParts(tests, reason)))
     except WithheldError as error:

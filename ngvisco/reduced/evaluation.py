@@ -13,9 +13,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
-from ngsolve import CoefficientFunction, GridFunction
+from ngsolve import CF, CoefficientFunction, GridFunction
 
 from ngvisco.algebra.local import by_parts
 from ngvisco.errors import NgviscoError
@@ -66,39 +67,51 @@ class CellContext:
 
     def __init__(self, step: Step, operators: Operators, rates: TabulatedRates) -> None:
         self._step, self._op, self.rates = step, operators, rates
-        self._averages: dict[int, tuple[CoefficientFunction, GridFunction]] = {}
+        self.h = Array(np.repeat(step.context.h.vec.FV().NumPy(), operators.points.per_cell), None)
+        # by the function itself and no longer than it lives: a term may make a new one at each evaluation
+        self._averages = WeakKeyDictionary[CoefficientFunction, GridFunction]()
 
     def start(self) -> None:
         """Evaluate what is known through the step: old fields, old momentum and averaged loads."""
         step, op = self._step, self._op
         ranges, old = step.layout.ranges, step.state_old.vec.FV().NumPy()
         rho, z = (old[ranges[name]].copy() for name in ("rho", "z"))
-        self.old = Fields(
-            step.layout,
-            Lazy(
-                {
-                    "rho": lambda: Array(op.z(rho), None),
-                    "z": lambda: Array(op.z(z.reshape(step.layout.states.size, -1)), None),
-                },
-                "of the old state",
-            ),
-            self,  # type: ignore[arg-type]
-        )
-        self.momentum_old = Array(op.points.read(step.momentum_old, step.mesh.dim), None)
-        for value, function in self._averages.values():
-            function.Interpolate(step.context.average(value))
+        z = z.reshape(step.layout.states.size, -1)
+        values = {"rho": lambda: op.z(rho), "z": lambda: op.z(z)}
+        slopes = {
+            "rho": lambda: op.gradients(op.dz, rho[None])[0],
+            "z": lambda: op.gradients(op.dz, z),
+        }
+        self.old = _fields(step.layout, values, slopes, "of the old state", self)
+        for value, function in self._averages.items():
+            self._take_average(value, function)
+
+    @property
+    def momentum_old(self) -> Array:
+        """m_old, kg/(m^2 s); it is known at the points of the forms' rule only."""
+        step, points = self._step, self._op.points
+        if points.per_cell * step.mesh.dim * step.mesh.ne == step.momentum_old.space.ndof:
+            return Array(points.read(step.momentum_old, step.mesh.dim), None)
+        # of a coarser rule, for tangents only
+        old = step.state_old.vec.FV().NumPy()[step.layout.ranges["v"]]
+        return self.old.rho * Array(self._op.v(old.reshape(step.mesh.dim, -1)), None)
 
     def rate(self, difference: Any) -> Any:
-        """difference/tau, of arrays of values or of linear forms."""
-        return self._step.context.rate(difference)
+        """difference/tau, of numbers, arrays of values or linear forms."""
+        return _rate(self._step, difference)
 
     def average(self, value: CoefficientFunction) -> Array:
-        """The mean of a vector over the step, see ``Context.average``."""
-        if id(value) not in self._averages:
-            function = self._op.points.function(value.dim)
-            function.Interpolate(self._step.context.average(value))
-            self._averages[id(value)] = value, function
-        return Array(self._op.points.read(self._averages[id(value)][1], value.dim), None)
+        """The mean over the step of a scalar, a vector or a matrix, see ``Context.average``."""
+        if value not in self._averages:
+            function = self._averages[value] = self._op.points.function(value.dim)
+            self._take_average(value, function)
+        values = self._op.points.read(self._averages[value], value.dim)
+        return Array(values.reshape(*value.dims, -1), None)
+
+    def _take_average(self, value: CoefficientFunction, function: GridFunction) -> None:
+        mean = self._step.context.average(value)
+        # grid functions at points have two components at least
+        function.Interpolate(CF((mean, 0.0)) if value.dim == 1 else mean)
 
 
 class SideContext:
@@ -112,7 +125,7 @@ class SideContext:
 
     def rate(self, difference: Any) -> Any:
         """difference/tau."""
-        return self._step.context.rate(difference)
+        return _rate(self._step, difference)
 
     @property
     def eta(self) -> float:
@@ -289,6 +302,12 @@ def _slots(parts: list[Linear]) -> dict[str, np.ndarray]:
     return slots(total)
 
 
+def _rate(step: Step, difference: Any) -> Any:
+    """``Context.rate`` for arrays, also of a number."""
+    known = Array.constant(difference) if isinstance(difference, (int, float)) else difference
+    return step.context.rate(known)
+
+
 def _full(values: np.ndarray, count: int) -> np.ndarray:
     """Values at all points, of values that may be the same at all."""
     return values if values.shape[-1] == count else np.broadcast_to(values, (*values.shape[:-1], count))
@@ -312,7 +331,8 @@ def _constant_matrix(step: Step, term: PointTerm, tests: Fields) -> np.ndarray |
     slopes = Lazy({"v": lambda: Array(gradients, None)}, _CELLS)
     try:
         u = Fields(step.layout, Lazy({}, _CELLS), SimpleNamespace(), lambda name: slopes[name])  # type: ignore
-        found = _slots(list(term.cells(u, tests)))
+        with np.errstate(all="ignore"):  # laws of such sizes may overflow
+            found = _slots(list(term.cells(u, tests)))
     except Exception:  # whatever a term raises at values that it does not know
         return None
     if set(found) != {"grad v"} or found["grad v"].shape != gradients.shape:
@@ -345,14 +365,15 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
 
     def fields(context: Any, names: Iterable[str], place: str) -> Fields:
         parts = {name: partial(ones, shapes[name]) for name in names}
-        slopes = {name: partial(ones, (*shapes[name], d)) for name in shapes}
-        gradients = Lazy(slopes if place == _CELLS else {}, place)
+        slopes = {name: partial(ones, (*shapes[name], d)) for name in names if name != "zeta"}
+        gradients = Lazy(slopes if place == _CELLS else {}, f"{place}, as a gradient")
         return Fields(step.layout, Lazy(parts, place), context, lambda name: gradients[name])
 
     inside = SimpleNamespace(
         momentum_old=ones((d,)),
         rate=lambda difference: difference,
-        average=lambda value: ones((value.dim,)),
+        average=lambda value: ones(tuple(value.dims)),
+        h=ones(()),
         rates=rates,
     )
     inside.old = fields(inside, ("rho", "z"), _CELLS)
@@ -362,11 +383,20 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
     cells = [name for name in shapes if not name.endswith("_hat")]
     facets = [name for name in shapes if name != "Pi"]
     try:
-        u, w = fields(inside, cells, _CELLS), _tests(step, True, inside)
-        found = set(_slots(list(term.cells(u, w))))
-        u, w = fields(side, facets, _FACETS), _tests(step, False, side)
-        return found | set(_slots(list(term.facets(u, w))))
+        with np.errstate(all="ignore"):  # all values one need not be in a law's domain
+            u, w = fields(inside, cells, _CELLS), _tests(step, True, inside)
+            found = set(_slots(list(term.cells(u, w))))
+            u, w = fields(side, facets, _FACETS), _tests(step, False, side)
+            return found | set(_slots(list(term.facets(u, w))))
     except NotAtPointsError:
         raise
     except Exception as error:  # whatever a term raises at values that it does not know
-        raise NotAtPointsError(f"it does not take arrays ({type(error).__name__}: {error})") from error
+        raise NotAtPointsError(f"it does not take arrays ({why(error)})") from error
+
+
+def why(error: Exception) -> str:
+    """One line on what a term or a law raised at arrays."""
+    lines = str(error).splitlines() or [""]
+    if "incompatible function arguments" in lines[0]:
+        return "it combines values with a coefficient function of its own"
+    return f"{type(error).__name__}: {lines[0]}"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from ngsolve import CF, BilinearForm, FESpace, GridFunction
+from ngsolve import CF, BilinearForm, FESpace, Grad, GridFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh_arrays import mask_of
@@ -27,7 +27,15 @@ class RestrictedForm:
         trial, test = self.space.TnT()
         zero: dict[str, Any] = {name: _zero(layout.blocks[name]) for name in layout.names}
         u = Fields(layout, known | dict(zip(self.names, trial, strict=True)))
-        w = _Tests(layout, zero | dict(zip(self.names, test, strict=True)), set(self.names))
+        tests = zero | dict(zip(self.names, test, strict=True))
+
+        def gradient(name: str) -> Any:  # a constant has none for NGSolve
+            value = tests[name]
+            if name in self.names:
+                return Grad(value)
+            return CF((0.0,) * (value.dim * layout.mesh.dim), dims=(*value.dims, layout.mesh.dim))
+
+        w = Fields(layout, tests, gradient=gradient)
         self.form = BilinearForm(self.space, check_unused=False)
         for term in terms:
             step.quadrature.add(self.form, term.form(u, w))
@@ -53,18 +61,5 @@ class RestrictedForm:
 
 
 def _zero(space: FESpace) -> Any:
-    size = space.TrialFunction().dim
-    return CF((0.0,) * size) if size > 1 else CF(0.0)
-
-
-class _Tests(Fields):
-    """Test functions of some unknowns; gradients of the others' are zero too."""
-
-    def __init__(self, layout: Any, parts: dict[str, Any], names: set[str]) -> None:
-        super().__init__(layout, parts)
-        d = self.dim
-        gradients = {"rho": ("grad_rho", (d,)), "v": ("grad_v", (d, d))}
-        for name, (attribute, shape) in gradients.items():
-            if name not in names:
-                size = int(np.prod(shape))
-                self.__dict__[attribute] = CF((0.0,) * size, dims=shape)
+    trial = space.TrialFunction()
+    return CF((0.0,) * trial.dim, dims=tuple(trial.dims)) if trial.dims else CF(0.0)

@@ -98,3 +98,10 @@ def test_an_energy_that_needs_ngsolve_is_left_to_it():
 def test_meaningless_operations_are_type_errors(wrong):
     with pytest.raises(TypeError):
         wrong(Array(np.ones((3, 3, 2))), Array(np.ones(2)))
+
+
+@pytest.mark.parametrize("exponent", [0, 0.5, 1, 1.5, 2])
+def test_powers_of_zero_are_numbers(exponent):
+    """A law may have a value where it has no derivative: at rest."""
+    with np.errstate(all="raise"):
+        assert (Array(np.zeros(2)) ** exponent).value == pytest.approx(0.0**exponent, abs=0)

@@ -10,7 +10,7 @@ import ngvisco as nv
 from ngvisco.forms.momentum import Continuity
 from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.geometries import box
-from ngvisco.physics.tensors import inner, square
+from ngvisco.physics.tensors import inner, log, square
 from ngvisco.reduced import claims
 
 
@@ -82,6 +82,108 @@ class GrowthByForms:
         return []
 
 
+class FormOnly(PointTerm):
+    """A term at points that states its form itself."""
+
+    def form(self, u, w):
+        return [Integrand(4.0 * u.rho * inner(u.v, w.v))]
+
+    def entries(self, u):
+        return [Entry("dissipation_form_only", "dissipation", Integrand(4.0 * u.rho * square(u.v)))]
+
+
+class OldSlopes(PointTerm):
+    """A drag by the old density's slope and by the cells' size."""
+
+    def _modulus(self, u):
+        return (1 + u.context.h) * square(u.context.old.grad_rho)
+
+    def cells(self, u, w):
+        return [self._modulus(u) * inner(u.v, w.v)]
+
+    def entries(self, u):
+        power = self._modulus(u) * square(u.v)
+        return [Entry("dissipation_old_slopes", "dissipation", Integrand(power))]
+
+
+class OldViscosity(PointTerm):
+    """A viscosity by what the old state was: rows of grad w that read what is known through the step."""
+
+    def _modulus(self, u):
+        c = u.context
+        return 0.1 * c.old.rho + 0.1 * square(c.momentum_old)
+
+    def cells(self, u, w):
+        return [self._modulus(u) * inner(u.grad_v, w.grad_v)]
+
+    def entries(self, u):
+        power = self._modulus(u) * square(u.grad_v)
+        return [Entry("dissipation_old_viscosity", "dissipation", Integrand(power))]
+
+
+class Impulse(PointTerm):
+    """-J . w/tau: a momentum that each step brings, with a number in ``rate``."""
+
+    def cells(self, u, w):
+        return [u.context.rate(-0.01) * w.v[0]]
+
+    def entries(self, u):
+        return [Entry("power_impulse", "power", Integrand(u.context.rate(0.01) * u.v[0]))]
+
+
+class RowsOfBoth(PointTerm):
+    """Rows of v, and of z with gradients of the tests."""
+
+    def cells(self, u, w):
+        return [0.1 * inner(u.v, w.v), 1e-3 * inner(u.grad_z, w.grad_z)]
+
+    def entries(self, u):
+        power = 0.1 * square(u.v) + 1e-3 * inner(u.grad_z, u.grad_zeta)
+        return [Entry("dissipation_rows_of_both", "dissipation", Integrand(power))]
+
+
+class GrowthInTime(PointTerm):
+    """Growth at a rate by place and time, known as a mean over the step, of a function made on the spot."""
+
+    def _rate(self, u):
+        return u.context.average(0.5 + x + 20 * nv.time)
+
+    def cells(self, u, w):
+        s = self._rate(u)
+        return [-s * u.rho * w.rho, -0.5 * s * u.rho * inner(u.v, w.v)]
+
+    def entries(self, u):
+        power = 0.5 * self._rate(u) * u.rho * square(u.v)
+        return [Entry("power_growth_in_time", "power", Integrand(power))]
+
+
+class Singular(PointTerm):
+    """A drag whose law is not defined where all values are one."""
+
+    def cells(self, u, w):
+        return [-log(square(u.rho - 1.0)) * inner(u.v, w.v)]
+
+
+@dataclass(frozen=True)
+class ByArray(PointTerm):
+    """A drag with an array for a parameter, which two terms cannot be compared by."""
+
+    c: np.ndarray
+
+    def cells(self, u, w):
+        return [self.c[0] * inner(u.v, w.v) + self.c[1] * (1 + square(u.v)) * inner(u.grad_v, w.grad_v)]
+
+    def entries(self, u):
+        power = self.c[0] * square(u.v) + self.c[1] * (1 + square(u.v)) * square(u.grad_v)
+        return [Entry(f"dissipation_by_array_{self.c[1]:g}", "dissipation", Integrand(power))]
+
+
+@dataclass(frozen=True, kw_only=True)
+class HyperByPlace(nv.HyperViscosity):
+    def moduli(self, z):
+        return self.mu * (1 + x), self.mu_1
+
+
 class OtherContinuity(Continuity):
     """A class of its own: not the equation that the split solver solves for the upwind trace of rho."""
 
@@ -105,7 +207,8 @@ def solved(term, scheme="backward-euler"):
     """Ledgers and states of both solvers."""
     states, ledgers = [], []
     for solver in ("split", "coupled"):
-        run = simulation([term], scheme=scheme, solver=solver)
+        nv.time.Set(0.0)
+        run = simulation(term if isinstance(term, list) else [term], scheme=scheme, solver=solver)
         ledgers.append(run.run(0.06))
         state, ranges = run.rothe_step.state.vec.FV().NumPy(), run.rothe_step.layout.ranges
         states.append({name: state[ranges[name]].copy() for name in ("v", "rho", "z")})
@@ -134,6 +237,45 @@ def test_rows_of_the_density_and_on_facets_act_in_both_solvers(term):
         assert abs(mass[-1] / mass[0] - 1) > 1e-2
 
 
+@pytest.mark.parametrize(
+    "term",
+    [FormOnly(), OldSlopes(), OldViscosity(), Impulse(), RowsOfBoth(), GrowthInTime()],
+    ids=lambda term: type(term).__name__,
+)
+@pytest.mark.parametrize("scheme", ["backward-euler", "sdirk2"])
+def test_whatever_a_term_asks_for_it_acts_in_both_solvers(term, scheme):
+    for ledger in solved(term, scheme):
+        assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+
+
+def test_terms_are_told_apart_by_what_they_are_not_by_equality():
+    for ledger in solved([ByArray(np.array([1.0, 0.1])), ByArray(np.array([1.0, 0.2]))]):
+        assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+
+
+def test_averages_of_functions_made_on_the_spot_are_not_kept():
+    run = simulation([GrowthInTime()], maxh=0.5, solver="split")
+    run.run(0.04)
+    kept = run.solver.newton.residual.cell_terms.context._averages
+    assert len(kept) <= 2  # that of gravity, and the one made last
+
+
+def test_where_a_term_goes_does_not_depend_on_its_domain():
+    run = simulation([Singular()], solver="split")
+    found = claims.Claims.of(run.rothe_step)
+    assert Singular in {type(term) for term in found.at_points}
+
+
+def test_a_hyperviscosity_that_arrays_do_not_have_is_refused_with_the_reason():
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), hyperviscosity=HyperByPlace(mu=1e-5)
+    )
+    with pytest.raises(nv.ParameterError, match=r"'coupled': Hyperviscosity: its law does not take arrays"):
+        nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, solver="split")
+    auto = nv.Simulation(box((1, 1), maxh=0.15), model, dt=0.02)
+    assert type(auto.solver.newton).__name__ == "Newton"
+
+
 def test_where_a_term_goes():
     run = simulation([Drag(1.0), DragByForms(1.0), Growth(0.1)], solver="split")
     found = claims.Claims.of(run.rothe_step)
@@ -148,7 +290,7 @@ def test_auto_takes_the_split_solver_with_a_term_that_it_can_take():
 
 def test_a_term_that_only_forms_can_express_is_refused_by_its_name():
     term = GrowthByForms(0.1)
-    with pytest.raises(nv.ParameterError, match=r"'coupled': GrowthByForms: it has a row of rho"):
+    with pytest.raises(nv.ParameterError, match=r"GrowthByForms: it has a row of rho.*its form itself"):
         simulation([term], solver="split")
     ledger = simulation([term], maxh=0.5, solver="coupled").run(0.04)
     mass = ledger.column("mass")  # grows as (1 - s tau)^-1 a step

@@ -46,7 +46,7 @@ class FlowSchurComplement:
         others = claims.beside_the_points()
         self.others = RestrictedForm(step, u.flow, others) if others else None
         self.leading = claims.of_gradients()
-        self.inertial = [term for term in claims.at_points if isinstance(term, Inertia)]
+        self.inertial = [term for term in claims.at_points if type(term) is Inertia]
 
     def update(self, at: Evaluation, everything: bool = True) -> None:
         """Linearise at an evaluation.
@@ -59,6 +59,7 @@ class FlowSchurComplement:
             self.derivative.update(at.hyper)
         if not everything:
             return
+        self.tangent.terms.context.start()
         count = self.op.points.count * self.tangent.components**2
         concurrently(lambda: self.tangent.update(at), lambda: self.sweep.update(at), count)
         self.elements.update(self._base(), self._inertia(at))
