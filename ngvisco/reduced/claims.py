@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ngvisco.errors import ParameterError
+from ngvisco.forms.context import Context
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Continuity, Inertia, Loading
@@ -51,6 +52,8 @@ class Claims:
     """The continuity equation where it is not linear in rho, by forms."""
     by_forms: list[Term] = field(default_factory=list)
     """Rows of the flow by forms."""
+    forms_ask_for: set[str] = field(default_factory=set)
+    """Names of what these take of the step's ``Context``."""
     diffusion: list[FieldDiffusion] = field(default_factory=list)
     """delta Laplace z, a constant matrix."""
     hyperviscosity: list[Hyperviscosity] = field(default_factory=list)
@@ -119,8 +122,9 @@ class Claims:
             if isinstance(term, PointTerm) and obstacle is None:
                 self.at_points.append(term)
             else:
-                _require_flow_rows(step, term, obstacle)
+                asked = _require_flow_rows(step, term, obstacle)
                 self.by_forms.append(term)
+                self.forms_ask_for |= asked
 
     def _obstacle_at_points(self, step: Step, term: Term) -> str | None:
         """Why a term is not taken by its arrays, or None; notes its rows."""
@@ -160,10 +164,26 @@ def _require_arrays(step: Step, term: Hyperviscosity) -> None:
         raise ParameterError("Simulation.terms", name, f"{name}: {reason}")
 
 
-def _require_flow_rows(step: Step, term: Term, obstacle: str | None) -> None:
-    """Raise ParameterError if the term has rows of anything but the flow's unknowns.
+class _Asked:
+    """A context that remembers what was asked for."""
+
+    def __init__(self, context: Context) -> None:
+        self._context, self.names = context, set[str]()
+
+    def __getattr__(self, name: str) -> Any:
+        self.names.add(name)
+        return getattr(self._context, name)
+
+
+def _require_flow_rows(step: Step, term: Term, obstacle: str | None) -> set[str]:
+    """Names of what a term by its form takes of the context.
 
     ``obstacle`` is why it has to be taken by its form.
+
+    Raises
+    ------
+    ParameterError
+        If it has rows of anything but the flow's unknowns.
     """
     layout, names = step.layout, Unknowns(step).flow
     trial, test = layout.space.TnT()
@@ -171,8 +191,11 @@ def _require_flow_rows(step: Step, term: Term, obstacle: str | None) -> None:
     reason = "it has a row of {name}, and the split solver takes forms with rows of the flow only"
     if obstacle is not None:
         reason += f"; as arrays it cannot be taken: {obstacle}".replace("{", "{{").replace("}", "}}")
+    context: Any = _Asked(layout.context)
+    u = Fields(layout, dict(zip(layout.names, trial, strict=True)), context)
     try:
-        term.form(layout.fields(trial), Fields(layout, GivenParts(tests, reason)))
+        term.form(u, Fields(layout, GivenParts(tests, reason), context))
+        return context.names
     except WithheldError as error:
         name = type(term).__name__
         raise ParameterError("Simulation.terms", name, f"{name}: {error}") from error

@@ -153,6 +153,8 @@ class ReducedResidual:
                 rows["a"] = hyper.rows[:, c["v"].shape[1] :]
                 if is_real:
                     self.hyper.put(hyper)
+        if is_real and "energy" in self.claims.forms_ask_for:
+            self.step.eliminate.refresh()
         with self._clock("forms"):
             residual = self._joined(x, rows)
         return Evaluation(x, c, u, s, hyper, residual)

@@ -178,6 +178,17 @@ class ByArray(PointTerm):
         return [Entry(f"dissipation_by_array_{self.c[1]:g}", "dissipation", Integrand(power))]
 
 
+class DragByEnergy(PointTerm):
+    """A drag by the stored energy, which only forms have."""
+
+    def cells(self, u, w):
+        return [3.0 * u.context.energy.density(u) * inner(u.v, w.v)]
+
+    def entries(self, u):
+        power = 3.0 * u.context.energy.density(u) * square(u.v)
+        return [Entry("dissipation_drag_by_energy", "dissipation", Integrand(power))]
+
+
 @dataclass(frozen=True, kw_only=True)
 class HyperByPlace(nv.HyperViscosity):
     def moduli(self, z):
@@ -191,9 +202,12 @@ class OtherContinuity(Continuity):
         return ()
 
 
-def simulation(terms=(), maxh=0.25, scheme="backward-euler", **options):
+NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+
+
+def simulation(terms=(), maxh=0.25, scheme="backward-euler", material=NEO_HOOKEAN, **options):
     model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        material=material,
         hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
         loads=[nv.Gravity((0.0, -1.0))],
     )
@@ -203,12 +217,13 @@ def simulation(terms=(), maxh=0.25, scheme="backward-euler", **options):
     return nv.Simulation(mesh, model, dt=0.02, initial=initial, terms=terms, scheme=scheme, **options)
 
 
-def solved(term, scheme="backward-euler"):
+def solved(term, scheme="backward-euler", **options):
     """Ledgers and states of both solvers."""
     states, ledgers = [], []
     for solver in ("split", "coupled"):
         nv.time.Set(0.0)
-        run = simulation(term if isinstance(term, list) else [term], scheme=scheme, solver=solver)
+        terms = term if isinstance(term, list) else [term]
+        run = simulation(terms, scheme=scheme, solver=solver, **options)
         ledgers.append(run.run(0.06))
         state, ranges = run.rothe_step.state.vec.FV().NumPy(), run.rothe_step.layout.ranges
         states.append({name: state[ranges[name]].copy() for name in ("v", "rho", "z")})
@@ -250,6 +265,12 @@ def test_whatever_a_term_asks_for_it_acts_in_both_solvers(term, scheme):
 
 def test_terms_are_told_apart_by_what_they_are_not_by_equality():
     for ledger in solved([ByArray(np.array([1.0, 0.1])), ByArray(np.array([1.0, 0.2]))]):
+        assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+
+
+def test_a_form_reads_the_energy_of_the_present_state():
+    """Also where the energy has values at points only, which are kept."""
+    for ledger in solved(DragByEnergy(), material=nv.Yosida(material=NEO_HOOKEAN, eps=0.05), maxh=0.5):
         assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
 
 
@@ -310,7 +331,7 @@ def test_every_term_of_a_step_is_claimed_exactly_once():
     walls = {"top": nv.Traction(f=(1.0, 0.0), friction=0.1)}
     run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.1, walls=walls)
     found = claims.Claims.of(run.rothe_step)
-    parts = [part for name, part in vars(found).items() if name != "rows"]
+    parts = [part for name, part in vars(found).items() if name not in ("rows", "forms_ask_for")]
     assert sorted(id(term) for part in parts for term in part) == sorted(map(id, run.rothe_step.terms))
     assert claims.term_obstacle(run.rothe_step) is None
     # what acts on facets of walls is by forms, all else that has rows of the flow at points

@@ -1,0 +1,34 @@
+"""The energy's slope by arrays is NGSolve's, or is not taken."""
+
+from __future__ import annotations
+
+import numpy as np
+from ngsolve import CoefficientFunction
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import Distortion, Jacobian
+
+
+def energy(F, J):
+    """Means something else with arrays, in a part without a slope at rest."""
+    factor = 0.0 if isinstance(J, CoefficientFunction) else 0.5
+    strain = square(F) - 3
+    return 2 * square(F) + 6 * (J - 1) * (J - 1) - 4 * J + factor * strain * strain
+
+
+def test_an_energy_that_means_something_else_with_arrays_is_found_out_at_rest():
+    material = nv.CustomMaterial(transported=(Distortion(), Jacobian()), stored_energy=energy)
+    viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.1)
+    run = nv.Simulation(
+        box((1, 1), maxh=0.5), nv.Model(material=material, viscosity=viscosity), dt=0.02, solver="split"
+    )
+    slope = run.solver.newton.residual.slope
+    states = run.rothe_step.layout.states
+    rest = np.zeros((states.size, slope.points.count))
+    rest[states.slices["F"]] = states.spaces["F"].columns.T @ np.eye(3).ravel()[:, None]
+    rest[states.slices["J"]] = 1.0
+    assert slope.arrays is not None
+    slope(rest)
+    assert slope.arrays is None
