@@ -8,6 +8,8 @@ record what multiplies them (``ngvisco.physics.arrays.Linear``), they are the ro
 derivative by a complex increment of u, and columns of element matrices.
 
 A term that asks for more than values at a point - an integral, another space - states its ``form`` alone.
+What a term reads besides u, w and ``u.context`` has to stay as it is through the run: a number that is taken
+out of a Parameter by ``Get()`` is that of the moment when the form was made.
 """
 
 from __future__ import annotations

@@ -17,6 +17,12 @@ from ngsolve import CoefficientFunction
 from ngvisco.physics.tensors import sqrt
 
 
+def mean_share(inner: CoefficientFunction) -> CoefficientFunction:
+    """1 - n^- for v = 0.  Both sides' shares sum up to the same whatever v, so that a trace's mass matrix is
+    that of these: 1/2 between two cells, 1 on walls."""
+    return 1.0 - 0.5 * inner
+
+
 class Upwinding:
     """n^-, a^+ and a^- of coefficient functions or of arrays."""
 

@@ -19,6 +19,7 @@ from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.sparse import mass_matrix
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
+from ngvisco.forms.upwinding import mean_share
 from ngvisco.physics.arrays import TINY
 from ngvisco.reduced.claims import Claims
 from ngvisco.reduced.diffusion import FieldDiffusionMatrix
@@ -113,8 +114,7 @@ class ReducedResidual:
         if step.sources is not None:
             self.right_hand_side = RightHandSide(step, self.unknowns, self.diffusion)
         self.trace_mass, self.density_mass = FacetMass(self.side_op.hat), FacetMass(self.side_op.hat)
-        # both sides' shares of an upwind trace sum up to one whatever v (``Upwinding``): v = 0 will do
-        self.trace_mass.update(self.side_op.points.weights * (1 - 0.5 * self.side_op.inner))
+        self.trace_mass.update(self.side_op.points.weights * mean_share(self.side_op.inner))
         self._at_points = [*claims.at_points, *claims.continuity]
         self._zeros = {"z_hat": np.zeros((step.layout.states.size, 1)), "rho_hat": np.zeros(1)}
 

@@ -46,6 +46,7 @@ from ngsolve.krylovspace import GMRESSolver
 
 from ngvisco.errors import CheckpointError, StepError, UnknownNameError
 from ngvisco.forms.system import Step
+from ngvisco.forms.upwinding import mean_share
 from ngvisco.physics.tensors import IDENTITY, inner, square
 
 TOLERANCE, ENOUGH, ITERATIONS = 1e-12, 1e-9, 200
@@ -200,7 +201,7 @@ class _Carrier:
         cells = c.rate(inner(f, g)) + inner(convected, g)
         # the cell that v enters takes the trace, and the trace is what the other cell has
         entering = (v * c.normal) * inflow * inner(f_hat - f, g)
-        trace = inner((1 - 0.5 * c.inner) * f_hat - (1 - inflow) * f, g_hat)
+        trace = inner(mean_share(c.inner) * f_hat - (1 - inflow) * f, g_hat)
         self.form = BilinearForm(self.space, condense=True)
         self.form += cells.Compile() * rules.cells
         self.form += (entering + trace).Compile() * rules.facets

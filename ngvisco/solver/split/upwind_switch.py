@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.algebra.sparse import together
-from ngvisco.forms.upwinding import Upwinding
+from ngvisco.forms.upwinding import Upwinding, mean_share
 from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 
@@ -68,7 +68,7 @@ class UpwindSwitchJacobian:
         ``where`` are all the sides' points of some facets.
         """
         values = together(self.op.z.matrix[where], zeta)
-        shares = self.op.points.weights[where] * (1 - 0.5 * self.op.inner[where])
+        shares = self.op.points.weights[where] * mean_share(self.op.inner[where])
         return values - self.mass.fitted(values, shares, where)
 
     def _largest(self, zeta: np.ndarray) -> float:
