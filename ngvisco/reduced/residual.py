@@ -132,14 +132,14 @@ class ReducedResidual:
         op, is_real = self.op, not np.iscomplexobj(x)
         c = self.unknowns.coefficients(x)
         u, s = self.cell_terms.fields(c), self.facet_terms.fields(c)
-        with self._clock("transport"):
+        with self._clock("traces"):
             self._set_traces(c, s)
         with self._clock("projections"):
             c["zeta"] = self.inverse_mass(op.z.test(self.slope(u.z.value)))
         if is_real:
             self.unknowns.unpack(x)
             self.unknowns.put(c)
-        with self._clock("transport"):
+        with self._clock("rows"):
             rows = self.cell_terms.rows(self._at_points, u)
             for name, values in self.facet_terms.rows(self._at_points, s).items():
                 rows[name] = rows[name] + values if name in rows else values

@@ -102,25 +102,26 @@ def floor(run: nv.Simulation, method: str) -> float:
             newton.jacobian.factorise(step.state.vec)
             newton.jacobian.solve(rows, increment)
             return time.perf_counter() - began
-        newton.momentum.start()
-        r = newton.residual()
+        newton.residual.start()
+        at = newton.residual(newton.unknowns.pack())
         began = time.perf_counter()
-        newton.preconditioner.update(newton._clock)
-        newton.preconditioner.solver(r.flow)
+        newton.preconditioner.update(at, newton._clock)
+        newton.preconditioner.solver(at.residual.flow)
         return time.perf_counter() - began
 
 
 def direct_floor(run: nv.Simulation) -> float:
     """The same with a factorisation of the velocity tangent as a whole, where the solver takes two levels."""
-    preconditioner = run.solver.newton.preconditioner
+    newton = run.solver.newton
+    preconditioner = newton.preconditioner
     solver = DirectSolver(preconditioner.free, "umfpack", symmetric=True)
     with TaskManager():
-        r = run.solver.newton.residual()
+        at = newton.residual(newton.unknowns.pack())
         began = time.perf_counter()
-        preconditioner.operator.update()
+        preconditioner.operator.update(at)
         preconditioner.hyper_tangent.update()
         solver.factorise(preconditioner.tangent.matrix())
-        solver(r.flow)
+        solver(at.residual.flow)
         return time.perf_counter() - began
 
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-PARTS = ("transport", "projections", "momentum", "hyperviscosity", "assembly", "factorisation", "solves")
+PARTS = (
+    *("traces", "projections", "rows", "hyperviscosity", "forms"),
+    *("assembly", "factorisation", "solves"),
+)
 
 FITTED = (700, 40_000)
 """Cells between which rows count for the growth exponents, where three of them do: below them a step takes
