@@ -88,6 +88,13 @@ class Context:
         follows = isinstance(difference, (CoefficientFunction, int, float))
         return difference / (self.tau if follows else self.tau.Get())
 
+    def given(self, value: CoefficientFunction) -> CoefficientFunction:
+        """A function of place and time that a term reads, at the end of the step: ``value`` itself.
+
+        It takes arrays to the same function at their points, which they do not combine with otherwise.
+        """
+        return value
+
     def average(self, value: CoefficientFunction) -> CoefficientFunction:
         """The mean over ``loads_over`` by two Gauss points in time (exact for cubic functions of time;
         paper: g^k_{delta tau}).

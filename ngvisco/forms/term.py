@@ -7,6 +7,9 @@ functions of NGSolve for u and w they are the term's form; with arrays of values
 record what multiplies them (``ngvisco.physics.arrays.Linear``), they are the rows of a residual, its
 derivative by a complex increment of u, and columns of element matrices.
 
+Place, time and other functions of them are read by ``u.context.given(value)`` (at the end of the step) and
+``u.context.average(value)`` (over the step, in cells).
+
 A term that asks for more than values at a point - an integral, another space - states its ``form`` alone.
 What a term reads besides u, w and ``u.context`` has to stay as it is through the run: a number that is taken
 out of a Parameter by ``Get()`` is that of the moment when the form was made.

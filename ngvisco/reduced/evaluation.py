@@ -70,6 +70,7 @@ class CellContext:
         self.h = Array(np.repeat(step.context.h.vec.FV().NumPy(), operators.points.per_cell), None)
         # by the function itself and no longer than it lives: a term may make a new one at each evaluation
         self._averages = WeakKeyDictionary[CoefficientFunction, GridFunction]()
+        self._given = WeakKeyDictionary[CoefficientFunction, GridFunction]()
 
     def start(self) -> None:
         """Evaluate what is known through the step: old fields, old momentum and averaged loads."""
@@ -84,7 +85,9 @@ class CellContext:
         }
         self.old = _fields(step.layout, values, slopes, "of the old state", self)
         for value, function in self._averages.items():
-            self._take_average(value, function)
+            _put(function, step.context.average(value))
+        for value, function in self._given.items():
+            _put(function, value)
 
     @property
     def momentum_old(self) -> Array:
@@ -102,23 +105,36 @@ class CellContext:
 
     def average(self, value: CoefficientFunction) -> Array:
         """The mean over the step of a scalar, a vector or a matrix, see ``Context.average``."""
-        if value not in self._averages:
-            function = self._averages[value] = self._op.points.function(value.dim)
-            self._take_average(value, function)
-        values = self._op.points.read(self._averages[value], value.dim)
+        return self._read(self._averages, value, self._step.context.average)
+
+    def given(self, value: CoefficientFunction) -> Array:
+        """The same at the end of the step, see ``Context.given``."""
+        return self._read(self._given, value, self._step.context.given)
+
+    def _read(
+        self,
+        known: WeakKeyDictionary[CoefficientFunction, GridFunction],
+        value: CoefficientFunction,
+        made: Callable[[CoefficientFunction], CoefficientFunction],
+    ) -> Array:
+        if value not in known:
+            known[value] = self._op.points.function(value.dim)
+            _put(known[value], made(value))
+        values = self._op.points.read(known[value], value.dim)
         return Array(values.reshape(*value.dims, -1), None)
 
-    def _take_average(self, value: CoefficientFunction, function: GridFunction) -> None:
-        mean = self._step.context.average(value)
-        # grid functions at points have two components at least
-        function.Interpolate(CF((mean, 0.0)) if value.dim == 1 else mean)
+
+def _put(function: GridFunction, value: CoefficientFunction) -> None:
+    """Values at points; grid functions there have two components at least."""
+    function.Interpolate(CF((value, 0.0)) if value.dim == 1 else value)
 
 
 class SideContext:
     """What is known on the cells' sides."""
 
     def __init__(self, step: Step, operators: SideOperators) -> None:
-        self._step = step
+        self._step, self._points = step, operators.points
+        self._given = WeakKeyDictionary[CoefficientFunction, Array]()
         self.normal = Array(operators.points.normals, None)
         self.inner = Array(operators.inner, None)
         self.h = Array(operators.h, None)
@@ -126,6 +142,18 @@ class SideContext:
     def rate(self, difference: Any) -> Any:
         """difference/tau."""
         return _rate(self._step, difference)
+
+    def start(self) -> None:
+        """Let what is given be that of the step."""
+        self._given.clear()
+
+    def given(self, value: CoefficientFunction) -> Array:
+        """A scalar, a vector or a matrix at the end of the step, see ``Context.given``."""
+        if value not in self._given:
+            entries = [value[index] for index in np.ndindex(*value.dims)] if value.dims else [value]
+            values = np.stack([self._points.sample(entry) for entry in entries])
+            self._given[value] = Array(values.reshape(*value.dims, -1), None)
+        return self._given[value]
 
     @property
     def eta(self) -> float:
@@ -373,12 +401,19 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
         momentum_old=ones((d,)),
         rate=lambda difference: difference,
         average=lambda value: ones(tuple(value.dims)),
+        given=lambda value: ones(tuple(value.dims)),
         h=ones(()),
         rates=rates,
     )
     inside.old = fields(inside, ("rho", "z"), _CELLS)
     side = SimpleNamespace(
-        normal=ones((d,)), inner=ones(()), h=ones(()), eta=1.0, curvature=1.0, rate=inside.rate
+        normal=ones((d,)),
+        inner=ones(()),
+        h=ones(()),
+        eta=1.0,
+        curvature=1.0,
+        rate=inside.rate,
+        given=inside.given,
     )
     cells = [name for name in shapes if not name.endswith("_hat")]
     facets = [name for name in shapes if name != "Pi"]

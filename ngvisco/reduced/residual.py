@@ -121,6 +121,7 @@ class ReducedResidual:
     def start(self) -> None:
         """Evaluate what is known through the step."""
         self.cell_terms.context.start()
+        self.facet_terms.context.start()
         if self.right_hand_side is not None:
             self.right_hand_side.start()
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from ngsolve import Norm, cos, pi, sin, x, y
+from ngsolve import CF, Norm, cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.forms.momentum import Continuity
@@ -67,6 +67,33 @@ class Leak(PointTerm):
     def entries(self, u):
         loss = 0.5 * self.c * u.upwinding.modulus * u.rho * square(u.v)
         return [Entry("dissipation_leak", "dissipation", Integrand(facets=loss))]
+
+
+FACTOR, NET = 1 + x + 20 * nv.time, CF((y, nv.time))  # kept between steps, with values of their own in each
+
+
+@dataclass(frozen=True)
+class GrowthOfPlaceAndTime(PointTerm):
+    """A source of mass that differs in place and time, and a drag by a moving net on the cells' sides."""
+
+    s: float
+
+    def factor(self, u):
+        return self.s * u.context.given(FACTOR)
+
+    def cells(self, u, w):
+        s = self.factor(u)
+        return [-s * u.rho * w.rho, -0.5 * s * u.rho * inner(u.v, w.v)]
+
+    def facets(self, u, w):
+        net = u.context.given(NET)
+        return [self.factor(u) * inner(u.v - net, w.v)]
+
+    def entries(self, u):
+        s, net = self.factor(u), u.context.given(NET)
+        source = Integrand(0.5 * s * u.rho * square(u.v))
+        loss = Integrand(facets=s * inner(u.v - net, u.v))
+        return [Entry("power_growth", "power", source), Entry("dissipation_net", "dissipation", loss)]
 
 
 @dataclass(frozen=True)
@@ -244,7 +271,9 @@ def test_a_term_of_the_users_acts_in_both_solvers(term, scheme):
         assert ledger.column("kinetic")[-1] < 0.8 * free.column("kinetic")[-1]
 
 
-@pytest.mark.parametrize("term", [Growth(0.5), Leak(0.5)], ids=lambda term: type(term).__name__)
+@pytest.mark.parametrize(
+    "term", [Growth(0.5), Leak(0.5), GrowthOfPlaceAndTime(0.5)], ids=lambda term: type(term).__name__
+)
 def test_rows_of_the_density_and_on_facets_act_in_both_solvers(term):
     for ledger in solved(term):
         assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
