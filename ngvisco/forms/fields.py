@@ -41,14 +41,17 @@ class Fields:
         parts: Mapping[str, Any],
         context: Context | None = None,
         gradient: Callable[[str], Any] | None = None,
+        rows: int | None = None,
     ) -> None:
         """``parts`` are proxies, grid functions or arrays of values by the unknowns' names.
 
         ``context`` is what is known at the same points, that of the layout's step by default; ``gradient``
-        gives the gradient of a part, NGSolve's by default.
+        gives the gradient of a part, NGSolve's by default.  With ``rows = 1`` they are those of one component
+        of v: what is linear in v, a and the hyperstress is the same for all.
         """
         self.layout, self.parts = layout, parts
         self.dim: int = layout.mesh.dim
+        self.rows = self.dim if rows is None else rows
         self._context = context
         self.gradient = gradient or (lambda name: Grad(self.parts[name]))
 
@@ -71,7 +74,8 @@ class Fields:
     @cached_property
     def grad_v(self) -> CoefficientFunction:
         """(grad v)_ij = d_j v_i, dim x dim."""
-        return self.gradient("v")
+        gradient = self.gradient("v")
+        return gradient if self.rows == self.dim else gradient.Reshape((self.rows, self.dim))
 
     @cached_property
     def L(self) -> CoefficientFunction:
@@ -182,22 +186,22 @@ class Fields:
     def div_hyperstress(self) -> CoefficientFunction:
         """(div S)_ij = d_k S_ijk in a cell, dim x dim."""
         basis = hessian_basis(self.dim)
-        size, dim = basis.shape[1], self.dim
+        size, dim, rows = basis.shape[1], self.dim, self.rows
         gradient = self.gradient("hyperstress")  # ((i, B), k)
-        matrix = np.zeros((dim * dim, dim * size * dim))
-        for i in range(dim):
+        matrix = np.zeros((rows * dim, rows * size * dim))
+        for i in range(rows):
             for j in range(dim):
                 for b in range(size):
                     for k in range(dim):
                         matrix[i * dim + j, (i * size + b) * dim + k] = basis[j * dim + k, b]
         flat = CF(tuple(matrix.ravel()), dims=matrix.shape) * gradient.Reshape((matrix.shape[1],))
-        return flat.Reshape((dim, dim))
+        return flat.Reshape((rows, dim))
 
     @cached_property
     def normal_derivative(self) -> CoefficientFunction:
         """The single-valued d_n v on facets, length dim; on a cell's boundary only."""
         n = specialcf.normal(self.dim)
-        return CF(tuple(self.parts[name] * n for name in self.layout.names_of("normals")))
+        return CF(tuple(self.parts[name] * n for name in self.layout.names_of("normals")[: self.rows]))
 
     @cached_property
     def jump(self) -> CoefficientFunction:
@@ -205,7 +209,7 @@ class Fields:
         return self.normal_derivative - self.grad_v * specialcf.normal(self.dim)
 
     def _components(self, name: str) -> CoefficientFunction:
-        return self.parts[name].Reshape((self.dim, hessian_basis(self.dim).shape[1]))
+        return self.parts[name].Reshape((self.rows, hessian_basis(self.dim).shape[1]))
 
 
 def contraction(n: CoefficientFunction, dim: int) -> CoefficientFunction:

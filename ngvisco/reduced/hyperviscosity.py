@@ -1,7 +1,7 @@
 """The hyperviscosity with its local unknowns as functions of (v, a), by matrices.
 
 Lifting and jump are linear in (v, a) and the same for every component of v; their matrices are assembled
-once.  What is nonlinear is in scalars on cells (see ``ngvisco.forms.hyperviscosity``):
+once, of the term's own form for one component.  What is nonlinear is in scalars on cells (see ``ngvisco.forms.hyperviscosity``):
 
     Hs = lifting(v, a),  s = P |Hs|^2,  c_s = P c(s) + facets,  S = P (c_s Hs),
 
@@ -11,6 +11,7 @@ rules.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
@@ -19,22 +20,19 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from ngsolve import (
-    CF,
     L2,
     BilinearForm,
     CoefficientFunction,
-    Grad,
+    FESpace,
     NormalFacetFESpace,
     Periodic,
     VectorValued,
-    grad,
-    specialcf,
 )
 
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.algebra.sparse import mass_matrix, pruned
-from ngvisco.forms.fields import Fields, contraction, hessian_basis
+from ngvisco.forms.fields import Fields, hessian_basis
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.points import CellPoints, csr
 from ngvisco.forms.side_points import SidePoints
@@ -49,11 +47,10 @@ class SideJumps:
     """Jumps j = a - d_n v, and what the penalty needs besides, at the sides' points of one rule."""
 
     def __init__(self, hyper: MatrixHyperviscosity, points: SidePoints) -> None:
-        mesh, n = points.mesh, specialcf.normal(points.mesh.dim)
+        mesh = points.mesh
         self.points, self.weights, self._layout = points, points.weights, hyper.step.layout
-        self.of_v = points.operator(hyper.velocity, lambda u: -(grad(u) * n))
-        self.of_a = points.operator(hyper.normal, lambda b: b * n)
-        self.matrix = sp.hstack([self.of_v, self.of_a], format="csr")
+        self.matrix = points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
+        self.of_v, self.of_a = hyper.of_v_and_a(self.matrix)
         self.h = np.repeat(hyper.step.context.h.vec.FV().NumPy(), points.count // mesh.ne)
         self._context = hyper.step.context
         if not hyper.law.is_linear:
@@ -114,12 +111,11 @@ class MatrixHyperviscosity:
         # Hs and all that is made of it are cellwise constant for k = 2: one point does
         constant = k == 2 and step.mesh.GetCurveOrder() <= 1 and self.is_uniform
         self.points = CellPoints(step.mesh, 0) if constant else points
-        self.velocity, self.fields = (
-            layout.scalar_velocity_space(),
-            L2(step.mesh, order=layout.discretisation.m),
-        )
-        normal_space = NormalFacetFESpace(step.mesh, order=k - 1)
-        self.normal = Periodic(normal_space) if layout.periodic else normal_space
+        self.fields = L2(step.mesh, order=layout.discretisation.m)
+        velocity, normal = layout.scalar_velocity_space(), NormalFacetFESpace(step.mesh, order=k - 1)
+        self._velocities = velocity.ndof
+        self.component = FESpace([velocity, Periodic(normal) if layout.periodic else normal])
+        """(v_i, a_i): what is linear in these is the same for every component."""
         self.squares = L2(step.mesh, order=2 * k - 4)
         self._lifting(k)
         self.sides = SideJumps(self, sides)
@@ -143,22 +139,25 @@ class MatrixHyperviscosity:
     def _local(self, matrix: sp.csr_matrix) -> LocalMatrix:
         return LocalMatrix(matrix, self.step.mesh.ne, self.points.weights)
 
+    def fields_of(self, parts: Sequence[CoefficientFunction]) -> Fields:
+        """One component of v and a as fields, of the joint space's functions."""
+        names = ("v", self.step.layout.names_of("normals")[0])
+        return Fields(self.step.layout, dict(zip(names, parts, strict=True)), rows=1)
+
+    def of_v_and_a(self, matrix: sp.csr_matrix) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+        """The columns of a component of v and of its normal derivative."""
+        return matrix[:, : self._velocities].tocsr(), matrix[:, self._velocities :].tocsr()
+
     def _lifting(self, k: int) -> None:
-        """L_v, L_a with  mass Hs_i = L_v v_i + L_a a_i,  and the lifting of (v, a)."""
-        dim, facets = self.dim, self.step.quadrature.facets
-        mesh, n = self.step.mesh, self.step.context.normal
-        scalar = L2(mesh, order=k - 2)
-        size = hessian_basis(dim).shape[1]
+        """L_v, L_a with  mass Hs_i = L_v v_i + L_a a_i,  by the term's own form, and the lifting of (v, a)."""
+        step, mesh = self.step, self.step.mesh
+        scalar, size = L2(mesh, order=k - 2), hessian_basis(self.dim).shape[1]
         tests = VectorValued(scalar, size)
-        X, phi, b = tests.TestFunction(), self.velocity.TrialFunction(), self.normal.TrialFunction()
-        X_n = contraction(n, dim).trans * X
-        of_v = BilinearForm(trialspace=self.velocity, testspace=tests)
-        of_v += (X_n * grad(phi) - (X_n * n) * (grad(phi) * n)) * facets
-        if k > 2:
-            of_v += -(grad(phi) * _divergence(X, dim)) * self.step.quadrature.cells
-        of_a = BilinearForm(trialspace=self.normal, testspace=tests)
-        of_a += (X_n * n) * (b * n) * facets
-        self.L_v, self.L_a = pruned(csr(of_v.Assemble().mat)), pruned(csr(of_a.Assemble().mat))
+        form = BilinearForm(trialspace=self.component, testspace=tests)
+        X = Fields(step.layout, {"hyperstress": tests.TestFunction()}, rows=1)
+        step.quadrature.add(form, self.term.lifting(self.fields_of(self.component.TrialFunction()), X))
+        loads = pruned(csr(form.Assemble().mat))
+        self.L_v, self.L_a = self.of_v_and_a(loads)
         self.h_values = self._local(self.points.values(scalar))
         mass = mass_matrix(self.h_values.matrix, self.points.weights)
         self.h_inverse = BlockInverse(mass)
@@ -166,7 +165,6 @@ class MatrixHyperviscosity:
         self.h_inverse_matrix = self.h_inverse.matrix()
         self.size, self.h_count = size, scalar.ndof
         # rows cell by cell, the components of Hs after each other in a cell
-        loads = sp.hstack([self.L_v, self.L_a], format="csr")
         inverse = sp.block_diag([self.h_inverse_matrix] * size, format="csr")
         order = np.arange(size * self.h_count).reshape(size, mesh.ne, -1).transpose(1, 0, 2).ravel()
         self.lift = LocalMatrix((inverse @ loads).tocsr()[order], mesh.ne)
@@ -215,14 +213,3 @@ class MatrixHyperviscosity:
 def value_of(modulus: Any) -> Any:
     """Numbers or arrays of a number or of an ``Array``."""
     return modulus.value if isinstance(modulus, Array) else modulus
-
-
-def _divergence(X: CoefficientFunction, dim: int) -> CoefficientFunction:
-    """div of the symmetric matrix with components X, length dim."""
-    basis = hessian_basis(dim)
-    size = basis.shape[1]
-    matrix = np.zeros((dim, size * dim))
-    for j in range(dim):
-        for b in range(size):
-            matrix[j, b * dim : (b + 1) * dim] = basis[j * dim : (j + 1) * dim, b]
-    return CF(tuple(matrix.ravel()), dims=matrix.shape) * Grad(X).Reshape((size * dim,))
