@@ -1,7 +1,8 @@
 """The hyperviscosity with its local unknowns as functions of (v, a), by matrices.
 
 Lifting and jump are linear in (v, a) and the same for every component of v; their matrices are assembled
-once, of the term's own form for one component.  What is nonlinear is in scalars on cells (see ``ngvisco.forms.hyperviscosity``):
+once, of the term's own form for one component.  What is nonlinear is in scalars on cells
+(``ngvisco.forms.hyperviscosity``):
 
     Hs = lifting(v, a),  s = P |Hs|^2,  c_s = P c(s) + facets,  S = P (c_s Hs),
 
