@@ -150,7 +150,7 @@ class MatrixHyperviscosity:
         return matrix[:, : self._velocities].tocsr(), matrix[:, self._velocities :].tocsr()
 
     def _lifting(self, k: int) -> None:
-        """L_v, L_a with  mass Hs_i = L_v v_i + L_a a_i,  by the term's own form, and the lifting of (v, a)."""
+        """L_v, L_a with mass Hs_i = L_v v_i + L_a a_i, by the term's own form, and the lifting of (v, a)."""
         step, mesh = self.step, self.step.mesh
         scalar, size = L2(mesh, order=k - 2), hessian_basis(self.dim).shape[1]
         tests = VectorValued(scalar, size)
