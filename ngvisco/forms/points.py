@@ -56,7 +56,7 @@ class CellPoints:
             raise MeshError("the split solver needs a mesh of triangles or tetrahedra only")
         self.dx = dx(intrules=self.rules)
 
-    @property
+    @cached_property
     def count(self) -> int:
         return self.space.ndof
 

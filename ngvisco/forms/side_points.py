@@ -51,7 +51,7 @@ class SidePoints:
         self._measure = self._loads(CF(1.0))
         self.weights = (np.array(rule.weights)[None] * self._measure).ravel()
 
-    @property
+    @cached_property
     def count(self) -> int:
         return self.weights.size
 

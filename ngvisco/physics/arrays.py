@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import count
 from typing import Any
 
@@ -21,7 +21,7 @@ class Array:
 
     Products, quotients and powers mean what they mean for coefficient functions: ``*`` of two vectors is
     their inner product, of matrices the matrix product.  What is not supported raises TypeError.  Values may
-    be complex: an increment of 1e-30 i carries a derivative along (``slope_along``).
+    be complex: an increment of 1e-30 i carries a derivative along (``ngvisco.physics.increments``).
     """
 
     __array_ufunc__ = None  # numpy's numbers leave the operation to this class
@@ -31,8 +31,9 @@ class Array:
 
         An empty sequence is an argument, None a value that nothing is differentiated by.
         """
-        self.value, self.number = value, next(_number)
+        self.value = value
         self.is_constant = parents is None
+        self.number = 0 if parents is None else next(_number)
         if parents:
             parents = [each for each in parents if not each[0].is_constant]
             self.is_constant = not parents
@@ -57,10 +58,12 @@ class Array:
         other = _array(other)
         if self.rank != other.rank:
             raise TypeError("sums of scalars, vectors and tensors are not defined")
-        return Array(self.value + other.value, [(self, _same), (other, _same)])
+        value = self.value + other.value
+        known = self.is_constant and other.is_constant
+        return Array(value, None if known else [(self, _same), (other, _same)])
 
     def __neg__(self) -> Array:
-        return Array(-self.value, [(self, np.negative)])
+        return Array(-self.value, None if self.is_constant else [(self, np.negative)])
 
     def __sub__(self, other: Any) -> Array:
         if isinstance(other, Linear):
@@ -68,19 +71,24 @@ class Array:
         other = _array(other)
         if self.rank != other.rank:
             raise TypeError("differences of scalars, vectors and tensors are not defined")
-        return Array(self.value - other.value, [(self, _same), (other, np.negative)])
+        value = self.value - other.value
+        known = self.is_constant and other.is_constant
+        return Array(value, None if known else [(self, _same), (other, np.negative)])
 
     def __mul__(self, other: Any) -> Array:
         if isinstance(other, Linear):
             return NotImplemented
         a, b = self, _array(other)
         value, pull_a, pull_b = _product(a.value, b.value)
-        return Array(value, [(a, pull_a), (b, pull_b)])
+        known = a.is_constant and b.is_constant
+        return Array(value, None if known else [(a, pull_a), (b, pull_b)])
 
     def __truediv__(self, other: Any) -> Array:
         other = _array(other)
         if not other.is_scalar:
             raise TypeError("division by a tensor is not defined")
+        if self.is_constant and other.is_constant:
+            return Array(self.value / other.value, None)
         inverse = 1 / other.value
         return self * Array(inverse, [(other, lambda g: -g * inverse * inverse)])
 
@@ -115,7 +123,8 @@ class Array:
         if a.rank != b.rank:
             raise TypeError("the inner product of a scalar and a tensor is not defined")
         value = a.value * b.value if a.is_scalar else contracted(a.value, b.value)
-        return Array(value, [(a, lambda g: g * b.value), (b, lambda g: g * a.value)])
+        known = a.is_constant and b.is_constant
+        return Array(value, None if known else [(a, lambda g: g * b.value), (b, lambda g: g * a.value)])
 
     @property
     def trans(self) -> Array:
@@ -388,20 +397,6 @@ def _holds(total: np.ndarray, share: np.ndarray) -> bool:
     """Whether ``share`` can be added in place."""
     same_shape = total.shape == np.broadcast_shapes(total.shape, share.shape)
     return same_shape and np.result_type(total, share) == total.dtype
-
-
-TINY = 1e-30
-"""Length of a complex increment, relative to the direction."""
-
-
-def slope_along(
-    function: Callable[[np.ndarray], np.ndarray], at: np.ndarray, direction: np.ndarray
-) -> np.ndarray:
-    """The derivative of an analytic function of arrays in a direction.
-
-    It is the imaginary part of a tiny complex increment: no difference is taken, so that nothing cancels.
-    """
-    return np.ascontiguousarray(function(at + (TINY * 1j) * direction).imag) / TINY
 
 
 def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:

@@ -20,7 +20,7 @@ from ngvisco.algebra.sparse import mass_matrix
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.upwinding import mean_share
-from ngvisco.physics.arrays import TINY
+from ngvisco.physics.increments import TINY
 from ngvisco.reduced.claims import Claims
 from ngvisco.reduced.diffusion import FieldDiffusionMatrix
 from ngvisco.reduced.evaluation import CellTerms, FacetTerms, with_parts

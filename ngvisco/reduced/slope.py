@@ -10,7 +10,7 @@ from ngsolve import CF, CoefficientFunction
 from ngvisco.forms.points import CellPoints
 from ngvisco.forms.system import Step
 from ngvisco.physics.array_slope import array_slope
-from ngvisco.physics.arrays import slope_along
+from ngvisco.physics.increments import slope_along
 from ngvisco.physics.material import conjugates
 from ngvisco.physics.pointwise import respond
 

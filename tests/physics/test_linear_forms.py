@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ngvisco.physics.arrays import Array, Linear, slope_along, slots
+from ngvisco.physics.arrays import Array, Linear, slots
+from ngvisco.physics.increments import slope_along
 from ngvisco.physics.tensors import embed_gradient, inner, skw, square, sym, tr
 
 POINTS = 4

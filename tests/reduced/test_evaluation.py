@@ -10,7 +10,7 @@ from ngsolve import CF, BilinearForm, cos, pi, sin, x, y, z
 
 import ngvisco as nv
 from ngvisco.geometries import box, disc
-from ngvisco.physics.arrays import TINY
+from ngvisco.physics.increments import TINY
 from ngvisco.physics.tensors import if_positive, square
 from ngvisco.reduced.claims import Claims
 from ngvisco.reduced.evaluation import NotAtPointsError, asked_slots

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.forms.momentum import Inertia
-from ngvisco.physics.arrays import TINY
+from ngvisco.physics.increments import TINY
 from ngvisco.reduced.evaluation import with_velocity
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.restricted import RestrictedForm
