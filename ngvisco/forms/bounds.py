@@ -43,8 +43,8 @@ a density that falls to zero along a line is no reason to change it.
 _HALVINGS = 45
 """Of the interval of s, until it is a number to rounding: limited states depend continuously on theirs."""
 
-_ON_WALL = 1e-12
-"""Distance below which a point is said to be on a wall, m."""
+_ON_WALL = 1e-9
+"""Distance below which a point is said to be on a wall, over the size of its cell."""
 
 _UNREAD = 1e-14
 """Size of phi' by a variable, over the median size of phi' in the mesh, which counts as zero."""
@@ -66,7 +66,7 @@ class Violation:
     point : tuple of float
         A point of the cell, m: its midpoint, or where the value is.
     wall : str or None
-        The nearest boundary, at ``distance``, m; None in a domain without.
+        The nearest boundary, at ``distance``, m, 0 to rounding on it; None in a domain without.
     cells : int
         How many cells are out of bounds.
     """
@@ -84,7 +84,7 @@ class Violation:
         at = ", ".join(f"{round(coordinate, 12) + 0.0:.4g}" for coordinate in self.point)
         where = f"in cell {self.cell} at ({at}) m"
         if self.wall is not None:
-            near = "on" if self.distance < _ON_WALL else f"{self.distance:.2g} m from"
+            near = f"{self.distance:.2g} m from" if self.distance else "on"
             where += f", {near} {self.wall!r}"
         what = "minimum of the cells' means" if self.is_mean else "minimum"
         others = f" and {self.cells - 1} other cells" if self.cells > 1 else ""
@@ -276,6 +276,8 @@ class Bounds:
             at_points = self._rows(np.asarray(self._present(self.sampler.points[own])))[:, bound]
             place = places[int(np.argmin(np.where(np.isnan(at_points), -np.inf, at_points)))]
         wall, distance = nearest_wall(self.step.mesh, place)
+        size = float(self.step.context.h.vec[int(found.cells[i])])
+        distance = 0.0 if distance < _ON_WALL * size else distance
         return Violation(
             self.names[bound],
             float(values[i, bound]),

@@ -6,8 +6,8 @@
 | rho, rho_hat     | discontinuous P_m, its trace on facets            | local, global  | Continuity |
 | hess, hyperstress| P_{k-2}, symmetric in the last two indices        | local          | Hyperviscosity |
 | a_1 ... a_d      | normal derivatives of v, P_{k-1} on facets        | global         | Hyperviscosity |
-| z               | transported components, P_m                       | local          | Kinematics |
-| zeta            | their conjugates, P_m                             | local          | Conjugates |
+| z                | transported components, P_m                       | local          | Kinematics |
+| zeta             | their conjugates, P_m                             | local          | Conjugates |
 | z_hat            | the trace of z                                    | global         | UpwindTrace |
 | Pi               | creep rate where nu > 0, continuous P_max(1, m)   | global         | CreepRate |
 | rho_delta_hat    | the trace of rho in its diffusion                 | global         | DensityDiffusion |

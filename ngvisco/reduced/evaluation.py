@@ -178,12 +178,7 @@ class CellTerms:
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with these coefficients at the points."""
         op = self.op
-        makers = {
-            "v": lambda: op.v(c["v"]),
-            "rho": lambda: op.z(c["rho"]),
-            "z": lambda: op.z(c["z"]),
-            "zeta": lambda: op.z(c["zeta"]),
-        }
+        makers = _values(op, c)
         gradients = {
             "v": lambda: op.gradients(op.dv, c["v"]),
             "rho": lambda: op.gradients(op.dz, c["rho"][None])[0],
@@ -246,14 +241,8 @@ class FacetTerms:
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with these coefficients on the sides."""
         op = self.op
-        makers = {
-            "v": lambda: op.v(c["v"]),
-            "rho": lambda: op.z(c["rho"]),
-            "z": lambda: op.z(c["z"]),
-            "zeta": lambda: op.z(c["zeta"]),
-            "rho_hat": lambda: op.hat(c["rho_hat"]),
-            "z_hat": lambda: op.hat(c["z_hat"]),
-        }
+        makers = _values(op, c)
+        makers |= {name: partial(lambda name: op.hat(c[name]), name) for name in ("rho_hat", "z_hat")}
         return _fields(self.layout, makers, {}, _FACETS, self.context)
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
@@ -269,6 +258,12 @@ class FacetTerms:
             for name, space in values.items()
             if name in found
         }
+
+
+def _values(op: Operators | SideOperators, c: Coefficients) -> dict[str, Callable[[], np.ndarray]]:
+    """Makers of the values of v, rho, z and zeta, by name; coefficients are read when one is asked for."""
+    spaces = {"v": op.v, "rho": op.z, "z": op.z, "zeta": op.z}
+    return {name: partial(lambda name, space: space(c[name]), name, space) for name, space in spaces.items()}
 
 
 def with_parts(u: Fields, **given: np.ndarray) -> Fields:

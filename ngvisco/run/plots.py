@@ -15,6 +15,7 @@ from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y
 from ngvisco.errors import NgviscoError, ParameterError, _is_number
 from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.run.files import write_atomically
+from ngvisco.timestepping.integrator import LIMITER
 
 if TYPE_CHECKING:
     from ngvisco.run.ledger import Ledger
@@ -108,6 +109,8 @@ def plot_energies(ledger: Ledger, path: str | os.PathLike[str]) -> None:
     dt = ledger.column("dt")
     for entry in ledger.entries:
         rate = ledger.column(entry.name) * (1 if entry.kind == "numerical" else dt)
+        if entry.name == LIMITER and not rate.any():
+            continue  # nothing was limited: no line for it
         label = entry.name.replace("_", " ")
         label = f"numerical: {label}" if entry.kind == "numerical" else label
         above.plot(t, np.cumsum(rate), "--" if entry.kind == "power" else ":", label=f"∫ {label}")

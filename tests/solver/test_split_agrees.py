@@ -47,7 +47,7 @@ def residual(run):
     return {name: values[where] for name, where in step.layout.ranges.items()}
 
 
-def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
+def assert_both_agree(mesh, physics, steps=2, dt=0.02, rows_within=1e-11, **options):
     """Run both: rho, v and z agree to 1e-9, the split one solves the coupled residual, its ledger closes.
 
     Traces and normal derivatives are held to the residual: where diffusion or hyperviscosity hardly acts they
@@ -64,7 +64,7 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
         if name in ("v", "rho", "z"):
             assert np.linalg.norm(a - b) <= 1e-9 * np.linalg.norm(a), name
     for name, rows in residual(split).items():
-        assert np.linalg.norm(rows) <= 2e-11, name  # of equations whose terms are of the order of one
+        assert np.linalg.norm(rows) <= rows_within, name  # of equations whose terms are of the order of one
     assert np.abs(split.ledger.column("closure_relative")).max() <= 1e-10
     assert np.abs(split.ledger.column("mass_drift")).max() <= 1e-12
     for column in coupled.ledger.columns:
@@ -92,7 +92,7 @@ BY_B = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B")
 
 
 def test_by_left_cauchy_green_in_three_dimensions():
-    assert_both_agree(box((1, 1, 1), maxh=1), model(BY_B, dim=3))
+    assert_both_agree(box((1, 1, 1), maxh=1), model(BY_B, dim=3), rows_within=2e-11)
 
 
 def test_by_left_cauchy_green_with_a_creep_rate_field():
