@@ -81,9 +81,15 @@ def rows_of_arrays(residual, term, at):
     return rows
 
 
-@pytest.mark.parametrize(("mesh", "m"), [*((mesh, 1) for mesh in MESHES), ("2D", 0), ("2D", 2)])
-def test_rows_of_every_term_are_those_of_its_form(mesh, m):
-    residual = step_of(MESHES[mesh](), m)
+LINEAR = {
+    "material": nv.LinearElastic(K_e=10.0, G_e=5.0)
+}  # the rate of E is affine, those of the others linear
+SETTINGS = [*((mesh, 1, {}) for mesh in MESHES), ("2D", 0, {}), ("2D", 2, {}), ("2D", 1, LINEAR)]
+
+
+@pytest.mark.parametrize(("mesh", "m", "parts"), SETTINGS)
+def test_rows_of_every_term_are_those_of_its_form(mesh, m, parts):
+    residual = step_of(MESHES[mesh](), m, **parts)
     residual.start()
     at = residual(noisy(residual)[0])
     terms = [*residual.claims.at_points, *residual.claims.continuity]
