@@ -27,6 +27,7 @@ from ngvisco.forms.given import function_field, grid_field
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.physics.bodies import Body
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
 from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
 from ngvisco.physics.material import Material
@@ -51,6 +52,7 @@ from ngvisco.physics.materials import (
     Yosida,
 )
 from ngvisco.physics.model import BodyForce, CentralGravity, Gravity, Model
+from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, LinearViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
@@ -100,6 +102,7 @@ __all__ = [
     "SCHEMES",
     "AdaptiveSteps",
     "BarotropicFluid",
+    "Body",
     "BodyForce",
     "Case",
     "CaseError",
@@ -143,6 +146,7 @@ __all__ = [
     "NotebookProgress",
     "Observer",
     "OldroydB",
+    "Parameter",
     "ParameterError",
     "PerMass",
     "PerReferentialVolume",
