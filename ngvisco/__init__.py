@@ -67,6 +67,11 @@ from ngvisco.run.record import record
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
+from ngvisco.shapes.image import Image
+from ngvisco.shapes.shape import Shape
+from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon
+from ngvisco.shapes.subdomain import Subdomain
+from ngvisco.shapes.surface import ClosedSurface
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.timestepping.scheme import SCHEMES, TimeScheme
 
@@ -101,7 +106,9 @@ __all__ = [
     "FENEP",
     "SCHEMES",
     "AdaptiveSteps",
+    "Ball",
     "BarotropicFluid",
+    "Block",
     "Body",
     "BodyForce",
     "Case",
@@ -109,6 +116,7 @@ __all__ = [
     "CentralGravity",
     "CheckpointError",
     "Checkpoints",
+    "ClosedSurface",
     "ClosureWarning",
     "ConvexityReport",
     "ConvexityWarning",
@@ -118,8 +126,10 @@ __all__ = [
     "Discretisation",
     "Entry",
     "Gravity",
+    "HalfSpace",
     "HardeningElastic",
     "HyperViscosity",
+    "Image",
     "Initial",
     "InitialDataError",
     "InputWarning",
@@ -151,6 +161,7 @@ __all__ = [
     "PerMass",
     "PerReferentialVolume",
     "PointTerm",
+    "Polygon",
     "PrescribedTangential",
     "Probes",
     "Progress",
@@ -159,10 +170,12 @@ __all__ = [
     "Regularisation",
     "Rejection",
     "RunDirectoryError",
+    "Shape",
     "Simulation",
     "Slip",
     "StepError",
     "StokesViscosity",
+    "Subdomain",
     "TimeScheme",
     "Traction",
     "Transfer",
