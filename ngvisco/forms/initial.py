@@ -17,12 +17,14 @@ from ngsolve import (
 )
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
+from ngvisco.forms.cell_means import CellMeans
 from ngvisco.forms.data_checks import distortion_of, warn_of_mismatch
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.projections import set_traces
+from ngvisco.forms.ranges import Ranges
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
@@ -111,6 +113,8 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         step.state.vec[:] = 0.0
         parts["rho"].Set(density)
         parts["z"].Set(step.model.material.states(dim).components(values))
+        step.ranges = {name: sampler.extrema(value) for name, value in parameters.items()}
+        Ranges(step, sampler, CellMeans(step)).limit()
         if initial.velocity is not None:
             v_0 = as_vector(initial.velocity, dim, "Initial.velocity")
             sampler.require(inner(v_0, v_0), "|v_0|^2")
@@ -173,8 +177,11 @@ def _check_density(
     sampler.require(J, "material variables: J_0", minimum=0.0)
     least, most = sampler.extrema(density * J / rho_R)
     if max(abs(least - 1), abs(most - 1)) > _CONTRADICTION:
-        found = f"rho_0 J_0 from {least:.7g} to {most:.7g} times rho_R"
-        expected = "rho_R there, or one of density and J only, from which the other follows"
+        low, high = sampler.extrema(density * J)
+        found = f"rho_0 J_0 from {low:.7g} to {high:.7g} kg/m^3"
+        low, high = sampler.extrema(rho_R)
+        known = f"rho_R = {low:.7g}" if low == high else f"rho_R, from {low:.7g} to {high:.7g} kg/m^3,"
+        expected = f"{known} there, or one of density and J only, from which the other follows"
         raise InitialDataError("density rho_0", found, expected)
 
 

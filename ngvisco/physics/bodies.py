@@ -9,11 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias, runtime_checkable
 
-from ngsolve import CoefficientFunction, Mesh
+from ngsolve import CoefficientFunction, Det, Mesh
 
 from ngvisco.errors import ParameterError, as_integer, as_number
 from ngvisco.physics.material import Material
 from ngvisco.physics.rheology import Creep, Viscosity
+from ngvisco.physics.tensors import tr
+from ngvisco.physics.variables import Values, Variable
 
 
 @runtime_checkable
@@ -27,6 +29,40 @@ class Region(Protocol):
 
 Where: TypeAlias = CoefficientFunction | Region
 """A function of x, y, z that is > 0 inside, or a region."""
+
+
+@dataclass(frozen=True)
+class Amount(Variable):
+    """n_i, the volume that body i has in its reference state per actual volume: dt n_i + div(n_i v) = 0.
+
+    It is conserved, transported by its own flux through facets (``ngvisco.forms.transport``), and with it
+    the mass of the body, int rho_i n_i.  It is no strain: theta_i = n_i/sum n_j.
+
+    Parameters
+    ----------
+    name : str
+    density : float
+        rho_i of the reference state, kg/m^3.
+    """
+
+    name: str
+    kind: str = "scalar"
+    density: float = 1.0
+
+    @property
+    def is_strain(self) -> bool:
+        return False
+
+    @property
+    def is_conserved(self) -> bool:
+        return True
+
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+        return -tr(L) * z[self.name]
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        """That of a point half of which is of this body."""
+        return 0.5 / Det(F)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -104,8 +104,9 @@ class Model:
     ----------
     material : Material
         Any modulus of its laws may be a function of the initial place or an expression of carried
-        parameters (``Parameter``); these are then among the variables of ``model.material``.  Isotropic ones at finite strain that leave ``elastic_state`` open are by B = F F^T where there is
-        creep, by F where there is none.
+        parameters (``Parameter``); these are then among the variables of ``model.material``.  Isotropic ones
+        at finite strain that leave ``elastic_state`` open are by B = F F^T where there is creep, by F where
+        there is none.
     viscosity : StokesViscosity or LinearViscosity, optional
     hyperviscosity : HyperViscosity, optional
     creep : Creep, optional

@@ -1,9 +1,9 @@
 """Parameters that travel with the matter, and moduli that are functions of them.
 
-A parameter theta obeys dt theta + (v . grad) theta = 0.  It is a variable of the material like the strains, with
-a conjugate zeta = d phi/d theta, so that the elastic force has the part that balances d phi/dx, the Cauchy
-stress is right and the ledger closes.  An energy that reads the place x instead has a force that nothing
-balances, and is refused (``ngvisco.physics.state_function``).
+A parameter theta obeys dt theta + (v . grad) theta = 0.  It is a variable of the material like the strains,
+with a conjugate zeta = d phi/d theta, so that the elastic force has the part that balances d phi/dx, the
+Cauchy stress is right and the ledger closes.  An energy that reads the place x instead has a force that
+nothing balances, and is refused (``ngvisco.physics.state_function``).
 
 A parameter is no strain.  phi need not be convex in it: convexity is asked of phi in the strains at fixed
 parameters, and the ledger's ``bregman`` may have either sign where parameters are transported.  Quadratic
@@ -180,7 +180,7 @@ class Parameter(Variable, Expression):
     name: str
     kind: str = "scalar"
     start: float | CoefficientFunction | None = field(default=None, compare=False, repr=False)
-    typical: float = math.nan  # type: ignore[assignment]
+    typical: float = math.nan
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -259,7 +259,9 @@ def _require_moduli(owner: object, values: Mapping[str, Any], is_positive: bool)
         elif _is_scalar_function(value):
             value = _Modulus(full, Parameter(name, start=value, typical=1.0), is_positive)
         else:
-            expected = f"a finite number {sign} 0, a scalar function of the initial place or an expression of parameters"
+            expected = (
+                f"a finite number {sign} 0, a function of the initial place, an expression of parameters"
+            )
             raise ParameterError(full, value, expected)
         object.__setattr__(owner, name, value)
 

@@ -169,8 +169,8 @@ class _Approximation:
     def _minimise(self, z: np.ndarray) -> tuple[np.ndarray, Response, np.ndarray]:
         """The minimisers y, the inner response there, and where they were found.
 
-        Newton for r(y) = y - z + eps phi'(y) = 0, eps = 0 for parameters.  r' >= I where phi is convex, so that halving the step
-        until |r| decreases converges from everywhere.
+        Newton for r(y) = y - z + eps phi'(y) = 0, eps = 0 for parameters.  r' >= I where phi is convex, so
+        that halving the step until |r| decreases converges from everywhere.
         """
         size = z.shape[1]
         y, at_y = self._start(z)
