@@ -12,17 +12,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ngsolve import CF, CoefficientFunction, Mesh
+from ngsolve import Mesh
 from pydantic import ValidationError
 
 from ngvisco.case import catalogue, toml
 from ngvisco.case.errors import CaseError, Fault
 from ngvisco.case.faults import Locator, faults_of
 from ngvisco.case.places import copy_of, digest_of, place_of, reads_z, shapes_with_files
-from ngvisco.case.schema import CaseSections
 from ngvisco.case.samples import samples
+from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import Section, field_names, made, parameters
 from ngvisco.case.units import to_si
+from ngvisco.case.values import as_function
 from ngvisco.errors import (
     InitialDataError,
     MeshError,
@@ -42,6 +43,7 @@ from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.inputs import times_of
 from ngvisco.run.observers import LedgerCSV, VTKSeries
 from ngvisco.run.simulation import Observer, Simulation
+from ngvisco.shapes.fractions import volumes
 
 MAX_FILE_SIZE = 1_000_000
 
@@ -169,12 +171,12 @@ class Case:
         if self.sections.material is None:
             return
         creep = self.sections.rheology.creep
-        part: Section = self.sections.material
+        part: Any = self.sections.material
         values = data["material"]
         if data["initial"].get("density") is None and self._material().referential_density is None:
             data["initial"] = {"density": None, **data["initial"]} | {"density": 1.0}
         while "material" in type(part).model_fields:
-            part, values = part.material, values["material"]  # type: ignore[attr-defined]
+            part, values = part.material, values["material"]
         if "elastic_state" in type(part).model_fields and values.get("elastic_state") is None:
             values["elastic_state"] = default_elastic_state(
                 None if creep is None else catalogue.MECHANISMS["creep"](**parameters(creep))
@@ -185,8 +187,8 @@ class Case:
 
     def _material(self) -> Material:
         part: Any = self.sections.material
-        made: Material = catalogue.ALL_MATERIALS[part.kind](**parameters(part))
-        return made
+        material: Material = catalogue.ALL_MATERIALS[part.kind](**parameters(part))
+        return material
 
     @property
     def _mesh_path(self) -> Path:
@@ -258,6 +260,7 @@ class Case:
             stepping = None if adaptive is None else catalogue.SECTIONS["adaptive"](**parameters(adaptive))
         time.Set(0.0)
         model = self.model(mesh.dim)
+        self._check_bodies(mesh)
         with self._located("initial"):
             run = Simulation(
                 mesh,
@@ -281,6 +284,14 @@ class Case:
             run.check_data(times_of(0.0, self.until))
         self._check_output(run)
         return run
+
+    def _check_bodies(self, mesh: Mesh) -> None:
+        """Raise CaseError for a body that is nowhere in the mesh, or whose place does not fit it."""
+        for i, body in enumerate(self.sections.bodies):
+            with self._located("bodies", str(i), "where"):
+                place = place_of(body.where, self.directory)
+                if place is not None and not volumes(mesh, [place])[0] > 0:
+                    raise ParameterError("bodies.where", body.where, "a place within the domain: it is empty")
 
     def observers(self, directory: str | os.PathLike[str], until: float | None = None) -> list[Observer]:
         """Ledger, VTK series and checkpoints in a run directory."""
@@ -327,9 +338,9 @@ class Case:
                 self._check_length(value, (*path, name), dim)
                 with self._located(*path, name):
                     if isinstance(value, dict):
-                        values[name] = {key: _as_function(field) for key, field in value.items()}
+                        values[name] = {key: as_function(field) for key, field in value.items()}
                     else:
-                        values[name] = value if isinstance(value, (int, float)) else _as_function(value)
+                        values[name] = value if isinstance(value, (int, float)) else as_function(value)
         return values
 
     def _check_names(self, value: Any, path: tuple[str, ...], dim: int) -> None:
@@ -363,8 +374,9 @@ class Case:
             where = _SECTION_OF_NAME.get(error.kind, path)
             raise self._error((*where, error.name), str(error)) from error
         except InitialDataError as error:
-            if error.field == "stored energy" and self._starts_at_rest:
-                names = ", ".join(parameters(self.sections.material))
+            material: Any = self.sections.material
+            if error.field == "stored energy" and self._starts_at_rest and material is not None:
+                names = ", ".join(parameters(material))
                 message = f"its energy at rest is not finite: expected other values of {names}"
                 raise self._error(("material",), message) from error
             keys = [key for word, key in _INITIAL_KEYS.items() if word in error.field]
@@ -390,11 +402,10 @@ class Case:
         if owner == "loads":
             names = [str(load.name) for load in self.sections.loads]  # type: ignore[attr-defined]
             return (owner, str(names.index(rest[0])), *rest[1:])
-        if owner == "bodies" and rest and not rest[0].isdigit():
-            bodies = [body.name for body in self.sections.bodies]
-            number = (str(bodies.index(rest[0])),) if rest[0] in bodies else ()
-            return (owner, *number, *rest[1:])
-        if owner in catalogue.SHAPES:
+        if owner == "bodies":
+            names = [body.name for body in self.sections.bodies]
+            return (owner, str(names.index(rest[0])), *rest[1:]) if rest[:1] and rest[0] in names else path
+        if owner in (*catalogue.SHAPES, "Where"):
             return path
         if owner == "Model" and rest[:1] == ["bodies"]:
             return ("bodies",)
@@ -422,6 +433,7 @@ _MODEL_NAMES = {"linear_viscosity": "viscosity"}
 _SECTION_OF_NAME = {
     "material variable": ("initial", "values"),
     "passive field": ("output", "passive"),
+    "subdomain": ("bodies",),
     "boundary": ("walls",),
     "wall": ("domain", "refine"),
 }
@@ -436,22 +448,3 @@ _SECTION_OF = {
     "LinearViscosity": ("rheology", "linear_viscosity"),
 }
 """Sections of the objects that the parts of a simulation name in their errors."""
-
-
-def _as_function(value: Any) -> Any:
-    """A number, text or array as a coefficient function; arrays of arrays are matrices."""
-    if not isinstance(value, list):
-        return _scalar(value)
-    if not all(isinstance(row, list) for row in value):
-        if any(isinstance(row, list) for row in value):
-            raise ParameterError("array", value, "a vector, or a matrix of equally long rows")
-        return CF(tuple(_scalar(part) for part in value))
-    widths = {len(row) for row in value}
-    if len(widths) != 1 or any(isinstance(part, list) for row in value for part in row):
-        raise ParameterError("array", value, "a matrix of equally long rows")
-    flat = tuple(_scalar(part) for row in value for part in row)
-    return CF(flat, dims=(len(value), widths.pop()))
-
-
-def _scalar(value: Any) -> CoefficientFunction:
-    return parse(value).coefficient() if isinstance(value, str) else CF(float(value))

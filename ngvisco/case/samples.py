@@ -25,7 +25,5 @@ def samples(output: Output, directory: Path) -> dict[tuple[str, ...], Series]:
         found["output", "forces"] = WallForces(f.walls, f.about, path, f.every)
     for i, integral in enumerate(output.integrals):
         path = directory / f"{integral.name}.csv"
-        found["output", "integrals", str(i)] = Integrals(
-            {integral.name: integral.of}, path, integral.every
-        )
+        found["output", "integrals", str(i)] = Integrals({integral.name: integral.of}, path, integral.every)
     return found

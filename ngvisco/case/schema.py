@@ -146,12 +146,12 @@ class Output(Section):
 
     vtk: VTK = VTK()
     checkpoint: Checkpoint = Checkpoint()
-    probes: list[Probe] = []
-    lines: list[Line] = []
+    probes: list[Probe] = Field(default=[])
+    lines: list[Line] = Field(default=[])
     forces: Forces | None = None
-    integrals: list[DomainIntegral] = []
+    integrals: list[DomainIntegral] = Field(default=[])
     log_every: int = Field(default=1, ge=1)
-    passive: list[str] = []
+    passive: list[str] = Field(default=[])
 
     @model_validator(mode="after")
     def _distinct(self) -> Output:
@@ -170,7 +170,8 @@ class Output(Section):
         return self
 
 
-Viscosity, LinearViscosity, Creep = (_MECHANISMS[n] for n in ("viscosity", "linear_viscosity", "creep"))
+Viscosity, Creep = _MECHANISMS["viscosity"], _MECHANISMS["creep"]
+LinearViscosity = _MECHANISMS["linear_viscosity"]
 
 
 def _form_of_place(value: Any) -> str:
@@ -192,9 +193,9 @@ class Body(Section):
     name: str
     where: Where | None = None
     material: Material  # type: ignore[valid-type]
-    viscosity: _MECHANISMS[viscosity] | None = None  # type: ignore[valid-type]
-    linear_viscosity: _MECHANISMS[linear_viscosity] | None = None  # type: ignore[valid-type]
-    creep: _MECHANISMS[creep] | None = None  # type: ignore[valid-type]
+    viscosity: Viscosity | None = None  # type: ignore[valid-type]
+    linear_viscosity: LinearViscosity | None = None  # type: ignore[valid-type]
+    creep: Creep | None = None  # type: ignore[valid-type]
     density: float | None = None
     order: int = 0
 
@@ -231,11 +232,11 @@ class CaseSections(Section):
     units: Units = Units()
     domain: Domain  # type: ignore[valid-type]
     material: Material | None = None  # type: ignore[valid-type]
-    bodies: list[Body] = []
+    bodies: list[Body] = Field(default=[])
     time: Time
-    walls: dict[str, Wall] = {}  # type: ignore[valid-type]
+    walls: dict[str, Wall] = Field(default={})  # type: ignore[valid-type]
     rheology: Rheology = Rheology()
-    loads: list[Load] = []  # type: ignore[valid-type]
+    loads: list[Load] = Field(default=[])  # type: ignore[valid-type]
     initial: Initial = Initial()  # type: ignore[valid-type]
     discretisation: Discretisation = Discretisation()  # type: ignore[valid-type]
     solver: Solver = Solver()  # type: ignore[valid-type]

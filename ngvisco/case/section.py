@@ -203,5 +203,3 @@ def materials() -> Any:
     for name, target in catalogue.WRAPPERS.items():
         models = (*models, section(target, ("kind", name), _choice("kind", models)))
     return _choice("kind", models)
-
-

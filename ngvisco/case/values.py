@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
+from ngsolve import CF, CoefficientFunction
 from pydantic import AfterValidator, WithJsonSchema
 
-from ngvisco.errors import as_number
+from ngvisco.errors import ParameterError, as_number
 from ngvisco.expressions import parse, parse_region
 
 
@@ -49,11 +50,16 @@ NumberValues = Annotated[list[Any], AfterValidator(_check_numbers)]
 def _check_modulus(value: Any) -> Any:
     """A finite number, or an expression of x, y, z; raises ValueError."""
     if isinstance(value, str):
-        if "t" in parse(value).names:
-            raise ValueError("expected a function of the initial place, of x, y and z alone")
-    elif isinstance(value, bool) or as_number(value) is None:
-        raise ValueError("expected a finite number, or an expression of x, y, z in quotes")
-    return value
+        names = parse(value).names
+        if "t" in names or not names:
+            raise ValueError("expected a number, or a function of the initial place, of x, y and z alone")
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError("expected a number, or an expression of x, y, z in quotes")
+    try:
+        return float(value)
+    except OverflowError:
+        raise ValueError("expected a finite number") from None
 
 
 ModulusValue = Annotated[Any, AfterValidator(_check_modulus), WithJsonSchema({"type": ["number", "string"]})]
@@ -68,3 +74,22 @@ def _check_region(value: str) -> str:
 
 RegionText = Annotated[str, AfterValidator(_check_region)]
 """A condition on x, y, z."""
+
+
+def as_function(value: Any) -> Any:
+    """A number, text or array as a coefficient function; arrays of arrays are matrices."""
+    if not isinstance(value, list):
+        return _scalar(value)
+    if not all(isinstance(row, list) for row in value):
+        if any(isinstance(row, list) for row in value):
+            raise ParameterError("array", value, "a vector, or a matrix of equally long rows")
+        return CF(tuple(_scalar(part) for part in value))
+    widths = {len(row) for row in value}
+    if len(widths) != 1 or any(isinstance(part, list) for row in value for part in row):
+        raise ParameterError("array", value, "a matrix of equally long rows")
+    flat = tuple(_scalar(part) for row in value for part in row)
+    return CF(flat, dims=(len(value), widths.pop()))
+
+
+def _scalar(value: Any) -> CoefficientFunction:
+    return parse(value).coefficient() if isinstance(value, str) else CF(float(value))

@@ -11,7 +11,8 @@ import ngvisco as nv
 from ngvisco.case import reference, template, toml
 from ngvisco.case.build import parse_case
 from ngvisco.case.keys import KEYS, key
-from ngvisco.case.schema import CaseSections, FieldValue
+from ngvisco.case.schema import CaseSections
+from ngvisco.case.values import FieldValue
 
 ENTRIES = reference.entries()
 COMPANIONS = {
@@ -70,6 +71,8 @@ def test_no_description_is_left_over():
 def placed(entry, kind):
     """A case in which the key has its example, in a section of this kind with what else it requires."""
     data = tomllib.loads(BASE)
+    if entry.path[0] == "bodies":
+        data["bodies"] = [{"name": "block", "material": data.pop("material"), "density": 1.0}]
     path = [{"NAME": "left", "N": "0"}.get(part, part) for part in entry.path]
     section = entry.path[:-1]
     needed = {
