@@ -294,14 +294,14 @@ class Case:
                     raise ParameterError("bodies.where", body.where, "a place within the domain: it is empty")
 
     def observers(self, directory: str | os.PathLike[str], until: float | None = None) -> list[Observer]:
-        """Ledger, VTK series and checkpoints in a run directory."""
+        """Ledger, VTK series, tables and checkpoints, which come last, in a run directory."""
         out, vtk, checkpoint = Path(directory), self.sections.output.vtk, self.sections.output.checkpoint
         chosen: list[Observer] = [LedgerCSV(out / "ledger.csv")]
         if vtk.enabled:
             times = self.output_times(self.until if until is None else until)
             every = None if vtk.interval else vtk.every
             chosen.append(VTKSeries(out / "vtk", every, vtk.fields, vtk.subdivision, times))
-        chosen += samples(self.sections.output, out / "samples").values()
+        chosen += samples(self.sections, out).values()
         attributes = {"case": self.hash}
         chosen.append(Checkpoints(out / "run.h5", checkpoint.every, checkpoint.keep, attributes))
         return chosen
@@ -311,7 +311,7 @@ class Case:
             if name not in run.fields:
                 error = UnknownNameError("field", name, run.fields)
                 raise self._error(("output", "vtk", "fields"), str(error))
-        for path, series in samples(self.sections.output, Path()).items():
+        for path, series in samples(self.sections, Path()).items():
             try:
                 series.prepare(run)
             except ParameterError as error:

@@ -9,6 +9,7 @@
 | run.h5        | ledger and checkpoints (ngvisco.run.checkpoint)                           |
 | vtk/          | the VTK series                                                            |
 | shapes/       | the files of bodies' shapes, under their content's hashes                  |
+| bodies.csv    | mass, centroid, energies, ... of each body, a row a step                   |
 | samples/      | probes, lines, forces on walls, integrals over the domain, as CSV         |
 | log.txt       | what was done when                                                        |
 | failed.txt    | of a run that ended at a step: where and why, and what to change          |
@@ -80,6 +81,7 @@ class RunDirectory:
         pictures = [self.path / name for name in (*names, "scene.html", "movie.gif", "movie.mp4")]
         series = [*self.vtk.glob("fields*.vtu"), *self.vtk.glob("fields*.pvd")]
         series += [*self.path.glob("samples/*.csv"), *self.path.glob("case.until-step-*.toml")]
+        own.append(self.path / "bodies.csv")
         series += [*self.path.glob("shapes/*.stl"), *self.path.glob("shapes/*.png")]
         own += [self.log_file, self.failure_file, self.failed_state]
         return [path for path in [*own, *pictures, *series] if path.exists()]

@@ -65,6 +65,8 @@ KEYS: dict[str, Key] = {
     "Output.lines": Key("", "fields along lines over time, each a file samples/NAME.csv", None),
     "Output.forces": Key("", "forces and torques on walls over time, in samples/forces.csv", None),
     "Output.integrals": Key("", "integrals over the domain over time, each a file samples/NAME.csv", None),
+    "Output.bodies": Key("", "mass, centroid, energies, ... of each body over time, in bodies.csv", None),
+    "BodiesTable.every": Key("1", "a row every so many steps, and at the end", 1),
     # domain
     "geometry": Key("", "which domain", "box"),
     "size": Key("m", "edge lengths, two (plane strain) or three", [1.0, 1.0]),

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ngvisco.case.schema import Output
+from ngvisco.case.schema import CaseSections
+from ngvisco.run.bodies import Bodies
 from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.series import Series
 
 
-def samples(output: Output, directory: Path) -> dict[tuple[str, ...], Series]:
-    """Probes, lines, forces and integrals by the key that describes them, writing into ``directory``."""
-    found = dict[tuple[str, ...], Series]()
+def samples(case: CaseSections, run: Path) -> dict[tuple[str, ...], Series]:
+    """Probes, lines, forces, integrals and bodies by the key that describes them, writing into a run's
+    directory."""
+    output, directory, found = case.output, run / "samples", dict[tuple[str, ...], Series]()
+    if case.bodies:
+        found["output", "bodies"] = Bodies(run / "bodies.csv", output.bodies.every)
     for i, p in enumerate(output.probes):
         path = directory / f"{p.name}.csv"
         found["output", "probes", str(i)] = Probes({p.name: p.point}, p.fields, path, p.every)

@@ -141,6 +141,12 @@ class DomainIntegral(Section):
     every: int = Field(default=1, ge=1)
 
 
+class BodiesTable(Section):
+    """What is measured of each body over time."""
+
+    every: int = Field(default=1, ge=1)
+
+
 class Output(Section):
     """What is written into the run directory."""
 
@@ -150,6 +156,7 @@ class Output(Section):
     lines: list[Line] = Field(default=[])
     forces: Forces | None = None
     integrals: list[DomainIntegral] = Field(default=[])
+    bodies: BodiesTable = BodiesTable()
     log_every: int = Field(default=1, ge=1)
     passive: list[str] = Field(default=[])
 

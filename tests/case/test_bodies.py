@@ -8,7 +8,7 @@ import pytest
 from ngsolve import Integrate, pi
 
 import ngvisco as nv
-from ngvisco.case import reference
+from ngvisco.case import directory, reference
 from ngvisco.case.build import parse_case
 from ngvisco.case.errors import CaseError
 from ngvisco.case.places import place_of
@@ -23,6 +23,13 @@ maxh = 0.3
 [time]
 dt = 0.02
 until = 0.04
+"""
+GRAVITY = """
+[[loads]]
+kind = "Gravity"
+g = [0, -1]
+[solver]
+method = "split"
 """
 BODIES = """
 [[bodies]]
@@ -45,15 +52,15 @@ epsilon = 0.1
 """
 
 
-def case(text=HEAD + BODIES, directory=Path(".")):
-    return parse_case(text, "case.toml", directory)
+def case(text=HEAD + BODIES, place=Path(".")):
+    return parse_case(text, "case.toml", place)
 
 
-def where_of(text, directory=Path(".")):
+def where_of(text):
     """The volume of the second body's place in the unit square."""
     given = BODIES.replace('{ kind = "Ball", centre = [0.6, 0.5], radius = 0.2 }', text)
-    part = case(HEAD + given, directory).sections.bodies[1].where
-    place = place_of(part, directory)
+    part = case(HEAD + given).sections.bodies[1].where
+    place = place_of(part, Path("."))
     assert place is not None
     return volumes(box((1, 1), maxh=0.1), [place])[0]
 
@@ -206,6 +213,62 @@ def test_hash_is_that_of_a_shape_s_file_not_of_its_path(tmp_path):
     (tmp_path / "b.png").unlink()
     with pytest.raises(CaseError, match="cannot be read"):
         case(HEAD + texts[1], tmp_path).hash  # noqa: B018
+
+
+def test_run_directory_goes_on_without_the_shape_s_file(tmp_path):
+    """It has a copy; mass, table and ledger go on from the checkpoint."""
+    from matplotlib.image import imsave
+
+    X, Y = np.meshgrid(np.linspace(0, 1, 100), np.linspace(1, 0, 100))
+    dark = (X - 0.6) ** 2 + (Y - 0.5) ** 2 < 0.04
+    imsave(tmp_path / "disc.png", np.where(dark, 0.0, 1.0)[..., None].repeat(3, axis=2))
+    picture = 'where = { kind = "Image", path = "disc.png", low = [0, 0], high = [1, 1] } #'
+    text = HEAD + BODIES.replace("where = {", picture) + GRAVITY
+    loaded = case(text.replace("until = 0.04", "until = 0.02"), tmp_path)
+    directory.run(loaded, tmp_path / "run")
+    (tmp_path / "disc.png").unlink()
+    directory.resume(tmp_path / "run", until=0.04)
+    rows = np.genfromtxt(tmp_path / "run" / "bodies.csv", delimiter=",", names=True)
+    assert (np.diff(rows["time"]) > 0).all()
+    assert rows["time"][[0, 1, -1]] == pytest.approx([0, 0.02, 0.04])
+    assert rows["disc_mass"] == pytest.approx(rows["disc_mass"][0], rel=1e-12)
+    assert rows["disc_y"][-1] < rows["disc_y"][0]
+    results = nv.load(tmp_path / "run")
+    assert abs(results.ledger["closure_relative"]).max() < 1e-10
+    assert {"disc_fraction", "fluid_fraction", "body"} <= set(results.fields)
+
+
+@pytest.mark.parametrize(
+    ("where", "key", "message"),
+    [
+        ('{ kind = "Ball", centre = [6, 5], radius = 0.2 }', "bodies.1.where", "it is empty"),
+        ('{ kind = "Ball", centre = [6, 5, 1], radius = 0.2 }', "bodies.1.where", "2 coordinates"),
+        ('{ kind = "Subdomain", names = "inclusion" }', "bodies", "unknown subdomain 'inclusion'"),
+        ('{ kind = "ClosedSurface", path = "part.stl" }', "bodies.1.where", "closed surface"),
+        ('{ kind = "Image", path = "none.png", low = [0, 0], high = [1, 1] }', "bodies.1.where", "readable"),
+    ],
+)
+def test_place_that_does_not_fit_is_refused_before_anything_is_written(tmp_path, where, key, message):
+    triangle = "vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
+    (tmp_path / "part.stl").write_text(
+        f"solid a\nfacet\nouter loop\n{triangle}endloop\nendfacet\nendsolid a\n"
+    )
+    text = BODIES.replace('{ kind = "Ball", centre = [0.6, 0.5], radius = 0.2 }', where)
+    with pytest.raises(CaseError) as caught:
+        directory.run(case(HEAD + text, tmp_path), tmp_path / "run")
+    assert key in str(caught.value)
+    assert message in str(caught.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_bodies_that_overlap_without_order_are_refused():
+    third = '[[bodies]]\nname = "block"\nwhere = { kind = "Block", low = [0.5, 0.5], high = [0.9, 0.9] }\n'
+    third += 'density = 1.0\norder = 1\nmaterial = { kind = "NeoHookean", K_e = 9, G_e = 1, epsilon = 0.1 }\n'
+    loaded = case(HEAD + BODIES + third)
+    with pytest.raises(CaseError, match=r"bodies.2.order: 1: expected an order other than 1"):
+        loaded.simulation(loaded.mesh())
+    ordered = case(HEAD + BODIES + third.replace("order = 1", "order = 2"))
+    assert ordered.simulation(ordered.mesh()).model.bodies[2].name == "block"
 
 
 def test_keys_of_bodies_are_explained():
