@@ -19,7 +19,9 @@ SHOWN = (1.16, 2.36, 3.52, 4.68, 5.88, 7.04)
 """Times of the pictures, s: those of Sugiyama et al., to a step."""
 
 
-def simulation(maxh: float = 0.1, dt: float = 0.04, K_e: float = 50.0, m: int = 1, **options) -> nv.Simulation:
+def simulation(
+    maxh: float = 0.1, dt: float = 0.04, K_e: float = 50.0, m: int = 1, **options
+) -> nv.Simulation:
     """1 m x 1 m, the disc of radius 0.2 m at (0.6, 0.5) m; density 1 kg/m^3, viscosity 0.01 Pa s in both.
 
     ``K_e`` is the bulk modulus of both (Pa): nothing holds div v = 0, volumes change by the pressure over it.
@@ -83,7 +85,9 @@ def draw_path(table: nv.Bodies, path: Path) -> None:
     t, X, Y = (table.column(name) for name in ("time", "disc_x", "disc_y"))
     left.plot(X, Y)
     left.plot(X[:1], Y[:1], "o", label="start")
-    left.set(title="centroid of the disc", xlabel="x, m", ylabel="y, m", aspect="equal", xlim=(0, 1), ylim=(0, 1))
+    left.set(
+        title="centroid of the disc", xlabel="x, m", ylabel="y, m", aspect="equal", xlim=(0, 1), ylim=(0, 1)
+    )
     left.legend()
     for name, label in (("disc_mass", "mass"), ("disc_volume", "volume")):
         right.plot(t, table.column(name) / table.column(name)[0] - 1, label=label)
