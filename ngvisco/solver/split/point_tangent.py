@@ -54,6 +54,7 @@ class PointTangent:
             K -= of_mandel[:, None, None] * (by_Pi @ force[:, g:])
             if of_conjugates is not None:
                 K += by_Pi @ (of_conjugates @ slopes)
+        self.rate_slope = K
         self.resolvent = np.linalg.inv(np.eye(self.components)[None] - self.tau * K)
         self.force, self.columns = force, columns
         self.dz = u.grad_z.value

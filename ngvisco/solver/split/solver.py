@@ -102,15 +102,22 @@ class Split:
             at = self.residual(x)
         if not at.residual.is_finite:
             return at, np.zeros_like(x), np.inf
-        options = self.options.split
-        if not self.is_factorised:
+        options, fresh = self.options.split, not self.is_factorised
+        if fresh:
             self.renew(problem, at)
         else:
             with self._clock("assembly"):
                 self.preconditioner.linearise(at, last > options.linearised_above)
         with self._clock("solves"):
             f = self.preconditioner(at, options.forcing)
-        return at, f, self.size(f)
+        size = self.size(f)
+        worn = self.preconditioner.iterations > options.renewed_after[self.step.mesh.dim - 2]
+        if worn and not fresh and max(size, last) > options.linearised_above:
+            self.renew(problem, at)
+            with self._clock("solves"):
+                f = self.preconditioner(at, options.forcing)
+            size = self.size(f)
+        return at, f, size
 
     def renew(self, problem: Problem, at: Evaluation) -> None:
         """Make the tangent anew at an evaluation, which is that of the step's state."""
