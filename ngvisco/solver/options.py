@@ -188,6 +188,10 @@ class NewtonOptions(_Checked):
     """``"coupled"``: all unknowns at once; ``"split"``: one problem for the velocity, with the fields as
     functions of it, whose cost grows like the mesh; ``"auto"``: the faster one for the mesh's dimension and
     size.  Both solve the same equations."""
+    retry_seconds: float = 120.0
+    """Seconds that the coupled solver may take for a step that the split one has failed at.  It is not
+    asked where a few iterations would take longer, by an estimate, and begins none that would not end in
+    time."""
     norm: NormOptions = NormOptions()
     coupled: CoupledOptions = CoupledOptions()
     split: SplitOptions = SplitOptions()

@@ -24,6 +24,7 @@ class Status(Enum):
     SINGULAR = "a linear system has no factorisation"
     INADMISSIBLE = "the solution of the equations is not admissible"
     NOT_TRIED = "not tried"
+    TOO_COSTLY = "the time that it may take is used up"
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,7 @@ def test_the_fields_systems_are_solved_beyond_what_sweeps_invert(run):
     """dz and drho are found again from their rows where a step strains by three quarters, at Courant number
     2."""
     v = linear(run, lambda x, y: (1.5 * x - 0.5 * y, 0.5 * x - 1.5 * y))
-    split, at, operator = prepared(run, v)
+    split, at, _ = prepared(run, v)
     slices, fields = split.unknowns.slices, split.preconditioner.fields
     rng = np.random.default_rng(2)
     direction = np.zeros(len(at.x))
