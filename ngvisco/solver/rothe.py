@@ -194,6 +194,7 @@ class _Run:
         failed = [one for one in self.attempts if not one.solution.converged]
         left = [one for one in failed if one.solution.status is Status.NOT_TRIED]
         reasons = [one.solution.reason for one in failed if one not in left][-1:]
+        reasons += [one.solution.against for one in failed if one.solution.against][-1:]
         reasons += [f"{one.strategy} was not tried: {one.solution.reason}" for one in left[:1]]
         return "; ".join(reasons) or "no strategy was asked for"
 

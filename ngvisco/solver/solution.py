@@ -47,11 +47,14 @@ class Solution:
     history : tuple of NewtonIteration
     reason : str
         Why it failed, with figures and what may help; empty where it converged.
+    against : str
+        Which terms of the equations stand against convergence, where that is known.
     """
 
     status: Status
     history: tuple[NewtonIteration, ...] = ()
     reason: str = ""
+    against: str = ""
 
     @property
     def converged(self) -> bool:

@@ -105,6 +105,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
 
         operator = LinearOperator((len(x), len(x)), along, dtype=float)
         d, _ = gmres(operator, f / scale, rtol=krylov.tolerance, restart=krylov.directions, maxiter=1)
+        split.note(at, scale * d, split.size(scale * d))
         damping = 1.0
         while True:
             new_x = x - damping * scale * d
