@@ -151,7 +151,7 @@ def _add_sweep(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="dask scheduler whose workers do the runs, e.g. tcp://host:8786; they have to see the same files",
+        help="dask scheduler whose workers do the runs, e.g. tcp://host:8786; they must see the same files",
     )
     _add_run_options(command)
 

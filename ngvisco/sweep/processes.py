@@ -1,7 +1,7 @@
 """Runs as processes of their own, handed out by dask.distributed.
 
 Each run is ``ngvisco run`` or ``ngvisco resume`` in a process of its own: NGSolve's time, threads and memory
-belong to a process, one run's crash is the failure of that run, and a run that is stopped leaves a checkpoint.
+belong to a process, one run's crash is its failure alone, and a run that is stopped leaves a checkpoint.
 Dask's workers only wait for them, so that those of the local cluster are threads.
 """
 
@@ -26,7 +26,7 @@ _running: set[subprocess.Popen[str]] = set()
 
 @contextlib.contextmanager
 def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
-    """A client of dask.distributed: of a local cluster with so many workers, or of the scheduler at an address.
+    """A client of a local cluster with so many workers, or of the dask scheduler at an address.
 
     Raises
     ------

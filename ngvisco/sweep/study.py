@@ -34,8 +34,8 @@ _STOPPED = (128 + signal.SIGINT, 128 + signal.SIGTERM, -signal.SIGTERM)
 class Study:
     """One case with some of its keys varied.
 
-    Everything is checked when it is made, and nothing written: keys, values, each combination's case as a whole
-    with its mesh, and what is in the directory already.
+    Everything is checked when it is made, and nothing written: keys, values, each combination's case as a
+    whole with its mesh, and what is in the directory already.
 
     Parameters
     ----------

@@ -32,8 +32,8 @@ class Outcome:
     values : dict of str
         The varied keys.
     state : str
-        ``"finished"``; ``"not closed"``, finished with a ledger that does not close; ``"failed"``; ``"stopped"``
-        by a signal, with a checkpoint; ``"not started"``.
+        ``"finished"``; ``"not closed"``, finished with a ledger that does not close; ``"failed"``;
+        ``"stopped"`` by a signal, with a checkpoint; ``"not started"``.
     message : str
         Why it failed.
     last : dict of float
@@ -73,7 +73,7 @@ class Outcome:
 
 
 def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
-    """Write the table as CSV, whole or not at all; columns that a run's ledger lacks are empty in its line."""
+    """Write the table as CSV, whole or not at all; columns that a run's ledger lacks stay empty."""
     keys = list(outcomes[0].values)
     columns = list(dict.fromkeys(name for outcome in outcomes for name in outcome.last))
     first = [name for name in ("step", "time", "largest_closure") if name in columns]

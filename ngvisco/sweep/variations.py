@@ -90,7 +90,7 @@ class Combination:
     Attributes
     ----------
     name : str
-        The run directory's: ``material.G_e=1,time.dt=0.02``.  The same values have the same name in any study.
+        The run directory's: ``material.G_e=1,time.dt=0.02``.  The same in any study.
     values : dict of str
         By key.
     settings : tuple of str
