@@ -98,8 +98,12 @@ def parser() -> argparse.ArgumentParser:
         ("scene", "the states of the VTK series as one HTML file that opens offline, with time and cuts"),
     ):
         command = commands.add_parser(name, help=text, description=text)
-        command.add_argument("directory", metavar="DIR", help="run directory")
-        if name != "info":
+        needed = None if name != "info" else "?"
+        command.add_argument("directory", metavar="DIR", help="run directory", nargs=needed)
+        if name == "info":
+            text = "what distributed runs need instead: MPI, PETSc and its packages, and a test of them"
+            command.add_argument("--parallel", action="store_true", help=text)
+        else:
             command.add_argument("--fields", metavar="NAMES", help="fields to draw, separated by commas")
             command.add_argument(
                 "--step", type=int, metavar="N", help="checkpoint's step (default: the last)"
@@ -257,14 +261,14 @@ def _code(error: Exception) -> int:
 
 def _command(name: str) -> Callable[[argparse.Namespace], int]:
     # imported late: NGSolve takes a second, and --help needs none of it
-    from ngvisco.cli import pictures, reference, report, run, sweep
+    from ngvisco.cli import parallel, pictures, reference, report, run, sweep
 
     table: dict[str, Callable[[argparse.Namespace], int]] = {
         "run": run.run,
         "resume": run.resume,
         "sweep": sweep.sweep,
         "check": report.check,
-        "info": report.info,
+        "info": lambda options: (parallel.info if options.parallel else report.info)(options),
         "list": reference.listing,
         "explain": reference.explain,
         "new": reference.new,
