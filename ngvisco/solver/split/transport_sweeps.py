@@ -48,9 +48,7 @@ class TransportSweeps:
         own += storage + convection
         if self._whole is not None and r.diffusion is not None:
             self._whole.factorise((self._sparse(own, across) + r.diffusion.matrix).tocsr())
-            self._cells = np.linalg.inv(own).astype(precision.SINGLE)
-        else:
-            self._cells, self._carried = _sweep(own, across)
+        self._cells, self._carried = _sweep(own, across)
         self._blocks = _rows_of(own, across)
         self._count_sweeps()
         if self._own is None:
@@ -62,8 +60,6 @@ class TransportSweeps:
 
     def _count_sweeps(self) -> None:
         """How many sweeps the present transport takes, by what they leave of a field drawn at random."""
-        if self._whole is not None:
-            return
         options = self.options
         count, q = self._cells.shape[:2]
         x = np.random.default_rng(0).standard_normal((count, q, 1)).astype(precision.SINGLE)
@@ -99,7 +95,11 @@ class TransportSweeps:
     def fields(self, r: np.ndarray) -> np.ndarray:
         """Increments of z before rates and creep, of rows r: both (cells' unknowns, n)."""
         if self._whole is not None:
-            return np.stack([self._whole(column) for column in r.T], axis=1).astype(precision.SINGLE)
+            assert self.residual.diffusion is not None
+            result = self._swept(self._cells, self._carried, r)
+            for i in np.flatnonzero(self.residual.diffusion.strains):
+                result[:, i] = self._whole(r[:, i])
+            return result
         return self._swept(self._cells, self._carried, r)
 
     def in_cells(self, rows: np.ndarray) -> np.ndarray:
@@ -120,8 +120,8 @@ class TransportSweeps:
     def rows(self, x: np.ndarray) -> np.ndarray:
         """T x, of coefficients x of the fields: both (cells' unknowns, n)."""
         rows = self._applied(self._blocks, x)
-        if self._whole is not None and self.residual.diffusion is not None:
-            rows += (self.residual.diffusion.matrix @ x).astype(rows.dtype)
+        if self.residual.diffusion is not None:
+            rows = rows + self.residual.diffusion(np.ascontiguousarray(x.T)).T
         return rows
 
     def density_rows(self, x: np.ndarray) -> np.ndarray:
