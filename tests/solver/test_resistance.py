@@ -41,7 +41,7 @@ def test_the_terms_rows_are_those_of_the_residual():
     """All of them, without walls by multipliers; of the derivative too."""
     run = cavity()
     split = run.solver.newton
-    at, f = best(run)
+    at, _ = best(run)
     at = split.residual(at.x)
     parts = by_terms(split.residual, at)
     whole = np.concatenate(at.residual.parts())
