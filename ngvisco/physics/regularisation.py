@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import require_above, require_nonnegative, require_positive
+from ngvisco.errors import ParameterError, require_above, require_nonnegative, require_positive
 from ngvisco.physics.tensors import Scalar, if_positive, power_of_square
 
 
@@ -30,7 +30,8 @@ class Regularisation:
         Its exponent, > 1; the paper's analysis wants r > 3.  Default 4.
     delta_fields : float
         delta in the Laplacian of all transported variables, m^2/s, >= 0.  The ledger has its power under
-        ``dissipation_delta_fields``, positive for a quadratic energy, of either sign in general.
+        ``dissipation_delta_fields``, >= 0 for every convex energy.  phi'' at rest has to be positive definite
+        in the variables that the energy is not linear in; ``WithQuadratic`` makes it so.
     epsilon : float
         Coefficient of epsilon |v|^{p-2} v in the momentum equation, such that epsilon |v|^p is W/m^3; >= 0.
     p : float
@@ -77,6 +78,17 @@ class Regularisation:
         )
         if self.rho_max is not None:
             require_positive(self, rho_max=self.rho_max)
+
+    def require_gradients(self, name: str, m: int) -> None:
+        """Raise ParameterError for a diffusion, ``name``, of fields of order m = 0."""
+        if m == 0:
+            raise ParameterError(
+                f"Regularisation.{name}", getattr(self, name), "0 with m = 0, which has no gradients"
+            )
+
+    def penalty_weight(self, m: int) -> float:
+        """s = penalty (m + 1)^2, for polynomials of degree m."""
+        return self.penalty * (m + 1) ** 2
 
     def diffusivity(self, gradient_square: Scalar) -> Scalar:
         """delta |grad rho|^{r-2}, m^2/s, of |grad rho|^2."""

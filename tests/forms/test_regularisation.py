@@ -69,7 +69,7 @@ def test_ledger_closes_with_each_regularisation(case, material):
     law = CASES[case]
     if law.delta_density:
         assert ledger.column("density_diffusion")[1:].min() > 0
-    if law.delta_fields:  # both energies are quadratic in their tensors and convex in J
+    if law.delta_fields:
         assert ledger.column("dissipation_delta_fields")[1:].min() > 0
     if law.epsilon:
         assert ledger.column("dissipation_epsilon")[1:].min() > 0

@@ -1,0 +1,144 @@
+"""delta Laplace z, by the slope of the conjugates: dissipative for every convex energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction
+
+from ngvisco.forms.energy import column
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.unknowns import Setting, Unknown
+from ngvisco.physics.curvature import Curvature, curvature_of
+from ngvisco.physics.material import Material
+from ngvisco.physics.regularisation import Regularisation
+from ngvisco.physics.tensors import inner
+
+
+@dataclass(frozen=True)
+class FieldDiffusion(PointTerm):
+    """delta Laplace z in the kinematic equations (paper: Euler-small-viscoelastodyn+2disc, Euler-large-
+    viscoelastodyn+2disc, +3disc, -H, -H+), dissipative for every convex energy.
+
+    The paper tests by phi'(z), and phi''(z) grad z : grad z >= 0 (Euler-small-calc-Delta).  Here the test is
+    zeta, whose gradient is not phi''(z) grad z: the slope q of z is therefore that of the conjugates,
+
+        sum_K int_K phi''(z) q : Y - grad zeta : Y - sum_K int_{dK} (zeta_hat - zeta) : (Y n) = 0,
+
+    and enters with the adjoint of that lifted gradient,
+
+        delta sum_K int_K q : grad G + delta sum_K int_{dK} (s/h b - q n) : G + s/h C (zeta - zeta_hat) : G.
+
+    zeta_hat is the mean of both sides' conjugates with the weights s/h, s = penalty (m + 1)^2, b the jump
+    (q_1 n_1 + q_2 n_2) over the sum of these; on walls zeta_hat = zeta, which is n . grad z = 0 (BC-disc).
+    C is the inverse of phi'' at rest.  For smooth z it is q = grad z; and G = zeta gives, whatever z,
+
+        delta int phi''(z) q : q + delta sum_K int_{dK} s/h C (zeta - zeta_hat) : (zeta - zeta_hat) >= 0.
+
+    In directions in which the energy is linear (``Curvature.linear``) phi'' vanishes and zeta is constant:
+    there q is the slope of z itself, by the same form, and has no power.
+    """
+
+    law: Regularisation
+    material: Material
+    dim: int
+
+    @cached_property
+    def curvature(self) -> Curvature:
+        """What of the material's phi'' does not depend on the state."""
+        return curvature_of(self.material, self.dim)
+
+    @cached_property
+    def linear(self) -> CoefficientFunction | None:
+        """The projection on directions in which the energy is linear, or None without such."""
+        matrix = self.curvature.linear
+        return _constant(matrix) if matrix.any() else None
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        self.law.require_gradients("delta_fields", setting.m)
+        m, size = setting.m, setting.states.size
+        return (
+            Unknown("z_slope", "cells", m, size * setting.dim),
+            Unknown("zeta_delta_hat", "facets", m, size, trace_of="zeta"),
+            Unknown("z_slope_hat", "facets", m, size),
+        )
+
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        delta, slopes = self.law.delta_fields, u.grad_zeta
+        if self.linear is not None:
+            slopes = slopes + self.linear * u.grad_z
+        return [
+            delta * inner(u.z_slope, w.grad_z),
+            -inner(slopes, w.z_slope),
+            *self._curved(u, w.z_slope),
+        ]
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        delta, weight = self.law.delta_fields, self._weight(u)
+        jump = self._jump(u)
+        across = weight * u.z_slope_hat - u.z_slope * u.context.normal
+        return [
+            *self.lifting(u, w, jump),
+            inner(across, w.z_slope_hat),
+            delta * inner(across, w.z),
+            -delta * weight * inner(_constant(self.curvature.compliance) * jump, w.z),
+        ]
+
+    def of_one_component(self, u: Fields, w: Fields) -> list[Integrand]:
+        """What of the form has constant matrices, the same for all components, without delta and C.
+
+        The rows of zeta are those of the penalty in the equations of z; that of the slope is without phi''.
+        """
+        weight, jump = self._weight(u), u.zeta_delta_hat - u.zeta
+        across = weight * u.z_slope_hat - u.z_slope * u.context.normal
+        facets = [*self.lifting(u, w, jump), inner(across, w.z_slope_hat), -weight * inner(jump, w.zeta)]
+        cells = -inner(u.grad_zeta, w.z_slope)
+        return [Integrand(cells), *(Integrand(facets=part) for part in facets)]
+
+    def lifting(self, u: Fields, w: Fields, jump: CoefficientFunction) -> list[CoefficientFunction]:
+        """On facets: that the trace is the mean, and the gradient's part of the ``jump`` to it."""
+        n = u.context.normal
+        return [self._weight(u) * inner(jump, w.zeta_delta_hat), -inner(jump, w.z_slope * n)]
+
+    def entries(self, u: Fields) -> list[Entry]:
+        """The form at G = zeta, as the square that it is."""
+        delta, C = self.law.delta_fields, self.curvature.compliance
+        curved = self.curvature.compliance @ (np.eye(len(C)) - self.curvature.linear)
+        jump = u.zeta_delta_hat - u.zeta
+        if self.linear is not None:
+            jump = jump - self.linear * u.z
+        cells = self.power_density(u)
+        facets = delta * self._weight(u) * inner(_constant(curved) * jump, jump)
+        return [Entry("dissipation_delta_fields", "dissipation", Integrand(cells, facets))]
+
+    def power_density(self, u: Fields) -> CoefficientFunction:
+        """delta phi''(z) q : q, W/m^3."""
+        parts = u.context.energy.curved(u, u.z_slope)
+        total = inner(parts[0], column(u.z_slope, 0))
+        for j in range(1, self.dim):
+            total = total + inner(parts[j], column(u.z_slope, j))
+        return self.law.delta_fields * total
+
+    def _curved(self, u: Fields, test: CoefficientFunction) -> list[CoefficientFunction]:
+        """(phi''(z) q + linear q) : Y, in summands."""
+        parts = u.context.energy.curved(u, u.z_slope)
+        summands = [inner(parts[j], column(test, j)) for j in range(self.dim)]
+        if self.linear is not None:
+            summands.append(inner(self.linear * u.z_slope, test))
+        return summands
+
+    def _jump(self, u: Fields) -> CoefficientFunction:
+        """zeta_hat - zeta; in directions in which the energy is linear that of z."""
+        jump = u.zeta_delta_hat - u.zeta
+        return jump if self.linear is None else jump - self.linear * u.z
+
+    def _weight(self, u: Fields) -> CoefficientFunction:
+        return self.law.penalty_weight(u.layout.discretisation.m) / u.context.h
+
+
+def _constant(matrix: np.ndarray) -> CoefficientFunction:
+    return CF(tuple(float(entry) for entry in matrix.ravel()), dims=matrix.shape)
