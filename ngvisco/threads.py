@@ -45,6 +45,11 @@ def on_arrays() -> AbstractContextManager[Any]:
     return SuspendTaskManager()
 
 
+def _pays(size: float) -> bool:
+    """Whether work of so many multiplications is worth other threads, of which there are some at leisure."""
+    return size >= SMALL and not _busy.is_set() and GetNumThreads() > 1
+
+
 def shared(work: Callable[[slice], Any], count: int, size: float) -> None:
     """Call ``work`` with slices that make up range(count), each in a thread of its own.
 
@@ -57,10 +62,10 @@ def shared(work: Callable[[slice], Any], count: int, size: float) -> None:
     size : float
         Multiplications in all: small products are not shared.
     """
-    threads = 1 if _busy.is_set() else GetNumThreads()
-    if threads == 1 or size < SMALL or count < threads:
+    if not _pays(size) or count < GetNumThreads():
         work(slice(0, count))
         return
+    threads = GetNumThreads()
     ends = np.linspace(0, count, threads + 1).astype(int)
     slices = [slice(a, b) for a, b in pairwise(ends)]
     others = [_submit(threads, partial(work, s)) for s in slices[1:]]
@@ -74,7 +79,7 @@ def concurrently(first: Callable[[], Any], second: Callable[[], Any], size: floa
 
     ``size`` is as for ``shared``; what the pieces share out among threads themselves stays in theirs.
     """
-    if size < SMALL or _busy.is_set() or GetNumThreads() == 1:
+    if not _pays(size):
         return first(), second()
     _busy.set()
     other = _submit(GetNumThreads(), second)
@@ -95,8 +100,10 @@ def _submit(threads: int, work: Callable[[], Any]) -> Future[Any]:
 
 def product(matrices: np.ndarray, vectors: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
     """np.matmul of stacks of small matrices, (count, ., .), shared by the first index."""
+    shape = (len(matrices), matrices.shape[1], vectors.shape[2])
+    if not _pays(shape[0] * shape[1] * shape[2] * matrices.shape[2]):
+        return np.matmul(matrices, vectors, out=out)
     if out is None:
-        shape = (len(matrices), matrices.shape[1], vectors.shape[2])
         out = np.empty(shape, np.result_type(matrices, vectors))
 
     def work(s: slice) -> None:

@@ -111,6 +111,11 @@ class LocalMatrix:
             flat = (self._scatter @ np.ascontiguousarray(flat.T)).T
         return flat.reshape(*values.shape[:-1], self.width)
 
+    def at(self, where: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """The values at some places of matrix @ each of ``rows``, (n, width) -> (n, places)."""
+        cell, place = np.divmod(where, self.per_cell)
+        return np.einsum("npl,pl->np", rows[:, self.unknowns[cell]], self._blocks[cell, :, place])
+
     def by_cells(self, columns: np.ndarray) -> np.ndarray:
         """matrix @ ``columns``, (width, n), cell by cell: (cells, rows of a cell, n)."""
         return product(

@@ -11,8 +11,6 @@ the directions in which the energy is linear, C the compliance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.sparse as sp
 from ngsolve import BilinearForm, FESpace, VectorValued
@@ -23,26 +21,12 @@ from ngvisco.forms.field_diffusion import FieldDiffusion
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.points import csr
 from ngvisco.forms.system import Step
+from ngvisco.reduced.evaluation import Coefficients
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.slope import PointwiseSlope
 
 _INCREMENT = 6e-6
 """Of z over its size, in central differences of phi''(z) q: the third root of the rounding unit."""
-
-
-@dataclass
-class Slopes:
-    """What is made of z: rows of its equations, (n, functions), and what was eliminated.
-
-    Attributes
-    ----------
-    rows : (n, functions) array
-    parts : dict
-        Coefficients of the eliminated unknowns by name, (components, functions).
-    """
-
-    rows: np.ndarray
-    parts: dict[str, np.ndarray]
 
 
 class FieldDiffusionRows:
@@ -90,9 +74,12 @@ class FieldDiffusionRows:
         square = sum(L.T @ inverse_mass.matrix() @ L for L in self._lifting)
         return (self._delta * (square + self._penalty)).tocsr()
 
-    def __call__(self, z_values: np.ndarray, z: np.ndarray, zeta: np.ndarray) -> Slopes:
-        """Of z at the cells' points, its coefficients and those of zeta; with complex z all is complex."""
-        chi = zeta if self._linear is None else zeta + self._linear @ z
+    def slopes(self, z_values: np.ndarray, c: Coefficients) -> dict[str, np.ndarray]:
+        """The eliminated unknowns by name, (components, functions), of z at the cells' points, z and zeta.
+
+        With complex z and zeta, increments of them, all is complex.
+        """
+        chi = self._potential(c)
         at = np.ascontiguousarray(z_values.real)
         matrices = self._matrices(at)
         gradients = np.stack([apply(L, chi) for L in self._lifting])  # (dim, n, functions)
@@ -100,15 +87,20 @@ class FieldDiffusionRows:
         if np.iscomplexobj(chi):
             change = self._changed(at, np.ascontiguousarray(z_values.imag), q)
             q = q + 1j * self._solve(matrices, np.ascontiguousarray(gradients.imag) - change)
-        rows = sum(apply(A, q[j]) for j, A in enumerate(self._adjoint))
-        rows = self._delta * (rows + self._compliance @ apply(self._penalty, chi))
-        slope = q.transpose(1, 0, 2)  # (n, dim, functions)
-        parts = {
-            "z_slope": slope.reshape(-1, slope.shape[2]),
-            "zeta_delta_hat": apply(self._to_mean, chi),
-            "z_slope_hat": apply(self._to_jump, slope.reshape(len(slope), -1)),
-        }
-        return Slopes(rows, parts)
+        slope = q.transpose(1, 0, 2).reshape(-1, q.shape[2])
+        normal_parts = apply(self._to_jump, slope.reshape(len(chi), -1))
+        return {"z_slope": slope, "zeta_delta_hat": apply(self._to_mean, chi), "z_slope_hat": normal_parts}
+
+    def rows(self, c: Coefficients) -> np.ndarray:
+        """Rows of z, (n, functions), of zeta, z and its slope."""
+        chi = self._potential(c)
+        slope = c["z_slope"].reshape(len(chi), self._dim, -1)
+        rows = sum(apply(A, slope[:, j]) for j, A in enumerate(self._adjoint))
+        return self._delta * (rows + self._compliance @ apply(self._penalty, chi))
+
+    def _potential(self, c: Coefficients) -> np.ndarray:
+        """zeta; in directions in which the energy is linear z."""
+        return c["zeta"] if self._linear is None else c["zeta"] + self._linear @ c["z"]
 
     def _matrices(self, z_values: np.ndarray) -> np.ndarray:
         """Inverses of phi''(z) + P in the functions of every cell, (cells, n functions, n functions)."""

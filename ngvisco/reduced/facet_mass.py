@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -36,6 +38,7 @@ class FacetMass:
                 blocks[:, j, i] = blocks[:, i, j]
         self.inverses = np.linalg.inv(blocks)
         """(facets, functions of a facet, the same)."""
+        self.__dict__.pop("inverse", None)
 
     def fitted(self, values: np.ndarray, weights: np.ndarray, where: np.ndarray) -> np.ndarray:
         """The facets' functions fitted to ``values`` (n, points), by blocks of the last ``update``.
@@ -44,9 +47,10 @@ class FacetMass:
         """
         facets, facet = np.unique(self.facet[where], return_inverse=True)
         shapes = self.shapes[:, where]
-        places = (facet, np.arange(len(where)))
-        sums = sp.csr_matrix((np.ones(len(where)), places), shape=(len(facets), len(where)))
-        loads = np.stack([sums @ (weights * shape * values).T for shape in shapes], axis=1)
+        loads = np.empty((len(facets), len(shapes), len(values)))
+        for i, shape in enumerate(weights * shapes):
+            for j, value in enumerate(values):
+                loads[:, i, j] = np.bincount(facet, shape * value, len(facets))
         fit = self.inverses[facets] @ loads  # (facets, functions, n)
         return np.einsum("ip,pin->np", shapes, fit[facet])
 
@@ -57,6 +61,7 @@ class FacetMass:
         result[..., self.unknowns] = (self.inverses @ local)[..., 0]
         return result
 
+    @cached_property
     def inverse(self) -> sp.csr_matrix:
         """The inverse as a sparse matrix."""
         size = self.unknowns.shape[1]

@@ -190,7 +190,8 @@ class MatrixHyperviscosity:
             at_points = at_points * value_of(law.linear(tensors))
         else:
             s = self.s_inverse(self.s_values.test(contracted(at_points, at_points)))
-            on_sides = sides.values(j, s, z)
+        on_sides = sides.values(j, s, z)
+        if s is not None:
             in_cells = law.coefficient(Array(self.s_values(s), None), tensors)
             _, coupling = self.term.penalty(on_sides)
             assert coupling is not None
@@ -198,7 +199,7 @@ class MatrixHyperviscosity:
             coefficient = self.s_inverse(loads)
             at_points = at_points * self.s_values(coefficient)
         loads = self.h_values.test(at_points)
-        stiffness = value_of(self.term.stiffness(sides.values(j, s, z)))
+        stiffness = value_of(self.term.stiffness(on_sides))
         rows = self.tested(loads) + sides.jump.test(stiffness * j)
         return HyperValues(x, hess, self.h_inverse(loads), s, coefficient, j, z, rows)
 

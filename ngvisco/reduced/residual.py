@@ -116,6 +116,7 @@ class ReducedResidual:
         self.trace_mass, self.density_mass = FacetMass(self.side_op.hat), FacetMass(self.side_op.hat)
         self.trace_mass.update(self.side_op.points.weights * mean_share(self.side_op.inner))
         self._at_points = [*claims.at_points, *claims.continuity]
+        self._of_traces = [*claims.traces, *claims.continuity]
         self._zeros = {"z_hat": np.zeros((step.layout.states.size, 1)), "rho_hat": np.zeros(1)}
 
     def start(self) -> None:
@@ -130,6 +131,28 @@ class ReducedResidual:
 
         The forms of NGSolve read the state; with complex x they are taken as linear about it.
         """
+        c, u, s, hyper = self._derived(x)
+        with self._clock("rows"):
+            rows = self.cell_terms.rows(self._at_points, u)
+            for name, values in self.facet_terms.rows(self._at_points, s).items():
+                rows[name] = rows[name] + values if name in rows else values
+            if self.diffusion is not None:
+                rows["z"] = rows["z"] + self.diffusion.rows(c)
+            if hyper is not None:
+                rows["v"] = rows["v"] + hyper.rows[:, : c["v"].shape[1]]
+                rows["a"] = hyper.rows[:, c["v"].shape[1] :]
+        if not np.iscomplexobj(x) and "energy" in self.claims.forms_ask_for:
+            self.step.eliminate.refresh()
+        with self._clock("forms"):
+            residual = self._joined(x, rows)
+        return Evaluation(x, c, u, s, hyper, residual)
+
+    def put(self, x: np.ndarray) -> None:
+        """Make ``x``, real, and what is derived from it, the step's state."""
+        self._derived(x)
+
+    def _derived(self, x: np.ndarray) -> tuple[dict[str, np.ndarray], Fields, Fields, HyperValues | None]:
+        """Coefficients, values in cells and on sides, the hyperviscosity's; the state where x is real."""
         op, is_real = self.op, not np.iscomplexobj(x)
         c = self.unknowns.coefficients(x)
         u, s = self.cell_terms.fields(c), self.facet_terms.fields(c)
@@ -137,33 +160,19 @@ class ReducedResidual:
             self._set_traces(c, s)
         with self._clock("projections"):
             c["zeta"] = self.inverse_mass(op.z.test(self.slope(u.z.value)))
-        slopes = None
         with self._clock("diffusion"):
             if self.diffusion is not None:
-                slopes = self.diffusion(u.z.value, c["z"], c["zeta"])
-                c |= slopes.parts
+                c |= self.diffusion.slopes(u.z.value, c)
         if is_real:
             self.unknowns.unpack(x)
             self.unknowns.put(c)
-        with self._clock("rows"):
-            rows = self.cell_terms.rows(self._at_points, u)
-            for name, values in self.facet_terms.rows(self._at_points, s).items():
-                rows[name] = rows[name] + values if name in rows else values
-            if slopes is not None:
-                rows["z"] = rows["z"] + slopes.rows
         hyper = None
         with self._clock("hyperviscosity"):
             if self.hyper is not None:
                 hyper = self.hyper(c["v"], c["a"], c["z"])
-                rows["v"] = rows["v"] + hyper.rows[:, : c["v"].shape[1]]
-                rows["a"] = hyper.rows[:, c["v"].shape[1] :]
                 if is_real:
                     self.hyper.put(hyper)
-        if is_real and "energy" in self.claims.forms_ask_for:
-            self.step.eliminate.refresh()
-        with self._clock("forms"):
-            residual = self._joined(x, rows)
-        return Evaluation(x, c, u, s, hyper, residual)
+        return c, u, s, hyper
 
     def derivative(self, at: Evaluation) -> Callable[[np.ndarray], Residual]:
         """The map from directions d, packed, to rows of dR d at an evaluation, which the state has to be.
@@ -188,16 +197,16 @@ class ReducedResidual:
     def _set_traces(self, c: dict[str, np.ndarray], s: Fields) -> None:
         """Solve for the upwind traces of z and rho."""
         op, weights = self.side_op, self.side_op.points.weights
-        at_zero = with_parts(s, z_hat=self._zeros["z_hat"])
-        found = self.facet_terms.slots(self.claims.traces, at_zero)
+        at_zero = with_parts(s, **self._zeros)
+        terms = self.claims.traces if self.density is not None else self._of_traces
+        found = self.facet_terms.slots(terms, at_zero)
         c["z_hat"] = -self.trace_mass.solve(op.hat.test(found["z_hat"]))
         if self.density is not None:
             return
         # the rows of rho_hat are linear in it: what multiplies it is their value for rho = 0, rho_hat = 1
         unit = with_parts(s, rho=np.zeros(1), rho_hat=np.ones(1))
         factor = self.facet_terms.slots(self.claims.continuity, unit)["rho_hat"]
-        at_zero = with_parts(s, rho_hat=self._zeros["rho_hat"])
-        load = -op.hat.test(self.facet_terms.slots(self.claims.continuity, at_zero)["rho_hat"])
+        load = -op.hat.test(found["rho_hat"])
         if not np.iscomplexobj(factor):
             self.density_mass.update(weights * factor)
             c["rho_hat"] = self.density_mass.solve(load)

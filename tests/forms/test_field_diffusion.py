@@ -51,8 +51,8 @@ class Diffusion:
         """The form at G = zeta, and the ledger's entry, W."""
         at = self.op.z(z)
         zeta = self.projected(self.slope(at))
-        found = self.rows(at, z, zeta)
-        parts = {"z": z, "zeta": zeta, **found.parts}
+        parts = {"z": z, "zeta": zeta}
+        parts |= self.rows.slopes(at, parts)
         state = self.step.state.vec.FV().NumPy()
         for name, values in parts.items():
             state[self.step.layout.ranges[name]] = values.ravel()
@@ -61,7 +61,7 @@ class Diffusion:
         rule = self.step.quadrature
         entered = rule.integrate_cells(entry.integrand.cells)
         entered += rule.integrate_facets(entry.integrand.facets)
-        return float((found.rows * zeta).sum()), float(entered)
+        return float((self.rows.rows(parts) * zeta).sum()), float(entered)
 
     def interior_penalty(self, z):
         """What a symmetric interior penalty of z has at G = zeta, for comparison."""
@@ -164,8 +164,9 @@ def test_slope_is_the_gradient_of_z_and_the_power_the_paper_s(m):
 def test_constant_states_have_no_diffusion_and_mass_of_z_is_kept(rng):
     diffusion = Diffusion(CONVEX, MESH)
     z = rough_states(diffusion, rng, 0.2)
-    zeta = diffusion.projected(diffusion.slope(diffusion.op.z(z)))
-    rows = diffusion.rows(diffusion.op.z(z), z, zeta).rows
+    at = diffusion.op.z(z)
+    parts = {"z": z, "zeta": diffusion.projected(diffusion.slope(at))}
+    rows = diffusion.rows.rows(parts | diffusion.rows.slopes(at, parts))
     one = diffusion.projected(np.ones((1, diffusion.op.points.count)))[0]
     assert np.abs(rows @ one).max() <= 1e-12 * np.abs(rows).max()
     constant = diffusion.projected(np.repeat(z[:, :1], diffusion.op.points.count, axis=1))

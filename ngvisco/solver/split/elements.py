@@ -57,19 +57,21 @@ class FlowElements:
             self.tangent,
         )
         right = product(_single(base).reshape(len(base), -1, 1 + d), self.shapes)
+        # rows of v and of the fields, one matrix a cell: what an increment of v makes is one product
+        self.of_velocity = np.empty((cells, local * d + q * n, d * local), precision.SINGLE)
         own = product(self._tests, right.reshape(cells, -1, d * d * local))
         own = own.reshape(cells, local, d, d, local)
         mass = self._inertia(inertia)
         for i in range(d):
             own[:, :, i, i] += mass
-        self.own = own.reshape(cells, local * d, d * local)
+        self.own[...] = own.reshape(cells, local * d, d * local)
         # z's rows from (v, grad v): - rate(z; grad dv) + (dv . grad) z
         to_z = np.empty((len(base), n, d, 1 + d), precision.SINGLE)
         to_z[..., 0] = p.dz.transpose(2, 0, 1)
         to_z[..., 1:] = -p.columns[:, :, : d * d].reshape(-1, n, d, d)
         right = product(to_z.reshape(len(base), -1, 1 + d), self.shapes)
         to_fields = product(self._z_tests, right.reshape(cells, self.per, -1))
-        self.to_fields = to_fields.reshape(cells, q * n, d * local)
+        self.to_fields[...] = to_fields.reshape(cells, q * n, d * local)
         # v's rows from z: the elastic force of (1 - tau K)^{-1} dz
         force = product(_single(p.force[:, : d * d]), _single(p.resolvent))
         force = force.reshape(-1, d, d, n).swapaxes(1, 2)  # (points, j, i, n)
@@ -83,6 +85,16 @@ class FlowElements:
         weighted = (density * op.weights).reshape(self.cells, -1, 1)
         shapes = op.v.matrix.data.reshape(*weighted.shape[:2], self.local)
         return product(shapes.transpose(0, 2, 1), weighted * shapes)
+
+    @property
+    def own(self) -> np.ndarray:
+        """Rows of v from v, (cells, local dim, dim local)."""
+        return self.of_velocity[:, : self.local * self.dim]
+
+    @property
+    def to_fields(self) -> np.ndarray:
+        """Rows of the fields from v, (cells, q n, dim local)."""
+        return self.of_velocity[:, self.local * self.dim :]
 
     def gathered(self, dv: np.ndarray) -> np.ndarray:
         """The cells' unknowns of dv (dim, .), (cells, dim local, 1)."""

@@ -119,5 +119,5 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
 
 def _ends_at(split: Split, x: np.ndarray) -> Status:
     """Make x, with the unknowns that it determines, the state."""
-    split.residual(x)
+    split.residual.put(x)
     return Status.CONVERGED

@@ -136,10 +136,10 @@ class FlowSchurComplement:
     def _with_fields(self, dv: np.ndarray) -> np.ndarray:
         """Rows of v, (dim, .), without hyperviscosity, with the fields carried along."""
         e = self.elements
-        local = e.gathered(dv)
+        rows, own = product(e.of_velocity, e.gathered(dv)), self.dim * e.local
         force, through = self.switch(dv) if self.switch.exists else (0.0, None)
-        carried = self._carried(product(e.to_fields, local).reshape(-1, e.components), through)
-        of_cells = product(e.own, local)
+        carried = self._carried(rows[:, own:].reshape(-1, e.components), through)
+        of_cells = np.ascontiguousarray(rows[:, :own])
         of_cells += product(e.from_fields, carried.reshape(e.cells, -1, 1))
         return e.scattered(of_cells) + force
 

@@ -23,6 +23,7 @@ class UpwindSwitchJacobian:
         """``share`` of a cell's inertia rho h/tau, in the force by v . n, from which a facet counts."""
         self.residual, self.op, self.mass = residual, residual.side_op, residual.trace_mass
         self.share = share
+        self._shapes = abs(self.op.z.blocks).max(axis=(0, 1))  # of each function at the sides' points
 
     def update(self, at: Evaluation) -> None:
         """Linearise at an evaluation."""
@@ -56,7 +57,7 @@ class UpwindSwitchJacobian:
         self._slope, self._weights, self._normals = slope[where], weights[where], op.points.normals[:, where]
         self._v, self._z, hat = op.v.matrix[where], op.z.matrix[where], op.hat.matrix[where]
         self._v_t, self._z_t = self._v.T.tocsr(), self._z.T.tocsr()
-        self._trace = (hat @ self.mass.inverse() @ hat.T @ sp.diags(self._weights)).tocsr()
+        self._trace = (hat @ self.mass.inverse @ hat.T @ sp.diags(self._weights)).tocsr()
         self._values, self._zeta = together(self._z, z), together(self._z, zeta)
         self._jump, self._inflow = jump[:, where], upwinding.inflow.value[where]
         self._carried = upwinding.carried.value[where]
@@ -67,15 +68,15 @@ class UpwindSwitchJacobian:
 
         ``where`` are all the sides' points of some facets.
         """
-        values = together(self.op.z.matrix[where], zeta)
+        values = self.op.z.at(where, zeta)
         shares = self.op.points.weights[where] * mean_share(self.op.inner[where])
         return values - self.mass.fitted(values, shares, where)
 
     def _largest(self, zeta: np.ndarray) -> float:
         """A bound of |zeta - its mean| on facets, from coefficients."""
         z = self.op.z
-        shapes = abs(z.blocks).max(axis=(0, 1))  # of each function at the sides' points
-        return 2 * float(np.linalg.norm(abs(zeta).reshape(len(zeta), z.cells, -1) @ shapes, axis=0).max())
+        sizes = abs(zeta).reshape(len(zeta), z.cells, -1) @ self._shapes
+        return 2 * float(np.linalg.norm(sizes, axis=0).max())
 
     def __call__(self, dv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rows of v (dim, .) and of z (n, .), the latter with the sign that they have in the residual."""
