@@ -8,6 +8,7 @@ Gravity is averaged over the step in every run.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from ngsolve import CF, CoefficientFunction
@@ -37,7 +38,8 @@ class Regularisation:
     p : float
         Its exponent, > 1.  Default 4; the paper takes that of the hyperviscosity.
     rho_max : float, optional
-        Density above which the cut-off acts, kg/m^3, > 0; None (default) is no cut-off.
+        Density above which the cut-off acts, kg/m^3, > 0; None (default) is no cut-off.  A density that
+        starts at most at rho_max + width stays so: with m = 0 by the scheme, with m > 0 by the limiter.
     width : float
         The cut-off falls from 1 at rho_max to 0 at rho_max + width, kg/m^3, > 0; the paper has 1.
     penalty : float
@@ -109,3 +111,23 @@ class Regularisation:
         s = (rho - self.rho_max) * (1 / self.width)
         smooth = 1 - s * s * (3 - 2 * s)
         return if_positive(rho, if_positive(s, if_positive(1 - s, smooth, 0.0), 1.0), 0.0)
+
+    @property
+    def densest_flow(self) -> float:
+        """The density at which K(rho) rho is largest, kg/m^3; infinite without a cut-off."""
+        if self.rho_max is None:
+            return math.inf
+        c = 6 * self.rho_max / self.width
+        return self.rho_max + self.width * (1 - c + math.sqrt((c - 1) ** 2 + 32)) / 16
+
+    def carried(self, rho: CoefficientFunction) -> CoefficientFunction:
+        """K(rho) rho, what the velocity carries; rho itself without a cut-off."""
+        return rho if self.rho_max is None else self.cut_off(rho) * rho
+
+    def rising(self, rho: CoefficientFunction) -> CoefficientFunction:
+        """The non-decreasing part of K(rho) rho: that of min(rho, ``densest_flow``)."""
+        return if_positive(self.densest_flow - rho, self.carried(rho), self.carried(CF(self.densest_flow)))
+
+    def falling(self, rho: CoefficientFunction) -> CoefficientFunction:
+        """The non-increasing part: K(rho) rho is ``rising`` + ``falling``."""
+        return self.carried(rho) - self.rising(rho)
