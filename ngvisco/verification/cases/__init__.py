@@ -10,6 +10,7 @@ from ngvisco.verification.cases import (
     flows,
     fronts,
     hyper,
+    in_space,
     invariants,
     limits,
     manufactured,
@@ -21,9 +22,11 @@ from ngvisco.verification.cases import (
     robustness,
     schemes,
     schemes_exact,
+    sequence,
     shear,
     stability,
     waves,
+    whole_scheme,
     winding,
 )
 
@@ -31,6 +34,8 @@ MODULES = (
     stability,
     estimates,
     limits,
+    whole_scheme,
+    sequence,
     dependent,
     invariants,
     hyper,
@@ -51,5 +56,6 @@ MODULES = (
     schemes_exact,
     robustness,
     positivity,
+    in_space,
     comparison,
 )

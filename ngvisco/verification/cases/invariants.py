@@ -64,7 +64,7 @@ RHO_MAX = 1.0
 
 
 def converging(
-    kind: str, law: Regularisation | None, maxh: float, tau: float, m: int = 1
+    kind: str, law: Regularisation | None, maxh: float, tau: float, m: int = 1, dim: int = 2
 ) -> tuple[Simulation, str]:
     """Matter of density 1 runs into the middle of a soft tube at 3 m/s; up to 0.3 s, or why it ended."""
     soft = LinearElastic(K_e=1.0, G_e=0.5)
@@ -73,10 +73,9 @@ def converging(
         viscosity=StokesViscosity(K_v=0.1, G_v=0.1),
         regularisation=law,
     )
-    initial = Initial(density=1.0, velocity=(3 * sin(2 * pi * x), 0.0))
-    run = Simulation(
-        box((1, 0.125), maxh), model, dt=tau, initial=initial, discretisation=Discretisation(m=m)
-    )
+    initial = Initial(density=1.0, velocity=(3 * sin(2 * pi * x), *(0.0,) * (dim - 1)))
+    mesh, discretisation = box((1, *(0.125,) * (dim - 1)), maxh), Discretisation(m=m)
+    run = Simulation(mesh, model, dt=tau, initial=initial, discretisation=discretisation)
     try:
         run.run(0.3)
     except StepError as error:
