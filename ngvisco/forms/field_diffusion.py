@@ -9,14 +9,14 @@ from functools import cached_property
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.forms.energy import column
+from ngvisco.forms.energy import column, total
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.curvature import Curvature, curvature_of
 from ngvisco.physics.material import Material
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.tensors import inner
+from ngvisco.physics.tensors import inner, masked
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ class FieldDiffusion(PointTerm):
         delta int phi''(z) q : q + delta sum_K int_{dK} s/h C (zeta - zeta_hat) : (zeta - zeta_hat) >= 0.
 
     In directions in which the energy is linear (``Curvature.linear``) phi'' vanishes and zeta is constant:
-    there q is the slope of z itself, by the same form, and has no power.
+    there q is the slope of z itself, by the same form, and has no power.  Parameters do not diffuse; their q
+    is their own slope too, of which zeta's has a part.
     """
 
     law: Regularisation
@@ -53,10 +54,15 @@ class FieldDiffusion(PointTerm):
         return curvature_of(self.material, self.dim)
 
     @cached_property
-    def linear(self) -> CoefficientFunction | None:
-        """The projection on directions in which the energy is linear, or None without such."""
-        matrix = self.curvature.linear
+    def of_itself(self) -> CoefficientFunction | None:
+        """The projection on what has a slope of its own: linear directions and parameters; None without."""
+        matrix = self.curvature.of_itself
         return _constant(matrix) if matrix.any() else None
+
+    def _of_strains(self, value: CoefficientFunction) -> CoefficientFunction:
+        """Components, or their gradients, with zero for those of parameters."""
+        strains = self.curvature.strains
+        return value if strains.all() else masked(value, strains)
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         self.law.require_gradients("delta_fields", setting.m)
@@ -68,24 +74,27 @@ class FieldDiffusion(PointTerm):
         )
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        delta, slopes = self.law.delta_fields, u.grad_zeta
-        if self.linear is not None:
-            slopes = slopes + self.linear * u.grad_z
+        slopes = self._of_strains(u.grad_zeta)
+        if self.of_itself is not None:
+            slopes = slopes + self.of_itself * u.grad_z
         return [
-            delta * inner(u.z_slope, w.grad_z),
+            self.law.delta_fields * inner(self._of_strains(u.z_slope), w.grad_z),
             -inner(slopes, w.z_slope),
             *self._curved(u, w.z_slope),
         ]
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        delta, weight = self.law.delta_fields, self._weight(u)
-        jump = self._jump(u)
-        across = weight * u.z_slope_hat - u.z_slope * u.context.normal
+        across, jump = self._across(u), self._jump(u)
+        through = self._through_facets(u, across, jump, w.z)
+        return [*self.lifting(u, w, jump), inner(across, w.z_slope_hat), *through]
+
+    def _through_facets(
+        self, u: Fields, across: CoefficientFunction, jump: CoefficientFunction, G: CoefficientFunction
+    ) -> list[CoefficientFunction]:
+        delta, C = self.law.delta_fields, _constant(self.curvature.compliance)
         return [
-            *self.lifting(u, w, jump),
-            inner(across, w.z_slope_hat),
-            delta * inner(across, w.z),
-            -delta * weight * inner(_constant(self.curvature.compliance) * jump, w.z),
+            delta * inner(self._of_strains(across), G),
+            -delta * self._weight(u) * inner(C * jump, G),
         ]
 
     def of_one_component(self, u: Fields, w: Fields) -> list[Integrand]:
@@ -93,8 +102,7 @@ class FieldDiffusion(PointTerm):
 
         The rows of zeta are those of the penalty in the equations of z; that of the slope is without phi''.
         """
-        weight, jump = self._weight(u), u.zeta_delta_hat - u.zeta
-        across = weight * u.z_slope_hat - u.z_slope * u.context.normal
+        weight, jump, across = self._weight(u), u.zeta_delta_hat - u.zeta, self._across(u)
         facets = [*self.lifting(u, w, jump), inner(across, w.z_slope_hat), -weight * inner(jump, w.zeta)]
         cells = -inner(u.grad_zeta, w.z_slope)
         return [Integrand(cells), *(Integrand(facets=part) for part in facets)]
@@ -105,36 +113,34 @@ class FieldDiffusion(PointTerm):
         return [self._weight(u) * inner(jump, w.zeta_delta_hat), -inner(jump, w.z_slope * n)]
 
     def entries(self, u: Fields) -> list[Entry]:
-        """The form at G = zeta, as the square that it is."""
-        delta, C = self.law.delta_fields, self.curvature.compliance
-        curved = self.curvature.compliance @ (np.eye(len(C)) - self.curvature.linear)
-        jump = u.zeta_delta_hat - u.zeta
-        if self.linear is not None:
-            jump = jump - self.linear * u.z
-        cells = self.power_density(u)
-        facets = delta * self._weight(u) * inner(_constant(curved) * jump, jump)
+        """The form at G = zeta; where there are strains only, as the square that it is."""
+        delta, jump = self.law.delta_fields, self._jump(u)
+        if self.curvature.strains.all():
+            parts = u.context.energy.curved(u, u.z_slope)
+            cells = delta * total([inner(part, column(u.z_slope, j)) for j, part in enumerate(parts)])
+            curved = self.curvature.compliance - self.curvature.compliance @ self.curvature.linear
+            facets = delta * self._weight(u) * inner(_constant(curved) * jump, jump)
+        else:
+            cells = delta * inner(self._of_strains(u.z_slope), u.grad_zeta)
+            facets = total(self._through_facets(u, self._across(u), jump, u.zeta))
         return [Entry("dissipation_delta_fields", "dissipation", Integrand(cells, facets))]
 
-    def power_density(self, u: Fields) -> CoefficientFunction:
-        """delta phi''(z) q : q, W/m^3."""
-        parts = u.context.energy.curved(u, u.z_slope)
-        total = inner(parts[0], column(u.z_slope, 0))
-        for j in range(1, self.dim):
-            total = total + inner(parts[j], column(u.z_slope, j))
-        return self.law.delta_fields * total
-
     def _curved(self, u: Fields, test: CoefficientFunction) -> list[CoefficientFunction]:
-        """(phi''(z) q + linear q) : Y, in summands."""
+        """phi''(z) q : Y, of parameters and linear directions q : Y, in summands."""
         parts = u.context.energy.curved(u, u.z_slope)
-        summands = [inner(parts[j], column(test, j)) for j in range(self.dim)]
-        if self.linear is not None:
-            summands.append(inner(self.linear * u.z_slope, test))
+        summands = [inner(self._of_strains(part), column(test, j)) for j, part in enumerate(parts)]
+        if self.of_itself is not None:
+            summands.append(inner(self.of_itself * u.z_slope, test))
         return summands
 
+    def _across(self, u: Fields) -> CoefficientFunction:
+        """What the slope's normal part lacks to the mean of both sides, with the weights."""
+        return self._weight(u) * u.z_slope_hat - u.z_slope * u.context.normal
+
     def _jump(self, u: Fields) -> CoefficientFunction:
-        """zeta_hat - zeta; in directions in which the energy is linear that of z."""
-        jump = u.zeta_delta_hat - u.zeta
-        return jump if self.linear is None else jump - self.linear * u.z
+        """zeta_hat - zeta; of parameters z in place of zeta, in linear directions both together."""
+        jump = u.zeta_delta_hat - self._of_strains(u.zeta)
+        return jump if self.of_itself is None else jump - self.of_itself * u.z
 
     def _weight(self, u: Fields) -> CoefficientFunction:
         return self.law.penalty_weight(u.layout.discretisation.m) / u.context.h

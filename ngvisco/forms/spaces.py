@@ -21,7 +21,8 @@ The local unknowns are condensed out cell by cell.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,7 @@ from ngsolve import (
     Mesh,
     NormalFacetFESpace,
     Periodic,
+    Region,
     VectorH1,
     VectorValued,
 )
@@ -83,11 +85,11 @@ class Layout:
         material: Material,
         discretisation: Discretisation,
         terms: Iterable[object],
-        dirichlet: Sequence[str],
+        dirichlet: Sequence[Region | None],
         *,
         periodic: bool = False,
     ) -> None:
-        """``terms`` introduce the unknowns; v_i is prescribed on the boundary pattern ``dirichlet[i]``.
+        """``terms`` introduce the unknowns; v_i is prescribed on the boundaries ``dirichlet[i]``.
 
         ``periodic`` identifies the unknowns on identified boundaries.
 
@@ -137,13 +139,18 @@ class Layout:
             space = VectorValued(space, unknown.size)
         return Periodic(space) if self.periodic and not unknown.is_local else space
 
-    def velocity_space(self, dirichlet: Sequence[str]) -> FESpace:
-        """Continuous P_k with v_i prescribed on the boundary pattern ``dirichlet[i]``."""
-        patterns = dict(zip(_DIRICHLET[: self.mesh.dim], dirichlet, strict=True))
-        space = VectorH1(self.mesh, order=self.discretisation.k, **patterns)
-        if not self.periodic:
-            return space
-        identified = Periodic(space)
+    def velocity_space(self, dirichlet: Sequence[Region | None]) -> FESpace:
+        """Continuous P_k with v_i prescribed on the boundaries ``dirichlet[i]``."""
+        with numbered_boundaries(self.mesh) as names:
+            patterns = {
+                key: "|".join(name for name, is_in in zip(names, region.Mask(), strict=True) if is_in)
+                for key, region in zip(_DIRICHLET, dirichlet, strict=False)
+                if region is not None
+            }
+            space = VectorH1(self.mesh, order=self.discretisation.k, **patterns)
+            if not self.periodic:
+                return space
+            identified = Periodic(space)
         free = identified.FreeDofs()  # Periodic forgets the constraints of components
         free &= space.FreeDofs()
         return identified
@@ -169,3 +176,21 @@ class Layout:
 
 
 _DIRICHLET = ("dirichletx", "dirichlety", "dirichletz")
+
+
+@contextmanager
+def numbered_boundaries(mesh: Mesh) -> Iterator[list[str]]:
+    """Names of their own for all parts of the boundary, for as long as the context lasts.
+
+    The components of NGSolve's vector spaces are constrained by names alone, and a wall and an interface may
+    have the same one.
+    """
+    given = list(mesh.GetBoundaries())
+    numbered = [f"part{i}" for i in range(len(given))]
+    try:
+        for i, name in enumerate(numbered):
+            mesh.ngmesh.SetBCName(i, name)
+        yield numbered
+    finally:
+        for i, name in enumerate(given):
+            mesh.ngmesh.SetBCName(i, name)

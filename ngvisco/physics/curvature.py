@@ -2,7 +2,8 @@
 
 Some energies are linear in some variables (in K = ln J / J the one with -epsilon ln J, many in B = F F^T):
 phi'' vanishes there at every state, and the conjugate is a constant.  In the other directions phi'' is
-positive definite, with ``WithQuadratic`` for every convex energy.
+positive definite, with ``WithQuadratic`` for every convex energy.  Parameters are no strains: phi'' is that
+by the strains.
 """
 
 from __future__ import annotations
@@ -30,14 +31,22 @@ class Curvature:
     Attributes
     ----------
     linear : (N, N) array
-        The orthogonal projection on the directions n with phi''(z) n = 0 for all z.
+        The orthogonal projection on the directions n of strains with phi''(z) n = 0 for all z.
+    strains : (N,) array of bool
+        Which components are those of strains.
     compliance : (N, N) array
-        The inverse of phi''(rest) + ``linear`` (in Pa), symmetric and positive definite; it commutes with
-        ``linear``.
+        Of the strains, the inverse of phi''(rest) + ``linear`` (in Pa), symmetric and positive definite; it
+        commutes with ``linear``.
     """
 
     linear: np.ndarray
+    strains: np.ndarray
     compliance: np.ndarray
+
+    @property
+    def of_itself(self) -> np.ndarray:
+        """The projection on ``linear`` directions and parameters, (N, N)."""
+        return self.linear + np.diag(np.where(self.strains, 0.0, 1.0))
 
 
 def curvature_of(material: Material, dim: int) -> Curvature:
@@ -54,7 +63,11 @@ def curvature_of(material: Material, dim: int) -> Curvature:
     response = respond(material, dim)(
         np.concatenate([rest, fitting, sampling.changed(fitting, rng, _SPREAD)])
     )
-    hessians = response.hessian[np.isfinite(response.hessian).all(axis=(1, 2))]
+    strains = sampling.strains
+    of_strains = np.ix_(strains, strains)
+    hessians = response.hessian[:, strains][:, :, strains]
+    at_rest = hessians[0]
+    hessians = hessians[np.isfinite(hessians).all(axis=(1, 2))]
     sizes = np.abs(hessians).max(axis=(1, 2), keepdims=True)
     scaled = hessians / np.where(sizes > 0, sizes, 1.0)
     # the kernel of the sum of non-negative matrices is that of all of them; others are looked at
@@ -64,7 +77,6 @@ def curvature_of(material: Material, dim: int) -> Curvature:
         kernel = kernel[:, :0]
     linear = kernel @ kernel.T
     linear[np.abs(linear) < 1e-12] = 0.0
-    at_rest = response.hessian[0]
     scale = float(np.abs(at_rest).max())
     least = np.linalg.eigvalsh(at_rest / scale + linear)[0] if scale > 0 and np.isfinite(scale) else 0.0
     if not least > _ZERO:
@@ -74,5 +86,8 @@ def curvature_of(material: Material, dim: int) -> Curvature:
             "an energy with a positive definite phi'' in the variables that it is not linear in; "
             "WithQuadratic makes it so",
         )
-    compliance = np.linalg.inv(at_rest + linear)
-    return Curvature(linear, 0.5 * (compliance + compliance.T))
+    inverse = np.linalg.inv(at_rest + linear)
+    projection, compliance = np.zeros((2, sampling.size, sampling.size))
+    projection[of_strains] = linear
+    compliance[of_strains] = 0.5 * (inverse + inverse.T)
+    return Curvature(projection, strains, compliance)

@@ -6,7 +6,8 @@ What depends on the state is phi''(z) in the cells' equations of the slope,
     (phi''(z) + P) q_j = L_j (zeta + P z),        rows of z:  delta (sum_j L_j^T q_j + C S (zeta + P z)),
 
 tested by the functions of a cell on the left: L_j the lifted gradient, S the penalty, P the projection on
-the directions in which the energy is linear, C the compliance.
+the directions in which the energy is linear, C the compliance.  Of parameters, which have no rows, zeta and
+phi'' are left out, and P is one.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ class FieldDiffusionRows:
     def __init__(self, step: Step, operators: Operators, slope: PointwiseSlope, term: FieldDiffusion) -> None:
         self._op, self._slope, self._dim = operators, slope, step.mesh.dim
         self._delta, curvature = term.law.delta_fields, term.curvature
-        self._linear = curvature.linear if curvature.linear.any() else None
+        self._of_itself = curvature.of_itself if curvature.of_itself.any() else None
+        self.strains = curvature.strains
+        """Which components diffuse."""
         self._compliance = curvature.compliance
         cell, facet = operators.scalar, step.layout.scalar_facet_space()
         names = ("zeta", "z_slope", "zeta_delta_hat", "z_slope_hat")
@@ -95,21 +98,26 @@ class FieldDiffusionRows:
         """Rows of z, (n, functions), of zeta, z and its slope."""
         chi = self._potential(c)
         slope = c["z_slope"].reshape(len(chi), self._dim, -1)
-        rows = sum(apply(A, slope[:, j]) for j, A in enumerate(self._adjoint))
-        return self._delta * (rows + self._compliance @ apply(self._penalty, chi))
+        rows = np.sum([apply(A, slope[:, j]) for j, A in enumerate(self._adjoint)], axis=0)
+        return self._delta * (self._of_strains(rows) + self._compliance @ apply(self._penalty, chi))
 
     def _potential(self, c: Coefficients) -> np.ndarray:
-        """zeta; in directions in which the energy is linear z."""
-        return c["zeta"] if self._linear is None else c["zeta"] + self._linear @ c["z"]
+        """zeta; of parameters z in its place, in linear directions both together."""
+        zeta = self._of_strains(c["zeta"])
+        return zeta if self._of_itself is None else zeta + self._of_itself @ c["z"]
+
+    def _of_strains(self, rows: np.ndarray) -> np.ndarray:
+        return rows if self.strains.all() else rows * self.strains.reshape(-1, *(1,) * (rows.ndim - 1))
 
     def _matrices(self, z_values: np.ndarray) -> np.ndarray:
         """Inverses of phi''(z) + P in the functions of every cell, (cells, n functions, n functions)."""
         n, cells = len(z_values), len(self._products)
         along = self._slope.derivative(z_values)
-        columns = [along(np.broadcast_to(unit[:, None], z_values.shape)) for unit in np.eye(n)]
+        units = np.eye(n)
+        columns = [self._of_strains(along(np.broadcast_to(e[:, None], z_values.shape))) for e in units]
         hessian = np.stack(columns, axis=1).reshape(n * n, cells, -1)
-        if self._linear is not None:
-            hessian = hessian + self._linear.reshape(-1, 1, 1)
+        if self._of_itself is not None:
+            hessian = hessian + self._of_itself.reshape(-1, 1, 1)
         tested = self._products @ hessian.transpose(1, 2, 0)  # (cells, functions^2, n^2)
         q = self._op.z.blocks.shape[2]
         matrices = tested.reshape(cells, q, q, n, n).transpose(0, 3, 1, 4, 2).reshape(cells, n * q, n * q)
@@ -131,4 +139,5 @@ class FieldDiffusionRows:
         step = _INCREMENT * max(float(np.abs(z).max()), 1e-300) / size
         ahead, behind = (self._slope.derivative(z + s * step * dz) for s in (1, -1))
         values = [self._op.z(np.ascontiguousarray(q_j)) for q_j in q]
-        return np.stack([self._op.z.test((ahead(v) - behind(v)) / (2 * step)) for v in values])
+        changes = [self._of_strains(ahead(v) - behind(v)) / (2 * step) for v in values]
+        return np.stack([self._op.z.test(change) for change in changes])

@@ -402,7 +402,10 @@ class Simulation:
             acceleration = square(Loading(load, self.mesh.dim).force(u) / u.rho)
             largest = math.sqrt(self.sampler.extrema(acceleration)[1])
             fall = max(fall, math.sqrt(largest * self._diameter()))
-        rest = {v.name: v.from_distortion(Id(3)) for v in model.material.variables}
+        rest = {
+            v.name: v.from_distortion(Id(3)) if v.is_strain else u.z_tensors[v.name]
+            for v in model.material.variables
+        }
         energy = self.rothe_step.energy
         excess = energy.samples(u.z_tensors, self.sampler) - energy.samples(rest, self.sampler)
         released = 2 * float(abs(excess).max())

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import require_nonnegative
 from ngvisco.physics.materials.neo_hookean import NeoHookean, first_invariant, volumetric
 from ngvisco.physics.materials.referential import LogarithmicNeoHookean, ReferentialNeoHookean
+from ngvisco.physics.parameters import Modulus, require_nonnegative_moduli
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import (
     Cofactor,
@@ -53,11 +53,11 @@ class MooneyRivlin(NeoHookean):
         If a parameter is out of its range.
     """
 
-    G_mr: float
+    G_mr: Modulus
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_nonnegative(self, G_mr=self.G_mr)
+        require_nonnegative_moduli(self, G_mr=self.G_mr)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -108,11 +108,11 @@ class ReferentialMooneyRivlin(ReferentialNeoHookean):
         If a parameter is out of its range.
     """
 
-    G_mr: float
+    G_mr: Modulus
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_nonnegative(self, G_mr=self.G_mr)
+        require_nonnegative_moduli(self, G_mr=self.G_mr)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -150,11 +150,11 @@ class LogarithmicMooneyRivlin(LogarithmicNeoHookean):
         If a parameter is out of its range.
     """
 
-    G_mr: float
+    G_mr: Modulus
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_nonnegative(self, G_mr=self.G_mr)
+        require_nonnegative_moduli(self, G_mr=self.G_mr)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -42,7 +42,7 @@ def estimated(kind: str) -> Outcome:
 
 def limits(kind: str) -> Outcome:
     """``sequence`` on a cube."""
-    return sequence.sequence(kind, {FINE: cube_mesh(FINE)}, (2, 4, 8), SIZES)
+    return sequence.sequence(kind, {FINE: cube_mesh(FINE)}, (4, 8, 16), SIZES)
 
 
 # --- invariants -------------------------------------------------------------------------------------------
@@ -159,7 +159,7 @@ def _cases(kind: str) -> tuple[Case, ...]:
             "turn.",
             label=f"{LABELS[kind]}, "
             + ("ED-Euler-large-polyconvex-eta" if finite else "Euler-small-converge+"),
-            setting=f"{CUBE}all terms of the scheme; cells of {FINE} m, until {sequence.DURATION} s; 2 to 8 "
+            setting=f"{CUBE}all terms of the scheme; cells of {FINE} m, until {sequence.DURATION} s; 4 to 16 "
             "steps, then delta, then epsilon of 1e-2 and 1e-3.",
             bounds=sequence.bounds(kind),
             run=partial(limits, kind),
