@@ -35,6 +35,7 @@ class TransportSweeps:
         self._mass = product(self._tests, op.z.blocks)
         self._whole = self._own = None
         if residual.diffusion is not None:
+            self._laplacian = residual.diffusion.laplacian(residual.inverse_mass)
             self._whole = DirectSolver(np.ones(residual.mass.shape[0], dtype=bool), inverse)
         if residual.density is not None:
             self._own = DirectSolver(residual.density.free, inverse)
@@ -46,8 +47,8 @@ class TransportSweeps:
         carried = f.carried.value
         own, across = self.coupling.blocks(-carried, f.share.value, carried, r.trace_mass)
         own += storage + convection
-        if self._whole is not None and r.diffusion is not None:
-            self._whole.factorise((self._sparse(own, across) + r.diffusion.matrix).tocsr())
+        if self._whole is not None:
+            self._whole.factorise((self._sparse(own, across) + self._laplacian).tocsr())
         self._cells, self._carried = _sweep(own, across)
         self._blocks = _rows_of(own, across)
         self._count_sweeps()
