@@ -7,8 +7,8 @@ amount is negative at a point of a cell all of them are drawn towards an even mi
     n_i <- s n_i + (1 - s) (n_i,K/N_K) N,     0 <= s < 1,
 
 K their means, which leaves these and N as they are (Zhang and Shu, J. Comput. Phys. 229, 2010).  A mean below
-zero is raised first: the cell swaps what it lacks of the body for as much of the others with its neighbours.
-So the mass of each body is kept to rounding, and N in every cell.  The density follows, by sum rho_i dn_i.
+zero is raised first: the cell swaps what it lacks of the body for as much of the others.  So the mass of each
+body is kept to rounding, and N in every cell.  The density follows, by sum rho_i dn_i.
 """
 
 from __future__ import annotations
@@ -24,9 +24,6 @@ from ngvisco.physics.bodies import Amount
 
 SLACK = 1e-9
 """By how much an amount, 1 in a body at rest, may be below zero: what an iteration leaves open."""
-
-_RINGS = 100
-"""Rings of cells with which a mean below zero is swapped, at most; where the body is near, one will do."""
 
 
 class Amounts:
@@ -54,14 +51,15 @@ class Amounts:
         return bool(len(self.components)) and bool((self._least() < -SLACK).any())
 
     def limit(self) -> np.ndarray:
-        """Mend the present state; gives the numbers of the cells that were changed."""
+        """Mend the present state; gives the numbers of the cells that were out of bounds."""
         if not self.is_exceeded():
             return np.zeros(0, dtype=int)
         least = self._least()
         self._means.project()
         before = self._means.array("z")[self.components]
         wanted = raised(before, self._means.volumes, self._means.neighbours)
-        cells = (least < -SLACK).any(axis=0) | (wanted != before).any(axis=0)
+        outside = (least < -SLACK).any(axis=0)
+        cells = outside | (wanted != before).any(axis=0)
         z = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]]
         values = z.reshape(self.step.layout.states.size, -1)
         old = values[self.components]
@@ -81,7 +79,7 @@ class Amounts:
         values[np.ix_(self.components, dofs)] = share * moved + (1 - share) * even[:, owner] * total
         change = self._density @ (values[self.components] - old)
         self.step.state.vec.FV().NumPy()[self.step.layout.ranges["rho"]] += change
-        return np.flatnonzero(cells)
+        return np.flatnonzero(outside)
 
     def _least(self) -> np.ndarray:
         """Least values at the points of every cell, (amounts, cells)."""
@@ -92,8 +90,9 @@ class Amounts:
 
 
 def raised(means: np.ndarray, volumes: np.ndarray, neighbours: csr_matrix) -> np.ndarray:
-    """Means of amounts, (amounts, cells), with those below zero raised by swaps between neighbours.
+    """Means of amounts, (amounts, cells), with those below zero raised by swaps with other cells.
 
+    Neighbours give first, in proportion to what they have; what they do not have all cells of the body give.
     Sums over the cells, by their volumes, and sums over the amounts are kept.
     """
     slack = -SLACK * volumes
@@ -101,25 +100,30 @@ def raised(means: np.ndarray, volumes: np.ndarray, neighbours: csr_matrix) -> np
         return means
     before = means * volumes
     content = before.copy()
-    count = np.maximum(neighbours @ np.ones(len(volumes)), 1.0)
+    everywhere = _Everywhere(len(volumes))
     for i in range(len(means)):
-        for _ in range(_RINGS):
+        for near in (neighbours, everywhere):
             missing, had = np.where(content[i] < slack, -content[i], 0.0), np.maximum(content[i], 0.0)
             if not missing.any():
                 break
             others = np.maximum(content, 0.0)
             others[i] = 0.0
             given_back = others / np.where(others.sum(axis=0) > 0, others.sum(axis=0), 1.0)
-            # a cell asks its neighbours in proportion to what they have; they give no more than that
-            near = neighbours @ had
-            served = near > 0
-            asks = np.where(served, missing, 0.0) / np.where(served, near, 1.0)
-            gives = had / np.maximum(neighbours @ asks, 1.0)
-            received = asks * (neighbours @ gives)
-            content[i] += received - gives * (neighbours @ asks)
-            content += (neighbours @ (asks * given_back).T).T * gives - given_back * received
-            # what nobody near has the next ring owes it
-            owed = np.maximum(missing - received, 0.0)
-            content[i] += owed - neighbours @ (owed / count)
-            content += (neighbours @ (owed / count * given_back).T).T - given_back * owed
+            # a cell asks in proportion to what there is; none gives more than it has
+            there = near @ had
+            asks = np.where(there > 0, missing, 0.0) / np.where(there > 0, there, 1.0)
+            gives = had / np.maximum(near @ asks, 1.0)
+            received = asks * (near @ gives)
+            content[i] += received - gives * (near @ asks)
+            content += (near @ (asks * given_back).T).T * gives - given_back * received
     return np.where(content == before, means, content / volumes)
+
+
+class _Everywhere:
+    """The matrix of ones."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+
+    def __matmul__(self, values: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(values.sum(axis=0), (self.size, *values.shape[1:]))
