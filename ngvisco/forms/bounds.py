@@ -12,7 +12,8 @@ for that rule:
 
     int_K phi(z_K + s (z - z_K)) <= s int_K phi(z) + (1 - s) |K| phi(z_K) <= int_K phi(z).
 
-Parameters and bodies' amounts have ranges of their own (``ngvisco.forms.ranges``), and are limited first.
+Bodies' amounts and parameters have bounds of their own (``ngvisco.forms.amounts``, ``ngvisco.forms.ranges``)
+and are limited first.
 
 Only a mean out of bounds is beyond mending; it ends a step.  Two bounds do not count: those of variables for
 which the material's energy is continued (``Material.continued``: a Yosida approximation, J_min), and in a
@@ -30,6 +31,7 @@ from functools import cached_property
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
+from ngvisco.forms.amounts import Amounts
 from ngvisco.forms.cell_means import CellMeans
 from ngvisco.forms.locating import nearest_wall
 from ngvisco.forms.ranges import Ranges
@@ -158,8 +160,13 @@ class Bounds:
 
     @cached_property
     def ranges(self) -> Ranges:
-        """Those of the parameters and the bodies' amounts."""
+        """Those of the parameters."""
         return Ranges(self.step, self.sampler, self._means)
+
+    @cached_property
+    def amounts(self) -> Amounts:
+        """Those of the bodies."""
+        return Amounts(self.step, self.sampler, self._means)
 
     @cached_property
     def _bounds_of_means(self) -> CoefficientFunction:
@@ -200,7 +207,7 @@ class Bounds:
 
         Only rho and z change, and only in cells that are out of bounds at a point.
         """
-        out_of_range = self.ranges.limit()
+        out_of_range = np.union1d(self.amounts.limit(), self.ranges.limit())
         found = self._outside()
         if found is None:
             return len(out_of_range)
@@ -214,7 +221,7 @@ class Bounds:
 
     def is_exceeded(self) -> bool:
         """Whether ``limit`` would change the present state."""
-        return self.ranges.is_exceeded() or self._outside() is not None
+        return self.amounts.is_exceeded() or self.ranges.is_exceeded() or self._outside() is not None
 
     def _scale(
         self, name: str, found: _Outside, outside: np.ndarray, required: np.ndarray, target: np.ndarray

@@ -47,9 +47,13 @@ class Continuity(PointTerm):
     F_hat = a^+ rho - a^- rho_hat with a = v.n and a^{+-} = (sqrt(a^2 + eta^2) +- a)/2 > 0.  The test q_hat
     makes the flux single-valued, i.e. rho_hat the upwind value n^+ rho_1 + n^- rho_2, a convex
     combination whatever v.n; q = q_hat = 1 conserves mass to rounding (paper: Euler-small-est-1+).
+
+    With ``by_trace`` F_hat = a rho_hat and rho_hat is the upwind value by ``UpwindTrace``'s equation: the
+    flux of conserved variables (``ngvisco.forms.transport``), so that rho stays the sum rho_i n_i of bodies.
     """
 
     regularisation: Regularisation | None = None
+    by_trace: bool = False
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         order = setting.m
@@ -62,6 +66,9 @@ class Continuity(PointTerm):
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         a, law = u.upwinding, self.regularisation
+        if self.by_trace:
+            trace = a.share * (u.rho_hat - carried_density(u, law))
+            return [a.normal_velocity * u.rho_hat * w.rho, trace * w.rho_hat]
         if law is None or law.rho_max is None:
             flux = a.outward * u.rho - a.inward * u.rho_hat
         else:

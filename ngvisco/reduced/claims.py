@@ -47,7 +47,7 @@ class Claims:
     """The projection of phi'(z)."""
     at_points: list[PointTerm] = field(default_factory=list)
     """By arrays."""
-    continuity: list[PointTerm] = field(default_factory=list)
+    continuity: list[Continuity] = field(default_factory=list)
     """The continuity equation where it is linear in rho, by arrays; solved for the upwind trace of rho."""
     density: list[Term] = field(default_factory=list)
     """The continuity equation where it is not linear in rho, by forms."""

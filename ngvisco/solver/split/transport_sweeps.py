@@ -53,8 +53,10 @@ class TransportSweeps:
         self._blocks = _rows_of(own, across)
         self._count_sweeps()
         if self._own is None:
-            outward, inward = f.outward.value, f.inward.value
-            own, across = self.coupling.blocks(outward, outward, -inward, r.density_mass)
+            of_facets = f.outward.value, f.outward.value, -f.inward.value
+            if r.claims.continuity[0].by_trace:
+                of_facets = np.zeros_like(carried), f.share.value, f.normal_velocity.value
+            own, across = self.coupling.blocks(*of_facets, r.density_mass)
             own += storage - convection.transpose(0, 2, 1)
             self._rho_cells, self._rho_carried = _sweep(own, across)
             self._rho_blocks = _rows_of(own, across)
