@@ -124,7 +124,8 @@ class TransportSweeps:
         """T x, of coefficients x of the fields: both (cells' unknowns, n)."""
         rows = self._applied(self._blocks, x)
         if self.residual.diffusion is not None:
-            rows = rows + self.residual.diffusion(np.ascontiguousarray(x.T)).T
+            strains = self.residual.diffusion.strains
+            rows[:, strains] += self._laplacian @ x[:, strains]
         return rows
 
     def density_rows(self, x: np.ndarray) -> np.ndarray:
