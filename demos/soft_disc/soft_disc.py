@@ -15,7 +15,7 @@ from ngvisco.run.plots import OUTLINE, figure
 from ngvisco.run.vtu import read_frame, read_series_files
 
 
-def simulation(maxh: float = 0.1, dt: float = 0.04, K_e: float = 20.0, **options) -> nv.Simulation:
+def simulation(maxh: float = 0.14, dt: float = 0.05, K_e: float = 20.0, **options) -> nv.Simulation:
     """1 m x 1 m; density 1 kg/m^3, viscosity 0.01 Pa s, shear modulus of the disc 0.1 Pa."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J + 1 / J - 2))
     solid = nv.OldroydB(K_e=K_e, G_e=0.05)  # without creep neo-Hookean: the determinant of its B is 1
