@@ -260,9 +260,9 @@ def _case(kind: str) -> Case:
     return Case(
         name=f"whole-estimates-{kind}",
         theme=THEME,
-        statement=f"With all terms of the scheme of {KINDS[kind]} at once its estimates hold, also "
-        "as the mesh is refined: norms neither grow over the last decade of epsilon = delta nor over the "
-        "last refinement, and those that may grow like a power of 1/delta grow no faster.",
+        statement=f"With all terms of the scheme of {KINDS[kind]} at once its a-priori estimates "
+        "hold, also as the mesh is refined: norms neither grow over the last decade of epsilon = delta nor "
+        "over the last refinement, and those that may grow like a power of 1/delta grow no faster.",
         label="Euler-small-est, Euler-small-est+, Euler-small-est++, Euler-small-est+++"
         if kind == "linearised"
         else "Euler-large-est, Euler-large-est+, Euler-large-est-Lp",
