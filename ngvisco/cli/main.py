@@ -28,12 +28,16 @@ examples:
   ngvisco resume results/swirl --until 1.0
   ngvisco resume results/swirl --set time.dt=0.01 --set 'loads=[]'
   ngvisco run finer.toml -o results/finer --from results/swirl
+  ngvisco sweep demos/swirl/swirl.toml --vary material.G_e=1,2,5 --vary time.dt=0.02,0.01
   ngvisco plot results/swirl && ngvisco scene results/swirl"""
 
 _RESUME = """Go on from a directory's last checkpoint, bit for bit, or with --set with other parameters: of
 title, time, loads, walls, solver, output and the numbers of the material and the mechanisms.  For another
 mesh, other orders or unknowns see ngvisco run CASE -o NEW --from DIR."""
 
+_SWEEP = """Run a case for all combinations of the values of some keys: one run directory each in DIR, and the
+table DIR/sweep.csv.  All cases are checked before anything is written.  The same command goes on where it was
+stopped: finished runs are not run again.  Needs dask.distributed: pip install "ngvisco[sweep]"."""
 
 _FEW_THREADS = 8
 """Threads that may be asked for on any machine; NGSolve's wait actively, and hundreds of them never end."""
@@ -77,6 +81,10 @@ def parser() -> argparse.ArgumentParser:
     resume.add_argument("--until", metavar="T", type=float, help="end time in s (default: the case's)")
     _add_run_options(resume)
 
+    _add_sweep(
+        commands.add_parser("sweep", help="run a case with some of its keys varied", description=_SWEEP)
+    )
+
     check = commands.add_parser(
         "check",
         help="validate and mesh a case; report sizes, scales and advice, memory and time; writes nothing",
@@ -90,8 +98,12 @@ def parser() -> argparse.ArgumentParser:
         ("scene", "the states of the VTK series as one HTML file that opens offline, with time and cuts"),
     ):
         command = commands.add_parser(name, help=text, description=text)
-        command.add_argument("directory", metavar="DIR", help="run directory")
-        if name != "info":
+        needed = None if name != "info" else "?"
+        command.add_argument("directory", metavar="DIR", help="run directory", nargs=needed)
+        if name == "info":
+            text = "what distributed runs need instead: MPI, PETSc and its packages, and a test of them"
+            command.add_argument("--parallel", action="store_true", help=text)
+        else:
             command.add_argument("--fields", metavar="NAMES", help="fields to draw, separated by commas")
             command.add_argument(
                 "--step", type=int, metavar="N", help="checkpoint's step (default: the last)"
@@ -115,6 +127,37 @@ def parser() -> argparse.ArgumentParser:
     new = commands.add_parser("new", help="print an annotated case file to start from")
     new.add_argument("name", metavar="NAME", nargs="?", help="a demo, e.g. swirl; without it their names")
     return top
+
+
+def _add_sweep(command: argparse.ArgumentParser) -> None:
+    command.add_argument("case", metavar="CASE", help="case file, TOML")
+    command.add_argument(
+        "--vary",
+        metavar="KEY=V1,V2,...",
+        action="append",
+        default=[],
+        help="values of a key, e.g. --vary material.G_e=1,2,5 (repeatable: all combinations are run)",
+    )
+    command.add_argument(
+        "-o",
+        "--output",
+        metavar="DIR",
+        help="directory of the study (default results/<name of the case>-sweep)",
+    )
+    _add_set(command)
+    command.add_argument("--force", action="store_true", help="run all of them anew")
+    command.add_argument(
+        "--workers",
+        type=_threads,
+        metavar="N",
+        help="runs at once on this machine (default: its processors, by the threads of a run)",
+    )
+    command.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="dask scheduler whose workers do the runs, e.g. tcp://host:8786; they must see the same files",
+    )
+    _add_run_options(command)
 
 
 def _add_plot_options(command: argparse.ArgumentParser) -> None:
@@ -218,13 +261,14 @@ def _code(error: Exception) -> int:
 
 def _command(name: str) -> Callable[[argparse.Namespace], int]:
     # imported late: NGSolve takes a second, and --help needs none of it
-    from ngvisco.cli import pictures, reference, report, run
+    from ngvisco.cli import parallel, pictures, reference, report, run, sweep
 
     table: dict[str, Callable[[argparse.Namespace], int]] = {
         "run": run.run,
         "resume": run.resume,
+        "sweep": sweep.sweep,
         "check": report.check,
-        "info": report.info,
+        "info": lambda options: (parallel.info if options.parallel else report.info)(options),
         "list": reference.listing,
         "explain": reference.explain,
         "new": reference.new,

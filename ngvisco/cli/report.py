@@ -11,7 +11,7 @@ from ngsolve import SetNumThreads
 
 from ngvisco import case as cases
 from ngvisco.case.directory import RunDirectory
-from ngvisco.errors import CheckpointError
+from ngvisco.errors import CheckpointError, ParameterError
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.scales import scales
 from ngvisco.run.simulation import Simulation
@@ -88,6 +88,8 @@ def _duration(seconds: float) -> str:
 
 def info(options: argparse.Namespace) -> int:
     """Say what a run directory holds."""
+    if options.directory is None:
+        raise ParameterError("info", None, "a run directory, or --parallel")
     place = RunDirectory(options.directory)
     case = place.case()
     print(f"{place.path}: {case.sections.title or 'a run'}")

@@ -134,7 +134,7 @@ class Checkpoints:
                 data.attrs["unit"] = unit(column)
             group.attrs[_CHECKSUM] = _digest({}, {name: np.array(data) for name, data in group.items()})
             for observer in simulation.observers:
-                if isinstance(observer, Series) and observer.group is not None:
+                if isinstance(observer, Series) and observer.group is not None and observer.group not in file:
                     _store_table(file.create_group(observer.group), observer)
             for number, one in kept.items():
                 _store(file.create_group(f"checkpoints/{number:08d}"), one)

@@ -13,6 +13,11 @@ CLOSED = 1e-8
 _PER_TOLERANCE = 100.0
 
 
+def closure_limit(tolerance: float) -> float:
+    """Largest |closure_relative| of a ledger that closes, for a solver's tolerance."""
+    return max(CLOSED, _PER_TOLERANCE * tolerance)
+
+
 class ClosureWarning(UserWarning):
     """The energy ledger of a step does not close: the state does not solve the step's equations."""
 
@@ -33,7 +38,7 @@ class ClosureCheck:
     """
 
     def __init__(self, tolerance: float) -> None:
-        self.limit = max(CLOSED, _PER_TOLERANCE * tolerance)
+        self.limit = closure_limit(tolerance)
         self.failures, self.worst, self.worst_step = 0, 0.0, 0
 
     def start(self, simulation: Simulation) -> None:

@@ -71,7 +71,7 @@ def record(
         VTKSeries(out / "vtk", every=every),
         Checkpoints(out / "run.h5", every=checkpoints),
     ]
-    if simulation.model.bodies:
+    if simulation.model.bodies and not any(isinstance(one, Bodies) for one in simulation.observers):
         files.insert(-1, Bodies(out / "bodies.csv"))
     before = list(simulation.observers)
     simulation.observers += files

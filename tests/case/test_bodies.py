@@ -227,7 +227,10 @@ def test_run_directory_goes_on_without_the_shape_s_file(tmp_path):
     loaded = case(text.replace("until = 0.04", "until = 0.02"), tmp_path)
     directory.run(loaded, tmp_path / "run")
     (tmp_path / "disc.png").unlink()
-    directory.resume(tmp_path / "run", until=0.04)
+    for setting, message in [("bodies.1.density=3.0", "cannot change"), ("bodies.1.where='x < 1'", "cannot")]:
+        with pytest.raises(CaseError, match=message):
+            directory.resume(tmp_path / "run", until=0.04, settings=[setting])
+    directory.resume(tmp_path / "run", until=0.04, settings=["bodies.1.viscosity.G_v=0.02"])
     rows = np.genfromtxt(tmp_path / "run" / "bodies.csv", delimiter=",", names=True)
     assert (np.diff(rows["time"]) > 0).all()
     assert rows["time"][[0, 1, -1]] == pytest.approx([0, 0.02, 0.04])

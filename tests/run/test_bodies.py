@@ -231,3 +231,10 @@ def test_what_bodies_say_is_not_said_twice():
         nv.Model(bodies=disc())
     with pytest.raises(nv.ParameterError, match=r"Model\.material"):
         nv.Model()
+
+
+@pytest.mark.parametrize("options", [{"rho_max": 2.0}, {"delta_density": 1e-3}], ids=lambda o: next(iter(o)))
+def test_a_density_that_is_not_the_sum_of_the_bodies_is_refused(options):
+    """Cut off or diffused it would not be; their own fluxes know of neither."""
+    with pytest.raises(nv.ParameterError, match=next(iter(options))):
+        nv.Model(bodies=[disc(), rest()], regularisation=nv.Regularisation(**options))

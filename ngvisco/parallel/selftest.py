@@ -1,0 +1,116 @@
+"""What distributed runs need, tried: a mesh in parts, the exchange of what ranks share, PETSc's solvers.
+
+``mpirun -n 3 python -m ngvisco.parallel.selftest`` prints a line for each, from the first rank.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from netgen.occ import Box, OCCGeometry, Pnt
+from ngsolve import (
+    H1,
+    BilinearForm,
+    Grad,
+    InnerProduct,
+    LinearForm,
+    Mesh,
+    VectorH1,
+    dx,
+    x,
+    y,
+)
+
+from ngvisco.errors import NgviscoError
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
+from ngvisco.parallel.mesh import distributed, world
+from ngvisco.parallel.petsc import Direct, Rows, packages, petsc
+
+_ROUNDING, _REDUCTION = 1e-9, 1e-8
+
+
+def tried(comm: Any) -> Iterator[tuple[str, str]]:
+    """What was tried with what came of it, collective; raises what fails."""
+    whole = None
+    if comm.rank == 0:
+        whole = Mesh(OCCGeometry(Box(Pnt(0, 0, 0), Pnt(1, 1, 1))).GenerateMesh(maxh=0.25))
+    cells = whole.ne if whole is not None else 0
+    mesh = distributed(whole, comm)
+    communicator = Communicator.of(mesh)
+    if communicator.total(mesh.ne) != communicator.from_first(cells):
+        raise NgviscoError("the parts of the mesh are not the mesh")
+    yield "mesh", f"{int(communicator.total(mesh.ne))} cells on {comm.size - 1} of {comm.size} ranks"
+    yield "exchange", _exchanged(mesh, communicator)
+    yield from _solved(mesh, communicator)
+
+
+def _exchanged(mesh: Mesh, communicator: Communicator) -> str:
+    """Compare our exchange with NGSolve's."""
+    space = H1(mesh, order=2)
+    vector = LinearForm((1 + x * y) * space.TestFunction() * dx).Assemble().vec
+    ours = Exchange(space, communicator).sum(vector.FV().NumPy().copy())
+    vector.Cumulate()
+    difference = communicator.most(np.abs(ours - vector.FV().NumPy()))
+    if difference > _ROUNDING:
+        raise NgviscoError(f"the exchange of shared unknowns is wrong by {difference:.1e}")
+    messages = int(communicator.total(communicator.traffic.messages))
+    return f"{messages} messages, as NGSolve's to {difference:.0e}"
+
+
+def _solved(mesh: Mesh, communicator: Communicator) -> Iterator[tuple[str, str]]:
+    """An elastic block by the direct solver and by each multigrid."""
+    space = VectorH1(mesh, order=2, dirichlet=".*")
+    u, w = space.TnT()
+    form = BilinearForm(space, symmetric=True)
+    form += InnerProduct(Grad(u) + Grad(u).trans, Grad(w)) * dx
+    form.Assemble()
+    load = LinearForm((1 + x) * w[0] * dx).Assemble().vec
+    free = space.FreeDofs()
+    found, residual = load.CreateVector(), load.CreateVector()
+
+    def left() -> float:
+        residual.data = load - form.mat * found
+        residual.Cumulate()
+        own = np.array(list(free), dtype=bool) & Exchange(space, communicator).owned
+        load.Cumulate()
+        return communicator.norm(residual.FV().NumPy()[own]) / communicator.norm(load.FV().NumPy()[own])
+
+    if packages()["mumps"]:
+        Direct(form.mat, free, communicator).solve(load, found)
+        if (rest := left()) > _ROUNDING:
+            raise NgviscoError(f"MUMPS leaves a residual of {rest:.1e}")
+        yield "MUMPS", f"{space.ndofglobal} unknowns, residual {rest:.0e}"
+    rows = Rows(form.mat.row_pardofs, free, communicator)
+    matrix = rows.matrix(form.mat.local_mat)
+    for name in ("gamg", *(["hypre"] if packages()["hypre"] else [])):
+        solver = petsc().KSP().create(comm=communicator.mpi)
+        solver.setOperators(matrix)
+        solver.setType("cg")
+        solver.getPC().setType(name)
+        solver.setTolerances(rtol=_REDUCTION)
+        rows.solve(solver, load, found)
+        yield name, f"{solver.getIterationNumber()} iterations, residual {left():.0e}"
+
+
+def main() -> int:
+    """Print what was tried; 1 where something failed."""
+    comm = world()
+    if comm is None:
+        print("one process: expected mpirun -n 3 python -m ngvisco.parallel.selftest")
+        return 1
+    try:
+        for name, result in tried(comm):
+            if comm.rank == 0:
+                print(f"{name:10s} {result}", flush=True)
+    except NgviscoError as error:
+        print(f"failed     {error}", flush=True)
+        comm.Abort(1)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

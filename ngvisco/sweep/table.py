@@ -1,0 +1,93 @@
+"""The table of a study's results: a line a run, what became of it and the last row of its ledger."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ngvisco.case.build import Case
+from ngvisco.case.directory import RunDirectory
+from ngvisco.errors import CheckpointError
+from ngvisco.run.checkpoint import read_ledger
+from ngvisco.run.closure import closure_limit
+from ngvisco.run.files import write_atomically
+
+FINISHED, NOT_CLOSED, FAILED = "finished", "not closed", "failed"
+STOPPED, WAITING = "stopped", "not started"
+
+
+@dataclass
+class Outcome:
+    """What became of one run.
+
+    Attributes
+    ----------
+    name : str
+        Its directory in the study's.
+    values : dict of str
+        The varied keys.
+    state : str
+        ``"finished"``; ``"not closed"``, finished with a ledger that does not close; ``"failed"``;
+        ``"stopped"`` by a signal, with a checkpoint; ``"not started"``.
+    message : str
+        Why it failed.
+    last : dict of float
+        The last row of its ledger; ``largest_closure`` is the largest ``|closure_relative|`` of all rows.
+    """
+
+    name: str
+    values: dict[str, str]
+    state: str = WAITING
+    message: str = ""
+    last: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the run has reached its end."""
+        return self.state in (FINISHED, NOT_CLOSED)
+
+    def read(self, place: RunDirectory, case: Case) -> None:
+        """Take the ledger from the run's directory, and from it whether the run has reached its end.
+
+        Raises
+        ------
+        CheckpointError
+            If its file cannot be read.
+        """
+        if not place.run_file.exists():
+            return
+        ledger = read_ledger(place.run_file)
+        if not len(ledger.get("time", ())):
+            raise CheckpointError(f"{place.run_file}: its ledger is empty")
+        closure = np.abs(ledger["closure_relative"])
+        self.last = {name: float(column[-1]) for name, column in ledger.items()}
+        self.last["largest_closure"] = float(closure.max())
+        if self.last["time"] >= case.until * (1 - 1e-9):
+            limit = closure_limit(case.sections.solver.tolerance)  # type: ignore[attr-defined]
+            self.state = FINISHED if bool((closure <= limit).all()) else NOT_CLOSED
+
+
+def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
+    """Write the table as CSV, whole or not at all; columns that a run's ledger lacks stay empty."""
+    keys = list(outcomes[0].values)
+    columns = list(dict.fromkeys(name for outcome in outcomes for name in outcome.last))
+    first = [name for name in ("step", "time", "largest_closure") if name in columns]
+    columns = first + [name for name in columns if name not in first]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["run", *keys, "state", *columns, "message"])
+    for outcome in outcomes:
+        ledger = [_number(outcome.last.get(name)) for name in columns]
+        writer.writerow([outcome.name, *outcome.values.values(), outcome.state, *ledger, outcome.message])
+    write_atomically(path, text.getvalue().encode())
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return ""
+    return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)

@@ -1,0 +1,132 @@
+"""What is varied: keys of a case file with their values, all combinations of them, and the runs' names."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ngvisco.case.toml import parse_override
+from ngvisco.errors import NgviscoError
+
+_LONGEST = 100
+"""Characters of a run's name: file systems take 255 bytes, and files of the run have names in it."""
+
+
+class SweepError(NgviscoError, ValueError):
+    """A parameter study that cannot be run as it is asked for."""
+
+
+@dataclass(frozen=True)
+class Variation:
+    """A key of the case and the values that it takes, as texts of TOML.
+
+    Raises
+    ------
+    SweepError
+        If there is no value, or one of them twice.
+    """
+
+    key: str
+    values: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if not self.values or not all(self.values):
+            raise SweepError(f"--vary {self.key}={','.join(self.values)}: expected values between commas")
+        twice = {value for value in self.values if self.values.count(value) > 1}
+        if twice:
+            raise SweepError(f"--vary {self.key}: expected each value once, but {min(twice)} is there again")
+
+    @classmethod
+    def parse(cls, text: str) -> Variation:
+        """``key.path=value,value,...``; commas within brackets, braces and quotes part no values.
+
+        Raises
+        ------
+        SweepError
+            If there is no key, no value, or a bracket or quote that is not closed.
+        """
+        key, equals, values = text.partition("=")
+        try:
+            path, _ = parse_override(f"{key}={values}")
+        except ValueError:
+            path = ()
+        if not equals or not path:
+            raise SweepError(f"--vary {text}: expected key.path=value,value,...")
+        return cls(".".join(path), tuple(_parted(values, text)))
+
+    def setting(self, value: str) -> str:
+        """The value as ``--set`` takes it."""
+        return f"{self.key}={value}"
+
+
+def _parted(values: str, text: str) -> list[str]:
+    parts, closing, quote = [""], [], ""
+    for character in values:
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        elif character in "[{(":
+            closing.append({"[": "]", "{": "}", "(": ")"}[character])
+        elif character in "]})":
+            if not closing or closing.pop() != character:
+                raise SweepError(f"--vary {text}: {character!r} closes no bracket")
+        elif character == "," and not closing:
+            parts.append("")
+            continue
+        parts[-1] += character
+    if quote or closing:
+        raise SweepError(f"--vary {text}: expected {quote or closing[-1]!r} before its end")
+    return [part.strip() for part in parts]
+
+
+@dataclass(frozen=True)
+class Combination:
+    """One value for each varied key.
+
+    Attributes
+    ----------
+    name : str
+        The run directory's: ``material.G_e=1,time.dt=0.02``.  The same in any study.
+    values : dict of str
+        By key.
+    settings : tuple of str
+        As ``--set`` takes them.
+    """
+
+    name: str
+    values: dict[str, str]
+    settings: tuple[str, ...]
+
+
+def combinations(variations: Sequence[Variation]) -> list[Combination]:
+    """All combinations of the values, the last key's values first.
+
+    Raises
+    ------
+    SweepError
+        If there is nothing to vary, or a key is varied twice.
+    """
+    keys = [variation.key for variation in variations]
+    if not keys:
+        raise SweepError("nothing to vary: expected --vary key.path=value,value,...")
+    for key in keys:
+        if keys.count(key) > 1:
+            raise SweepError(f"--vary {key}: expected all its values in one option, but it is there twice")
+    found = []
+    for values in itertools.product(*(variation.values for variation in variations)):
+        settings = tuple(v.setting(value) for v, value in zip(variations, values, strict=True))
+        found.append(Combination(_name(settings), dict(zip(keys, values, strict=True)), settings))
+    return found
+
+
+def _name(settings: Sequence[str]) -> str:
+    """A directory's name on any file system; a hash stands for what had to be left out."""
+    text = ",".join(settings)
+    plain = re.sub(r"[^A-Za-z0-9._=,+-]+", "_", text)
+    if plain == text and len(plain) <= _LONGEST:
+        return plain
+    return f"{plain[:_LONGEST]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"

@@ -1,0 +1,36 @@
+"""Scripts under mpirun, by a Python that has petsc4py: this one, or that of NGVISCO_PARALLEL_PYTHON."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PYTHON = os.environ.get("NGVISCO_PARALLEL_PYTHON", sys.executable)
+FOLDERS = os.pathsep.join([str(Path(PYTHON).parent), os.environ.get("PATH", "")])
+MPIRUN = shutil.which("mpirun", path=FOLDERS)
+
+
+@cache
+def has_petsc() -> bool:
+    """Whether distributed runs can be started here."""
+    return MPIRUN is not None and run("-c", "import ngsolve, mpi4py.MPI, petsc4py.PETSc").returncode == 0
+
+
+def run(*words: str | Path, ranks: int = 1) -> subprocess.CompletedProcess[str]:
+    """Run Python with these words, on one rank without mpirun."""
+    allowed = (
+        "OMPI_ALLOW_RUN_AS_ROOT",
+        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM",
+        "OMPI_MCA_rmaps_base_oversubscribe",
+    )
+    environment = os.environ | dict.fromkeys(allowed, "1")
+    environment |= {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}
+    start = [str(MPIRUN), "-n", str(ranks)] if ranks > 1 else []
+    return subprocess.run(
+        [*start, PYTHON, *map(str, words)], env=environment, capture_output=True, text=True, timeout=300
+    )

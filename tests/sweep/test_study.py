@@ -1,0 +1,163 @@
+"""Studies run by the command: what they leave, what they do not do again, what they refuse."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from ngvisco.cli.main import main
+from ngvisco.sweep import Study, Variation
+
+pytest.importorskip("distributed")
+ROOT = Path(__file__).resolve().parents[2]
+
+CASE = """\
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 0.7
+[material]
+kind = "NeoHookean"
+K_e = 10
+G_e = 5
+epsilon = 0.1
+[initial]
+velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
+[time]
+dt = 0.02
+until = 0.04
+[output.vtk]
+enabled = false
+"""
+
+
+@pytest.fixture
+def case_file(tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_text(CASE)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def processes_find_the_package(monkeypatch):
+    monkeypatch.setenv(
+        "PYTHONPATH", os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    )
+
+
+def table(directory):
+    with (directory / "sweep.csv").open() as file:
+        return {row["run"]: row for row in csv.DictReader(file)}
+
+
+def sweep(case_file, directory, *words):
+    return main(["sweep", str(case_file), "-o", str(directory), *words])
+
+
+# an estimate of the error that no step meets, and no smaller step allowed
+FAILING = "time.adaptive.tolerance=1,1e-12"
+ADAPTIVE = [f"--set=time.adaptive.{name}=0.02" for name in ("dt_min", "dt_max")]
+
+
+def test_failures_are_listed_and_finished_runs_are_not_run_again(case_file, tmp_path, capsys):
+    out = tmp_path / "study"
+    words = ["--vary", "material.G_e=1", "--vary", FAILING, *ADAPTIVE]
+    assert sweep(case_file, out, *words) == 1
+    said = capsys.readouterr()
+    good, bad = (f"material.G_e=1,time.adaptive.tolerance={value}" for value in ("1", "1e-12"))
+    rows = table(out)
+    assert rows[good]["state"] == "finished" and float(rows[good]["time"]) == 0.04
+    assert abs(float(rows[good]["largest_closure"])) < 1e-10 and rows[good]["material.G_e"] == "1"
+    assert rows[bad]["state"] == "failed" and "dt_min" in rows[bad]["message"]
+    assert f"ngvisco: {bad}: failed" in said.err and f"{good}: finished" in said.out
+    assert (out / bad / "failed.txt").exists()
+
+    stamp = (out / good / "run.h5").stat().st_mtime_ns
+    assert (
+        sweep(case_file, out, "--vary", "material.G_e=1,2", "--vary", "time.adaptive.tolerance=1", *ADAPTIVE)
+        == 0
+    )
+    assert "1 of them finished before" in capsys.readouterr().out
+    assert (out / good / "run.h5").stat().st_mtime_ns == stamp
+    assert [row["state"] for row in table(out).values()] == ["finished"] * 2
+    # another case under the same name
+    case_file.write_text(CASE.replace("K_e = 10", "K_e = 20"))
+    assert (
+        sweep(case_file, out, "--vary", "material.G_e=1", "--vary", "time.adaptive.tolerance=1", *ADAPTIVE)
+        == 2
+    )
+    assert "results of another case" in capsys.readouterr().err
+    assert (out / good / "run.h5").stat().st_mtime_ns == stamp
+
+
+def test_a_stopped_study_goes_on_where_it_was(case_file, tmp_path):
+    out, words = tmp_path / "study", ["--vary", "material.G_e=1,2", "--set", "time.until=40"]
+    command = [
+        sys.executable,
+        "-m",
+        "ngvisco",
+        "sweep",
+        str(case_file),
+        "-o",
+        str(out),
+        "--workers",
+        "1",
+        *words,
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    ledger = out / "material.G_e=1" / "ledger.csv"
+    for _ in range(1200):
+        if ledger.exists() and len(ledger.read_text().splitlines()) > 4:
+            break
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.05)
+    process.send_signal(signal.SIGTERM)
+    said, error = process.communicate(timeout=60)
+    assert process.returncode == 143, error
+    assert "the same command goes on" in said
+    first, second = table(out).values()
+    assert first["state"] == "stopped" and second["state"] == "not started"
+    study = Study(case_file, [Variation.parse(words[1])], out, settings=[words[3]])
+    assert study.unfinished == [0, 1] and study.outcomes[0].last["step"] == int(first["step"]) > 2
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "nothing to vary"),
+        (["--vary", "material.G_e=1,-2"], "material.G_e (set on the command line)"),
+        (["--vary", "material.Ge=1"], "did you mean 'G_e'"),
+        (["--vary", "material.G_e=1,1.0"], "the same case"),
+        (["--vary", "material.G_e=1", "--set", "material.G_e=2"], "it is in both"),
+        (["--vary", "domain.maxh=0.5,1e-9"], "domain"),
+        (["--vary", "initial.density=1,'x - 2'"], "initial.density"),
+        (["--vary", "material.G_e=1", "--scheduler", "nowhere"], "--scheduler nowhere"),
+    ],
+)
+def test_wrong_input_is_refused_before_anything_is_written(case_file, tmp_path, capsys, words, message):
+    assert sweep(case_file, tmp_path / "study", *words) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "study").exists()
+
+
+def test_without_the_extra_the_command_names_it(case_file, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert sweep(case_file, tmp_path / "study", "--vary", "material.G_e=1") == 2
+    assert 'pip install "ngvisco[sweep]"' in capsys.readouterr().err
+    assert not (tmp_path / "study").exists()
+
+
+def test_another_scheduler_does_the_runs(case_file, tmp_path):
+    from distributed import LocalCluster
+
+    options = {"processes": False, "n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
+    with LocalCluster(protocol="tcp://", **options) as cluster:
+        address = cluster.scheduler_address
+        assert address.startswith("tcp://")
+        assert sweep(case_file, tmp_path / "study", "--vary", "material.G_e=1", "--scheduler", address) == 0
+    assert [row["state"] for row in table(tmp_path / "study").values()] == ["finished"]
