@@ -1,4 +1,4 @@
-"""Bounds of a state: rho > 0 and what its variables say must be positive; and the limiter that restores them.
+"""Bounds of a state: rho > 0, what its variables say must be positive, a cut-off's; and the limiter of them.
 
 A discontinuous polynomial may be negative at a point of a cell whose mean is positive.  Such a state is
 mended by scaling towards the cell's mean (Zhang and Shu, J. Comput. Phys. 229, 2010),
@@ -18,6 +18,9 @@ and are limited first.
 Only a mean out of bounds is beyond mending; it ends a step.  Two bounds do not count: those of variables for
 which the material's energy is continued (``Material.continued``: a Yosida approximation, J_min), and in a
 cell those of variables that the energy does not read there, phi'_z = 0 in all of it.
+
+With a cut-off rho_max + width - rho is such a quantity too (paper: Euler-small-est3+++), where the state that
+the bounds are made for, that of a run's start, has it positive.
 """
 
 from __future__ import annotations
@@ -44,6 +47,9 @@ which the body is being torn at two corners, the split solver does not take with
 (until 0.72 s).  Cells are limited where something is <= 0, not where it is below its share of the mean:
 a density that falls to zero along a line is no reason to change it.
 """
+
+OF_CUT_OFF = "rho_max + width - rho"
+"""The name of the bound of a cut-off."""
 
 _HALVINGS = 45
 """Of the interval of s, until it is a number to rounding: limited states depend continuously on theirs."""
@@ -130,6 +136,15 @@ class Bounds:
         self._variables: list[str | None] = [None]
         """The variable that each bound is of; None for rho."""
         present: dict[str, CoefficientFunction] = {"rho": u.rho}
+        law = step.model.regularisation
+        self._densest: float | None = None
+        """The density that a cut-off bounds it by, kg/m^3."""
+        if law is not None and law.rho_max is not None:
+            bound = law.rho_max + law.width
+            if sampler.extrema(u.rho)[1] < bound:
+                self._densest = bound
+                present[OF_CUT_OFF] = bound - u.rho
+                self._variables.append(None)
         for variable in material.variables:
             if variable.name not in material.continued:
                 bounds = variable.positive(u.z_tensors[variable.name])
@@ -158,6 +173,8 @@ class Bounds:
         material, means = self.step.model.material, self._means
         z = material.states(self.step.mesh.dim).tensors(lambda: means.z)
         values = [means.rho]
+        if self._densest is not None:
+            values.append(self._densest - means.rho)
         for variable in material.variables:
             if variable.name not in material.continued:
                 values += variable.positive(z[variable.name]).values()

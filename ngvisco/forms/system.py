@@ -64,7 +64,7 @@ def equations(model: Model, dim: int) -> tuple[Term, ...]:
     terms += [Kinematics(model), Conjugates(model), UpwindTrace(), *fading_terms(model.material)]
     if model.creep is not None and not model.creep.is_local:
         terms.append(CreepRate(model.creep))
-    return (*terms, *regularising_terms(model.regularisation))
+    return (*terms, *regularising_terms(model, dim))
 
 
 @dataclass(frozen=True)

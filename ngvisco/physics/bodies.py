@@ -69,6 +69,23 @@ class Amount(Variable):
 class Body:
     """A body of one material, with its place at the start.
 
+    Example::
+
+        import ngvisco as nv
+        from ngvisco.geometries import box
+        from ngvisco.physics.variables import Jacobian
+
+        viscosity = nv.StokesViscosity(K_v=0.01, G_v=0.01)
+        soft = nv.ReferentialNeoHookean(K_e=20.0, G_e=0.05)
+        fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J - 2 + 1 / J))
+        place = nv.Ball((0.6, 0.5), 0.2)
+        disc = nv.Body(name="disc", where=place, material=soft, viscosity=viscosity, density=1.0)
+        rest = nv.Body(name="rest", material=fluid, viscosity=viscosity, density=1.0)
+        run = nv.Simulation(box((1, 1), maxh=0.3), nv.Model(bodies=[disc, rest]), dt=0.02)
+        print(run.advance()["mass_drift"])
+
+    Energies whose stress at rest, F = I, differs from body to body push each other from the start.
+
     Parameters
     ----------
     name : str

@@ -191,10 +191,26 @@ class Model:
         if sum(body.where is None for body in self.bodies) > 1:
             without = [body.name for body in self.bodies if body.where is None]
             raise ParameterError("Model.bodies", without, "one body at most without a place, the rest")
+        self._require_mass_of_bodies()
         mixture = Mixture(bodies=self.bodies)
         object.__setattr__(self, "material", mixture)
         object.__setattr__(self, "viscosity", mixed_viscosity(mixture.bodies))
         object.__setattr__(self, "creep", mixed_creep(mixture.bodies))
+
+    def _require_mass_of_bodies(self) -> None:
+        """Raise ParameterError where rho moves by other fluxes than the bodies' amounts, whose sum it is."""
+        law = self.regularisation
+        if not isinstance(law, Regularisation):
+            return
+        for name, value, none in (
+            ("rho_max", law.rho_max, None),
+            ("delta_density", law.delta_density, 0.0),
+        ):
+            if value != none:
+                expected = (
+                    f"{none} with bodies: the density is the sum of theirs, which nothing cuts off or mixes"
+                )
+                raise ParameterError(f"Regularisation.{name}", value, expected)
 
 
 _MIXED = (Mixture, MixedViscosity, MixedCreep)

@@ -52,6 +52,7 @@ from ngvisco.run.stepping import (
     HALVINGS,
     AdaptiveStepper,
     AdaptiveSteps,
+    NoticeObserver,
     Rejection,
     RejectionObserver,
     make_stepper,
@@ -192,7 +193,7 @@ class Simulation:
         options = newton or NewtonOptions()
         if solver is not None:
             options = replace(options, method=solver)
-        self.solver = RotheSolver(self.rothe_step, options, self.defect, strategies)
+        self.solver = RotheSolver(self.rothe_step, options, self.defect, strategies, self.notify)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.closure_check = ClosureCheck(options.tolerance)
         self.bounds = Bounds(self.rothe_step, self.sampler, limiter)
@@ -364,6 +365,12 @@ class Simulation:
         for observer in self.observers:
             if isinstance(observer, RejectionObserver):
                 observer.rejected(self, rejection)
+
+    def notify(self, text: str) -> None:
+        """Tell the observers that ask for it what goes on within a step."""
+        for observer in self.observers:
+            if isinstance(observer, NoticeObserver):
+                observer.noticed(self, text)
 
     def _observed(self, targets: Sequence[float]) -> BaseException | None:
         """Start the observers and step through the targets; what ended it early, if anything did."""

@@ -1,8 +1,8 @@
 """Bodies carried by given flows: how far their interfaces smear, by the package's own terms and limiters.
 
 The flows are incompressible and steady but for a factor of time, v = c(t) w.  Their transport matrix is
-M/tau + |c| K^+-, with K of the flow or of its reverse, linearised once from the terms of the equations; a step
-is one sparse solve.
+M/tau + |c| K^+-, with K of the flow or of its reverse, linearised once from the terms of the equations; a
+step is one sparse solve.
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
 from ngvisco.forms.transport import Kinematics, UpwindTrace
-from ngvisco.geometries import box
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.materials import BarotropicFluid
 from ngvisco.physics.materials.heterogeneous import Heterogeneous
@@ -47,6 +46,10 @@ from ngvisco.shapes.shape import Shape
 
 Carrier: TypeAlias = Literal["amounts", "rate zero", "reference map"]
 """Conserved amounts of bodies, a parameter with rate zero, or a function of carried coordinates."""
+
+
+Level: TypeAlias = Callable[[CoefficientFunction, CoefficientFunction], CoefficientFunction]
+"""A function of two coordinates."""
 
 
 @dataclass(frozen=True)
@@ -74,23 +77,38 @@ class Smear:
 
 def carried(
     shape: Shape,
+    level: Level,
     perimeter: float,
     flow: tuple[CoefficientFunction, CoefficientFunction],
     factor: Callable[[float], float],
     end: float,
     *,
+    mesh: Mesh,
+    maxh: float,
     m: int,
     carrier: Carrier,
-    maxh: float = 0.05,
     tau: float = 0.01,
     midpoint: bool = True,
 ) -> Smear:
     """A body of this shape after a flow that brings it back to where it was.
 
-    ``perimeter`` is the length of its boundary, m; ``flow`` is w, m/s, and ``factor(t)`` is c.  Steps of length
-    ``tau`` are of the midpoint rule or of backward Euler, and end limited.
+    Parameters
+    ----------
+    shape : Shape
+    level : callable
+        The function of the place that is > 0 inside it.
+    perimeter : float
+        Length of its boundary, m.
+    flow : two coefficient functions
+        w, m/s.
+    factor : callable
+        c of t, s.
+    end : float
+        s.
+    tau : float
+        Length of the steps, s, of the midpoint rule or of backward Euler; their ends are limited.
     """
-    mesh, fluid = box((1, 1), maxh), BarotropicFluid(B=1.0, gamma=1.4)
+    fluid = BarotropicFluid(B=1.0, gamma=1.4)
     exact = shape.inside(mesh, max(m, 1))
     if carrier == "amounts":
         bodies = (
@@ -118,7 +136,7 @@ def carried(
     if carrier == "amounts":
         theta = theta / (theta + values[names[1]])
     elif carrier == "reference map":
-        theta = _indicator(shape, values["X"], values["Y"])
+        theta = IfPos(level(values["X"], values["Y"]), 1.0, 0.0)
     at = sampler.values(theta)
     partial = _integral(mesh, _between(theta))
     error = _integral(mesh, _size(theta - exact))
@@ -205,8 +223,3 @@ def _size(f: CoefficientFunction) -> CoefficientFunction:
 
 def _between(theta: CoefficientFunction) -> CoefficientFunction:
     return IfPos(theta - 0.05, IfPos(0.95 - theta, 1.0, 0.0), 0.0)
-
-
-def _indicator(shape: Shape, X: CoefficientFunction, Y: CoefficientFunction) -> CoefficientFunction:
-    """1 where the carried coordinates are inside the shape, of shapes with a function of theirs."""
-    return IfPos(shape.of(X, Y), 1.0, 0.0)  # type: ignore[attr-defined]

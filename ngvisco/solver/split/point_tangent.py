@@ -59,6 +59,7 @@ class PointTangent:
             if isinstance(term, Fading):
                 own = np.arange(self.components)[step.layout.states.slices[term.variable.name]]
                 K[:, own, own] -= step.context.rate(term.weight(u).value)[:, None]
+        self.rate_slope = K
         self.resolvent = np.linalg.inv(np.eye(self.components)[None] - self.tau * K)
         self.force, self.columns = force, columns
         self.dz = u.grad_z.value
