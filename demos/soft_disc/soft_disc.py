@@ -11,7 +11,8 @@ from ngsolve import IfPos, x
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.physics.variables import Jacobian
-from ngvisco.run.plots import OUTLINE, figure
+from ngvisco.run.outlines import averaged, outline
+from ngvisco.run.plots import figure
 from ngvisco.run.vtu import read_frame, read_series_files
 
 
@@ -45,7 +46,7 @@ def draw(out: Path, X: np.ndarray, Y: np.ndarray) -> None:
         frame = read_frame(file)
         mesh = (*frame.points.T[:2], frame.cells)
         axis.tripcolor(*mesh, frame.scalar("velocity"), shading="gouraud", vmin=0, vmax=1)
-        axis.tricontour(*mesh, frame.scalar("fluid_fraction"), **OUTLINE)
+        outline(axis, *mesh, averaged(frame.points, frame.scalar("fluid_fraction")))
         axis.set(title=f"speed, t = {time:.2f} s", aspect="equal", xticks=[], yticks=[])
     axes[1, 3].plot(X, Y, ".-", markersize=3)
     axes[1, 3].set(title="centroid of the disc, m", aspect="equal", xlim=(0, 1), ylim=(0, 1))

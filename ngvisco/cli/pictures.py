@@ -9,9 +9,10 @@ from ngsolve import CoefficientFunction, SetNumThreads
 
 from ngvisco import case as cases
 from ngvisco.case.directory import Results, RunDirectory
-from ngvisco.run.fields import field_unit, outlined, scalar_fields
+from ngvisco.run.fields import field_unit, scalar_fields
 from ngvisco.run.movie import write_movie
 from ngvisco.run.observers import read_pvd
+from ngvisco.run.outlines import outlined
 from ngvisco.run.plots import Section, plot_energies, plot_fields, plot_history, titled
 from ngvisco.run.scene import write_scene, write_scene_of_series
 
@@ -63,7 +64,7 @@ def _load(options: argparse.Namespace) -> tuple[Results, dict[str, CoefficientFu
 
 def _outlines(results: Results) -> list[CoefficientFunction]:
     fields = results.fields
-    return [fields[name] for name in outlined(fields)]
+    return [fields[name] for name in outlined(list(fields))]
 
 
 def _names(options: argparse.Namespace) -> list[str] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from ngsolve import CF, CoefficientFunction, sqrt
 
@@ -55,12 +55,6 @@ def _body_fields(step: Step) -> dict[str, CoefficientFunction]:
         number = if_positive(value - largest, CF(float(i)), number)
         largest = if_positive(value - largest, value, largest)
     return {**fields, "body": number}
-
-
-def outlined(names: Iterable[str]) -> list[str]:
-    """Of the names of a run's fields the fractions by which pictures outline its bodies: all but the last,
-    whose surface is that of the others."""
-    return [name for name in names if name.endswith(_FRACTION)][:-1]
 
 
 def scalar_fields(

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from ngvisco.errors import ParameterError
-from ngvisco.run.fields import field_unit, outlined
-from ngvisco.run.plots import OUTLINE, PlotError, Section, figure, has_outline, titled
+from ngvisco.run.fields import field_unit
+from ngvisco.run.outlines import averaged, outline, outlined
+from ngvisco.run.plots import PlotError, Section, figure, titled
 from ngvisco.run.vtu import Frame, cut, read_frame, read_series_files
 
 FORMATS = ("gif", "mp4")
@@ -151,13 +152,10 @@ class _Picture:
         for line in former:
             line.remove()
         X, Y = self._points.T
-        fractions = [self.values(frame, name) for name in outlined(frame.fields)]
-        return [
-            axis.tricontour(X, Y, self._triangles, share, **OUTLINE)
-            for axis in axes
-            for share in fractions
-            if has_outline(share)
-        ]
+        names = outlined(list(frame.fields))
+        fractions = [self._between(averaged(frame.points, frame.scalar(name))) for name in names]
+        lines = [outline(axis, X, Y, self._triangles, share) for axis in axes for share in fractions]
+        return [line for line in lines if line is not None]
 
     def draw(self, fig: Any, axis: Any, name: str, limits: tuple[float, float]) -> Any:
         X, Y = self._points.T

@@ -15,6 +15,7 @@ from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y
 from ngvisco.errors import NgviscoError, ParameterError, _is_number
 from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.run.files import write_atomically
+from ngvisco.run.outlines import OUTLINE, averaged, has_outline, outline
 from ngvisco.timestepping.integrator import LIMITER
 
 if TYPE_CHECKING:
@@ -225,15 +226,6 @@ def plot_fields(
     _save(fig, path)
 
 
-OUTLINE: dict[str, Any] = {"levels": [0.5], "colors": "white", "linewidths": 1.4}
-"""How surfaces of bodies are drawn, where a fraction is one half."""
-
-
-def has_outline(values: np.ndarray) -> bool:
-    """Whether a fraction is one half anywhere: matplotlib warns of lines that are not there."""
-    return bool(np.nanmin(values) < 0.5 < np.nanmax(values))
-
-
 def _draw_cells(
     axis: Any,
     mesh: Mesh,
@@ -257,10 +249,10 @@ def _draw_cells(
     cells = len(X) // len(lattice)
     triangles = np.add.outer(np.arange(cells) * len(lattice), np.array(small)).reshape(-1, 3)
     image = axis.tripcolor(X, Y, triangles, values, shading="gouraud", cmap="viridis", rasterized=True)
-    for outline in outlines:
-        share = np.asarray(outline(points)).ravel()
-        if has_outline(share):
-            axis.tricontour(X, Y, triangles, share, **OUTLINE)
+    for fraction in outlines:
+        outline(
+            axis, X, Y, triangles, averaged(np.stack([X, Y], axis=1), np.asarray(fraction(points)).ravel())
+        )
     return image
 
 

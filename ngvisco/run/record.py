@@ -9,9 +9,10 @@ from ngvisco.errors import ParameterError, as_number, require_path
 from ngvisco.expressions import parse
 from ngvisco.run.bodies import Bodies
 from ngvisco.run.checkpoint import Checkpoints
-from ngvisco.run.fields import components, outlined
+from ngvisco.run.fields import components
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
+from ngvisco.run.outlines import outlined
 from ngvisco.run.plots import figure, plot_energies, plot_fields
 from ngvisco.run.simulation import Observer, Simulation
 
@@ -84,7 +85,7 @@ def record(
         scalars = components(simulation.fields)
         shown = [(title, picture.coefficient(scalars)) for title, picture in pictures.items()]
         fields = simulation.fields
-        lines = [fields[name] for name in outlined(fields)]
+        lines = [fields[name] for name in outlined(list(fields))]
         plot_fields(simulation.mesh, shown, out / "fields.png", outlines=lines)
     print(f"largest |closure| {abs(ledger.column('closure_relative')).max():.1e}; results in {out}")
     return ledger

@@ -33,8 +33,9 @@ from ngsolve import (
 )
 
 from ngvisco.errors import ParameterError
-from ngvisco.run.fields import USUAL, field_unit, outlined
+from ngvisco.run.fields import USUAL, field_unit
 from ngvisco.run.files import write_atomically
+from ngvisco.run.outlines import averaged, outlined
 from ngvisco.run.vtu import read_frame, read_series_files
 
 _VIEWER = Path(__file__).with_name("viewer.html")
@@ -96,7 +97,11 @@ def write_scene(
     corners, inside = _tetrahedra(mesh, together)
     every = [(values[None, :, i], inside[None, :, i]) for i in range(values.shape[1])]
     named = dict(zip(fields, every, strict=False))
-    write_page(Drawing(mesh.dim, points, corners, [0.0], named, every[len(fields) :]), path, title)
+    lines = [
+        (averaged(points, on_triangles), averaged(corners, within) if len(corners) else within)
+        for on_triangles, within in every[len(fields) :]
+    ]
+    write_page(Drawing(mesh.dim, points, corners, [0.0], named, lines), path, title)
 
 
 def write_scene_of_series(
@@ -136,11 +141,13 @@ def write_scene_of_series(
         raise ParameterError("write_scene_of_series.fields", fields, "at least one field of the series")
     faces = (first.cells if first.dim == 2 else first.boundary()).ravel()
     corners = first.cells.ravel() if first.dim == 3 else faces[:0]
-    lines = outlined(first.fields)
-    values = {name: np.array([frame.scalar(name) for frame in frames]) for name in (*names, *lines)}
-    placed = {name: (table[:, faces], table[:, corners]) for name, table in values.items()}
-    named = {name: placed[name] for name in names}
-    of_bodies = [placed[name] for name in lines]
+    values = {name: np.array([frame.scalar(name) for frame in frames]) for name in names}
+    named = {name: (table[:, faces], table[:, corners]) for name, table in values.items()}
+    fractions = [
+        averaged(first.points, np.array([frame.scalar(name) for frame in frames]))
+        for name in outlined(list(first.fields))
+    ]
+    of_bodies = [(table[:, faces], table[:, corners]) for table in fractions]
     drawing = Drawing(first.dim, first.points[faces], first.points[corners], times, named, of_bodies)
     write_page(drawing, path, title)
 

@@ -11,7 +11,7 @@ from ngsolve import Integrate
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.run.fields import outlined
+from ngvisco.run.outlines import averaged, outlined
 from ngvisco.run.plots import plot_fields
 from ngvisco.run.scene import write_scene, write_scene_of_series
 
@@ -156,13 +156,13 @@ def test_fractions_and_numbers_of_bodies_are_fields(whole):
     )
     assert fields["body"](mesh(0.6, 0.45)) == 2
     assert fields["body"](mesh(0.1, 0.1)) == 1
-    assert outlined(fields) == ["fluid_fraction"]
+    assert outlined(list(fields)) == ["fluid_fraction"]
 
 
 def test_surfaces_are_drawn_in_pictures_and_scenes(whole, tmp_path):
     out, _, run = whole
     fields = run.fields
-    lines = [fields[name] for name in outlined(fields)]
+    lines = [fields[name] for name in outlined(list(fields))]
     for name, of in (("with", lines), ("without", [])):
         plot_fields(run.mesh, [("density", fields["density"])], tmp_path / f"{name}.png", outlines=of)
     assert (tmp_path / "with.png").read_bytes() != (tmp_path / "without.png").read_bytes()
@@ -173,6 +173,12 @@ def test_surfaces_are_drawn_in_pictures_and_scenes(whole, tmp_path):
         data = json.loads(re.search(r'id="data">(.*?)</script>', text, re.S)[1])
         assert len(data["times"]) == states and len(data["outlines"]) == 1
         assert len(data["outlines"][0]["values"]) == len(data["fields"][0]["values"])
+
+
+def test_fractions_are_averaged_where_cells_meet():
+    points = np.array([[0, 0], [1, 0], [0, 1e-12], [1, 1]])
+    values = np.array([[0.0, 2.0, 1.0, 3.0], [1.0, 1.0, 0.0, 0.0]])
+    assert averaged(points, values).tolist() == [[0.5, 2, 0.5, 3], [0.5, 1, 0.5, 0]]
 
 
 def test_model_without_bodies_is_refused():

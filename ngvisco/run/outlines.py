@@ -1,0 +1,54 @@
+"""Surfaces of bodies in pictures: the lines where a volume fraction is one half.
+
+Fractions jump between cells, and lines of the single cells would have gaps where a jump passes one half.  So
+the lines are those of the fraction that is averaged at points where cells meet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+OUTLINE: dict[str, Any] = {"levels": [0.5], "colors": "white", "linewidths": 1.4}
+"""How matplotlib draws them."""
+_SAME = 1e-9  # of the points' extent: those this close are one
+
+
+def averaged(points: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values at points, each the mean of those at the same place.
+
+    Parameters
+    ----------
+    points : array (points, dim), m
+    values : array (..., points)
+    """
+    size = float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0
+    rounded = np.round(points / (_SAME * size)).astype(np.int64)
+    _, place = np.unique(rounded, axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    count = np.bincount(place)
+    rows = values.reshape(-1, values.shape[-1])
+    means = [(np.bincount(place, weights=row) / count)[place] for row in rows]
+    return np.array(means).reshape(values.shape)
+
+
+def outline(axis: Any, X: np.ndarray, Y: np.ndarray, triangles: np.ndarray, fraction: np.ndarray) -> Any:
+    """Draw the line of a fraction at the corners of triangles; None where it has none."""
+    if not has_outline(fraction):  # matplotlib warns of lines that are not there
+        return None
+    return axis.tricontour(X, Y, triangles, fraction, **OUTLINE)
+
+
+def has_outline(fraction: np.ndarray) -> bool:
+    """Whether a fraction is one half anywhere."""
+    return bool(np.nanmin(fraction) < 0.5 < np.nanmax(fraction))
+
+
+def outlined(names: Sequence[str]) -> list[str]:
+    """Of the names of a run's fields the fractions that outline its bodies.
+
+    All but the last, whose surface is that of the others.
+    """
+    return [name for name in names if name.endswith("_fraction")][:-1]
