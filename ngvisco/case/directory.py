@@ -8,6 +8,8 @@
 | ledger.csv    | the energy ledger, a row a step                                           |
 | run.h5        | ledger and checkpoints (ngvisco.run.checkpoint)                           |
 | vtk/          | the VTK series                                                            |
+| shapes/       | the files of bodies' shapes, under their content's hashes                  |
+| bodies.csv    | mass, centroid, energies, ... of each body, a row a step                   |
 | samples/      | probes, lines, forces on walls, integrals over the domain, as CSV         |
 | log.txt       | what was done when                                                        |
 | failed.txt    | of a run that ended at a step: where and why, and what to change          |
@@ -79,6 +81,8 @@ class RunDirectory:
         pictures = [self.path / name for name in (*names, "scene.html", "movie.gif", "movie.mp4")]
         series = [*self.vtk.glob("fields*.vtu"), *self.vtk.glob("fields*.pvd")]
         series += [*self.path.glob("samples/*.csv"), *self.path.glob("case.until-step-*.toml")]
+        own.append(self.path / "bodies.csv")
+        series += [*self.path.glob("shapes/*.stl"), *self.path.glob("shapes/*.png")]
         own += [self.log_file, self.failure_file, self.failed_state]
         return [path for path in [*own, *pictures, *series] if path.exists()]
 
@@ -110,6 +114,10 @@ class RunDirectory:
     def prepare(self, case: Case, image: bytes, source: Origin | None = None) -> None:
         """Write case, mesh (a .vol file's content) and versions of a new run, and where it starts from."""
         write_atomically(self.case_file, case.resolved.encode())
+        for name, file in case.shape_files.items():
+            (self.path / name).parent.mkdir(exist_ok=True)
+            if file != self.path / name:
+                write_atomically(self.path / name, file.read_bytes())
         write_atomically(self.mesh_file, image)
         record = versions() | {"mesh_sha256": hashlib.sha256(image).hexdigest()}
         if source is not None:

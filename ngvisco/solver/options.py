@@ -146,6 +146,9 @@ class SplitOptions(_Checked):
     """Iterations for the flow's linear system after which its preconditioner is made anew."""
     renewed_above: float = 0.5
     """Increment after which it is: made at rest it does not know the curvature of v."""
+    renewed_at_once_above: float = 0.1
+    """Increment, it or the one before, above which a worn preconditioner is made anew before the increment is
+    taken: an impulsive start with p = 4 fails otherwise, while a smooth run wastes a twentieth on it."""
     linearised_above: float = 1e-2
     """Increment below which only hyperviscosity and upwinding, which change suddenly, are linearised anew."""
     rounding: float = 1e-8

@@ -91,7 +91,7 @@ class EveryRow:
 
     def form(self, u, w):
         s = sin(3 * x + nv.time) * cos(2 * y)
-        flux = [(0.02 + 0.01 * i) * s * w.z_delta_hat[i] for i in range(w.z_delta_hat.dim)]
+        flux = [(0.02 + 0.01 * i) * s * w.z[i] for i in range(w.z.dim)]
         return [
             Integrand(s * w.rho),
             Integrand(s * w.v[0] - 2 * s * w.v[1]),

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from ngvisco.algebra.blocks import BlockInverse
-from ngvisco.algebra.krylov import improved
+from ngvisco.algebra.krylov import Map, improved
 from ngvisco.algebra.sparse import mass_matrix
 from ngvisco.solver.options import FieldOptions
 from ngvisco.solver.split.schur_complement import FlowSchurComplement, at_points
@@ -27,19 +27,33 @@ class FieldsSystem:
         mass = mass_matrix(self.op.z.matrix, self.op.weights)
         self._project = BlockInverse(mass)
         self._project.update(mass)
+        self._swept_is_enough: set[str] = set()
+        """Fields for which one application of the approximate inverse did, at this operator."""
+
+    def renew(self) -> None:
+        """The operator was made anew: whether sweeps are enough is to be seen again."""
+        self._swept_is_enough.clear()
 
     def z(self, rows: np.ndarray) -> np.ndarray:
         """Increments of z, of rows: both (cells' unknowns, n)."""
-        tolerance, most = self.options.tolerance, self.options.iterations
-        return improved(self._rows, self._approximate, rows, tolerance, most)[0]
+        return self._solved("z", self._rows, self._approximate, rows)
 
     def density(self, rows: np.ndarray) -> np.ndarray:
         """Increments of the density's unknowns, of rows."""
         sweep = self.sweep
         if sweep.density_is_factorised:
             return sweep.density(rows)
-        tolerance, most = self.options.tolerance, self.options.iterations
-        return improved(sweep.density_rows, sweep.density, rows[:, None], tolerance, most)[0][:, 0]
+        return self._solved("rho", sweep.density_rows, sweep.density, rows[:, None])[:, 0]
+
+    def _solved(self, name: str, apply: Map, approximate: Map, rows: np.ndarray) -> np.ndarray:
+        if name in self._swept_is_enough:
+            return approximate(rows)
+        found, iterations = improved(
+            apply, approximate, rows, self.options.tolerance, self.options.iterations
+        )
+        if not iterations:
+            self._swept_is_enough.add(name)
+        return found
 
     def _approximate(self, rows: np.ndarray) -> np.ndarray:
         dz = self.sweep.fields(rows)

@@ -73,7 +73,7 @@ class Preconditioner:
         ``clock(name)`` measures the time of a part.
         """
         with clock("assembly"):
-            self.operator.update(at)
+            self.linearise(at, everything=True)
             if self.hyper_tangent is not None:
                 self.hyper_tangent.update()
             matrix = self.tangent.matrix()
@@ -83,6 +83,8 @@ class Preconditioner:
     def linearise(self, at: Evaluation, everything: bool) -> None:
         """Let the linear operator follow an evaluation, or what changes suddenly; the rest stays."""
         self.operator.update(at, everything)
+        if everything:
+            self.fields.renew()
 
     def __call__(self, at: Evaluation, tolerance: float) -> np.ndarray:
         """The increment, packed; ``tolerance`` is that of the flow's linear system."""

@@ -127,7 +127,7 @@ class Split:
             f = self.preconditioner(at, options.forcing)
         size = self.size(f)
         worn = self.preconditioner.iterations > options.renewed_after[self.step.mesh.dim - 2]
-        if worn and not fresh and max(size, last) > options.linearised_above:
+        if worn and not fresh and max(size, last) > options.renewed_at_once_above:
             self.renew(problem, at)
             with self._clock("solves"):
                 f = self.preconditioner(at, options.forcing)

@@ -35,6 +35,7 @@ class TransportSweeps:
         self._mass = product(self._tests, op.z.blocks)
         self._whole = self._own = None
         if residual.diffusion is not None:
+            self._laplacian = residual.diffusion.laplacian(residual.inverse_mass)
             self._whole = DirectSolver(np.ones(residual.mass.shape[0], dtype=bool), inverse)
         if residual.density is not None:
             self._own = DirectSolver(residual.density.free, inverse)
@@ -46,14 +47,16 @@ class TransportSweeps:
         carried = f.carried.value
         own, across = self.coupling.blocks(-carried, f.share.value, carried, r.trace_mass)
         own += storage + convection
-        if self._whole is not None and r.diffusion is not None:
-            self._whole.factorise((self._sparse(own, across) + r.diffusion.matrix).tocsr())
+        if self._whole is not None:
+            self._whole.factorise((self._sparse(own, across) + self._laplacian).tocsr())
         self._cells, self._carried = _sweep(own, across)
         self._blocks = _rows_of(own, across)
         self._count_sweeps()
         if self._own is None:
-            outward, inward = f.outward.value, f.inward.value
-            own, across = self.coupling.blocks(outward, outward, -inward, r.density_mass)
+            of_facets = f.outward.value, f.outward.value, -f.inward.value
+            if r.claims.continuity[0].by_trace:
+                of_facets = np.zeros_like(carried), f.share.value, f.normal_velocity.value
+            own, across = self.coupling.blocks(*of_facets, r.density_mass)
             own += storage - convection.transpose(0, 2, 1)
             self._rho_cells, self._rho_carried = _sweep(own, across)
             self._rho_blocks = _rows_of(own, across)
@@ -121,7 +124,8 @@ class TransportSweeps:
         """T x, of coefficients x of the fields: both (cells' unknowns, n)."""
         rows = self._applied(self._blocks, x)
         if self.residual.diffusion is not None:
-            rows = rows + self.residual.diffusion(np.ascontiguousarray(x.T)).T
+            strains = self.residual.diffusion.strains
+            rows[:, strains] += self._laplacian @ x[:, strains]
         return rows
 
     def density_rows(self, x: np.ndarray) -> np.ndarray:

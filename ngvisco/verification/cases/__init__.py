@@ -10,6 +10,7 @@ from ngvisco.verification.cases import (
     flows,
     fronts,
     hyper,
+    in_space,
     invariants,
     limits,
     manufactured,
@@ -22,10 +23,12 @@ from ngvisco.verification.cases import (
     robustness,
     schemes,
     schemes_exact,
+    sequence,
     shear,
     sphere_modes,
     stability,
     waves,
+    whole_scheme,
     winding,
 )
 
@@ -33,6 +36,8 @@ MODULES = (
     stability,
     estimates,
     limits,
+    whole_scheme,
+    sequence,
     dependent,
     invariants,
     hyper,
@@ -55,5 +60,6 @@ MODULES = (
     schemes_exact,
     robustness,
     positivity,
+    in_space,
     comparison,
 )

@@ -176,7 +176,8 @@ CASES = (
         "the shock relations and with the integral over the fan, with default options.",
         label="ED-Euler-large2",
         setting="A periodic strip of 1 m, 200 x 2 rows of triangles; W = A/2 |F|^2 + B/2 |Cof F|^2 + "
-        "C/2 (J - 1)^2 - D ln J by F, Cof F and J, a user's energy; K_v + 4/3 G_v = rho U h (midpoint: 2), c dt/h = 0.5.",
+        "C/2 (J - 1)^2 - D ln J by F, Cof F and J, a user's energy; K_v + 4/3 G_v = rho U h, of midpoint "
+        "twice that; c dt/h = 0.5.",
         bounds=(
             Bound("largest error of a star state", "<=", 0.01, "asked for"),
             Bound("|rho J/rho_0 - 1| by backward Euler", "<=", 0.01, "of order dt"),
