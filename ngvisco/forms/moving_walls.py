@@ -68,6 +68,10 @@ class MovingWalls:
         for name, (velocity, mask) in self.moving.items():
             v[mask] = self.interpolate(name, velocity)[mask]
 
+    def velocities(self) -> dict[str, np.ndarray]:
+        """Coefficients on every moving wall at the present ``ngvisco.time``, m/s."""
+        return {name: self.interpolate(name, v)[mask] for name, (v, mask) in self.moving.items()}
+
     def interpolate(self, name: str, velocity: CoefficientFunction) -> np.ndarray:
         """Coefficients on the wall of the tangential part of a velocity.
 

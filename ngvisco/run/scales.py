@@ -10,6 +10,7 @@ import numpy as np
 from ngsolve import CF, Integrate
 
 from ngvisco.forms.mesh_arrays import coordinates
+from ngvisco.forms.system import Step
 from ngvisco.physics.material import Material, cauchy_stress
 from ngvisco.physics.parameters import typical_value
 from ngvisco.physics.pointwise import squares
@@ -158,8 +159,13 @@ def _stress(material: Material, F: np.ndarray, dim: int) -> np.ndarray:
     """The Cauchy stress of a homogeneous F, 3x3, Pa."""
     at = squares(1)[1]
     values = {v.name: v.from_distortion(CF(tuple(F.ravel()), dims=(3, 3))) for v in material.variables}
+    return stress_of(material, np.asarray(CF(material.states(dim).components(values))(at)).ravel(), dim)
+
+
+def stress_of(material: Material, state: np.ndarray, dim: int) -> np.ndarray:
+    """The Cauchy stress of a state's components, (n,): 3x3, Pa."""
     # constants of their own: derivatives by one variable must not see it within another
-    state = np.asarray(CF(material.states(dim).components(values))(at)).reshape(1, -1)
+    at, state = squares(1)[1], state.reshape(1, -1)
     z = material.states(dim).tensors(lambda: CF(tuple(float(c) for c in state[0])))
     respond, phi, zeta = material.response(dim), None, None
     if respond is not None:
@@ -167,6 +173,33 @@ def _stress(material: Material, F: np.ndarray, dim: int) -> np.ndarray:
         phi = CF(float(answer.energy[0]))
         zeta = material.states(dim).tensors(lambda: CF(tuple(float(c) for c in answer.slope[0])))
     return np.asarray(cauchy_stress(material, z, zeta, phi)(at)).reshape(3, 3)
+
+
+def wave_speed(step: Step, state: np.ndarray, density: float) -> float:
+    """The speed of the fastest plane wave along an axis of small amplitude about a state, m/s; 0 without any.
+
+    The acoustic tensor of the direction n is Q a = (dT/dz : rate(a x n; z)) n, whatever the variables are.
+
+    Parameters
+    ----------
+    step : Step
+    state : (n,) array
+        Components of the material's variables.
+    density : float
+        kg/m^3.
+    """
+    material, dim = step.model.material, step.mesh.dim
+    columns = step.tabulated_rates.tensors.columns(state[:, None])[0]
+    fastest = 0.0
+    for j in range(dim):
+        Q = np.empty((dim, dim))
+        for i in range(dim):
+            change = _STEP * columns[:, dim * i + j]
+            ends = [stress_of(material, state + sign * change, dim)[:dim, j] for sign in (1, -1)]
+            Q[:, i] = (ends[0] - ends[1]) / (2 * _STEP)
+        if np.isfinite(Q).all():
+            fastest = max(fastest, float(np.linalg.eigvals(Q).real.max()))
+    return math.sqrt(fastest / density)
 
 
 def rest_pressure(material: Material, dim: int) -> float:

@@ -48,6 +48,7 @@ from ngvisco.run.inputs import check_arguments, check_observer, checked_scheme, 
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
 from ngvisco.run.passive import PassiveFields
+from ngvisco.run.scales import wave_speed
 from ngvisco.run.stepping import (
     HALVINGS,
     AdaptiveStepper,
@@ -416,9 +417,17 @@ class Simulation:
         energy = self.rothe_step.energy
         excess = energy.samples(u.z_tensors, self.sampler) - energy.samples(rest, self.sampler)
         released = 2 * float(abs(excess).max())
-        elastic = math.sqrt(released / self.sampler.extrema(u.rho)[0])
+        least = self.sampler.extrema(u.rho)[0]
+        elastic = math.sqrt(released / least)
+        walls = [abs(v).max() for v in self.rothe_step.moving_walls.velocities().values()]
         # the smoothed upwinding spreads jumps at its width: by 1e-4 of the domain a step, at most
-        return max(speed, min(max(fall, elastic), self._diameter() / self.dt)) or 1.0
+        farthest = self._diameter() / self.dt
+        known = max(speed, *walls, min(max(fall, elastic), farthest))
+        if known > 0:
+            return known
+        # at rest, and nothing says how fast it will be: strains of a tenth
+        state = np.asarray(self.sampler.values(u.z)).reshape(len(self.sampler.points), -1)[0]
+        return min(0.1 * wave_speed(self.rothe_step, state, least), farthest) or 1.0
 
     def _diameter(self) -> float:
         """Diagonal of the mesh's bounding box, m."""

@@ -2,11 +2,15 @@
 
 import math
 
+import numpy as np
 import pytest
+from ngsolve import CF
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.run.scales import moduli, scales
+from ngvisco.physics.variables import Cofactor, Distortion, Jacobian
+from ngvisco.run.scales import moduli, scales, wave_speed
+from ngvisco.verification.cases import riemann
 
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 
@@ -90,3 +94,30 @@ def test_advice_names_the_scheme_and_is_not_given_for_the_step_that_it_advises()
     assert "the scheme backward-euler damps them" in said
     (said,) = Scales(**values, scheme=midpoint()).advice
     assert "the scheme midpoint does not resolve them" in said
+
+
+def test_waves_about_a_strained_state_have_the_speed_of_their_lagrangian_law():
+    """Uniaxial strain of the Riemann problems' energy: stretch sqrt(P'/rho_0), by F, Cof F and J."""
+    model = nv.Model(
+        material=nv.CustomMaterial(
+            transported=(Distortion(), Cofactor(), Jacobian()), stored_energy=riemann.energy
+        )
+    )
+    step = nv.Simulation(box((1, 1), 0.6), model, dt=0.1).rothe_step
+    for stretch in (1.0, 1.3):  # in compression waves across are faster
+        F = CF((stretch, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
+        values = {v.name: v.from_distortion(F) for v in model.material.variables}
+        state = np.asarray(CF(model.material.states(2).components(values))(step.mesh(0.3, 0.3)))
+        expected = stretch * math.sqrt(riemann._slope(stretch))
+        assert wave_speed(step, state, 1 / stretch) == pytest.approx(expected, rel=1e-6)
+
+
+def test_at_rest_the_velocity_scale_is_that_of_walls_or_of_waves():
+    """In units of the problem: nothing else tells how wide the upwinding is smoothed."""
+    model = nv.Model(material=NEO_HOOKEAN)
+    still = nv.Simulation(box((1, 1), 0.6), model, dt=0.01, initial=nv.Initial(density=4.0))
+    speed = math.sqrt(moduli(NEO_HOOKEAN, 2)[0] / 4.0)
+    assert still.velocity_scale == pytest.approx(0.1 * speed, rel=1e-5)
+    walls = {"top": nv.PrescribedTangential((-3e-3, 0.0))}
+    lid = nv.Simulation(box((1, 1), 0.6), model, dt=0.01, walls=walls)
+    assert lid.velocity_scale == pytest.approx(3e-3)

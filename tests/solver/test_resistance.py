@@ -20,7 +20,8 @@ def cavity(mu=1e-5, p=4, **split):
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
         hyperviscosity=nv.HyperViscosity(mu=mu, p=p),
     )
-    options = nv.NewtonOptions(max_iterations=4, split=SplitOptions(coupled_up_to=(1, 1), **split))
+    split = {"forcing": 1e-3, "coupled_up_to": (1, 1)} | split  # linear systems are solved
+    options = nv.NewtonOptions(max_iterations=4, split=SplitOptions(**split))
     return nv.Simulation(
         box((1, 1), 0.3), model, dt=0.02, walls=LID, solver="split", newton=options, halvings=0
     )
