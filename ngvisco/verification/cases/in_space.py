@@ -44,7 +44,12 @@ def estimated(kind: str) -> Outcome:
 
 def limits(kind: str) -> Outcome:
     """``sequence`` on a cube."""
-    return sequence.sequence(kind, {FINE: cube_mesh(FINE)}, (4, 8, 16), SIZES)
+    return sequence.sequence(
+        kind,
+        {FINE: cube_mesh(FINE)},
+        sequence.STEPS,
+        sequence.SIZES[kind][-2:] if kind == "finite" else SIZES,
+    )
 
 
 # --- invariants -------------------------------------------------------------------------------------------
@@ -162,8 +167,8 @@ def _cases(kind: str) -> tuple[Case, ...]:
             "turn.",
             label=f"{LABELS[kind]}, "
             + ("ED-Euler-large-polyconvex-eta" if finite else "Euler-small-converge+"),
-            setting=f"{CUBE}all terms of the scheme; cells of {FINE} m, until {sequence.DURATION} s; 4 to 16 "
-            "steps, then delta, then epsilon of 1e-2 and 1e-3.",
+            setting=f"{CUBE}all terms of the scheme; cells of {FINE} m, until {sequence.DURATION} s; 8 to 32 "
+            f"steps, then delta, then epsilon of {'1e-4 and 1e-5' if finite else '1e-2 and 1e-3'}.",
             bounds=sequence.bounds(kind),
             run=partial(limits, kind),
         ),

@@ -20,7 +20,9 @@ MESHES = (0.35, 0.175)
 STEPS = (8, 16, 32)
 """For tau; delta and epsilon go to zero with the middle one."""
 
-SIZES = (1e-2, 1e-3, 1e-4)
+SIZES = {"linearised": (1e-2, 1e-3, 1e-4), "finite": (1e-3, 1e-4, 1e-5)}
+"""Of delta and epsilon: sqrt(delta) against moduli, where the energy has it."""
+
 DELTA = EPSILON = 1e-2
 """While tau goes to zero, and epsilon while delta does."""
 
@@ -51,10 +53,10 @@ def sequence(
     kind: str,
     meshes: Mapping[float, Mesh] | None = None,
     numbers: Sequence[int] = STEPS,
-    sizes: Sequence[float] = SIZES,
+    sizes: Sequence[float] = (),
 ) -> Outcome:
     """Limits in tau, in delta, and without it in epsilon, on meshes by their h, m."""
-    meshes = meshes or {h: square_mesh(h) for h in MESHES}
+    meshes, sizes = meshes or {h: square_mesh(h) for h in MESHES}, sizes or SIZES[kind]
     values: dict[str, float] = {}
     tables, plots, everything = [], [], []
     least: dict[str, dict[str, float]] = {}
@@ -142,8 +144,9 @@ def _case(kind: str) -> Case:
         if kind == "linearised"
         else "Euler-large-viscoelastodyn+disc, ED-Euler-large-polyconvex-eta, ED-Euler-large-polyconvex-eps",
         setting=f"{WHOLE}; h = 0.35 and 0.175 m, until {DURATION} s; {STEPS[0]} to {STEPS[-1]} steps with "
-        f"delta = epsilon = {DELTA:g}, then {STEPS[1]} with delta from {SIZES[0]:g} to {SIZES[-1]:g}, "
-        f"then delta = 0 with epsilon from {SIZES[0]:g} to {SIZES[-1]:g}.  The least rate of both "
+        f"delta = epsilon = {DELTA:g}, then {STEPS[1]} with delta from {SIZES[kind][0]:g} to "
+        f"{SIZES[kind][-1]:g}, then delta = 0 with epsilon from {SIZES[kind][0]:g} to "
+        f"{SIZES[kind][-1]:g}.  The least rate of both "
         "meshes counts.",
         bounds=bounds(kind),
         run=partial(sequence, kind),
