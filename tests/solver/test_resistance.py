@@ -5,10 +5,11 @@ import pytest
 
 import ngvisco as nv
 from ngvisco.geometries import box
+from ngvisco.reduced.rows_by_terms import REST, by_terms
 from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.problem import Interval
 from ngvisco.solver.solution import Status
-from ngvisco.solver.split.resistance import LINEAR, REST, by_terms, resistance
+from ngvisco.solver.split.resistance import LINEAR, resistance
 
 LID = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
 

@@ -12,12 +12,12 @@ from scipy.sparse.linalg import LinearOperator, gmres
 from ngvisco.algebra.factorised import DirectSolver, TwoLevelSolver
 from ngvisco.algebra.sparse import together
 from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.reduced.hyper_derivative import HyperDerivative
+from ngvisco.reduced.hyper_tangent import HyperTangent
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.split.fields_system import FieldsSystem
-from ngvisco.solver.split.hyper_derivative import HyperDerivative
-from ngvisco.solver.split.hyper_tangent import HyperTangent
 from ngvisco.solver.split.point_tangent import PointTangent
 from ngvisco.solver.split.schur_complement import FlowSchurComplement
 from ngvisco.solver.split.transport_sweeps import TransportSweeps

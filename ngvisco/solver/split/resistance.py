@@ -10,21 +10,17 @@ the next one; where they are small the iteration converges.
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ngvisco.forms.term import Term
 from ngvisco.physics.increments import TINY
-from ngvisco.reduced.residual import Evaluation, ReducedResidual, Residual
+from ngvisco.reduced.residual import Evaluation, Residual
+from ngvisco.reduced.rows_by_terms import by_terms
 
 if TYPE_CHECKING:
     from ngvisco.solver.split.solver import Split
-
-REST = "walls and other terms"
-"""What has no arrays: terms by their forms, diffusion of z, known sources."""
 
 LINEAR = "the linear system of the increment"
 _NAMED, _COUNTS = 3, 0.2
@@ -75,32 +71,3 @@ def _size(split: Split, at: Evaluation, part: np.ndarray) -> float:
     z = part[u.slices["z"]].reshape(at.residual.z.shape)
     rows = Residual(part[u.flow_slice], normals, part[u.density_slice], z)
     return split.size(split.preconditioner(replace(at, residual=rows), split.options.split.forcing))
-
-
-def by_terms(residual: ReducedResidual, at: Evaluation) -> dict[str, np.ndarray]:
-    """The terms' rows, packed, whose sum is the residual at an evaluation: in cells, and across facets."""
-    unknowns = residual.unknowns
-    found: dict[str, np.ndarray] = {}
-
-    def add(name: str, rows: dict[str, np.ndarray]) -> None:
-        if not rows:
-            return
-        vector = found.setdefault(name, np.zeros(unknowns.size, at.x.dtype))
-        for block, values in rows.items():
-            where = unknowns.normal_slice if block == "a" else unknowns.slices[block]
-            vector[where] += values.ravel()
-
-    for term in [*residual.claims.at_points, *residual.claims.continuity]:
-        add(_named(term), residual.cell_terms.rows([term], at.cells))
-        add(f"{_named(term)} across facets", residual.facet_terms.rows([term], at.facets))
-    if at.hyper is not None:
-        count = at.coefficients["v"].shape[1]
-        rows = {"v": at.hyper.rows[:, :count], "a": at.hyper.rows[:, count:]}
-        add(_named(residual.claims.hyperviscosity[0]), rows)
-    found[REST] = np.concatenate(at.residual.parts()) - sum(found.values())
-    return found
-
-
-def _named(term: Term) -> str:
-    """A term by the name of its class: ``elastic force``."""
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(term).__name__).lower()

@@ -16,9 +16,9 @@ import scipy.sparse as sp
 
 from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import DirectSolver
+from ngvisco.reduced.facet_coupling import FacetCoupling
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import SweepOptions
-from ngvisco.solver.split.facet_coupling import FacetCoupling
 from ngvisco.threads import product
 
 

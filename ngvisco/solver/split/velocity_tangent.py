@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ngvisco.solver.split.hyper_tangent import HyperTangent
+from ngvisco.reduced.hyper_tangent import HyperTangent
 from ngvisco.solver.split.schur_complement import FlowSchurComplement
 
 

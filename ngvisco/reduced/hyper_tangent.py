@@ -7,7 +7,7 @@ import scipy.sparse as sp
 
 from ngvisco.algebra import precision
 from ngvisco.algebra.blocks import BlockInverse
-from ngvisco.solver.split.hyper_derivative import HyperDerivative
+from ngvisco.reduced.hyper_derivative import HyperDerivative
 
 
 class HyperTangent:
