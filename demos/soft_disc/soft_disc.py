@@ -16,13 +16,13 @@ from ngvisco.run.plots import figure
 from ngvisco.run.vtu import read_frame, read_series_files
 
 
-def simulation(maxh: float = 0.14, dt: float = 0.05, K_e: float = 20.0, **options) -> nv.Simulation:
+def simulation(maxh: float = 0.1, dt: float = 0.05, K_e: float = 20.0, **options) -> nv.Simulation:
     """1 m x 1 m; density 1 kg/m^3, viscosity 0.01 Pa s, shear modulus of the disc 0.1 Pa."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J + 1 / J - 2))
     solid = nv.OldroydB(K_e=K_e, G_e=0.05)  # without creep neo-Hookean: the determinant of its B is 1
     both = {"viscosity": nv.StokesViscosity(K_v=0.01, G_v=0.01), "density": 1.0}
     disc = nv.Body(name="disc", where=nv.Ball((0.6, 0.5), 0.2), material=solid, **both)
-    lid = (1 - (2 * x - 1) ** 4) * IfPos(nv.time - 0.1, 1.0, nv.time / 0.1)  # m/s, a ramp of 0.1 s
+    lid = 16 * x**2 * (1 - x) ** 2 * IfPos(nv.time - 0.1, 1.0, nv.time / 0.1)  # m/s, a ramp of 0.1 s
     walls = {"top": nv.PrescribedTangential((lid, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
     model = nv.Model(bodies=[nv.Body(name="fluid", material=fluid, **both), disc])
     return nv.Simulation(box((1, 1), maxh=maxh), model, dt=dt, walls=walls, **options)
