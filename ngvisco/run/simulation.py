@@ -38,6 +38,8 @@ from ngvisco.forms.walls import Conditions
 from ngvisco.physics.convexity import check_convexity
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, WithQuadratic, Yosida
+from ngvisco.physics.materials.heterogeneous import Heterogeneous
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
@@ -214,9 +216,13 @@ class Simulation:
     def _check_convexity(self, states: np.ndarray | None) -> None:
         """Warn where a user's own energy is not convex, and how far from these states that is."""
         material = self.model.material
-        if isinstance(_innermost(material), (CustomMaterial, IsotropicStrainEnergy)):
-            near = None if states is None else states.reshape(len(states), -1)
-            check_convexity(material, dim=self.mesh.dim, states=near)
+        near = None if states is None else states.reshape(len(states), -1)
+        own = [(material, near)]
+        if isinstance(material, Mixture):  # each body's energy at states of its own variables
+            own = [(body.material, None) for body in material.bodies]
+        for each, at in own:
+            if isinstance(_innermost(each), (CustomMaterial, IsotropicStrainEnergy)):
+                check_convexity(each, dim=self.mesh.dim, states=at)
 
     def set_velocity_scale(self, scale: float) -> None:
         """Set the widths of the smoothed upwinding and of the penalty's weight, from m/s."""
@@ -428,6 +434,6 @@ class Simulation:
 
 def _innermost(material: Material) -> Material:
     """What the regularising wrappers hold in the end."""
-    while isinstance(material, (WithQuadratic, Yosida)):
+    while isinstance(material, (WithQuadratic, Yosida, Heterogeneous)):
         material = material.material
     return material

@@ -221,6 +221,14 @@ def test_bad_bodies_are_refused_by_name(make, match):
         nv.Simulation(box((1, 1), maxh=0.5), nv.Model(bodies=make()), dt=0.1)
 
 
+def test_a_body_s_own_energy_that_is_not_convex_is_warned_of():
+    double_well = nv.CustomMaterial(
+        transported=(Jacobian(),), stored_energy=lambda J: (J - 1) ** 4 - 5 * (J - 1) * (J - 1) + 30 / J
+    )
+    with pytest.warns(nv.ConvexityWarning, match="not convex"):
+        nv.Simulation(box((1, 1), maxh=0.5), nv.Model(bodies=[disc(), rest(material=double_well)]), dt=0.1)
+
+
 def test_what_bodies_say_is_not_said_twice():
     with pytest.raises(nv.ParameterError, match=r"Model.viscosity.*None with bodies"):
         nv.Model(bodies=[disc(), rest()], viscosity=STOKES)
@@ -238,3 +246,20 @@ def test_a_density_that_is_not_the_sum_of_the_bodies_is_refused(options):
     """Cut off or diffused it would not be; their own fluxes know of neither."""
     with pytest.raises(nv.ParameterError, match=next(iter(options))):
         nv.Model(bodies=[disc(), rest()], regularisation=nv.Regularisation(**options))
+
+
+def test_a_ball_in_three_dimensions():
+    """Two steps on a few tetrahedra, by both solvers."""
+    found = []
+    for solver in ("split", "coupled"):
+        bodies = [disc(where=nv.Ball((0.5, 0.5, 0.5), 0.35)), rest()]
+        initial = nv.Initial(velocity=(*SWIRL, 0.0))
+        mesh = box((1, 1, 1), maxh=0.8)
+        run = nv.Simulation(mesh, nv.Model(bodies=bodies), dt=0.02, initial=initial, solver=solver)
+        before = masses(run)
+        run.run(0.04)
+        assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-12
+        assert np.abs(masses(run) / before - 1).max() <= 1e-12 and fractions(run).min() >= -1e-8
+        found.append(states(run))
+    for part, values in found[0].items():
+        assert np.abs(values - found[1][part]).max() <= 1e-9 * np.abs(values).max()
