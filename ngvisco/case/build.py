@@ -31,6 +31,7 @@ from ngvisco.errors import (
 from ngvisco.expressions import ExpressionError, parse
 from ngvisco.forms.boundaries import check_boundary_names
 from ngvisco.forms.context import time
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material
 from ngvisco.physics.model import Model, default_elastic_state
 from ngvisco.physics.walls import Wall
@@ -38,6 +39,7 @@ from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.inputs import times_of
 from ngvisco.run.observers import LedgerCSV, VTKSeries
 from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
+from ngvisco.run.ranks import abort_alone
 from ngvisco.run.series import Series
 from ngvisco.run.simulation import Observer, Simulation
 
@@ -287,6 +289,9 @@ class Case:
                 error = UnknownNameError("field", name, run.fields)
                 raise self._error(("output", "vtk", "fields"), str(error))
         for path, series in self.samples(Path()).items():
+            if run.ranks.is_distributed:
+                expected = "ledger, VTK series and checkpoints only on several ranks"
+                raise self._error(path, f"expected {expected}: its points are one process's")
             try:
                 series.prepare(run)
             except ParameterError as error:
@@ -361,6 +366,7 @@ class Case:
         except NgviscoError as error:
             raise self._error(path, str(error)) from error
         except Exception as error:  # NGSolve and Netgen raise bare exceptions for what they refuse
+            abort_alone(Communicator.world(), error)
             raise self._error(path, f"{type(error).__name__}: {error}") from error
 
     @property

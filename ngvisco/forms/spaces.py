@@ -19,6 +19,7 @@ The local unknowns are condensed out cell by cell.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -109,6 +110,13 @@ class Layout:
                     )
                 self.unknowns[unknown.name] = unknown
         self._make(list(self.unknowns))
+
+    def on(self, mesh: Mesh) -> Layout:
+        """The same unknowns on another mesh, of which this one is a part."""
+        other = copy.copy(self)
+        other.mesh = mesh
+        other._make(self.names)
+        return other
 
     def _make(self, names: Sequence[str]) -> None:
         """The compound space of these unknowns."""

@@ -6,7 +6,17 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ngvisco.errors import ParameterError, as_integer, require_collection, require_names, require_type
+from ngvisco.errors import (
+    MeshError,
+    ParameterError,
+    as_integer,
+    require_collection,
+    require_names,
+    require_type,
+)
+from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import CURVED, PERIODIC
 from ngvisco.physics.walls import Wall
 from ngvisco.run.stepping import AdaptiveSteps
 from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
@@ -30,6 +40,26 @@ def check_arguments(
     for term in terms:  # type: ignore[attr-defined]
         if isinstance(term, type) or not _has_methods(term, ("form", "entries")):
             raise ParameterError("Simulation.terms", term, "objects with the methods form and entries")
+
+
+def check_distributed(step: Step, passive: Sequence[str]) -> None:
+    """Raise MeshError or ParameterError for what several ranks do not take; nothing on one process."""
+    mesh, model = step.mesh, step.model
+    ranks = Communicator.of(mesh)
+    if not ranks.is_distributed:
+        return
+    if ranks.any(mesh.GetCurveOrder() > 1):
+        raise MeshError(CURVED)
+    if step.walls.periodic:
+        raise MeshError(PERIODIC)
+    if passive:
+        raise ParameterError("Simulation.passive", passive, "no passive fields on several ranks")
+    if step.walls.multiplied:
+        expected = "walls normal to an axis, or without slip, on several ranks: multipliers are one process's"
+        raise ParameterError("Simulation.walls", step.walls.multiplied, expected)
+    if model.material.response(mesh.dim) is not None:
+        expected = "a material whose energy is an expression on several ranks, not one computed at points"
+        raise ParameterError("Simulation.model", type(model.material).__name__, expected)
 
 
 def check_observer(observer: object) -> None:

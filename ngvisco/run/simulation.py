@@ -9,6 +9,7 @@ import math
 import time as clock
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from os import PathLike
 from typing import Protocol
 
@@ -35,6 +36,8 @@ from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Term
 from ngvisco.forms.walls import Conditions
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import distributed
 from ngvisco.physics.convexity import check_convexity
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, WithQuadratic, Yosida
@@ -44,10 +47,12 @@ from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.failure import failure_report
 from ngvisco.run.fields import output_fields
-from ngvisco.run.inputs import check_arguments, check_observer, checked_scheme, times_of
+from ngvisco.run.inputs import check_arguments, check_distributed, check_observer, checked_scheme, times_of
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
+from ngvisco.run.numbering import Numbering
 from ngvisco.run.passive import PassiveFields
+from ngvisco.run.ranks import abort_alone, tell
 from ngvisco.run.stepping import (
     HALVINGS,
     AdaptiveStepper,
@@ -65,7 +70,11 @@ from ngvisco.timestepping.scheme import TimeScheme
 
 
 class Observer(Protocol):
-    """What wants to know of a run.  Every method may be called with the simulation at rest."""
+    """What wants to know of a run.  Every method may be called with the simulation at rest.
+
+    On several ranks each is called on every rank; one with the attribute ``on_first_rank = True``, as those
+    which write a file of the ledger, on the first one only, and it must evaluate no field.
+    """
 
     def start(self, simulation: Simulation) -> None:
         """Before the first step of a run; the initial row is ``simulation.ledger.rows[0]``."""
@@ -83,7 +92,8 @@ class Simulation:
     Parameters
     ----------
     mesh : ngsolve.Mesh
-        2D (plane strain) or 3D; every boundary that is not periodic is an impenetrable wall.
+        2D (plane strain) or 3D; every boundary that is not periodic is an impenetrable wall.  Where mpirun
+        started several processes, that of the first one is distributed over them (``simulation.mesh``).
     model : Model
     initial : Initial, optional
     walls : mapping of boundary names (or tuples of them) to Wall objects, optional
@@ -174,10 +184,19 @@ class Simulation:
             require_positive("Simulation", velocity_scale=velocity_scale)
         check_arguments(observers, walls, stepping, passive, sources, terms)
         chosen = checked_scheme(scheme, theta, startup, relaxation, stepping)
+        if mesh.comm.size == 1 and (world := Communicator.world()).is_distributed:
+            mesh = distributed(mesh, world)
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping, halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
+        check_distributed(self.rothe_step, passive)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
+        self.ranks = self.sampler.ranks
+        self.cells = int(self.ranks.total(mesh.ne))
+        """Of the whole mesh."""
+        space = self.rothe_step.layout.space
+        self.unknowns = space.ndofglobal if self.ranks.is_distributed else space.ndof
+        """Of the whole space."""
         self.check_data([0.0])
         self.observers = list(observers)
         self.t, self.number = 0.0, 0
@@ -214,7 +233,9 @@ class Simulation:
         """Warn where a user's own energy is not convex, and how far from these states that is."""
         material = self.model.material
         if isinstance(_innermost(material), (CustomMaterial, IsotropicStrainEnergy)):
-            near = None if states is None else states.reshape(len(states), -1)
+            near = None
+            if states is not None:
+                near = np.concatenate(self.ranks.gathered(states.reshape(len(states), -1)))
             check_convexity(material, dim=self.mesh.dim, states=near)
 
     def set_velocity_scale(self, scale: float) -> None:
@@ -233,6 +254,11 @@ class Simulation:
 
     def _repr_html_(self) -> str:
         return simulation_html(self)
+
+    @cached_property
+    def numbering(self) -> Numbering:
+        """Of the unknowns on one process, for checkpoints; made by all ranks together."""
+        return Numbering(self)
 
     @property
     def scheme(self) -> TimeScheme:
@@ -296,7 +322,11 @@ class Simulation:
                 step, number = self.stepper.advance(self, stop), self.number + 1
             except StepError as error:
                 tau = self.integrator.tried
-                error.report = failure_report(self, tau, str(error), error.history, self._refused)
+                if not self.ranks.is_distributed:
+                    error.report = failure_report(self, tau, str(error), error.history, self._refused)
+                raise
+            except BaseException as error:
+                abort_alone(self.ranks, error)
                 raise
             try:
                 row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
@@ -340,7 +370,7 @@ class Simulation:
             failure = self._observed(targets)
             for observer in self.observers:
                 try:
-                    observer.finish(self)
+                    tell(self, observer, observer.finish)
                 except Exception as error:  # the other observers' files must be finished all the same
                     failure = failure or error
         if failure is not None:
@@ -369,15 +399,19 @@ class Simulation:
         """Start the observers and step through the targets; what ended it early, if anything did."""
         try:
             for observer in self.observers:
-                observer.start(self)
+                tell(self, observer, observer.start)
             for target in targets:
-                while not self.stepper.reached(self, target) and not self.stop_requested:
+                while not self.stepper.reached(self, target) and not self._is_to_stop():
                     row = self.advance(target)
                     for observer in self.observers:
-                        observer.step(self, row)
+                        tell(self, observer, observer.step, row)
         except BaseException as error:
             return error
         return None
+
+    def _is_to_stop(self) -> bool:
+        self.stop_requested = self.ranks.any(self.stop_requested)  # a signal may have met one rank
+        return self.stop_requested
 
     def _start_ledger(self) -> None:
         if not self.ledger.rows and self.ledger.balance is None:
@@ -405,15 +439,16 @@ class Simulation:
         rest = {v.name: v.from_distortion(Id(3)) for v in model.material.variables}
         energy = self.rothe_step.energy
         excess = energy.samples(u.z_tensors, self.sampler) - energy.samples(rest, self.sampler)
-        released = 2 * float(abs(excess).max())
+        released = 2 * self.sampler.ranks.most(abs(excess))
         elastic = math.sqrt(released / self.sampler.extrema(u.rho)[0])
         # the smoothed upwinding spreads jumps at its width: by 1e-4 of the domain a step, at most
         return max(speed, min(max(fall, elastic), self._diameter() / self.dt)) or 1.0
 
     def _diameter(self) -> float:
         """Diagonal of the mesh's bounding box, m."""
-        points = coordinates(self.mesh)
-        return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
+        ranks = self.sampler.ranks
+        sides = [ranks.most(along) - ranks.least(along) for along in coordinates(self.mesh).T]
+        return float(np.linalg.norm(sides))
 
 
 def _innermost(material: Material) -> Material:

@@ -11,6 +11,8 @@ from ngsolve import BaseVector
 from ngvisco.errors import ParameterError, StepError, require_type
 from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.solver.choice import default_strategies, split_obstacle
 from ngvisco.solver.extrapolation import Extrapolation
 from ngvisco.solver.newton import Newton
@@ -56,8 +58,10 @@ class RotheSolver:
         self.strategies = tuple(default_strategies(step, options) if strategies is None else strategies)
         if strategies is not None:
             _check(self.strategies, step)
-        self.h_min = min(step.context.h.vec)
-        self.norm = BlockNorm(step.layout.ranges, {"v": 0.0, "rho": 0.0, "z": 1.0}, options.norm)
+        self.exchange = Exchange(step.layout.space, Communicator.of(step.mesh))
+        self.h_min = self.exchange.communicator.least(step.context.h.vec.FV().NumPy())
+        units = {"v": 0.0, "rho": 0.0, "z": 1.0}
+        self.norm = BlockNorm(step.layout.ranges, units, options.norm, self.exchange)
         tried = [one for one in self.strategies if one.obstacle(step.mesh) is None]
         self.method = (tried or self.strategies)[0].solver
         """The first strategy's solver: it is kept, the other one made where it is needed."""
@@ -77,7 +81,8 @@ class RotheSolver:
         if solver == "split":
             return Split(step, norm, options)
         eliminate = step.eliminate
-        return Newton(step.residual, step.state.vec, norm, eliminate, options, eliminate.refresh)
+        exchange, refresh = self.exchange, eliminate.refresh
+        return Newton(step.residual, step.state.vec, norm, eliminate, options, refresh, exchange)
 
     def problem(self, interval: Interval) -> RotheProblem:
         """The problem of a step over the interval, with the scheme's upwinding."""
