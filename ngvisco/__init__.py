@@ -27,6 +27,7 @@ from ngvisco.forms.given import function_field, grid_field
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.physics.bodies import Body
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
 from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
 from ngvisco.physics.material import Material
@@ -51,6 +52,7 @@ from ngvisco.physics.materials import (
     Yosida,
 )
 from ngvisco.physics.model import BodyForce, CentralGravity, Gravity, Model
+from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, LinearViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
@@ -65,6 +67,11 @@ from ngvisco.run.record import record
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
+from ngvisco.shapes.image import Image
+from ngvisco.shapes.shape import Shape
+from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon
+from ngvisco.shapes.subdomain import Subdomain
+from ngvisco.shapes.surface import ClosedSurface
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.timestepping.scheme import SCHEMES, TimeScheme
 
@@ -99,13 +106,17 @@ __all__ = [
     "FENEP",
     "SCHEMES",
     "AdaptiveSteps",
+    "Ball",
     "BarotropicFluid",
+    "Block",
+    "Body",
     "BodyForce",
     "Case",
     "CaseError",
     "CentralGravity",
     "CheckpointError",
     "Checkpoints",
+    "ClosedSurface",
     "ClosureWarning",
     "ConvexityReport",
     "ConvexityWarning",
@@ -115,8 +126,10 @@ __all__ = [
     "Discretisation",
     "Entry",
     "Gravity",
+    "HalfSpace",
     "HardeningElastic",
     "HyperViscosity",
+    "Image",
     "Initial",
     "InitialDataError",
     "InputWarning",
@@ -143,10 +156,12 @@ __all__ = [
     "NotebookProgress",
     "Observer",
     "OldroydB",
+    "Parameter",
     "ParameterError",
     "PerMass",
     "PerReferentialVolume",
     "PointTerm",
+    "Polygon",
     "PrescribedTangential",
     "Probes",
     "Progress",
@@ -155,10 +170,12 @@ __all__ = [
     "Regularisation",
     "Rejection",
     "RunDirectoryError",
+    "Shape",
     "Simulation",
     "Slip",
     "StepError",
     "StokesViscosity",
+    "Subdomain",
     "TimeScheme",
     "Traction",
     "Transfer",

@@ -9,6 +9,9 @@ and never by Python: a case file, or an integrand of ``Integrals``, cannot execu
 * ``a if condition else b`` (or ``where(condition, a, b)``), conditions being comparisons
   ``< <= > >=`` (also chained) joined by ``and``, ``or``, ``not``.
 
+A region (``parse_region``) is written as a condition, ``"(x - 0.6)**2 + y**2 < 0.04 and y < 0.6"``, or as an
+expression that is positive inside.
+
 Constant parts are computed at once, so that ``1/0`` or ``log(-1)`` is an error with its position.
 """
 
@@ -57,6 +60,7 @@ class Expression:
     text: str
     names: frozenset[str]
     _tree: ast.expr
+    is_region: bool = False
 
     def coefficient(self, fields: Mapping[str, CoefficientFunction] | None = None) -> CoefficientFunction:
         """The expression as a coefficient function; ``t`` is ``ngvisco.time``.
@@ -64,7 +68,8 @@ class Expression:
         ``fields`` has the scalars of the further names that ``parse`` was given.
         """
         symbols: dict[str, Value] = {"x": ngsolve.x, "y": ngsolve.y, "z": ngsolve.z, "t": time, **CONSTANTS}
-        return CF(Evaluator(self.text, dict(fields or {}) | symbols).value(self._tree))
+        evaluator = Evaluator(self.text, dict(fields or {}) | symbols)
+        return CF(evaluator.level(self._tree) if self.is_region else evaluator.value(self._tree))
 
 
 def parse(text: str, fields: Collection[str] = ()) -> Expression:
@@ -82,6 +87,21 @@ def parse(text: str, fields: Collection[str] = ()) -> Expression:
     evaluator = Evaluator(text, dict(CONSTANTS), lead, names)
     evaluator.value(tree)
     return Expression(text, frozenset(evaluator.seen), shifted(tree, lead))
+
+
+def parse_region(text: str) -> Expression:
+    """Check the text of a region; its coefficient function is positive inside, and continuous at the edges of
+    comparisons: ``a < b`` is b - a, ``and`` the smaller, ``or`` the larger one, ``not`` the negative.
+
+    Raises
+    ------
+    ExpressionError
+        As ``parse``.
+    """
+    tree, lead = syntax_tree(text)
+    evaluator = Evaluator(text, dict(CONSTANTS), lead, NAMES)
+    evaluator.level(tree)
+    return Expression(text, frozenset(evaluator.seen), shifted(tree, lead), is_region=True)
 
 
 def number(text: str) -> float:
@@ -303,6 +323,24 @@ class Evaluator:
         parts = [_COMPARE[type(operator)](a, b) for operator, a, b in pairs]
         return math.prod(parts[1:], start=parts[0])
 
+    def level(self, node: ast.expr) -> Any:
+        """Of a condition a value that is positive where it holds; of anything else its value."""
+        if isinstance(node, ast.BoolOp):
+            parts = [self.level(value) for value in node.values]
+            return _extremum(parts, "min" if isinstance(node.op, ast.And) else "max")
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            inner = self.level(node.operand)
+            return inner if inner is UNKNOWN else -inner
+        if not isinstance(node, ast.Compare):
+            return self.value(node)
+        self._condition(node)  # which checks it
+        values = [self._scalar(part) for part in (node.left, *node.comparators)]
+        if any(value is UNKNOWN for value in values):
+            return UNKNOWN
+        pairs = zip(node.ops, values, values[1:], strict=False)
+        is_less = (ast.Lt, ast.LtE)
+        return _extremum([b - a if isinstance(op, is_less) else a - b for op, a, b in pairs], "min")
+
     def _scalar(self, node: ast.expr) -> Any:
         """The value of a node that has to be a scalar."""
         return self.value(node)
@@ -363,6 +401,18 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., CoefficientF
     "max": (2, max, lambda a, b: IfPos(a - b, a, b)),
 }
 """Name -> number of arguments, the function of numbers, that of coefficient functions."""
+
+
+def _extremum(values: list[Any], name: str) -> Any:
+    """The smallest or the largest of some values."""
+    if any(value is UNKNOWN for value in values):
+        return UNKNOWN
+    _, exact, general = FUNCTIONS[name]
+    result = values[0]
+    for value in values[1:]:
+        is_constant = isinstance(result, float) and isinstance(value, float)
+        result = exact(result, value) if is_constant else general(CF(result), CF(value))
+    return result
 
 
 def _hint(name: str, known: Any) -> str:

@@ -10,7 +10,7 @@ from netgen.geom2d import unit_square
 from ngsolve import Mesh
 
 import ngvisco as nv
-from ngvisco.expressions import FUNCTIONS, MAX_LENGTH, ExpressionError, parse
+from ngvisco.expressions import FUNCTIONS, MAX_LENGTH, ExpressionError, parse, parse_region
 
 MESH = Mesh(unit_square.GenerateMesh(maxh=1))
 POINT = (0.3, 0.7)
@@ -136,3 +136,26 @@ def test_random_expression_equals_python(text):
     functions = {name: exact for name, (_, exact, _) in FUNCTIONS.items()}
     code = compile(ast.parse(text, mode="eval"), "", "eval")
     assert at_point(text) == pytest.approx(eval(code, functions | NAMES), rel=1e-11, abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("x**2 + y**2 < 1", 1 - 0.58),
+        ("x > 0.5", -0.2),
+        ("0.1 <= x <= 0.35", 0.05),
+        ("x < 0.5 and y < 0.75", 0.05),
+        ("x < 0.2 or not y < 0.5", 0.2),
+        ("1 if x < 0.5 else 0", 1.0),
+        ("0.25 - x", -0.05),
+        ("0 < 1", 1.0),
+    ],
+)
+def test_region_is_positive_inside_and_as_far_as_its_condition_holds(text, value):
+    assert parse_region(text).coefficient()(MESH(*POINT)) == pytest.approx(value, rel=1e-13)
+
+
+@pytest.mark.parametrize("text", ["x == 1", "x < ", "(x < 1) + 1", "q < 1", "not", "x < 1/0"])
+def test_text_that_is_no_region_is_refused_with_its_position(text):
+    with pytest.raises(ExpressionError, match="at character"):
+        parse_region(text)

@@ -32,6 +32,7 @@ from ngvisco.expressions import ExpressionError, parse
 from ngvisco.forms.boundaries import check_boundary_names
 from ngvisco.forms.context import time
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import distributed
 from ngvisco.physics.material import Material
 from ngvisco.physics.model import Model, default_elastic_state
 from ngvisco.physics.walls import Wall
@@ -186,6 +187,11 @@ class Case:
             values["path"] = str(self._mesh_path)
         with self._located("domain"):
             return catalogue.GEOMETRIES[name](**values)
+
+    def distributed(self, mesh: Mesh | None, ranks: Communicator) -> Mesh:
+        """The first rank's mesh over all ranks; raises CaseError."""
+        with self._located("domain"):
+            return distributed(mesh, ranks)
 
     def model(self, dim: int) -> Model:
         """Material, mechanisms and loads in ``dim`` dimensions; raises CaseError."""

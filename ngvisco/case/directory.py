@@ -27,8 +27,6 @@ import json
 import os
 import platform
 import sys
-import time as clock
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,16 +37,15 @@ from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.case import changes
 from ngvisco.case.build import Case, load_case
+from ngvisco.case.log import Log, noting_warnings
 from ngvisco.case.meshfile import mesh_image, mesh_of, require_whole
 from ngvisco.case.versions import versions
 from ngvisco.errors import CheckpointError, MeshError, NgviscoError, StepError, require_path
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.mesh import distributed
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.failure import write_failure
-from ngvisco.run.files import append, write_atomically
+from ngvisco.run.files import write_atomically
 from ngvisco.run.notebook import data_frame, results_html
-from ngvisco.run.observers import Progress
 from ngvisco.run.plots import FORMATS
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.transfer import resume_changed, transfer
@@ -178,36 +175,6 @@ class Origin:
         )
 
 
-class Log(Progress):
-    """Progress lines with the date, appended to a run's log file."""
-
-    def __init__(self, path: Path, until: float, every: int = 1) -> None:
-        super().__init__(until, every)
-        self.path = path
-
-    def write(self, line: str) -> None:
-        """Append a line."""
-        stamp = clock.strftime("%Y-%m-%d %H:%M:%S")
-        append(self.path, f"{stamp}  {line}\n")
-
-    def _print(self, line: str) -> None:
-        self.write(line)
-
-
-@contextlib.contextmanager
-def noting_warnings(note: Callable[[str], None]) -> Iterator[None]:
-    """Within: warnings are given to ``note`` too, each as a line."""
-    shown = warnings.showwarning
-
-    def show(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
-        note(f"{category.__name__}: {message}")
-        shown(message, category, *where, **options)
-
-    with warnings.catch_warnings():
-        warnings.showwarning = show
-        yield
-
-
 def run(
     case: Case,
     directory: str | os.PathLike[str],
@@ -248,7 +215,7 @@ def run(
             image = mesh_image(case.mesh())
             return mesh_of(image)
 
-        simulation = case.simulation(_mesh_of_first(ranks, whole))
+        simulation = case.simulation(_mesh_of_first(case, ranks, whole))
     origin = None if source is None else Origin.last_of(source)
     if origin is not None:
         notes.append(origin.carry_to(simulation))
@@ -298,7 +265,7 @@ def resume(
                 case = place.case()
         notes = [f"resume: {case.sections.title or case.source}"]
         with noting_warnings(notes.append):
-            simulation = case.simulation(_mesh_of_first(ranks, place.mesh))
+            simulation = case.simulation(_mesh_of_first(case, ranks, place.mesh))
         return _go(place, case, simulation, until, observers, notes)
 
 
@@ -360,11 +327,11 @@ def _nothing(line: str) -> None:
     """The log of a rank that writes none."""
 
 
-def _mesh_of_first(ranks: Communicator, make: Callable[[], Mesh]) -> Mesh:
+def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) -> Mesh:
     """The mesh that the first rank makes, distributed; its error is raised on every rank."""
     made: list[Mesh] = []
     ranks.on_first(lambda: made.append(make()))
-    return distributed(made[0] if made else None, ranks)
+    return case.distributed(made[0] if made else None, ranks)
 
 
 def _require_one_process(ranks: Communicator, what: str) -> None:

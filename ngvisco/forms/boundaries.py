@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from ngsolve import BND, CF, FacetFESpace, GridFunction, Integrate, Mesh, specialcf
+from ngsolve import BND, CF, BitArray, FacetFESpace, GridFunction, Integrate, Mesh, Region, specialcf
 
 from ngvisco.errors import MeshError, UnknownNameError
 from ngvisco.forms.context import periodic_facets
@@ -46,7 +46,7 @@ def axis_parallel_walls(mesh: Mesh) -> tuple[list[list[str]], list[str]]:
     walls: list[list[str]] = [[] for _ in range(mesh.dim)]
     others: list[str] = []
     for name in sorted(set(mesh.GetBoundaries())):
-        region = mesh.Boundaries(_exactly(name))
+        region = walls_of(mesh, [name])
         area = Integrate(CF(1.0), mesh, BND, definedon=region)
         tilt = [abs(Integrate(1 - n[i] * n[i], mesh, BND, definedon=region)) for i in range(mesh.dim)]
         axis = int(np.argmin(tilt))
@@ -54,8 +54,8 @@ def axis_parallel_walls(mesh: Mesh) -> tuple[list[list[str]], list[str]]:
     return walls, others
 
 
-def slip_constraints(mesh: Mesh) -> tuple[str, ...]:
-    """Boundary pattern for v_i = 0, one for each i, that makes every wall impenetrable.
+def slip_constraints(mesh: Mesh) -> tuple[Region, ...]:
+    """The boundaries where v_i = 0, one region for each i, that makes every wall impenetrable.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def slip_constraints(mesh: Mesh) -> tuple[str, ...]:
         raise MeshError(
             f"boundary {others[0]!r} is not normal to an axis: expected walls parallel to the axes"
         )
-    return tuple("|".join(_exactly(name) for name in names) for names in walls)
+    return tuple(walls_of(mesh, names) for names in walls)
 
 
 def periodic_boundaries(mesh: Mesh) -> set[str]:
@@ -82,15 +82,52 @@ def periodic_boundaries(mesh: Mesh) -> set[str]:
 
 
 def interior_boundaries(mesh: Mesh) -> set[str]:
-    """Names of the boundaries that lie between two cells: interfaces, which are no walls.
+    """Names of boundaries that lie between two cells with all their parts: interfaces, which are no walls.
 
     Raises
     ------
     MeshError
-        If only a part of a name's boundary is one.
+        If a part of the boundary (Netgen: an edge or face of the geometry) does so in a part only.
     """
-    facets = np.flatnonzero(facets_with_two_sides(mesh) & boundary_facets(mesh))
-    return _boundaries_of(mesh, set(facets.tolist()), "lies between cells")
+    names, interfaces = mesh.GetBoundaries(), _interfaces(mesh)
+    return {names[i] for i in interfaces} - {name for i, name in enumerate(names) if i not in interfaces}
+
+
+def walls_of(mesh: Mesh, names: Iterable[str]) -> Region:
+    """The boundaries of these names without the parts of them that lie between two cells.
+
+    Interfaces between subdomains often have the name that all unnamed boundaries have.  A name of which all
+    parts are interfaces has them all.
+    """
+    wanted, known = set(names), mesh.GetBoundaries()
+    mask = BitArray(len(known))
+    mask.Clear()
+    left_out = _interfaces(mesh) if any(known.count(name) > 1 for name in wanted) else set()
+    outer = {name for i, name in enumerate(known) if i not in left_out}
+    for i, name in enumerate(known):
+        if name in wanted and not (i in left_out and name in outer):
+            mask[i] = True
+    return Region(mesh, BND, mask)
+
+
+def _interfaces(mesh: Mesh) -> set[int]:
+    """Numbers of the boundaries' parts that lie between two cells; MeshError for one that does in a part."""
+    between = facets_with_two_sides(mesh) & boundary_facets(mesh)
+    if not mesh.comm.Sum(int(between.any())):
+        return set()
+    names = mesh.GetBoundaries()
+    counts = np.zeros((len(names), 2), dtype=int)  # facets that do not, and that do
+    for element in mesh.Elements(BND):
+        own = element.edges if mesh.dim == 2 else element.faces
+        counts[element.index, int(between[own[0].nr])] += 1
+    totals = np.array([[mesh.comm.Sum(int(count)) for count in pair] for pair in counts])
+    for name, (outer, inner) in zip(names, totals, strict=True):
+        if outer and inner:
+            raise MeshError(
+                f"boundary {name!r} has a part that lies between cells in a part only: divide it, in the "
+                "geometry or by physical groups, into what is wall and what is interface"
+            )
+    return {int(i) for i in np.flatnonzero(totals[:, 1])}
 
 
 def _boundaries_of(mesh: Mesh, facets: set[int], what: str) -> set[str]:
@@ -109,18 +146,8 @@ def _boundaries_of(mesh: Mesh, facets: set[int], what: str) -> set[str]:
 
 
 def facet_indicator(mesh: Mesh, names: Iterable[str]) -> GridFunction:
-    """1 on the facets of these boundaries, 0 on all others."""
+    """1 on the facets of these boundaries (``walls_of``), 0 on all others."""
     space = FacetFESpace(mesh, order=0)
     indicator = GridFunction(space)
-    indicator.vec.FV().NumPy()[:] = mask_of(space.GetDofs(mesh.Boundaries(pattern(names))))
+    indicator.vec.FV().NumPy()[:] = mask_of(space.GetDofs(walls_of(mesh, names)))
     return indicator
-
-
-def pattern(names: Iterable[str]) -> str:
-    """A regular expression that matches these boundary names and no other."""
-    return "|".join(_exactly(name) for name in names)
-
-
-def _exactly(name: str) -> str:
-    """A regular expression that matches this boundary name and no other."""
-    return "".join(c if c.isalnum() or c == "_" else "\\" + c for c in name)

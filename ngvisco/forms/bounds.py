@@ -5,11 +5,14 @@ mended by scaling towards the cell's mean (Zhang and Shu, J. Comput. Phys. 229, 
 
     rho <- rho_K + s (rho - rho_K),     z <- z_K + s (z - z_K),     0 <= s < 1,
 
-with the largest s of each, up to bisection, for which rho, and all bounds of z, are at least ``SHARE`` of
-their values for the means.  Means are those of the forms' rule, so that mass is kept to rounding; and one s
-for all of z makes the stored energy smaller where it is convex, by Jensen's inequality for that rule:
+z the strains, with the largest s of each, up to bisection, for which rho, and all bounds of z, are at least
+``SHARE`` of their values for the means.  Means are those of the forms' rule, so that mass is kept to
+rounding; and one s for all of z makes the stored energy smaller where it is convex, by Jensen's inequality
+for that rule:
 
     int_K phi(z_K + s (z - z_K)) <= s int_K phi(z) + (1 - s) |K| phi(z_K) <= int_K phi(z).
+
+Parameters and bodies' amounts have ranges of their own (``ngvisco.forms.ranges``), and are limited first.
 
 Only a mean out of bounds is beyond mending; it ends a step.  Two bounds do not count: those of variables for
 which the material's energy is continued (``Material.continued``: a Yosida approximation, J_min), and in a
@@ -23,13 +26,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from ngsolve import CF, L2, VOL, CoefficientFunction, ElementId, GridFunction, VectorValued
+from ngsolve import CF, CoefficientFunction
 
-from ngvisco.forms.elimination import LocalProjection
+from ngvisco.forms.cell_means import CellMeans
 from ngvisco.forms.locating import nearest_wall
+from ngvisco.forms.ranges import Ranges
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import tested
 
 SHARE = 1e-2
 """What a limited cell keeps at every point, at least, of the bounded quantities of its mean.
@@ -138,8 +141,13 @@ class Bounds:
         self._slices, self._size = material.states(dim).slices, material.states(dim).size
 
     @cached_property
-    def _means(self) -> _Means:
-        return _Means(self.step)
+    def _means(self) -> CellMeans:
+        return CellMeans(self.step)
+
+    @cached_property
+    def ranges(self) -> Ranges:
+        """Those of the parameters and the bodies' amounts."""
+        return Ranges(self.step, self.sampler, self._means)
 
     @cached_property
     def _bounds_of_means(self) -> CoefficientFunction:
@@ -179,20 +187,21 @@ class Bounds:
 
         Only rho and z change, and only in cells that are out of bounds at a point.
         """
+        out_of_range = self.ranges.limit()
         found = self._outside()
         if found is None:
-            return 0
-        target = SHARE * found.means
+            return len(out_of_range)
+        target, _ = SHARE * found.means, self._means.owner  # which all ranks make together
         of_density = np.array([variable is None for variable in self._variables])
         for name, group in (("rho", of_density), ("z", ~of_density)):
             outside = (found.broken & group).any(axis=1)
             if outside.any():
                 self._scale(name, found, outside, found.required & group, target)
-        return int(self._ranks.total(len(found.cells)))
+        return int(self._ranks.total(len(np.union1d(out_of_range, found.cells))))
 
     def is_exceeded(self) -> bool:
         """Whether ``limit`` would change the present state."""
-        return self._outside() is not None
+        return self.ranges.is_exceeded() or self._outside() is not None
 
     def _scale(
         self, name: str, found: _Outside, outside: np.ndarray, required: np.ndarray, target: np.ndarray
@@ -201,18 +210,22 @@ class Bounds:
         state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges[name]]
         values = state.reshape(self._size if name == "z" else 1, -1)
         mean = self._means.array(name)
-        space, one = self.step.layout.blocks["rho"], self._means.one
-        numbers = [space.GetDofNrs(ElementId(VOL, int(cell))) for cell in found.cells[outside]]
-        dofs = np.concatenate([np.array(own) for own in numbers])
-        cells = np.repeat(np.flatnonzero(outside), [len(own) for own in numbers])
+        strains = np.ones(1, dtype=bool) if name == "rho" else self.step.layout.states.strains
+        place = np.full(self.step.mesh.ne, -1)
+        place[found.cells[outside]] = np.flatnonzero(outside)
+        one, owner = self._means.one, self._means.owner
+        dofs = np.flatnonzero(place[owner] >= 0)
+        cells = place[owner[dofs]]
         centre = mean[:, found.cells[cells]] * one[dofs]
         rest = values[:, dofs] - centre
+        kept = np.where(strains, 0.0, 1.0)[:, None] * rest  # of parameters, which have ranges of their own
+        centre, rest = centre + kept, rest - kept
         low, high = np.zeros(len(found.cells)), np.ones(len(found.cells))
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
             values[:, dofs] = centre + middle[cells] * rest
-            kept = (~required | (self._at(found) >= target)).all(axis=1)
-            low, high = np.where(kept, middle, low), np.where(kept, high, middle)
+            holds = (~required | (self._at(found) >= target)).all(axis=1)
+            low, high = np.where(holds, middle, low), np.where(holds, high, middle)
         values[:, dofs] = centre + low[cells] * rest
 
     def _outside(self) -> _Outside | None:
@@ -326,30 +339,3 @@ def _least(values: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
     least = np.full((count, values.shape[1]), np.inf)
     np.minimum.at(least, owner, values)
     return least
-
-
-class _Means:
-    """Means over the cells of rho and z of a step's present state, by the rule of the forms."""
-
-    def __init__(self, step: Step) -> None:
-        space, size = L2(step.mesh, order=0), step.model.material.states(step.mesh.dim).size
-        self.rho = GridFunction(space)
-        self.z = GridFunction(VectorValued(space, size))
-        self._projections = [
-            LocalProjection(target.space, target, step.quadrature, tested(value))
-            for target, value in ((self.rho, step.now.rho), (self.z, step.now.z))
-        ]
-        one = GridFunction(step.layout.blocks["rho"])
-        one.Set(1.0)
-        self.one = one.vec.FV().NumPy()
-        """Coefficients of the constant 1 in the space of rho, and of every component of z."""
-
-    def project(self) -> None:
-        """Make them those of the present state."""
-        for projection in self._projections:
-            projection()
-
-    def array(self, name: str) -> np.ndarray:
-        """Means of ``"rho"`` or ``"z"``, (components, cells)."""
-        function = self.rho if name == "rho" else self.z
-        return function.vec.FV().NumPy().reshape(-1, self.rho.space.ndof)

@@ -24,7 +24,7 @@ from ngsolve import (
 )
 
 from ngvisco.errors import InputWarning, ParameterError
-from ngvisco.forms.boundaries import pattern
+from ngvisco.forms.boundaries import walls_of
 from ngvisco.forms.moving_walls import OPEN
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
@@ -162,7 +162,7 @@ def _normal_share(
     b = a if on_wall is None else on_wall
     flat = any(name in names for names in step.walls.axis)
     n = specialcf.normal(step.mesh.dim)
-    region = step.mesh.Boundaries(pattern([name]))
+    region = step.walls.region([name])
     squares = CF((CF(1.0), b * b, (b * n) * (b * n)))
     area, size, through = Integrate(squares, step.mesh, BND, definedon=region)
     volume, inside = Integrate(CF((CF(1.0), a * a)), step.mesh)
@@ -178,7 +178,7 @@ def _require_finite(
     """Values at points of a wall; raises ParameterError unless all are finite."""
     facets = (ET.SEGM,) if mesh.dim == 2 else (ET.TRIG, ET.QUAD)
     rules = {et: IntegrationRule(et, _DEGREE) for et in facets}
-    values = np.asarray(f(mesh.MapToAllElements(rules, mesh.Boundaries(pattern([name])))))
+    values = np.asarray(f(mesh.MapToAllElements(rules, walls_of(mesh, [name]))))
     if not Communicator.of(mesh).all(np.isfinite(values).all()):
         raise ParameterError(field, value, f"finite values; at t = {t:g} s it is not finite on the wall")
     return values

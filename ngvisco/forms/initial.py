@@ -17,18 +17,21 @@ from ngsolve import (
 )
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
+from ngvisco.forms.cell_means import CellMeans
 from ngvisco.forms.data_checks import distortion_of, warn_of_mismatch
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.projections import set_traces
+from ngvisco.forms.ranges import Ranges
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.material import conjugates, volume_ratio
 from ngvisco.physics.model import VectorLike, as_tensor, as_vector
+from ngvisco.physics.parameters import Parameter, moduli_in, value_at
 from ngvisco.physics.tensors import inner, square, tensor_space
 
 ScalarLike: TypeAlias = float | CoefficientFunction
@@ -89,17 +92,20 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     dim = step.mesh.dim
     F = Id(3) if initial.F is None else _as_shape("Initial.F", initial.F, (3, 3))
     sampler.require(Det(F), "det F_0", minimum=0.0)
-    rho_R = step.model.material.referential_density
+    referential = step.model.material.referential_density
+    parameters = _parameters(step, initial)
+    rho_R = None if referential is None else CF(value_at(referential, parameters))
+    _check_moduli(step, parameters, sampler)
     if initial.density is None:
-        values = _initial_values(step, initial, F)
+        values = _initial_values(step, initial, F, parameters)
         density = CF(1.0) if rho_R is None else rho_R / volume_ratio(step.model.material, values)
         sampler.require(density, "density rho_0", minimum=0.0)
     else:
         density = _as_shape("Initial.density", initial.density, ())
         sampler.require(density, "density rho_0", minimum=0.0)
-        if rho_R is not None and initial.F is None and not initial.values:
+        if rho_R is not None and initial.F is None and set(initial.values) <= set(parameters):
             F = (rho_R / density) ** (1 / 3) * Id(3)
-        values = _initial_values(step, initial, F)
+        values = _initial_values(step, initial, F, parameters)
         if rho_R is not None:
             _check_density(rho_R, density, volume_ratio(step.model.material, values), sampler)
     _check_spaces(step, values, sampler)
@@ -107,6 +113,8 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         step.state.vec[:] = 0.0
         parts["rho"].Set(density)
         parts["z"].Set(step.model.material.states(dim).components(values))
+        step.ranges = {name: sampler.extrema(value) for name, value in parameters.items()}
+        Ranges(step, sampler, CellMeans(step)).limit()
         if initial.velocity is not None:
             v_0 = as_vector(initial.velocity, dim, "Initial.velocity")
             sampler.require(inner(v_0, v_0), "|v_0|^2")
@@ -127,26 +135,53 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     return F if known is None else known
 
 
-def _initial_values(step: Step, initial: Initial, F: CoefficientFunction) -> dict[str, CoefficientFunction]:
+def _parameters(step: Step, initial: Initial) -> dict[str, CoefficientFunction]:
+    """Start values of the material's parameters by name."""
+    values = {}
+    for variable in step.model.material.variables:
+        if isinstance(variable, Parameter):
+            value = initial.values.get(variable.name, variable.start)
+            if value is None:
+                expected = f"nv.Parameter({variable.name!r}, start=...), or a value in Initial.values"
+                raise InitialDataError(f"parameter {variable.name}", "no start value", expected)
+            values[variable.name] = _as_shape(f"Initial.values[{variable.name!r}]", value, ())
+    return values
+
+
+def _check_moduli(step: Step, parameters: Mapping[str, CoefficientFunction], sampler: Sampler) -> None:
+    """Raise InitialDataError where a modulus of a law is not of its sign somewhere at the start."""
+    for name, expression, is_positive in moduli_in(step.model):
+        value = expression.at(parameters)
+        sampler.require(value, name, minimum=0.0 if is_positive else None)
+        if (least := sampler.extrema(value)[0]) < 0:
+            raise InitialDataError(name, f"minimum {least:.6g}", ">= 0")
+
+
+def _initial_values(
+    step: Step, initial: Initial, F: CoefficientFunction, parameters: Mapping[str, CoefficientFunction]
+) -> dict[str, CoefficientFunction]:
     names = [variable.name for variable in step.model.material.variables]
     for name in initial.values:
         if name not in names:
             raise UnknownNameError("material variable", name, names)
-    values = {v.name: v.from_distortion(F) for v in step.model.material.variables}
+    values = {v.name: v.from_distortion(F) for v in step.model.material.variables} | dict(parameters)
     for name, value in initial.values.items():
         values[name] = _as_shape(f"Initial.values[{name!r}]", value, tuple(values[name].dims))
     return values
 
 
 def _check_density(
-    rho_R: float, density: CoefficientFunction, J: CoefficientFunction, sampler: Sampler
+    rho_R: CoefficientFunction, density: CoefficientFunction, J: CoefficientFunction, sampler: Sampler
 ) -> None:
     """Raise InitialDataError unless rho_0 J_0 = rho_R."""
     sampler.require(J, "material variables: J_0", minimum=0.0)
     least, most = sampler.extrema(density * J / rho_R)
     if max(abs(least - 1), abs(most - 1)) > _CONTRADICTION:
-        found = f"rho_0 J_0 from {least * rho_R:.7g} to {most * rho_R:.7g} kg/m^3"
-        expected = f"rho_R = {rho_R:.7g} there, or one of density and J only, from which the other follows"
+        low, high = sampler.extrema(density * J)
+        found = f"rho_0 J_0 from {low:.7g} to {high:.7g} kg/m^3"
+        low, high = sampler.extrema(rho_R)
+        known = f"rho_R = {low:.7g}" if low == high else f"rho_R, from {low:.7g} to {high:.7g} kg/m^3,"
+        expected = f"{known} there, or one of density and J only, from which the other follows"
         raise InitialDataError("density rho_0", found, expected)
 
 

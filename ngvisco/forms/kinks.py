@@ -11,7 +11,7 @@ far smaller than that between the straight facets of the same vertices, on strai
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from itertools import combinations
 from typing import Any
 
@@ -25,6 +25,7 @@ from ngsolve import (
     IntegrationRule,
     LinearForm,
     Mesh,
+    Region,
     dx,
     specialcf,
     x,
@@ -46,13 +47,13 @@ _CORNERS: dict[Any, list[Any]] = {
 }
 
 
-def require_curved_cells(mesh: Mesh, names: Iterable[str]) -> None:
+def require_curved_cells(mesh: Mesh, walls: Mapping[str, Region]) -> None:
     """Raise MeshError if a wall is bent by small angles between straight facets.
 
     Facets of different names are not compared: planes with names of their own may meet at any angle.
     """
-    for name in names:
-        chords, left = _kinks(mesh, name)
+    for name, region in walls.items():
+        chords, left = _kinks(mesh, region)
         if sum(left) > _CURVED * sum(chords):
             worst = max(chords)
             raise MeshError(
@@ -64,12 +65,12 @@ def require_curved_cells(mesh: Mesh, names: Iterable[str]) -> None:
             )
 
 
-def _kinks(mesh: Mesh, name: str) -> tuple[list[float], list[float]]:
+def _kinks(mesh: Mesh, wall: Region) -> tuple[list[float], list[float]]:
     """Angles between neighbouring facets of a wall, of their chords and of the facets where they meet.
 
     Facets in one plane and those that form a corner are left out.
     """
-    elements = [e for e in mesh.Elements(BND) if e.mat == name]
+    elements = list(wall.Elements())
     facets = [(e.edges if mesh.dim == 2 else e.faces)[0].nr for e in elements]
     means = _mean_normals(mesh)[facets]
     chords = [

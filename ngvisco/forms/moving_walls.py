@@ -15,12 +15,12 @@ from ngsolve import (
     GridFunction,
     Integrate,
     LinearForm,
+    Region,
     ds,
     specialcf,
 )
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.boundaries import pattern
 from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.walls import Walls
@@ -50,16 +50,16 @@ class MovingWalls:
         taken = self.zero.copy()
         for name, wall in walls.conditions.items():
             if isinstance(wall, PrescribedTangential):
-                mask = self.constrained(layout, (pattern([name]),) * mesh.dim) & ~taken
+                mask = self.constrained(layout, (walls.region([name]),) * mesh.dim) & ~taken
                 taken |= mask
                 velocity = as_vector(wall.velocity, mesh.dim, "PrescribedTangential.velocity")
                 self.moving[name] = (velocity, mask)
 
     @staticmethod
-    def constrained(layout: Layout, patterns: Sequence[str]) -> np.ndarray:
-        """Coefficients of v that these boundary patterns hold, as a mask."""
-        free = mask_of(layout.velocity_space(patterns).FreeDofs())
-        unconstrained = mask_of(layout.velocity_space(("",) * layout.mesh.dim).FreeDofs())
+    def constrained(layout: Layout, regions: Sequence[Region | None]) -> np.ndarray:
+        """Coefficients of v_i on the i-th of these boundaries, as a mask."""
+        free = mask_of(layout.velocity_space(regions).FreeDofs())
+        unconstrained = mask_of(layout.velocity_space((None,) * layout.mesh.dim).FreeDofs())
         return unconstrained & ~free
 
     def set_values(self) -> None:
@@ -78,7 +78,7 @@ class MovingWalls:
             If the velocity has a normal part, i.e. the wall would be open.
         """
         mesh = self.walls.mesh
-        region = mesh.Boundaries(pattern([name]))
+        region = self.walls.region([name])
         n = specialcf.normal(mesh.dim)
         normal = velocity * n
         size = Integrate(velocity * velocity, mesh, BND, definedon=region)
@@ -98,12 +98,12 @@ class MovingWalls:
 
     def _project(self, name: str, velocity: CoefficientFunction) -> None:
         """The L2 projection on the wall: ``Set`` counts a vertex twice in a facet that meets its image."""
-        space, region = self._values.space, self.walls.mesh.Boundaries(pattern([name]))
+        space, region = self._values.space, self.walls.region([name])
         trial, test = space.TnT()
         if name not in self._inverses:
             mass = BilinearForm(space, check_unused=False)
             mass += inner(trial, test) * ds(definedon=region)
-            on_wall = self.constrained(self.layout, (pattern([name]),) * self.walls.mesh.dim)
+            on_wall = self.constrained(self.layout, (region,) * self.walls.mesh.dim)
             active = BitArray(list(map(bool, on_wall)))
             self._inverses[name] = mass.Assemble().mat.Inverse(active, inverse="umfpack")
         load = LinearForm(space)

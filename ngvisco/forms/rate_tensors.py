@@ -115,6 +115,12 @@ class TabulatedRates:
     def __init__(self, model: Model, dim: int) -> None:
         self.law = None if model.creep is None or model.creep.R == 0 else model.creep
         self.tensors = RateTensors.of(model.material, dim, model.creep)
+        kept = ~model.material.states(dim).conserved
+        self._without_flux = self.tensors
+        """Those of what is not conserved: theirs is within their flux."""
+        if not kept.all():
+            of_kept = self.tensors.constant * kept, self.tensors.linear * kept[:, None]
+            self._without_flux = RateTensors(*of_kept, self.tensors.gradients)
         self._of_conjugates: np.ndarray | None = None
         if self.law is not None and self.law.weights[1]:
             assert model.material.conformation is not None
@@ -125,7 +131,7 @@ class TabulatedRates:
 
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[Linear]:
         """rate(z; grad w, 0) : G with either w or G a test."""
-        t, tests = self.tensors, G.parts[name]
+        t, tests = self._without_flux, G.parts[name]
         if isinstance(tests, Linear):
             L = along.grad_v.value
             rate = t.rate(z.z.value, L.reshape(t.gradients, -1))

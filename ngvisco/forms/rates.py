@@ -28,11 +28,15 @@ class Rates:
         self.model, self.material, self.dim = model, model.material, dim
 
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[CoefficientFunction]:
-        """rate(z; grad w, 0) : G in summands, w the velocity of ``along``, G the part ``name`` of ``G``."""
+        """rate(z; grad w, 0) : G in summands, w the velocity of ``along``, G the part ``name`` of ``G``.
+
+        Without conserved variables: theirs is within their flux.
+        """
         zero, tensors = 0 * along.L, _tensors(G, name)
         return [
             inner(variable.rate(z.z_tensors, along.L, zero), tensors[variable.name])
             for variable in self.material.variables
+            if not variable.is_conserved
         ]
 
     def creep_power(

@@ -23,7 +23,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, GridFunction, LinearForm, ds, specialcf, x, y, z
 
 from ngvisco.errors import UnknownNameError
-from ngvisco.forms.boundaries import facet_indicator, pattern
+from ngvisco.forms.boundaries import facet_indicator
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.moving_walls import MovingWalls
 from ngvisco.forms.system import Step
@@ -71,21 +71,20 @@ class WallReactions:
         """The coefficients of v that this wall prescribes."""
         walls = self.step.walls
         is_fixed = isinstance(walls.conditions[name], (NoSlip, PrescribedTangential))
-        patterns = [
-            pattern([name]) if is_fixed or name in walls.axis[i] else "" for i in range(self.step.mesh.dim)
-        ]
-        return MovingWalls.constrained(self.step.layout, patterns)
+        own = walls.region([name])
+        regions = [own if is_fixed or name in walls.axis[i] else None for i in range(self.step.mesh.dim)]
+        return MovingWalls.constrained(self.step.layout, regions)
 
     def _shares(self, masks: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """How much of each coefficient of v counts for each wall."""
         mesh = self.step.mesh
-        space = self.step.layout.velocity_space(("",) * mesh.dim)
+        space = self.step.layout.velocity_space((None,) * mesh.dim)
         n, w = specialcf.normal(mesh.dim), space.TestFunction()
         squares = CF(tuple(n[i] * n[i] for i in range(mesh.dim)))
         hats = np.arange(space.ndof) % (space.ndof // mesh.dim) < mesh.nv  # the others change their sign
         claims = {}
         for name, mask in masks.items():
-            load = LinearForm(inner(squares, w.Trace()) * ds(definedon=mesh.Boundaries(pattern([name]))))
+            load = LinearForm(inner(squares, w.Trace()) * ds(definedon=self.step.walls.region([name])))
             claims[name] = np.where(mask & hats, load.Assemble().vec.FV().NumPy(), 0.0)
         scale = max((claim.max() for claim in claims.values()), default=0.0)
         total = sum(claims.values(), np.zeros(space.ndof))
@@ -99,7 +98,7 @@ class WallReactions:
     def _energy_flux(self) -> LinearForm:
         """int phi (w . n) over all walls."""
         step = self.step
-        space = step.layout.velocity_space(("",) * step.mesh.dim)
+        space = step.layout.velocity_space((None,) * step.mesh.dim)
         walls, w = facet_indicator(step.mesh, step.walls.conditions), space.TestFunction()
         load = LinearForm(space)
         flux = walls * step.energy.anywhere(step.now) * (w * step.context.normal)

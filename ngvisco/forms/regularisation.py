@@ -21,7 +21,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
 from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.tensors import inner, square
+from ngvisco.physics.tensors import inner, masked, square
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,7 @@ class FieldDiffusion(PointTerm):
     """delta Laplace z in the kinematic equations (paper: Euler-small-viscoelastodyn+2disc, Euler-large-
     viscoelastodyn+2disc, +3disc, -H, -H+), symmetric interior penalty.
 
+    Parameters do not diffuse: their rows have nothing of it, their trace in it is as that of strains.
     Tested by zeta it has the power that the ledger reports; for a quadratic energy zeta is a multiple of
     z and the power is delta |grad z|^2 with its penalty, a square.
     """
@@ -76,10 +77,10 @@ class FieldDiffusion(PointTerm):
         return (Unknown("z_delta_hat", "facets", setting.m, setting.states.size, trace_of="z"),)
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return [self.law.delta_fields * inner(u.grad_z, w.grad_z)]
+        return [self.law.delta_fields * inner(u.grad_z, _of_strains(u, w.grad_z))]
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return self._through_facets(u, w.z - w.z_delta_hat, w.grad_z)
+        return self._through_facets(u, _of_strains(u, w.z) - w.z_delta_hat, _of_strains(u, w.grad_z))
 
     def _through_facets(
         self, u: Fields, test: CoefficientFunction, grad_G: CoefficientFunction
@@ -94,11 +95,21 @@ class FieldDiffusion(PointTerm):
 
     def entries(self, u: Fields) -> list[Entry]:
         """The form at G = zeta; the facet test may be any, since the flux is single-valued."""
-        first, *others = self._through_facets(u, u.zeta, u.grad_zeta)
+        zeta, grad_zeta = _of_strains(u, u.zeta), _of_strains(u, u.grad_zeta)
+        first, *others = self._through_facets(u, zeta, grad_zeta)
         for part in others:
             first = first + part
-        cells = self.law.delta_fields * inner(u.grad_z, u.grad_zeta)
+        cells = self.law.delta_fields * inner(u.grad_z, grad_zeta)
         return [Entry("dissipation_delta_fields", "dissipation", Integrand(cells, first))]
+
+
+def _of_strains(u: Fields, value: CoefficientFunction) -> CoefficientFunction:
+    """Components, or their gradients, with zero for those of parameters; where z is a scalar it is one of a
+    strain."""
+    strains = u.layout.states.strains
+    if strains.all() or not u.z.dims:
+        return value
+    return masked(value, strains)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ The local unknowns are condensed out cell by cell.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,7 @@ from ngsolve import (
     Mesh,
     NormalFacetFESpace,
     Periodic,
+    Region,
     VectorH1,
     VectorValued,
 )
@@ -82,11 +84,11 @@ class Layout:
         material: Material,
         discretisation: Discretisation,
         terms: Iterable[object],
-        dirichlet: Sequence[str],
+        dirichlet: Sequence[Region | None],
         *,
         periodic: bool = False,
     ) -> None:
-        """``terms`` introduce the unknowns; v_i is prescribed on the boundary pattern ``dirichlet[i]``.
+        """``terms`` introduce the unknowns; v_i is prescribed on the boundaries ``dirichlet[i]``.
 
         ``periodic`` identifies the unknowns on identified boundaries.
 
@@ -97,7 +99,7 @@ class Layout:
         """
         self.mesh, self.discretisation, self.periodic = mesh, discretisation, periodic
         self.states = StateSpace.of(material.variables, mesh.dim)
-        self._dirichlet = tuple(dirichlet)
+        self._dirichlet: tuple[Region | None, ...] = tuple(dirichlet)
         setting = Setting(mesh.dim, self.states, discretisation.k, discretisation.m)
         self.unknowns: dict[str, Unknown] = {}
         for term in terms:
@@ -112,9 +114,9 @@ class Layout:
         self._make(list(self.unknowns))
 
     def on(self, mesh: Mesh) -> Layout:
-        """The same unknowns on another mesh, of which this one is a part."""
+        """The same unknowns on another mesh, none of them prescribed."""
         other = copy.copy(self)
-        other.mesh = mesh
+        other.mesh, other._dirichlet = mesh, (None,) * mesh.dim  # regions are those of one mesh
         other._make(self.names)
         return other
 
@@ -143,13 +145,18 @@ class Layout:
             space = VectorValued(space, unknown.size)
         return Periodic(space) if self.periodic and not unknown.is_local else space
 
-    def velocity_space(self, dirichlet: Sequence[str]) -> FESpace:
-        """Continuous P_k with v_i prescribed on the boundary pattern ``dirichlet[i]``."""
-        patterns = dict(zip(_DIRICHLET[: self.mesh.dim], dirichlet, strict=True))
-        space = VectorH1(self.mesh, order=self.discretisation.k, **patterns)
-        if not self.periodic:
-            return space
-        identified = Periodic(space)
+    def velocity_space(self, dirichlet: Sequence[Region | None]) -> FESpace:
+        """Continuous P_k with v_i prescribed on the boundaries ``dirichlet[i]``."""
+        with numbered_boundaries(self.mesh) as names:
+            patterns = {
+                key: "|".join(name for name, is_in in zip(names, region.Mask(), strict=True) if is_in)
+                for key, region in zip(_DIRICHLET, dirichlet, strict=False)
+                if region is not None
+            }
+            space = VectorH1(self.mesh, order=self.discretisation.k, **patterns)
+            if not self.periodic:
+                return space
+            identified = Periodic(space)
         free = identified.FreeDofs()  # Periodic forgets the constraints of components
         free &= space.FreeDofs()
         return identified
@@ -175,3 +182,21 @@ class Layout:
 
 
 _DIRICHLET = ("dirichletx", "dirichlety", "dirichletz")
+
+
+@contextmanager
+def numbered_boundaries(mesh: Mesh) -> Iterator[list[str]]:
+    """Names of their own for all parts of the boundary, for as long as the context lasts.
+
+    The components of NGSolve's vector spaces are constrained by names alone, and a wall and an interface may
+    have the same one.
+    """
+    given = list(mesh.GetBoundaries())
+    numbered = [f"part{i}" for i in range(len(given))]
+    try:
+        for i, name in enumerate(numbered):
+            mesh.ngmesh.SetBCName(i, name)
+        yield numbered
+    finally:
+        for i, name in enumerate(given):
+            mesh.ngmesh.SetBCName(i, name)

@@ -137,6 +137,8 @@ class Step:
         self.momentum_old = GridFunction(VectorValued(points, mesh.dim), name="momentum_old")
         self._momentum = GridFunction(VectorValued(points, mesh.dim))
         self.context = self.layout.context = Context(mesh, model, self.old, self.energy, self.momentum_old)
+        self.ranges: dict[str, tuple[float, float]] = {}
+        """Least and largest start values of the material's parameters, by name."""
         self.residual = self._residual()
         self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms)
 

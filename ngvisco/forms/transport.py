@@ -3,10 +3,16 @@
     B_h(w; z, G) = sum_K int_K (rate(grad w; z) - (w . grad) z) : G
                  - sum_K int_{dK} (w . n) n^- (z_hat - z) : G
 
-with n^- = (1 - sigma(v . n))/2 of the step's velocity v and the upwind trace z_hat.  The kinematic
-equations use B_h(v; z, G), the momentum equation the adjoint B_h(w; z, zeta), zeta the projected
-conjugates.  At w = v, G = zeta the two cancel identically, facets included: the elastic power of the
-momentum equation *is* the rate of the stored energy (paper: ED-Euler-large-stress-calculus).
+with n^- = (1 - sigma(v . n))/2 of the step's velocity v and the upwind trace z_hat.  For a variable that is
+conserved, rate = -(div w) z, it is
+
+    B_h(w; z, G) = sum_K int_K z w . grad G - sum_K int_{dK} (w . n) z_hat G,
+
+(w . n) zero on walls: the flux through a facet is single-valued, so that G = 1 keeps int z to rounding.
+
+The kinematic equations use B_h(v; z, G), the momentum equation the adjoint B_h(w; z, zeta), zeta the
+projected conjugates.  At w = v, G = zeta the two cancel identically, facets included: the elastic power of
+the momentum equation *is* the rate of the stored energy (paper: ED-Euler-large-stress-calculus).
 For smooth fields B_h(w; z, zeta) = int T : grad w with T of the paper.
 """
 
@@ -24,18 +30,29 @@ from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.material import rate_power
 from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.model import Model
-from ngvisco.physics.tensors import inner
+from ngvisco.physics.tensors import inner, masked
 
 
 def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> list[CoefficientFunction]:
     """The cells' part of B_h(w; z, G), w the velocity of ``along``, G the part ``name`` of ``G``."""
-    return [-inner(u.grad_z * along.v, G.parts[name]), *u.context.rates.power(u, along, G, name)]
+    rates, conserved = u.context.rates.power(u, along, G, name), u.layout.states.conserved
+    if not conserved.any():
+        return [-inner(u.grad_z * along.v, G.parts[name]), *rates]
+    grad_G = G.grad_z if name == "z" else G.grad_zeta
+    return [
+        -inner(masked(u.grad_z, ~conserved) * along.v, G.parts[name]),
+        inner(grad_G * along.v, masked(u.z, conserved)),
+        *rates,
+    ]
 
 
 def transport_through_facets(along: Fields, u: Fields, G: Fields, name: Conjugate) -> CoefficientFunction:
     """The facets' part of B_h(w; z, G), of both sides."""
-    n, jump = u.context.normal, inner(u.z_jump, G.parts[name])
-    return -((along.v * n) * (u.upwinding.inflow * jump))
+    c, conserved = u.context, u.layout.states.conserved
+    carried = u.upwinding.inflow * u.z_jump
+    if conserved.any():
+        carried = masked(carried, ~conserved) + c.inner * masked(u.z_hat, conserved)
+    return -((along.v * c.normal) * inner(carried, G.parts[name]))
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
-from ngsolve import Compress, FacetFESpace, FESpace, Mesh
+from ngsolve import Compress, FacetFESpace, FESpace, Mesh, Region
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.boundaries import (
     axis_parallel_walls,
     check_boundary_names,
     interior_boundaries,
-    pattern,
     periodic_boundaries,
+    walls_of,
 )
 from ngvisco.forms.kinks import require_curved_cells
 from ngvisco.physics.model import as_vector
@@ -38,7 +38,7 @@ class Walls:
     mesh : ngsolve.Mesh
     conditions : mapping of boundary names (or tuples of them) to Wall objects, or pairs of these
         Boundaries that are not named slip; boundaries that the mesh identifies, and interfaces between
-        cells, are no walls.
+        cells, are no walls, also where they have the name of one.
 
     Raises
     ------
@@ -52,6 +52,7 @@ class Walls:
 
     def __init__(self, mesh: Mesh, conditions: Conditions | None = None) -> None:
         self.mesh = mesh
+        self._regions: dict[tuple[str, ...], Region] = {}
         self.periodic = periodic_boundaries(mesh)
         given = _by_name(conditions or {})
         check_boundary_names(mesh, given)
@@ -72,7 +73,8 @@ class Walls:
         fixed = self._having(NoSlip, PrescribedTangential)
         self.multiplied = [n for n in self.oblique if n in self.conditions and n not in fixed]
         """Oblique or curved walls, where v.n = 0 is held by a multiplier."""
-        require_curved_cells(mesh, [n for n in self.multiplied if not self.conditions[n].straight])
+        bent = [name for name in self.multiplied if not self.conditions[name].straight]
+        require_curved_cells(mesh, {name: self.region([name]) for name in bent})
         for name, wall in self.conditions.items():
             if isinstance(wall, PrescribedTangential):
                 as_vector(wall.velocity, mesh.dim, f"walls[{name!r}].velocity")
@@ -83,15 +85,22 @@ class Walls:
         return [name for name, wall in self.conditions.items() if isinstance(wall, kinds)]
 
     @property
-    def dirichlet(self) -> tuple[str, ...]:
-        """Boundary pattern for a prescribed v_i, one for each i."""
+    def dirichlet(self) -> tuple[Region, ...]:
+        """Where v_i is prescribed, one region for each i."""
         fixed = self._having(NoSlip, PrescribedTangential)
-        return tuple(pattern([*names, *fixed]) for names in self.axis)
+        return tuple(self.region([*names, *fixed]) for names in self.axis)
 
     @property
-    def homogeneous(self) -> tuple[str, ...]:
-        """Boundary pattern for v_i = 0: as ``dirichlet`` without what is prescribed and not zero."""
-        return tuple(pattern([*names, *self._having(NoSlip)]) for names in self.axis)
+    def homogeneous(self) -> tuple[Region, ...]:
+        """Where v_i = 0: as ``dirichlet`` without what is prescribed and not zero."""
+        return tuple(self.region([*names, *self._having(NoSlip)]) for names in self.axis)
+
+    def region(self, names: Sequence[str]) -> Region:
+        """The walls of these names, without interfaces of the same name."""
+        key = tuple(names)
+        if key not in self._regions:
+            self._regions[key] = walls_of(self.mesh, names)
+        return self._regions[key]
 
     def multiplier_space(self, k: int) -> FESpace | None:
         """Space of the multiplier of v.n = 0 for velocities in P_k: P_{k-2}, and in 2D P_2 for k = 3.
@@ -110,11 +119,11 @@ class Walls:
         fine = mesh.dim == 2 and k == 3
         order = k - 1 if fine else k - 2
         space = FacetFESpace(mesh, order=order)
-        active = space.GetDofs(mesh.Boundaries(pattern(self.multiplied)))
+        active = space.GetDofs(self.region(self.multiplied))
         others = [name for name in self.conditions if name not in self.multiplied]
         if fine and others:
-            ends = {v for e in mesh.Boundaries(pattern(others)).Elements() for v in e.vertices}
-            for element in mesh.Boundaries(pattern(self.multiplied)).Elements():
+            ends = {v for e in self.region(others).Elements() for v in e.vertices}
+            for element in self.region(self.multiplied).Elements():
                 if ends.intersection(element.vertices):
                     active[max(space.GetDofNrs(element))] = False
         return Compress(space, active)

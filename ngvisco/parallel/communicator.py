@@ -57,7 +57,8 @@ class Communicator:
 
     def __init__(self, mpi: Any = None) -> None:
         self.mpi = mpi
-        self.size, self.rank = (1, 0) if mpi is None else (mpi.size, mpi.rank)
+        self.size: int = 1 if mpi is None else mpi.size
+        self.rank: int = 0 if mpi is None else mpi.rank
 
     @classmethod
     def of(cls, mesh: Mesh) -> Communicator:

@@ -160,6 +160,11 @@ class Array:
         value, pull = _mapped(matrix, self.value, shape)
         return Array(value, [(self, pull)])
 
+    def masked(self, mask: np.ndarray) -> Array:
+        """Rows of vectors or matrices with zero where ``mask`` is False."""
+        rows = mask.reshape(-1, *(1,) * (self.value.ndim - 1))
+        return Array(self.value * rows, None if self.is_constant else [(self, lambda g: g * rows)])
+
     def log(self) -> Array:
         """The natural logarithm of scalars."""
         if not self.is_scalar:

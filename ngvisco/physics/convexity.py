@@ -1,10 +1,10 @@
 """A sampling check of the joint convexity on which the ledger's guarantee rests.
 
 The scheme never creates energy because every step's Bregman distance
-phi(b) - phi(a) - phi'(a) : (b - a) is >= 0, which is convexity in all variables together, taken as
-independent ones (the discrete J is not exactly det F).  ``check_convexity`` evaluates that distance for
-random states a and, for each, b along the eigenvector of the smallest eigenvalue of the Hessian, near
-and farther, and at another random state; it reports the worst negative one.
+phi(b) - phi(a) - phi'(a) : (b - a) is >= 0, which is convexity in all strains together, taken as
+independent ones (the discrete J is not exactly det F), at fixed parameters.  ``check_convexity`` evaluates
+that distance for random states a and, for each, b along the eigenvector of the smallest eigenvalue of the
+Hessian, near and farther, and at another random state; it reports the worst negative one.
 
 States whose variables fit together (J = det F, H = Cof F, ...), which a motion can reach, are cited first,
 and of those the ones that another such state b shows: a violation elsewhere matters only as far as the
@@ -114,10 +114,12 @@ def check_convexity(
         raise ParameterError("check_convexity.seed", seed, "an integer >= 0")
     rng = np.random.default_rng(number)
     sampling = StateSampling(material, dim)
-    fitting = sampling.fitting_states(rng, spread)
+    fitting = sampling.with_parameters(sampling.fitting_states(rng, spread), states, rng)
     a = sampling.changed(fitting, rng, spread)
     other = sampling.fitting_states(rng, spread)
     b = sampling.changed(other, rng, spread)
+    for end in (other, b):  # at the same parameters
+        end[:, ~sampling.strains] = fitting[:, ~sampling.strains]
     steps = [t * spread for t in (*_DISTANCES, *(-t for t in _DISTANCES))]
     # (states, increments) in the order in which violations are cited
     rounds: list[tuple[bool, np.ndarray, list[np.ndarray]]] = [(True, fitting, [other - fitting])]
@@ -160,7 +162,7 @@ class StateSampling:
     def __init__(self, material: Material, dim: int) -> None:
         self.material, self.dim = material, dim
         self.mesh, self.points = squares(_CELLS)
-        self.size = material.states(dim).size
+        self.size, self.strains = material.states(dim).size, material.states(dim).strains
         self.state = GridFunction(VectorValued(L2(self.mesh, order=0), self.size))
         self.response = material.response(dim)
         if self.response is None:
@@ -177,6 +179,16 @@ class StateSampling:
         F[np.linalg.det(F) < 0.2] = np.eye(3)
         return self._states_of(F)
 
+    def with_parameters(
+        self, states: np.ndarray, run: np.ndarray | None, rng: np.random.Generator
+    ) -> np.ndarray:
+        """The states with parameters of some of a run's states, (count, components), where there is one."""
+        if run is None or self.strains.all():
+            return states
+        states = states.copy()
+        states[:, ~self.strains] = rng.choice(np.asarray(run, dtype=float), len(states))[:, ~self.strains]
+        return states
+
     def rest(self) -> np.ndarray:
         """The state of F = I, (components,)."""
         return self._states_of(np.tile(np.eye(3), (self.mesh.ne, 1, 1)))[0]
@@ -189,12 +201,14 @@ class StateSampling:
         return self._evaluate(self.material.states(self.dim).components(values))
 
     def changed(self, fitting: np.ndarray, rng: np.random.Generator, spread: float) -> np.ndarray:
-        """The states with every variable changed on its own: the discrete ones do not fit exactly."""
+        """The states with every strain changed on its own: the discrete ones do not fit exactly."""
         states, start = fitting.copy(), 0
         for variable in self.material.variables:
             size = tensor_space(variable.kind, self.dim).size
             part = states[:, start : start + size]
-            if size == 1:
+            if not variable.is_strain:
+                pass
+            elif size == 1:
                 part *= np.exp(spread * rng.uniform(-1, 1, part.shape))
             else:
                 part += spread * rng.uniform(-1, 1, part.shape)
@@ -202,7 +216,7 @@ class StateSampling:
         return states
 
     def random_states(self, rng: np.random.Generator, spread: float) -> np.ndarray:
-        """States of a random F, with every variable then changed on its own."""
+        """States of a random F, with every strain then changed on its own."""
         return self.changed(self.fitting_states(rng, spread), rng, spread)
 
     def worst_bregman(
@@ -245,7 +259,9 @@ class StateSampling:
         return self._evaluate(f(self.state))
 
     def weakest_directions(self, states: np.ndarray) -> np.ndarray:
-        """Unit eigenvectors of the smallest eigenvalue of the Hessian (central differences of the slope)."""
+        """Unit eigenvectors of the smallest eigenvalue of the Hessian by the strains (central differences of
+        the slope).
+        """
         hessian = np.empty((len(states), self.size, self.size))
         for i in range(self.size):
             shift = np.zeros(self.size)
@@ -253,7 +269,10 @@ class StateSampling:
             ahead, behind = (self.energy_and_slope(states + s)[1] for s in (shift, -shift))
             hessian[:, i] = (ahead - behind) / 2e-5
         hessian = np.nan_to_num(0.5 * (hessian + hessian.transpose(0, 2, 1)), posinf=0, neginf=0)
-        return np.linalg.eigh(hessian)[1][:, :, 0]
+        of_strains = np.ix_(np.arange(len(states)), self.strains.nonzero()[0], self.strains.nonzero()[0])
+        weakest = np.zeros_like(states)
+        weakest[:, self.strains] = np.linalg.eigh(hessian[of_strains])[1][:, :, 0]
+        return weakest
 
     def named(self, components: np.ndarray) -> dict[str, np.ndarray]:
         """Components as scalars and 3x3 arrays by name."""

@@ -22,6 +22,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError
+from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.rheology import Creep
 from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import (
@@ -70,7 +71,7 @@ class Material(ABC):
         return None
 
     @property
-    def referential_density(self) -> float | None:
+    def referential_density(self) -> Modulus | None:
         """rho_R, kg/m^3, where the energy depends on rho = rho_R/J; None (the rule) where it does not.
 
         The initial density and the initial J then belong together.

@@ -12,6 +12,8 @@ from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 
 from ngvisco.errors import ParameterError, _is_number, as_number, require_number, require_positive
 from ngvisco.physics.material import ElasticState, Material, check_material
+from ngvisco.physics.materials.heterogeneous import carrying
+from ngvisco.physics.parameters import parameters_in
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, Viscosity
 from ngvisco.physics.state_function import check_energy
@@ -101,8 +103,10 @@ class Model:
     Parameters
     ----------
     material : Material
-        Isotropic ones at finite strain that leave ``elastic_state`` open are by B = F F^T where there is
-        creep, by F where there is none.
+        Any modulus of its laws may be a function of the initial place or an expression of carried
+        parameters (``Parameter``); these are then among the variables of ``model.material``.  Isotropic ones
+        at finite strain that leave ``elastic_state`` open are by B = F F^T where there is creep, by F where
+        there is none.
     viscosity : StokesViscosity or LinearViscosity, optional
     hyperviscosity : HyperViscosity, optional
     creep : Creep, optional
@@ -150,12 +154,15 @@ class Model:
         if len(set(names)) < len(names):
             raise ParameterError("Model.loads", names, "distinct names")
         check_material(self.material)
+        carried = parameters_in((self.material, self.viscosity, self.hyperviscosity, self.creep))
         law = "mandel" if self.creep is None else self.creep.law
         if law != "mandel" and self.material.conformation is None:
             raise ParameterError("Model.creep", f"law = {law!r}", "a material with a conformation tensor")
         state = default_elastic_state(self.creep)
-        object.__setattr__(self, "material", self.material.with_elastic_state(state))
-        check_energy(self.material)
+        material = carrying(self.material.with_elastic_state(state), carried)
+        check_material(material)
+        object.__setattr__(self, "material", material)
+        check_energy(material)
 
 
 _EXPECTED = {"viscosity": "a StokesViscosity or a LinearViscosity"}

@@ -21,6 +21,13 @@ from ngvisco.errors import (
     require_positive,
 )
 from ngvisco.physics.fourth_order import Notation, full_tensor, mandel_matrix, require_semidefinite
+from ngvisco.physics.parameters import (
+    Modulus,
+    require_nonnegative_moduli,
+    require_positive_moduli,
+    typical_value,
+    value_at,
+)
 from ngvisco.physics.tensors import (
     Scalar,
     dev,
@@ -36,15 +43,15 @@ from ngvisco.physics.tensors import (
 Values: TypeAlias = Mapping[str, CoefficientFunction]
 """Values of a material's variables at a point, by name."""
 
-Modulus: TypeAlias = float | CoefficientFunction
-"""A number, or what an expression of values gives at every point."""
+ValueOfModulus: TypeAlias = float | CoefficientFunction
+"""A number, or what an expression of parameters gives at every point."""
 
 
 class Viscosity(ABC):
     """A viscous stress D eps, linear in the strain rate, with D symmetric and positive semidefinite."""
 
-    K_v: float
-    G_v: float
+    K_v: Modulus
+    G_v: Modulus
     """Bulk and shear viscosity, Pa s, of the isotropic part of D."""
 
     @abstractmethod
@@ -74,15 +81,15 @@ class StokesViscosity(Viscosity):
         Bulk and shear viscosity, Pa s, >= 0.
     """
 
-    K_v: float
-    G_v: float
+    K_v: Modulus
+    G_v: Modulus
 
     def __post_init__(self) -> None:
-        require_nonnegative(self, K_v=self.K_v, G_v=self.G_v)
+        require_nonnegative_moduli(self, K_v=self.K_v, G_v=self.G_v)
 
-    def moduli(self, z: Values) -> tuple[Modulus, Modulus]:
-        """K_v and G_v, Pa s, where the variables have the values ``z``: numbers here, the same everywhere."""
-        return self.K_v, self.G_v
+    def moduli(self, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
+        """K_v and G_v, Pa s, where the variables have the values ``z``."""
+        return value_at(self.K_v, z), value_at(self.G_v, z)
 
     def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
         """D eps, 3x3, Pa, for the strain rate eps(v), 3x3, 1/s, at a point with the values ``z``."""
@@ -191,27 +198,28 @@ class HyperViscosity:
         Regularisation of |hess v| at zero for exponents that are no even integers, 1/(m s), > 0.
     """
 
-    mu: float
+    mu: Modulus
     p: float = 4.0
-    mu_1: float = 0.0
+    mu_1: Modulus = 0.0
     penalty: float = 1.0
     floor: float = 1e-10
 
     def __post_init__(self) -> None:
-        require_positive(self, mu=self.mu, penalty=self.penalty, floor=self.floor)
+        require_positive_moduli(self, mu=self.mu)
+        require_nonnegative_moduli(self, mu_1=self.mu_1)
+        require_positive(self, penalty=self.penalty, floor=self.floor)
         require_above(self, 1, p=self.p)
-        require_nonnegative(self, mu_1=self.mu_1)
 
     @property
     def is_linear(self) -> bool:
         """Whether the hyperstress is linear in hess v (p = 2)."""
         return self.p == 2
 
-    def moduli(self, z: Values) -> tuple[Modulus, Modulus]:
-        """mu and mu_1 where the variables have the values ``z``: numbers here, the same everywhere."""
-        return self.mu, self.mu_1
+    def moduli(self, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
+        """mu and mu_1 where the variables have the values ``z``."""
+        return value_at(self.mu, z), value_at(self.mu_1, z)
 
-    def linear(self, z: Values) -> Modulus:
+    def linear(self, z: Values) -> ValueOfModulus:
         """c of p = 2, Pa s m^2."""
         mu, mu_1 = self.moduli(z)
         return mu + mu_1
@@ -271,7 +279,7 @@ class Creep:
         ``"mandel"`` (default), ``"conformation"`` or ``"leonov"``.
     """
 
-    G_m: float
+    G_m: Modulus
     nu: float = 0.0
     q: float = 4.0
     floor: float = 1e-10
@@ -281,8 +289,8 @@ class Creep:
         require_choice(self, tuple(_LAWS), law=self.law)
         if self.law != "mandel" and self.nu != 0:
             raise ParameterError("Creep.nu", self.nu, f"0 for law = {self.law!r}, which is local")
-        if self.G_m != math.inf:
-            require_positive(self, G_m=self.G_m)
+        if not (isinstance(self.G_m, float) and self.G_m == math.inf):
+            require_positive_moduli(self, G_m=self.G_m)
         require_nonnegative(self, nu=self.nu)
         require_above(self, 1, q=self.q)
         require_positive(self, floor=self.floor)
@@ -296,12 +304,12 @@ class Creep:
 
     @property
     def R(self) -> float:
-        """Reciprocal creep modulus 1/G_m, 1/(Pa s)."""
-        return 1 / self.G_m
+        """Reciprocal creep modulus 1/G_m, 1/(Pa s); where G_m is an expression, of its typical value."""
+        return 1 / typical_value(self.G_m)
 
-    def mobility(self, z: Values) -> Modulus:
-        """R, 1/(Pa s), where the variables have the values ``z``: a number here, the same everywhere."""
-        return self.R
+    def mobility(self, z: Values) -> ValueOfModulus:
+        """R, 1/(Pa s), where the variables have the values ``z``."""
+        return 1 / value_at(self.G_m, z)
 
     def rate(
         self, M: CoefficientFunction | None, zeta: CoefficientFunction | None, z: Values

@@ -14,6 +14,7 @@ from ngsolve.meshes import MakeStructured2DMesh
 
 from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.physics.material import Material
+from ngvisco.physics.materials.heterogeneous import Heterogeneous
 from ngvisco.physics.time import time
 from ngvisco.physics.variables import Values
 
@@ -35,7 +36,8 @@ _PLACES = (0.1, 0.35, 0.6, 0.9)
 def check_energy(material: Material) -> None:
     """Raise ParameterError unless ``material.energy`` is a scalar function of the variables' values alone."""
     inner = getattr(material, "material", None)
-    if isinstance(inner, Material):  # a wrapper's energy is made of that of another material
+    if isinstance(inner, Material) and not isinstance(material, Heterogeneous):
+        # a wrapper's energy is made of that of another material
         check_energy(inner)
         return
     owner = f"{type(material).__name__}.{material.energy_parameter}"

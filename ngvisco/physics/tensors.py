@@ -97,6 +97,13 @@ def linear_map(matrix: np.ndarray, A: CoefficientFunction, shape: tuple[int, ...
     return product if len(shape) == 1 else product.Reshape(shape)
 
 
+def masked(A: CoefficientFunction, mask: np.ndarray) -> CoefficientFunction:
+    """A vector, or a matrix by its rows, with zero where ``mask`` is False."""
+    if hasattr(A, "masked"):
+        return A.masked(mask)
+    return CF(tuple(np.diag(mask.astype(float)).ravel()), dims=(len(mask),) * 2) * A
+
+
 def entry(A: CoefficientFunction, i: int, j: int) -> CoefficientFunction:
     """A_ij of a 3x3 tensor."""
     return A.entry(i, j) if hasattr(A, "entry") else A[i, j]

@@ -84,6 +84,16 @@ class Variable(ABC):
         return {}
 
     @property
+    def is_strain(self) -> bool:
+        """Whether the energy has to be convex in it, together with the other strains; not of parameters."""
+        return True
+
+    @property
+    def is_conserved(self) -> bool:
+        """Whether rate(z; L, Pi) = -(tr L) z, so that int z is kept: it is transported by its flux."""
+        return False
+
+    @property
     def creeps(self) -> bool:
         """Whether the rate depends on Pi; functions of J do not, since tr Pi = 0."""
         return self.kind != "scalar"

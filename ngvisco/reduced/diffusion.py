@@ -1,4 +1,4 @@
-"""delta Laplace z with its trace eliminated: one constant matrix for every component."""
+"""delta Laplace z with its trace eliminated: one constant matrix for every component of strains."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from ngvisco.reduced.operators import Operators
 
 
 class FieldDiffusionMatrix:
-    """``FieldDiffusion`` is linear and the same for all components: its form, for one of them."""
+    """``FieldDiffusion`` is linear and the same for all strains: its form, for one of them."""
 
     def __init__(self, step: Step, operators: Operators, term: FieldDiffusion) -> None:
+        self.strains = step.layout.states.strains
+        """Which components diffuse."""
         cell, facet = operators.scalar, step.layout.scalar_facet_space()
         space = FESpace([cell, facet])
         u, w = (
@@ -36,7 +38,7 @@ class FieldDiffusionMatrix:
 
     def __call__(self, z: np.ndarray) -> np.ndarray:
         """Rows of z, (n, functions)."""
-        return apply(self.matrix, z)
+        return self._of_strains(apply(self.matrix, z))
 
     def trace(self, z: np.ndarray) -> np.ndarray:
         """The trace that belongs to z, (n, functions of facets)."""
@@ -44,4 +46,7 @@ class FieldDiffusionMatrix:
 
     def eliminated(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of rows of the trace (n, .) given beside: the change of the trace, and the rows that z gets."""
-        return self._hats(rows), apply(self._from_trace, rows)
+        return self._hats(rows), self._of_strains(apply(self._from_trace, rows))
+
+    def _of_strains(self, rows: np.ndarray) -> np.ndarray:
+        return rows if self.strains.all() else rows * self.strains[:, None]

@@ -183,6 +183,7 @@ class CellTerms:
             "v": lambda: op.gradients(op.dv, c["v"]),
             "rho": lambda: op.gradients(op.dz, c["rho"][None])[0],
             "z": lambda: op.gradients(op.dz, c["z"]),
+            "zeta": lambda: op.gradients(op.dz, c["zeta"]),
         }
         if "Pi" in self.layout.ranges:
             makers["Pi"] = lambda: op.creep_values(c["Pi"])
@@ -388,7 +389,7 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
 
     def fields(context: Any, names: Iterable[str], place: str) -> Fields:
         parts = {name: partial(ones, shapes[name]) for name in names}
-        slopes = {name: partial(ones, (*shapes[name], d)) for name in names if name != "zeta"}
+        slopes = {name: partial(ones, (*shapes[name], d)) for name in names}
         gradients = Lazy(slopes if place == _CELLS else {}, f"{place}, as a gradient")
         return Fields(step.layout, Lazy(parts, place), context, lambda name: gradients[name])
 

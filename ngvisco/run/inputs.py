@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from ngvisco.errors import (
     MeshError,
     ParameterError,
@@ -17,6 +19,8 @@ from ngvisco.errors import (
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import CURVED, PERIODIC
+from ngvisco.physics.convexity import check_convexity
+from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, WithQuadratic, Yosida
 from ngvisco.physics.walls import Wall
 from ngvisco.run.stepping import AdaptiveSteps
 from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
@@ -57,9 +61,25 @@ def check_distributed(step: Step, passive: Sequence[str]) -> None:
     if step.walls.multiplied:
         expected = "walls normal to an axis, or without slip, on several ranks: multipliers are one process's"
         raise ParameterError("Simulation.walls", step.walls.multiplied, expected)
+    if carried := [v.name for v in model.material.variables if not v.is_strain]:
+        expected = "a material without parameters and bodies on several ranks: their ranges are one process's"
+        raise ParameterError("Simulation.model", carried, expected)
     if model.material.response(mesh.dim) is not None:
         expected = "a material whose energy is an expression on several ranks, not one computed at points"
         raise ParameterError("Simulation.model", type(model.material).__name__, expected)
+
+
+def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
+    """Warn where a user's own energy is not convex, and how far from these states, (points, .), that is."""
+    material = step.model.material
+    inner = material
+    while isinstance(inner, (WithQuadratic, Yosida)):
+        inner = inner.material
+    if isinstance(inner, (CustomMaterial, IsotropicStrainEnergy)):
+        near = None
+        if states is not None:
+            near = np.concatenate(Communicator.of(step.mesh).gathered(states.reshape(len(states), -1)))
+        check_convexity(material, dim=step.mesh.dim, states=near)
 
 
 def check_observer(observer: object) -> None:

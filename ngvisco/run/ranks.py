@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from ngvisco.run.simulation import Observer, Simulation
 
 _FAILED, _INTERRUPTED = 1, 130
+_TOGETHER = "_of_all_ranks"
+"""Attribute of errors that all ranks end with."""
 
 
 def tell(simulation: Simulation, observer: Observer, what: Callable[..., None], *arguments: object) -> None:
@@ -30,6 +32,7 @@ def tell(simulation: Simulation, observer: Observer, what: Callable[..., None], 
         failure = error
     together = ranks.agree(failure)
     if together is not None:
+        vars(together)[_TOGETHER] = True
         raise together from failure
 
 
@@ -38,7 +41,8 @@ def abort_alone(ranks: Communicator, error: BaseException) -> None:
 
     What ngvisco raises is decided by all ranks together, and is not such an error.
     """
-    if ranks.is_distributed and not isinstance(error, NgviscoError):
+    is_of_all = isinstance(error, NgviscoError) or _TOGETHER in vars(error)
+    if ranks.is_distributed and not is_of_all:
         traceback.print_exception(error)
         sys.stderr.flush()
         ranks.abort(_INTERRUPTED if isinstance(error, KeyboardInterrupt) else _FAILED)

@@ -11,6 +11,7 @@ from ngsolve import CF, Integrate
 
 from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.physics.material import Material, cauchy_stress
+from ngvisco.physics.parameters import typical_value
 from ngvisco.physics.pointwise import squares
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler
 
@@ -118,14 +119,14 @@ class Scales:
 
 
 def scales(simulation: Simulation) -> Scales:
-    """The scales of a simulation at its initial state."""
+    """The scales of a simulation at its initial state, of parameters with their typical values."""
     mesh, model = simulation.mesh, simulation.model
     u = simulation.rothe_step.now
     volume = Integrate(CF(1.0), mesh)
     longitudinal, shear = moduli(model.material, mesh.dim)
     maxwell = math.inf
-    if model.creep is not None and shear > 0 and math.isfinite(model.creep.G_m):
-        maxwell = model.creep.G_m / (2 * shear)
+    if model.creep is not None and shear > 0 and model.creep.R > 0:
+        maxwell = 1 / (2 * shear * model.creep.R)
     return Scales(
         length=float(np.ptp(coordinates(mesh), axis=0).min()),
         cell=float(np.median(simulation.rothe_step.context.h.vec.FV().NumPy())),
@@ -133,7 +134,7 @@ def scales(simulation: Simulation) -> Scales:
         density=float(simulation.rothe_step.quadrature.integrate_cells(u.rho)) / volume,
         longitudinal=longitudinal,
         shear=shear,
-        viscosity=0.0 if model.viscosity is None else model.viscosity.G_v,
+        viscosity=0.0 if model.viscosity is None else typical_value(model.viscosity.G_v),
         maxwell=maxwell,
         dt=simulation.dt,
         scheme=simulation.scheme,

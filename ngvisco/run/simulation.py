@@ -38,16 +38,20 @@ from ngvisco.forms.term import Term
 from ngvisco.forms.walls import Conditions
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
-from ngvisco.physics.convexity import check_convexity
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, WithQuadratic, Yosida
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.failure import failure_report
 from ngvisco.run.fields import output_fields
-from ngvisco.run.inputs import check_arguments, check_distributed, check_observer, checked_scheme, times_of
+from ngvisco.run.inputs import (
+    check_arguments,
+    check_distributed,
+    check_observer,
+    checked_scheme,
+    times_of,
+    warn_of_own_energy,
+)
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
 from ngvisco.run.numbering import Numbering
@@ -203,9 +207,9 @@ class Simulation:
         try:
             F_0 = set_initial(self.rothe_step, initial or Initial(), self.sampler)
         except InitialDataError:
-            self._check_convexity(None)  # it may be the reason
+            warn_of_own_energy(self.rothe_step, None)  # it may be the reason
             raise
-        self._check_convexity(self.sampler.values(self.rothe_step.now.z))
+        warn_of_own_energy(self.rothe_step, self.sampler.values(self.rothe_step.now.z))
         warn_of_normal_parts(self.rothe_step, None if initial is None else initial.velocity)
         self.set_velocity_scale(float(velocity_scale or self._typical_velocity()))
         options = newton or NewtonOptions()
@@ -228,15 +232,6 @@ class Simulation:
         self._refused: tuple[Violation, np.ndarray] | None = None
         self.wall_time = 0.0
         self.stop_requested = False
-
-    def _check_convexity(self, states: np.ndarray | None) -> None:
-        """Warn where a user's own energy is not convex, and how far from these states that is."""
-        material = self.model.material
-        if isinstance(_innermost(material), (CustomMaterial, IsotropicStrainEnergy)):
-            near = None
-            if states is not None:
-                near = np.concatenate(self.ranks.gathered(states.reshape(len(states), -1)))
-            check_convexity(material, dim=self.mesh.dim, states=near)
 
     def set_velocity_scale(self, scale: float) -> None:
         """Set the widths of the smoothed upwinding and of the penalty's weight, from m/s."""
@@ -393,7 +388,7 @@ class Simulation:
         """Tell the observers that ask for it that a step was rejected."""
         for observer in self.observers:
             if isinstance(observer, RejectionObserver):
-                observer.rejected(self, rejection)
+                tell(self, observer, observer.rejected, rejection)
 
     def _observed(self, targets: Sequence[float]) -> BaseException | None:
         """Start the observers and step through the targets; what ended it early, if anything did."""
@@ -436,7 +431,10 @@ class Simulation:
             acceleration = square(Loading(load, self.mesh.dim).force(u) / u.rho)
             largest = math.sqrt(self.sampler.extrema(acceleration)[1])
             fall = max(fall, math.sqrt(largest * self._diameter()))
-        rest = {v.name: v.from_distortion(Id(3)) for v in model.material.variables}
+        rest = {
+            v.name: v.from_distortion(Id(3)) if v.is_strain else u.z_tensors[v.name]
+            for v in model.material.variables
+        }
         energy = self.rothe_step.energy
         excess = energy.samples(u.z_tensors, self.sampler) - energy.samples(rest, self.sampler)
         released = 2 * self.sampler.ranks.most(abs(excess))
@@ -449,10 +447,3 @@ class Simulation:
         ranks = self.sampler.ranks
         sides = [ranks.most(along) - ranks.least(along) for along in coordinates(self.mesh).T]
         return float(np.linalg.norm(sides))
-
-
-def _innermost(material: Material) -> Material:
-    """What the regularising wrappers hold in the end."""
-    while isinstance(material, (WithQuadratic, Yosida)):
-        material = material.material
-    return material

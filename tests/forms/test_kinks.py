@@ -9,6 +9,7 @@ from ngsolve import Mesh, x, y
 from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
 import ngvisco as nv
+from ngvisco.forms.boundaries import walls_of
 from ngvisco.forms.kinks import require_curved_cells
 from ngvisco.forms.walls import Walls
 from ngvisco.geometries import annulus, block_with_hole, box, cylinder, disc, load, sphere, spherical_shell
@@ -84,12 +85,13 @@ def test_curved_cells_pass(name, order):
     make, wall = UNCURVED[name]
     mesh = make()
     mesh.Curve(order)
-    require_curved_cells(mesh, [wall])
+    require_curved_cells(mesh, {wall: walls_of(mesh, [wall])})
 
 
 def test_a_box_whose_sides_have_one_name_passes():
     for mesh in (box((1, 2), 0.5), box((1, 2, 1), 1)):
-        require_curved_cells(one_name(mesh), ["wall"])
+        renamed = one_name(mesh)
+        require_curved_cells(renamed, {"wall": walls_of(renamed, ["wall"])})
 
 
 def test_curving_without_a_geometry_does_not_help():

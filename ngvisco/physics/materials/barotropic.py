@@ -12,6 +12,7 @@ from ngsolve import CF, CoefficientFunction
 from ngvisco.errors import ParameterError, require_above, require_choice, require_positive
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.singular import check_continuation, continued_in_J, inverse_power
+from ngvisco.physics.parameters import Modulus, require_positive_moduli
 from ngvisco.physics.variables import Jacobian, ReciprocalJacobian, Values, Variable
 
 
@@ -52,21 +53,21 @@ class BarotropicFluid(Material):
         If a parameter is out of its range.
     """
 
-    B: float
+    B: Modulus
     gamma: float
     form: str = "J"
     J_min: float | None = None
-    rho_R: float | None = None
+    rho_R: Modulus | None = None
 
     def __post_init__(self) -> None:
-        require_positive(self, B=self.B)
+        require_positive_moduli(self, B=self.B)
         require_above(self, 1, gamma=self.gamma)
         require_choice(self, ("J", "A"), form=self.form)
         check_continuation(self, self.J_min)
         if self.form == "A":
             require_choice(self, (None,), J_min=self.J_min)
         if self.rho_R is not None:
-            require_positive(self, rho_R=self.rho_R)
+            require_positive_moduli(self, rho_R=self.rho_R)
 
     @classmethod
     def from_state_equation(
@@ -104,7 +105,7 @@ class BarotropicFluid(Material):
         return cls(B=B, gamma=gamma, form=form, J_min=J_min, rho_R=rho_R)
 
     @property
-    def referential_density(self) -> float | None:
+    def referential_density(self) -> Modulus | None:
         return self.rho_R
 
     @property

@@ -21,10 +21,11 @@ from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import require_above, require_positive
+from ngvisco.errors import require_above
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.referential import referential_volume
 from ngvisco.physics.materials.singular import check_continuation, continued_in_J
+from ngvisco.physics.parameters import Modulus, require_positive_moduli
 from ngvisco.physics.tensors import log, log_det, tr
 from ngvisco.physics.variables import Jacobian, LeftCauchyGreen, Values, Variable
 
@@ -49,12 +50,12 @@ class OldroydB(Material):
         If a parameter is not a finite positive number.
     """
 
-    K_e: float
-    G_e: float
+    K_e: Modulus
+    G_e: Modulus
     J_min: float | None = None
 
     def __post_init__(self) -> None:
-        require_positive(self, K_e=self.K_e, G_e=self.G_e)
+        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
         check_continuation(self, self.J_min)
 
     @property
@@ -96,13 +97,13 @@ class FENEP(Material):
         If a parameter is out of its range.
     """
 
-    K_e: float
-    G_e: float
+    K_e: Modulus
+    G_e: Modulus
     b: float
     J_min: float | None = None
 
     def __post_init__(self) -> None:
-        require_positive(self, K_e=self.K_e, G_e=self.G_e)
+        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
         require_above(self, 3, b=self.b)
         check_continuation(self, self.J_min)
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, require_positive
+from ngvisco.errors import ParameterError
 from ngvisco.physics.isotropy import require_isotropy
 from ngvisco.physics.material import Material, check_material
+from ngvisco.physics.parameters import Modulus, require_positive_moduli
 from ngvisco.physics.state_function import check_energy
 from ngvisco.physics.tensors import IDENTITY
 from ngvisco.physics.variables import Values, Variable
@@ -62,7 +63,7 @@ class CustomMaterial(Material):
 
     transported: tuple[Variable, ...]
     stored_energy: Callable[..., CoefficientFunction]
-    rho_R: float | None = None
+    rho_R: Modulus | None = None
 
     def __post_init__(self) -> None:
         try:
@@ -77,7 +78,7 @@ class CustomMaterial(Material):
             )
         check_material(self)
         if self.rho_R is not None:
-            require_positive(self, rho_R=self.rho_R)
+            require_positive_moduli(self, rho_R=self.rho_R)
             if all(v.volume_ratio(v.from_distortion(IDENTITY)) is None for v in self.transported):
                 raise ParameterError("CustomMaterial.rho_R", self.rho_R, "a variable that J can be told from")
         check_energy(self)
@@ -88,7 +89,7 @@ class CustomMaterial(Material):
         return self.transported
 
     @property
-    def referential_density(self) -> float | None:
+    def referential_density(self) -> Modulus | None:
         return self.rho_R
 
     def energy(self, z: Values) -> CoefficientFunction:

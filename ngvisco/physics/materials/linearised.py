@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, require_above, require_nonnegative, require_positive
+from ngvisco.errors import ParameterError, require_above, require_positive
 from ngvisco.physics.isotropy import require_isotropy
 from ngvisco.physics.material import Material
+from ngvisco.physics.parameters import Modulus, require_nonnegative_moduli, require_positive_moduli
 from ngvisco.physics.state_function import check_energy
 from ngvisco.physics.tensors import dev, power_of_square, sph, square, tr
 from ngvisco.physics.variables import SmallStrain, Values, Variable
@@ -33,11 +34,11 @@ class LinearElastic(Material):
         If a modulus is not a finite positive number.
     """
 
-    K_e: float
-    G_e: float
+    K_e: Modulus
+    G_e: Modulus
 
     def __post_init__(self) -> None:
-        require_positive(self, K_e=self.K_e, G_e=self.G_e)
+        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -111,16 +112,17 @@ class HardeningElastic(Material):
         If a parameter is out of its range.
     """
 
-    K_e: float
-    G_e: float
-    K_h: float
-    G_h: float
+    K_e: Modulus
+    G_e: Modulus
+    K_h: Modulus
+    G_h: Modulus
     s: float = 4.0
     floor: float = 1e-8
 
     def __post_init__(self) -> None:
-        require_positive(self, K_e=self.K_e, G_e=self.G_e, floor=self.floor)
-        require_nonnegative(self, K_h=self.K_h, G_h=self.G_h)
+        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
+        require_positive(self, floor=self.floor)
+        require_nonnegative_moduli(self, K_h=self.K_h, G_h=self.G_h)
         require_above(self, 2, s=self.s)
 
     @property

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import require_nonnegative, require_positive
+from ngvisco.errors import require_nonnegative
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.neo_hookean import NeoHookean, first_invariant, volumetric
 from ngvisco.physics.materials.referential import LogarithmicNeoHookean, referential_volume
 from ngvisco.physics.materials.singular import check_continuation, continued_in_J
+from ngvisco.physics.parameters import Modulus, require_nonnegative_moduli, require_positive_moduli
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import (
     Cofactor,
@@ -55,11 +56,11 @@ class MooneyRivlin(NeoHookean):
         If a parameter is out of its range.
     """
 
-    G_mr: float
+    G_mr: Modulus
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_nonnegative(self, G_mr=self.G_mr)
+        require_nonnegative_moduli(self, G_mr=self.G_mr)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -99,17 +100,18 @@ class ReferentialMooneyRivlin(IsotropicElastic):
         If a parameter is out of its range.
     """
 
-    K_e: float
-    G_e: float
-    G_mr: float
-    epsilon: float = 0.0
+    K_e: Modulus
+    G_e: Modulus
+    G_mr: Modulus
+    epsilon: Modulus = 0.0
     kappa: float = 1.0
     J_min: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(self, K_e=self.K_e, G_e=self.G_e)
-        require_nonnegative(self, G_mr=self.G_mr, epsilon=self.epsilon, kappa=self.kappa)
+        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
+        require_nonnegative_moduli(self, G_mr=self.G_mr, epsilon=self.epsilon)
+        require_nonnegative(self, kappa=self.kappa)
         check_continuation(self, self.J_min)
 
     @property
@@ -157,11 +159,11 @@ class LogarithmicMooneyRivlin(LogarithmicNeoHookean):
         If a parameter is out of its range.
     """
 
-    G_mr: float
+    G_mr: Modulus
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_nonnegative(self, G_mr=self.G_mr)
+        require_nonnegative_moduli(self, G_mr=self.G_mr)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

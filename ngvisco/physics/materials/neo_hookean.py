@@ -14,6 +14,7 @@ from ngvisco.physics.materials.singular import (
     inverse_power,
     minus_log,
 )
+from ngvisco.physics.parameters import Modulus, require_positive_moduli
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen, Values, Variable
 
@@ -57,15 +58,15 @@ class NeoHookean(IsotropicElastic):
         If a parameter is not a finite positive number, or ``elastic_state`` is another.
     """
 
-    K_e: float
-    G_e: float
-    epsilon: float
+    K_e: Modulus
+    G_e: Modulus
+    epsilon: Modulus
     kappa: float | None = None
     J_min: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(self, K_e=self.K_e, G_e=self.G_e, epsilon=self.epsilon)
+        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e, epsilon=self.epsilon)
         if self.kappa is not None:
             require_positive(self, kappa=self.kappa)
         check_continuation(self, self.J_min)

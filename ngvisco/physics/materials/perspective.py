@@ -20,8 +20,9 @@ from typing import Self
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, require_positive
+from ngvisco.errors import ParameterError
 from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.parameters import Modulus, require_positive_moduli
 from ngvisco.physics.variables import (
     Cofactor,
     CofactorLeftCauchyGreen,
@@ -69,19 +70,19 @@ class PerReferentialVolume(Material):
     """
 
     material: Material
-    rho_R: float | None = None
+    rho_R: Modulus | None = None
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
         if not isinstance(self.material, Material):
             raise ParameterError(f"{owner}.material", self.material, "a Material")
         if self.rho_R is not None:
-            require_positive(self, rho_R=self.rho_R)
+            require_positive_moduli(self, rho_R=self.rho_R)
         if self.material.response(3) is not None:
             expected = "a material whose energy is an expression; a Yosida approximation goes around this one"
             raise ParameterError(f"{owner}.material", self.material, expected)
         for variable in self.material.variables:
-            if not isinstance(variable, (Jacobian, *_TENSORS)):
+            if variable.is_strain and not isinstance(variable, (Jacobian, *_TENSORS)):
                 expected = "a material of J = det F and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
                 raise ParameterError(
                     f"{owner}.material", self.material, f"{expected}, not of {variable.name!r}"
@@ -96,16 +97,20 @@ class PerReferentialVolume(Material):
         return (
             *(replace(v, name=f"A{v.name}", exponent=v.exponent - 1) for v in tensors),
             ReciprocalJacobian(),
+            *(v for v in self.material.variables if not v.is_strain),
         )
 
     @property
-    def referential_density(self) -> float | None:
+    def referential_density(self) -> Modulus | None:
         return self.rho_R
 
     def energy(self, z: Values) -> CoefficientFunction:
         A = z["A"]
         J = 1 / A
-        own = {v.name: z[f"A{v.name}"] * J if isinstance(v, _TENSORS) else J for v in self.material.variables}
+        own = {v.name: z[v.name] for v in self.material.variables if not v.is_strain}
+        for v in self.material.variables:
+            if v.is_strain:
+                own[v.name] = z[f"A{v.name}"] * J if isinstance(v, _TENSORS) else J
         return A * self.material.energy(own)
 
 
@@ -125,7 +130,7 @@ class PerMass(PerReferentialVolume):
         from the other.
     """
 
-    rho_R: float
+    rho_R: Modulus
 
     def energy(self, z: Values) -> CoefficientFunction:
         return self.rho_R * super().energy(z)

@@ -16,12 +16,14 @@ so that there is no second form by B.)
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import require_nonnegative, require_positive
+from ngvisco.errors import require_nonnegative
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.singular import check_continuation, continued_in_J, inverse_power
+from ngvisco.physics.parameters import Modulus, require_nonnegative_moduli, require_positive_moduli
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import (
     Distortion,
@@ -66,16 +68,17 @@ class ReferentialNeoHookean(IsotropicElastic):
         If a parameter is out of its range.
     """
 
-    K_e: float
-    G_e: float
-    epsilon: float = 0.0
+    K_e: Modulus
+    G_e: Modulus
+    epsilon: Modulus = 0.0
     kappa: float = 1.0
     J_min: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(self, K_e=self.K_e, G_e=self.G_e)
-        require_nonnegative(self, epsilon=self.epsilon, kappa=self.kappa)
+        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
+        require_nonnegative_moduli(self, epsilon=self.epsilon)
+        require_nonnegative(self, kappa=self.kappa)
         check_continuation(self, self.J_min)
 
     @property
@@ -116,16 +119,17 @@ class IsochoricNeoHookean(IsotropicElastic):
         If a parameter is out of its range.
     """
 
-    K_e: float
-    G_e: float
-    epsilon: float = 0.0
+    K_e: Modulus
+    G_e: Modulus
+    epsilon: Modulus = 0.0
     kappa: float = 1.0
     J_min: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(self, K_e=self.K_e, G_e=self.G_e)
-        require_nonnegative(self, epsilon=self.epsilon, kappa=self.kappa)
+        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
+        require_nonnegative_moduli(self, epsilon=self.epsilon)
+        require_nonnegative(self, kappa=self.kappa)
         check_continuation(self, self.J_min)
 
     @property
@@ -165,13 +169,13 @@ class LogarithmicNeoHookean(IsotropicElastic):
         If a parameter is not a finite positive number.
     """
 
-    K_e: float
-    G_e: float
-    epsilon: float
+    K_e: Modulus
+    G_e: Modulus
+    epsilon: Modulus
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(self, K_e=self.K_e, G_e=self.G_e, epsilon=self.epsilon)
+        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e, epsilon=self.epsilon)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -186,9 +190,10 @@ class LogarithmicNeoHookean(IsotropicElastic):
 
 
 def referential_volume(
-    K_e: float, epsilon: float, kappa: float, J: CoefficientFunction, J_min: float | None
+    K_e: Any, epsilon: Any, kappa: float, J: CoefficientFunction, J_min: float | None
 ) -> CoefficientFunction:
     """[K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e."""
     rest = 1 - kappa * epsilon / K_e
     volume = 0.5 * K_e * (J - 2 * rest) + inverse_power(0.5 * K_e * rest * rest, 1.0, J, J_min)
-    return volume + inverse_power(epsilon, kappa + 1, J, J_min) if epsilon else volume
+    is_without = isinstance(epsilon, (int, float)) and epsilon == 0
+    return volume if is_without else volume + inverse_power(epsilon, kappa + 1, J, J_min)

@@ -11,6 +11,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, UnknownNameError, require_names, require_positive
 from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.pointwise import Respond, Response
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values, Variable
@@ -29,8 +30,8 @@ class WithQuadratic(Material):
     delta : float
         The paper's delta, Pa^2, > 0.
     only : tuple of str, optional
-        Names of the variables it is added for; default all (paper: rem-neo-Hookean-ref omits those in
-        which phi is strongly convex already).
+        Names of the variables it is added for; default all strains (paper: rem-neo-Hookean-ref omits those
+        in which phi is strongly convex already).  It is not added for parameters.
 
     Raises
     ------
@@ -48,7 +49,7 @@ class WithQuadratic(Material):
         require_positive(self, delta=self.delta)
         if self.only is not None:
             require_names("WithQuadratic.only", self.only)
-        known = {v.name for form in self._forms() for v in form.variables}
+        known = {v.name for form in self._forms() for v in form.variables if v.is_strain}
         for name in self.only or ():
             if name not in known:
                 raise UnknownNameError("material variable", name, known)
@@ -70,7 +71,12 @@ class WithQuadratic(Material):
         return self.material.variables
 
     @property
-    def referential_density(self) -> float | None:
+    def _regularised(self) -> list[str]:
+        """Names of the variables that the energy is added for."""
+        return list(self.only or (v.name for v in self.variables if v.is_strain))
+
+    @property
+    def referential_density(self) -> Modulus | None:
         return self.material.referential_density
 
     @property
@@ -85,7 +91,7 @@ class WithQuadratic(Material):
         if inner_response is None:
             return None
         slices, weights = self.states(dim).slices, np.zeros(self.states(dim).size)
-        for name in self.only or [v.name for v in self.variables]:
+        for name in self._regularised:
             weights[slices[name]] = self.delta**0.5
 
         def respond(states: np.ndarray) -> Response:
@@ -98,5 +104,5 @@ class WithQuadratic(Material):
 
     def added_energy(self, z: Values) -> CoefficientFunction:
         """sqrt(delta)/2 sum_i |z_i|^2, Pa."""
-        squares = [inner(z[name], z[name]) for name in self.only or [v.name for v in self.variables]]
+        squares = [inner(z[name], z[name]) for name in self._regularised]
         return 0.5 * self.delta**0.5 * reduce(add, squares)

@@ -8,7 +8,7 @@ inactive as long as J >= J_min.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from ngsolve import CoefficientFunction
 
@@ -43,11 +43,11 @@ def continued_in_J(J_min: float | None, is_total: bool = True) -> frozenset[str]
     return frozenset({"J"}) if J_min is not None and is_total else frozenset()
 
 
-def minus_log(epsilon: float, J: Scalar, J_min: float | None) -> Scalar:
+def minus_log(epsilon: Any, J: Scalar, J_min: float | None) -> Scalar:
     """-epsilon ln J (paper: neo-Hookean-potential-actual)."""
     return continued(lambda a: -epsilon * log(a), lambda a: -epsilon / a, J, J_min)
 
 
-def inverse_power(epsilon: float, kappa: float, J: Scalar, J_min: float | None) -> Scalar:
+def inverse_power(epsilon: Any, kappa: float, J: Scalar, J_min: float | None) -> Scalar:
     """epsilon / J^kappa, convex for kappa >= 0 (paper: exa-polyconvex-general)."""
     return continued(lambda a: epsilon * a**-kappa, lambda a: -epsilon * kappa * a ** (-kappa - 1), J, J_min)

@@ -9,6 +9,7 @@ from ngsolve import CF, CoefficientFunction, Id
 
 from ngvisco.errors import NgviscoError, ParameterError, require_positive
 from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.pointwise import Respond, Response, respond, squares
 from ngvisco.physics.variables import Values, Variable
 
@@ -24,7 +25,7 @@ _SHARE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Yosida(Material):
-    """phi_eps(z) = min over y of phi(y) + |z - y|^2/(2 eps), over all variables jointly.
+    """phi_eps(z) = min over y of phi(y) + |z - y|^2/(2 eps), over all strains jointly, at fixed parameters.
 
     Convex where phi is, phi_eps <= phi, with the slope phi_eps'(z) = (z - y)/eps = phi'(y), whose Lipschitz
     constant is at most 1/eps; phi_eps = phi - eps/2 |phi'|^2 + O(eps^2).  It is finite for all z, also
@@ -61,7 +62,7 @@ class Yosida(Material):
         return self.material.variables
 
     @property
-    def referential_density(self) -> float | None:
+    def referential_density(self) -> Modulus | None:
         return self.material.referential_density
 
     def with_elastic_state(self, state: ElasticState) -> Yosida:
@@ -73,7 +74,7 @@ class Yosida(Material):
 
     @property
     def continued(self) -> frozenset[str]:
-        return frozenset(variable.name for variable in self.variables)
+        return frozenset(variable.name for variable in self.variables if variable.is_strain)
 
     def energy(self, z: Values) -> CoefficientFunction:
         raise NgviscoError(
@@ -95,6 +96,11 @@ class _Approximation:
         rest = material.states(dim).components(identity)
         self.rest = np.asarray(CF(rest)(squares(1)[1])).reshape(-1)
         slices = material.states(dim).slices
+        self.weights = np.zeros(material.states(dim).size)
+        """eps of every component: 0 for parameters, which are not minimised over."""
+        for variable in material.variables:
+            if variable.is_strain:
+                self.weights[slices[variable.name]] = material.eps
         self.positive = [slices[v.name].start for v in material.variables if self._is_bounded(v, slices)]
 
     def _is_bounded(self, variable: Variable, slices: dict[str, slice]) -> bool:
@@ -114,16 +120,17 @@ class _Approximation:
             y, at_y, solved = self._minimise(states[given])
             z, where = states[given][solved], given[solved]
             S, H = at_y.slope[solved], at_y.hessian[solved]
-            system = np.eye(size) + self.eps * H
+            root = np.sqrt(self.weights)
+            system = np.eye(size) + root[:, None] * H * root
             # for a convex energy all are 1 and more
             definite = np.linalg.eigvalsh(system)[:, 0] > 0
-            where, z, S, H, system = (a[definite] for a in (where, z, S, H, system))
-            H = np.linalg.solve(system, H)
+            where, z, S, H = (a[definite] for a in (where, z, S, H))
+            H = np.linalg.solve(np.eye(size) + H * self.weights, H)
             H = 0.5 * (H + H.transpose(0, 2, 1))
             # phi'(y) loses no digits for small eps, as (z - y)/eps does; corrected for the rounding in y
-            rest = z - y[solved][definite] - self.eps * S
+            rest = z - y[solved][definite] - self.weights * S
             S = S + np.einsum("nij,nj->ni", H, rest)
-            energy[where] = at_y.energy[solved][definite] + 0.5 * self.eps * np.einsum("ni,ni->n", S, S)
+            energy[where] = at_y.energy[solved][definite] + 0.5 * (S * S) @ self.weights
             slope[where], hessian[where] = S, H
         return Response(energy, slope, hessian, self._failure(states, given, solved, definite))
 
@@ -155,15 +162,15 @@ class _Approximation:
         at_y = self.inner(y)
         outside = ~at_y.finite
         if outside.any():
-            y[outside] = self.rest
+            y[outside] = np.where(self.weights > 0, self.rest, z[outside])
             at_y = self.inner(y)
         return y, at_y
 
     def _minimise(self, z: np.ndarray) -> tuple[np.ndarray, Response, np.ndarray]:
         """The minimisers y, the inner response there, and where they were found.
 
-        Newton for r(y) = y - z + eps phi'(y) = 0.  r' >= I where phi is convex, so that halving the step
-        until |r| decreases converges from everywhere.
+        Newton for r(y) = y - z + eps phi'(y) = 0, eps = 0 for parameters.  r' >= I where phi is convex, so
+        that halving the step until |r| decreases converges from everywhere.
         """
         size = z.shape[1]
         y, at_y = self._start(z)
@@ -172,8 +179,8 @@ class _Approximation:
         for _ in range(_MAX_ITERATIONS):
             if not len(active):
                 break
-            r = y[active] - z[active] + self.eps * slope[active]
-            d = _solve(np.eye(size) + self.eps * hessian[active], -r)
+            r = y[active] - z[active] + self.weights * slope[active]
+            d = _solve(np.eye(size) + self.weights[:, None] * hessian[active], -r)
             length = self._admitted(y[active], d)
             small = np.abs(d).max(axis=1) <= _CONVERGED * np.abs(y[active]).max(axis=1)
             for i in self.positive:
@@ -183,7 +190,7 @@ class _Approximation:
             for _ in range(_MAX_HALVINGS):
                 trial = y[active[trying]] + length[trying, None] * d[trying]
                 at = self.inner(trial)
-                next_r = np.linalg.norm(trial - z[active[trying]] + self.eps * at.slope, axis=1)
+                next_r = np.linalg.norm(trial - z[active[trying]] + self.weights * at.slope, axis=1)
                 shorter = next_r <= (1 - 1e-4 * length[trying]) * bound[trying]
                 good = at.finite & (small[trying] | shorter)
                 taken = active[trying[good]]
@@ -195,7 +202,7 @@ class _Approximation:
                     break
                 length[trying] /= 2
             magnitude = np.abs(y[active]).max(axis=1) + np.abs(z[active]).max(axis=1)
-            magnitude += self.eps * np.abs(slope[active]).max(axis=1)
+            magnitude += np.abs(self.weights * slope[active]).max(axis=1)
             done = (small & moved) | (~moved & (bound <= _ROUNDING * magnitude))
             solved[active[done]] = True
             active = active[moved & ~done]

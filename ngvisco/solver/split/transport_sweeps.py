@@ -45,9 +45,7 @@ class TransportSweeps:
         own += storage + convection
         if self._whole is not None and r.diffusion is not None:
             self._whole.factorise((self._sparse(own, across) + r.diffusion.matrix).tocsr())
-            self._cells = np.linalg.inv(own).astype(precision.SINGLE)
-        else:
-            self._cells, self._carried = _sweep(own, across)
+        self._cells, self._carried = _sweep(own, across)
         if self._own is None:
             outward, inward = f.outward.value, f.inward.value
             own, across = self.coupling.blocks(outward, outward, -inward, r.density_mass)
@@ -79,7 +77,11 @@ class TransportSweeps:
     def fields(self, r: np.ndarray) -> np.ndarray:
         """Increments of z before rates and creep, of rows r: both (cells' unknowns, n)."""
         if self._whole is not None:
-            return np.stack([self._whole(column) for column in r.T], axis=1).astype(precision.SINGLE)
+            assert self.residual.diffusion is not None
+            result = self._swept(self._cells, self._carried, r)
+            for i in np.flatnonzero(self.residual.diffusion.strains):
+                result[:, i] = self._whole(r[:, i])
+            return result
         return self._swept(self._cells, self._carried, r)
 
     def in_cells(self, rows: np.ndarray) -> np.ndarray:

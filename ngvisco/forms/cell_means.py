@@ -1,0 +1,74 @@
+"""Means over the cells of a state's density and variables, by the rule of the forms."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from ngsolve import L2, BilinearForm, FacetFESpace, GridFunction, Periodic, VectorValued, dx
+from scipy.sparse import csr_matrix
+
+from ngvisco.forms.elimination import LocalProjection
+from ngvisco.forms.points import csr
+from ngvisco.forms.system import Step
+from ngvisco.forms.term import tested
+
+
+class CellMeans:
+    """Means over the cells of rho and z of a step's present state."""
+
+    def __init__(self, step: Step) -> None:
+        self.step = step
+        space, size = L2(step.mesh, order=0), step.model.material.states(step.mesh.dim).size
+        self.rho = GridFunction(space)
+        self.z = GridFunction(VectorValued(space, size))
+        self._projections = [
+            LocalProjection(target.space, target, step.quadrature, tested(value))
+            for target, value in ((self.rho, step.now.rho), (self.z, step.now.z))
+        ]
+        one = GridFunction(step.layout.blocks["rho"])
+        one.Set(1.0)
+        self.one = one.vec.FV().NumPy()
+        """Coefficients of the constant 1 in the space of rho, and of every component of z."""
+
+    def project(self) -> None:
+        """Make them those of the present state."""
+        for projection in self._projections:
+            projection()
+
+    def array(self, name: str) -> np.ndarray:
+        """Means of ``"rho"`` or ``"z"``, (components, cells)."""
+        function = self.rho if name == "rho" else self.z
+        return function.vec.FV().NumPy().reshape(-1, self.rho.space.ndof)
+
+    @cached_property
+    def owner(self) -> np.ndarray:
+        """The cell of every function of rho's space, (functions,)."""
+        of_cells, space = self.rho.space, self.step.layout.blocks["rho"]
+        form = BilinearForm(trialspace=of_cells, testspace=space)
+        form += of_cells.TrialFunction() * space.TestFunction() * dx
+        return csr(form.Assemble().mat).indices.astype(int)  # one column a row
+
+    @cached_property
+    def volumes(self) -> np.ndarray:
+        """Volumes of the cells by the same rule, m^dim, (cells,)."""
+        space = self.rho.space
+        mass = BilinearForm(space, diagonal=True)
+        trial, test = space.TnT()
+        mass += trial * test * self.step.quadrature.cells
+        return mass.Assemble().mat.AsVector().FV().NumPy().copy()
+
+    @cached_property
+    def neighbours(self) -> csr_matrix:
+        """1 for two cells with a common facet, also an identified one, (cells, cells)."""
+        facets = FacetFESpace(self.step.mesh, order=0)
+        if self.step.layout.periodic:
+            facets = Periodic(facets)
+        form = BilinearForm(trialspace=self.rho.space, testspace=facets)
+        form += self.rho.space.TrialFunction() * facets.TestFunction() * dx(element_boundary=True)
+        incidence = csr(form.Assemble().mat)
+        shared = (incidence.T @ incidence).tocsr()
+        shared.setdiag(0.0)
+        shared.eliminate_zeros()
+        shared.data[:] = 1.0
+        return shared

@@ -1,0 +1,124 @@
+"""Bodies of different material in one domain: what each of them is, and where it is at the start.
+
+The bodies of a ``Model`` travel with the flow.  Each has a volume fraction theta_i in [0, 1], and
+sum theta_i = 1 at every point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, runtime_checkable
+
+from ngsolve import CoefficientFunction, Det, Mesh
+
+from ngvisco.errors import ParameterError, as_integer, as_number
+from ngvisco.physics.material import Material
+from ngvisco.physics.rheology import Creep, Viscosity
+from ngvisco.physics.tensors import tr
+from ngvisco.physics.variables import Values, Variable
+
+
+@runtime_checkable
+class Region(Protocol):
+    """A place that a body has at the start: a shape, a subdomain of the mesh, ..."""
+
+    def inside(self, mesh: Mesh) -> CoefficientFunction:
+        """The share of a point's surroundings that is inside, in [0, 1]."""
+        ...
+
+
+Where: TypeAlias = CoefficientFunction | Region
+"""A function of x, y, z that is > 0 inside, or a region."""
+
+
+@dataclass(frozen=True)
+class Amount(Variable):
+    """n_i, the volume that body i has in its reference state per actual volume: dt n_i + div(n_i v) = 0.
+
+    It is conserved, transported by its own flux through facets (``ngvisco.forms.transport``), and with it
+    the mass of the body, int rho_i n_i.  It is no strain: theta_i = n_i/sum n_j.
+
+    Parameters
+    ----------
+    name : str
+    density : float
+        rho_i of the reference state, kg/m^3.
+    """
+
+    name: str
+    kind: str = "scalar"
+    density: float = 1.0
+
+    @property
+    def is_strain(self) -> bool:
+        return False
+
+    @property
+    def is_conserved(self) -> bool:
+        return True
+
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+        return -tr(L) * z[self.name]
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        """That of a point half of which is of this body."""
+        return 0.5 / Det(F)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body:
+    """A body of one material, with its place at the start.
+
+    Parameters
+    ----------
+    name : str
+        An identifier, other than those of the other bodies; columns and fields of the body begin with it.
+    where : CoefficientFunction or Region, optional
+        Where the body is at the start: where a function of x, y, z is > 0, or an object with
+        ``inside(mesh)``, which gives the share of a point's surroundings that is inside, in [0, 1].  None
+        (default) is the rest, what no other body of the model covers; one body at most is the rest.
+    material : Material
+    viscosity : StokesViscosity or LinearViscosity, optional
+    creep : Creep, optional
+    density : float, optional
+        In the reference state, J = 1: kg/m^3, > 0.  Default the material's referential density, where that
+        is a number.
+    order : int
+        Where two bodies overlap at the start, there is the one of higher order; bodies of the same order
+        must not overlap.  The rest is below all others.
+
+    Raises
+    ------
+    ParameterError
+        For a name that is none, a part of the wrong type, and a density that is missing or not positive.
+    """
+
+    name: str
+    where: Where | None = None
+    material: Material
+    viscosity: Viscosity | None = None
+    creep: Creep | None = None
+    density: float | None = None
+    order: int = 0
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.name, str) and self.name.isidentifier()):
+            raise ParameterError("Body.name", self.name, "an identifier of letters, digits and _")
+        owner = f"bodies[{self.name!r}]"
+        if not (self.where is None or isinstance(self.where, (CoefficientFunction, Region))):
+            expected = "a function of x, y, z that is > 0 inside, a shape with inside(mesh), or None"
+            raise ParameterError(f"{owner}.where", self.where, expected)
+        if isinstance(self.where, CoefficientFunction) and (self.where.dim != 1 or self.where.is_complex):
+            raise ParameterError(f"{owner}.where", self.where, "a real scalar function of x, y, z")
+        for name, kind in (("material", Material), ("viscosity", Viscosity), ("creep", Creep)):
+            value = getattr(self, name)
+            if not (isinstance(value, kind) or (value is None and name != "material")):
+                raise ParameterError(f"{owner}.{name}", value, f"a {kind.__name__}")
+        density = as_number(self.material.referential_density if self.density is None else self.density)
+        if density is None or density <= 0:
+            expected = "a number > 0, kg/m^3: a body has mass (of a material with rho_R that is the default)"
+            raise ParameterError(f"{owner}.density", self.density, expected)
+        object.__setattr__(self, "density", density)
+        if (order := as_integer(self.order)) is None:
+            raise ParameterError(f"{owner}.order", self.order, "an integer")
+        object.__setattr__(self, "order", order)

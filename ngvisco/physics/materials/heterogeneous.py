@@ -1,0 +1,65 @@
+"""Materials whose moduli are functions of carried parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.materials.regularised import WithQuadratic
+from ngvisco.physics.materials.yosida import Yosida
+from ngvisco.physics.parameters import Modulus, Parameter, substituted
+from ngvisco.physics.variables import Values, Variable
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heterogeneous(Material):
+    """A material and the parameters that it carries: phi(z, theta) with its moduli at theta.
+
+    A ``Model`` makes it where a modulus of one of its laws is no number; its variables are those of the
+    material and the parameters, whose conjugates are the energy's derivatives by them.
+
+    Parameters
+    ----------
+    material : Material
+        Its own moduli may be expressions of the parameters.
+    carried : tuple of Parameter
+        Parameters that its own variables do not have: those of its moduli and of the model's other laws.
+    """
+
+    material: Material
+    carried: tuple[Parameter, ...]
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (*self.material.variables, *self.carried)
+
+    @property
+    def referential_density(self) -> Modulus | None:
+        return self.material.referential_density
+
+    @property
+    def conformation(self) -> str | None:
+        return self.material.conformation
+
+    @property
+    def continued(self) -> frozenset[str]:
+        return self.material.continued
+
+    def with_elastic_state(self, state: ElasticState) -> Heterogeneous:
+        return replace(self, material=self.material.with_elastic_state(state))
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        at_this_point = substituted(self.material, lambda expression: expression.at(z))
+        return at_this_point.energy({v.name: z[v.name] for v in self.material.variables})
+
+
+def carrying(material: Material, parameters: Sequence[Parameter]) -> Material:
+    """The material with these among its variables; what wraps a material as regularised wraps that one."""
+    if isinstance(material, (WithQuadratic, Yosida)):
+        return replace(material, material=carrying(material.material, parameters))
+    names = {v.name for v in material.variables if not v.is_strain}
+    carried = tuple(p for p in parameters if p.name not in names)
+    return Heterogeneous(material=material, carried=carried) if parameters else material

@@ -1,0 +1,343 @@
+"""Parameters that travel with the matter, and moduli that are functions of them.
+
+A parameter theta obeys dt theta + (v . grad) theta = 0.  It is a variable of the material like the strains,
+with a conjugate zeta = d phi/d theta, so that the elastic force has the part that balances d phi/dx, the
+Cauchy stress is right and the ledger closes.  An energy that reads the place x instead has a force that
+nothing balances, and is refused (``ngvisco.physics.state_function``).
+
+A parameter is no strain.  phi need not be convex in it: convexity is asked of phi in the strains at fixed
+parameters, and the ledger's ``bregman`` may have either sign where parameters are transported.  Quadratic
+regularisation, Yosida approximation and the diffusion of the fields leave it alone.  Its exact solution stays
+within the range of its start values, and so does that of a run with a limiter (``ngvisco.forms.bounds``).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from copy import copy
+from dataclasses import dataclass, field
+from operator import add, mul, neg, sub, truediv
+from typing import Any, TypeAlias, TypeVar
+
+from ngsolve import CF, CoefficientFunction
+
+from ngvisco.errors import ParameterError, as_number
+from ngvisco.physics.variables import Values, Variable
+
+T = TypeVar("T")
+
+
+class Expression:
+    """A function of parameters' values: sums, products, quotients and powers of parameters and numbers."""
+
+    __array_ufunc__ = None  # numpy's numbers leave the operation to this class
+
+    def at(self, z: Values) -> CoefficientFunction:
+        """Its value where the parameters have the values ``z``, coefficient functions or arrays."""
+        raise NotImplementedError
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters that it reads, each once."""
+        raise NotImplementedError
+
+    def replaced(self, new: Mapping[str, Expression]) -> Expression:
+        """The same function of other parameters, by the names of those that are replaced."""
+        raise NotImplementedError
+
+    @property
+    def typical(self) -> float:
+        """Its value for the parameters' typical ones."""
+        with_numbers: Any = {p.name: p.typical for p in self.parameters}
+        return float(self.at(with_numbers))
+
+    def __add__(self, other: object) -> Expression:
+        return _Operation(add, (self, _operand(other)))
+
+    def __radd__(self, other: object) -> Expression:
+        return _Operation(add, (_operand(other), self))
+
+    def __sub__(self, other: object) -> Expression:
+        return _Operation(sub, (self, _operand(other)))
+
+    def __rsub__(self, other: object) -> Expression:
+        return _Operation(sub, (_operand(other), self))
+
+    def __mul__(self, other: object) -> Expression:
+        return _Operation(mul, (self, _operand(other)))
+
+    def __rmul__(self, other: object) -> Expression:
+        return _Operation(mul, (_operand(other), self))
+
+    def __truediv__(self, other: object) -> Expression:
+        return _Operation(truediv, (self, _operand(other)))
+
+    def __rtruediv__(self, other: object) -> Expression:
+        return _Operation(truediv, (_operand(other), self))
+
+    def __neg__(self) -> Expression:
+        return _Operation(neg, (self,))
+
+    def __pow__(self, exponent: float) -> Expression:
+        number = as_number(exponent)
+        if number is None:
+            raise ParameterError("exponent", exponent, "a finite number")
+        return _Operation(_Power(number), (self,))
+
+
+@dataclass(frozen=True)
+class _Power:
+    """a -> a^exponent."""
+
+    exponent: float
+
+    def __call__(self, base: Any) -> Any:
+        return base ** float(self.exponent)
+
+
+_SIGNS: dict[Callable[..., Any], str] = {add: "+", sub: "-", mul: "*", truediv: "/"}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Operation(Expression):
+    """A function of other expressions and numbers."""
+
+    function: Callable[..., Any]
+    operands: tuple[Expression | float, ...]
+
+    def at(self, z: Values) -> CoefficientFunction:
+        return self.function(*(value_at(operand, z) for operand in self.operands))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return parameters_in(self.operands)
+
+    def __repr__(self) -> str:
+        texts = [o.name if isinstance(o, Parameter) else repr(o) for o in self.operands]
+        if isinstance(self.function, _Power):
+            return f"{texts[0]}**{self.function.exponent:g}"
+        return f"-{texts[0]}" if self.function is neg else f"({f' {_SIGNS[self.function]} '.join(texts)})"
+
+    def replaced(self, new: Mapping[str, Expression]) -> Expression:
+        found = (o.replaced(new) if isinstance(o, Expression) else o for o in self.operands)
+        return _Operation(self.function, tuple(found))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Modulus(Expression):
+    """An expression in the place of a number, with what that number has to be."""
+
+    name: str
+    """Of law and parameter, e.g. ``"NeoHookean.G_e"``."""
+    expression: Expression
+    is_positive: bool
+    """Whether it must be > 0; otherwise >= 0."""
+
+    def at(self, z: Values) -> CoefficientFunction:
+        return self.expression.at(z)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return self.expression.parameters
+
+    def __repr__(self) -> str:
+        return repr(self.expression)
+
+    def replaced(self, new: Mapping[str, Expression]) -> Expression:
+        return _Modulus(self.name, self.expression.replaced(new), self.is_positive)
+
+
+@dataclass(frozen=True)
+class Parameter(Variable, Expression):
+    """A scalar theta that travels with the matter: dt theta + (v . grad) theta = 0.
+
+    Any modulus of a law may be an expression of parameters, and any energy of one's own a function of them.
+
+    Example::
+
+        import ngvisco as nv
+        from ngsolve import x
+
+        theta = nv.Parameter("theta", start=x)  # 0 at the left wall, 1 at the right one, and carried on
+        material = nv.NeoHookean(K_e=20.0, G_e=1.0 + 4.0 * theta, epsilon=0.1)
+        viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.1 * (1 - theta) + 0.01)
+        model = nv.Model(material=material, viscosity=viscosity)
+        print([variable.name for variable in model.material.variables])
+
+    Parameters
+    ----------
+    name : str
+        A Python identifier, other than those of the material's variables.
+    start : number or CoefficientFunction, optional
+        Its value at the start, a function of the place; None where ``Initial.values`` has it.
+    typical : float
+        A value at which an energy is looked at before a run is known; default that of a ``start`` that is a
+        number, else 0.5.
+    """
+
+    name: str
+    kind: str = "scalar"
+    start: float | CoefficientFunction | None = field(default=None, compare=False, repr=False)
+    typical: float = math.nan
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.kind != "scalar":
+            raise ParameterError("Parameter.kind", self.kind, "'scalar'")
+        number = as_number(self.start)
+        if not (self.start is None or number is not None or _is_scalar_function(self.start)):
+            raise ParameterError("Parameter.start", self.start, "a finite number or a real scalar function")
+        if math.isnan(self.typical):
+            object.__setattr__(self, "typical", 0.5 if number is None else number)
+        elif as_number(self.typical) is None:
+            raise ParameterError("Parameter.typical", self.typical, "a finite number")
+
+    def at(self, z: Values) -> CoefficientFunction:
+        return z[self.name]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (self,)
+
+    def replaced(self, new: Mapping[str, Expression]) -> Expression:
+        return new.get(self.name, self)
+
+    @property
+    def is_strain(self) -> bool:
+        return False
+
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+        return 0 * z[self.name]
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        """The typical value: no distortion tells a parameter."""
+        return CF(self.typical)
+
+
+Modulus: TypeAlias = float | CoefficientFunction | Expression
+"""A number; a function of the initial place, which is carried; or an expression of parameters."""
+
+
+def value_at(modulus: Modulus, z: Values) -> Any:
+    """A modulus where the parameters have the values ``z``; a number is the same everywhere."""
+    return modulus.at(z) if isinstance(modulus, Expression) else modulus
+
+
+def typical_value(modulus: Modulus) -> float:
+    """A number for a modulus: of parameters with their typical values."""
+    return modulus.typical if isinstance(modulus, Expression) else float(modulus)
+
+
+def require_positive_moduli(owner: object, **values: Any) -> None:
+    """Raise ParameterError unless every value is a number > 0, a function of the place or an expression.
+
+    A function of the place becomes a parameter of its own, with the modulus' name.
+    """
+    _require_moduli(owner, values, is_positive=True)
+
+
+def require_nonnegative_moduli(owner: object, **values: Any) -> None:
+    """The same with numbers >= 0."""
+    _require_moduli(owner, values, is_positive=False)
+
+
+def _require_moduli(owner: object, values: Mapping[str, Any], is_positive: bool) -> None:
+    sign = ">" if is_positive else ">="
+    for name, value in values.items():
+        full = f"{type(owner).__name__}.{name}"
+        number = as_number(value)
+        if number is not None:
+            if not (number > 0 or (number == 0 and not is_positive)):
+                raise ParameterError(full, value, f"a finite number {sign} 0")
+            value = value if isinstance(value, (int, float)) else number
+        elif isinstance(value, _Modulus):
+            continue
+        elif isinstance(value, Expression):
+            value = _Modulus(full, value, is_positive)
+        elif _is_scalar_function(value):
+            value = _Modulus(full, Parameter(name, start=value, typical=1.0), is_positive)
+        else:
+            expected = (
+                f"a finite number {sign} 0, a function of the initial place, an expression of parameters"
+            )
+            raise ParameterError(full, value, expected)
+        object.__setattr__(owner, name, value)
+
+
+def parameters_in(values: Iterable[object]) -> tuple[Parameter, ...]:
+    """The parameters that laws, materials and expressions read, each once.
+
+    Raises
+    ------
+    ParameterError
+        If two that are not the same have one name.
+    """
+    found: dict[str, Parameter] = {}
+    for value in values:
+        for expression in expressions_in(value):
+            for parameter in expression.parameters:
+                known = found.setdefault(parameter.name, parameter)
+                if known is not parameter and not (known == parameter and known.start is parameter.start):
+                    raise ParameterError(
+                        "Parameter.name", parameter.name, "one parameter, or names of their own for two"
+                    )
+    return tuple(found.values())
+
+
+def expressions_in(value: object) -> Iterator[Expression]:
+    """The expressions among the parameters of a law or a material, and in materials that it holds."""
+    if isinstance(value, Expression):
+        yield value
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        for each in dataclasses.fields(value):
+            inner = getattr(value, each.name)
+            if isinstance(inner, Expression) or _is_law(inner):
+                yield from expressions_in(inner)
+
+
+def substituted(law: T, value_of: Callable[[Expression], Any]) -> T:
+    """A law or a material with its expressions replaced by what ``value_of`` gives; itself without any.
+
+    Its checks are not run again: values at points are no numbers.
+    """
+    changes: dict[str, Any] = {}
+    for each in dataclasses.fields(law):  # type: ignore[arg-type]
+        inner = getattr(law, each.name)
+        if isinstance(inner, Expression):
+            changes[each.name] = value_of(inner)
+        elif _is_law(inner) and any(True for _ in expressions_in(inner)):
+            changes[each.name] = substituted(inner, value_of)
+    if not changes:
+        return law
+    result = copy(law)
+    for name, value in changes.items():
+        object.__setattr__(result, name, value)
+    return result
+
+
+def moduli_in(value: object) -> Iterator[tuple[str, Expression, bool]]:
+    """Name, expression and whether it must be > 0 (else >= 0), of every modulus that is an expression."""
+    for expression in expressions_in(value):
+        if isinstance(expression, _Modulus):
+            yield expression.name, expression.expression, expression.is_positive
+
+
+def _is_law(value: object) -> bool:
+    """Whether it is a part of a model that may hold moduli itself."""
+    return dataclasses.is_dataclass(value) and not isinstance(value, (type, Variable))
+
+
+def _is_scalar_function(value: object) -> bool:
+    return isinstance(value, CoefficientFunction) and value.dim == 1 and not value.is_complex
+
+
+def _operand(value: object) -> Expression | float:
+    if isinstance(value, Expression):
+        return value
+    number = as_number(value)
+    if number is None:
+        expected = "numbers and parameters; a function of the place is one with nv.Parameter(name, start=...)"
+        raise ParameterError("expression of parameters", value, expected)
+    return number

@@ -1,0 +1,261 @@
+"""How much of each cell shapes fill, as polynomials on the cells.
+
+A cell that a surface cuts is divided into sub-cells; in each of them the surface is that of the level's
+linear interpolation, whose share of a simplex is known exactly.  The shares' L2 projection is the fraction,
+and is scaled towards its mean where it leaves [0, 1] (Zhang, Shu), so that the volume is that of the shares.
+For a level that is smooth the volume's error is of second order in the sub-cells' size.
+
+Several shapes lie over each other like sheets of paper, the last one on top: their fractions and that of the
+rest sum to one at every point.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from ngsolve import L2, VOL, CoefficientFunction, Det, GridFunction, Integrate, Mesh, specialcf
+
+from ngvisco.shapes.places import Places
+
+if TYPE_CHECKING:
+    from ngvisco.shapes.shape import Shape
+
+_LOOKED_AT = 4  # pieces of a cell's edges, at whose ends a surface is looked for
+_PIECES = {2: 32, 3: 12}  # of the edges of cells that a surface cuts
+_INSET = 1e-9
+"""How far, of their distance to the cell's middle, levels are taken inside the cell: a surface that is a side
+of the cell then leaves no doubt on which side the cell lies."""
+_AT_ONCE = 200_000  # sub-cells
+_QUADRILATERALS = (11, 13, 14)  # Netgen's numbers
+
+
+def fractions(mesh: Mesh, shapes: Sequence[Shape], order: int = 1) -> list[GridFunction]:
+    """What shapes, the later ones over the earlier, leave each other of every cell.
+
+    A part of a shape that is thinner than a quarter of a cell may be missed.
+
+    Parameters
+    ----------
+    mesh : ngsolve.Mesh
+        Triangles and quadrilaterals, or tetrahedra.
+    shapes : sequence of Shape
+    order : int
+        Of the polynomials on the cells, 0, 1 or 2.
+
+    Returns
+    -------
+    list of GridFunction
+        Discontinuous P_order, those of the shapes, and last that of the rest.  Their sum is one; they are
+        from 0 to 1 (for order 2 at the corners of the sub-cells, and between them to 1e-4).
+
+    Raises
+    ------
+    ParameterError, UnknownNameError
+        For a shape that does not fit the mesh.
+    """
+    powers = _powers(mesh.dim, order)
+    coefficients = np.zeros((len(shapes) + 1, len(powers), mesh.ne))
+    for cells, is_quad in _groups(mesh):
+        for some, shares in _shares(mesh, cells, is_quad, shapes):
+            coefficients[..., some] = _projected(mesh, some, is_quad, shares, powers)
+    return [_function(mesh, part, powers, order) for part in coefficients]
+
+
+def volumes(mesh: Mesh, shapes: Sequence[Shape]) -> list[float]:
+    """Of each shape where no later one lies over it, within the mesh, and last of the rest, m^dim."""
+    cells = np.array(Integrate(CoefficientFunction(1.0), mesh, VOL, element_wise=True))
+    return [float(cells @ part.vec.FV().NumPy()) for part in fractions(mesh, shapes, 0)]
+
+
+def _groups(mesh: Mesh) -> Iterator[tuple[np.ndarray, bool]]:
+    """Cells of one type, and whether they are quadrilaterals."""
+    if mesh.dim == 3:
+        yield np.arange(mesh.ne), False
+        return
+    quads = np.isin(mesh.ngmesh.Elements2D().NumPy()["type"], _QUADRILATERALS)
+    for is_quad in (False, True):
+        cells = np.flatnonzero(quads == is_quad)
+        if len(cells):
+            yield cells, is_quad
+
+
+def _shares(
+    mesh: Mesh, cells: np.ndarray, is_quad: bool, shapes: Sequence[Shape]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Some of the cells and the shares of their sub-cells, (shapes and rest, cells, sub-cells).
+
+    Cells that no surface is seen to cut, and that have no such neighbour, are one sub-cell.
+    """
+    corners, _ = subdivision(mesh.dim, _LOOKED_AT, is_quad)
+    levels = _levels(mesh, cells, corners, shapes)
+    inside = levels > 0
+    is_cut = (inside.any(axis=2) & ~inside.all(axis=2)).any(axis=0)
+    elements = mesh.ngmesh.Elements2D() if mesh.dim == 2 else mesh.ngmesh.Elements3D()
+    vertices = elements.NumPy()["nodes"][cells][:, :4]  # from 1; 0 where there is none
+    near = np.zeros(vertices.max(initial=0) + 1, dtype=bool)
+    near[vertices[is_cut]] = True
+    near[0] = False
+    is_cut = near[vertices].any(axis=1)
+    whole = ~is_cut
+    yield cells[whole], _layered(inside[:, whole, :1].astype(float))
+    corners, pieces = subdivision(mesh.dim, _PIECES[mesh.dim], is_quad)
+    cut = cells[is_cut]
+    for some in np.array_split(cut, max(1, len(cut) * len(pieces) // _AT_ONCE)):
+        if len(some):
+            levels = _levels(mesh, some, corners, shapes)
+            yield some, _layered(share_of_simplex(levels[..., pieces]))
+
+
+def _levels(mesh: Mesh, cells: np.ndarray, corners: np.ndarray, shapes: Sequence[Shape]) -> np.ndarray:
+    """At the reference points ``corners`` of cells, (shapes, cells, corners)."""
+    middle = corners.mean(axis=0)
+    places = Places(mesh, cells, middle + (1 - _INSET) * (corners - middle))
+    levels = [shape.level(places) for shape in shapes]
+    return np.array(levels).reshape(len(shapes), len(cells), len(corners))
+
+
+def _layered(shares: np.ndarray) -> np.ndarray:
+    """What is seen from above of shapes that lie over each other, the last on top, and of what is below."""
+    seen, left = [], np.ones(shares.shape[1:])
+    for share in shares[::-1]:
+        seen.append(left * share)
+        left = left * (1 - share)
+    return np.array([*seen[::-1], left])
+
+
+def share_of_simplex(levels: np.ndarray) -> np.ndarray:
+    """Share of a simplex in which the linear function with these values at its vertices is positive.
+
+    Of a level that only says on which side a vertex lies, all of one size, it is the share of the vertices.
+
+    Parameters
+    ----------
+    levels : array (..., 3) or (..., 4)
+
+    Returns
+    -------
+    array (...)
+    """
+    values = np.sort(levels, axis=-1)
+    count = np.sum(values > 0, axis=-1)
+    last = values.shape[-1] - 1
+    result = (count == last + 1).astype(float)
+    one, all_but_one = count == 1, count == last
+    # a corner of the simplex is cut off: its edges there are cut where the function is zero
+    top, low = values[one, -1:], values[all_but_one, :1]
+    result[one] = np.prod(top / (top - values[one, :-1]), axis=-1)
+    result[all_but_one] = 1 - np.prod(low / (low - values[all_but_one, 1:]), axis=-1)
+    if last == 3:
+        two = count == 2
+        a, b, c, d = np.moveaxis(values[two], -1, 0)
+        ca, cb, da, db = c / (c - a), c / (c - b), d / (d - a), d / (d - b)
+        # the wedge between the edges cd and ab, as three tetrahedra
+        result[two] = da * db + ca * cb * (1 - da) + da * cb * (1 - db)
+    says_side_only = np.ptp(np.abs(values), axis=-1) == 0
+    result[says_side_only] = count[says_side_only] / (last + 1)
+    return result
+
+
+@cache
+def subdivision(dim: int, count: int, is_quad: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """The reference simplex (or square) in count^dim simplices of one size (twice as many), Kuhn's.
+
+    Returns
+    -------
+    corners : array (corners, dim)
+        In the coordinates of NGSolve's reference cell.
+    pieces : array (pieces, dim + 1)
+        Corners of each.
+    """
+    ends = []
+    for start in itertools.product(range(count), repeat=dim):
+        for steps in itertools.permutations(range(dim)):
+            path = np.array([start] * (dim + 1))
+            for i, axis in enumerate(steps):
+                path[i + 1 :, axis] += 1
+            if is_quad or (np.diff(path, axis=1) <= 0).all():  # 1 >= a >= b >= c >= 0
+                ends.append(path)
+    corners, pieces = np.unique(np.array(ends).reshape(-1, dim), axis=0, return_inverse=True)
+    if not is_quad:  # (a, b, c) to (a - b, b - c, c)
+        corners = corners - np.pad(corners, ((0, 0), (0, 1)))[:, 1:]
+    return corners / count, pieces.reshape(-1, dim + 1)
+
+
+def _powers(dim: int, order: int) -> list[tuple[int, ...]]:
+    """Exponents of the monomials of the reference coordinates up to a degree; the constant first."""
+    every = itertools.product(range(order + 1), repeat=dim)
+    return sorted((e for e in every if sum(e) <= order), key=lambda e: (sum(e), e))
+
+
+def _monomials(points: np.ndarray, powers: Sequence[tuple[int, ...]]) -> np.ndarray:
+    """(..., monomials)."""
+    return np.stack([np.prod(points ** np.array(e), axis=-1) for e in powers], axis=-1)
+
+
+def _projected(
+    mesh: Mesh, cells: np.ndarray, is_quad: bool, shares: np.ndarray, powers: Sequence[tuple[int, ...]]
+) -> np.ndarray:
+    """Coefficients of the shares' projection, within [0, 1]: (shapes and rest, monomials, cells)."""
+    parts, _, count = shares.shape
+    if count == 1:  # the same all over a cell
+        result = np.zeros((parts, len(powers), len(cells)))
+        result[:, 0] = shares[..., 0]
+        return result
+    corners, pieces = subdivision(mesh.dim, _PIECES[mesh.dim], is_quad)
+    # a rule of degree two in each sub-cell: points between its middle and its corners
+    rule = _RULES[mesh.dim]
+    points = np.einsum("qv,pvd->pqd", rule, corners[pieces]).reshape(-1, mesh.dim)
+    values = _monomials(points, powers).reshape(count, len(rule), -1)
+    if mesh.GetCurveOrder() <= 1 and not is_quad:
+        weighted = values.mean(axis=1)[None]  # cells of constant Jacobian, which drops out
+        gram = np.einsum("pqi,pqj->ij", values, values)[None] / len(rule)
+    else:
+        J = Places(mesh, cells, points).values(Det(specialcf.JacobianMatrix(mesh.dim)))
+        J = np.abs(J).reshape(len(cells), count, len(rule)) / len(rule)
+        weighted = np.einsum("cpq,pqi->cpi", J, values)
+        gram = np.einsum("cpq,pqi,pqj->cij", J, values, values, optimize=True)
+    weighted = np.broadcast_to(weighted, (len(cells), *weighted.shape[1:]))
+    load = np.einsum("scp,cpi->sci", shares, weighted)
+    polynomials = np.linalg.solve(gram[None], load[..., None])[..., 0]
+    means = load[..., :1] / weighted[..., 0].sum(axis=1)[None, :, None]
+    return np.moveaxis(_limited(polynomials, means, _monomials(corners, powers)), 2, 1)
+
+
+def _limited(polynomials: np.ndarray, means: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Polynomials scaled towards their means, all of a cell by one factor, so that they are in [0, 1]."""
+    at = polynomials @ values.T - means
+    room = np.where(at > 0, 1 - means, means)
+    share = np.min(room / np.maximum(np.abs(at), 1e-300), axis=(0, 2))
+    factor = np.clip(share, 0, 1)[None, :, None]
+    result = factor * polynomials
+    result[..., :1] += (1 - factor) * means
+    return result
+
+
+_RULES = {
+    2: np.full((3, 3), 1 / 6) + np.eye(3) / 2,
+    3: np.full((4, 4), (5 - 5**0.5) / 20) + np.eye(4) * 5**0.5 / 5,
+}
+"""Barycentric coordinates of rules with equal weights, of degree two."""
+
+
+def _function(
+    mesh: Mesh, coefficients: np.ndarray, powers: Sequence[tuple[int, ...]], order: int
+) -> GridFunction:
+    """The piecewise polynomial with these coefficients, (monomials, cells)."""
+    constants, value = L2(mesh, order=0), CoefficientFunction(0.0)
+    place = specialcf.xref(mesh.dim)
+    for exponents, numbers in zip(powers, coefficients, strict=True):
+        term = GridFunction(constants)
+        term.vec.FV().NumPy()[:] = numbers
+        for axis, exponent in enumerate(exponents):
+            for _ in range(exponent):
+                term = term * place[axis]
+        value = value + term
+    result = GridFunction(L2(mesh, order=order))
+    result.Set(value)
+    return result

@@ -1,0 +1,156 @@
+"""Shapes of few numbers: balls, boxes, half-spaces, polygons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ngvisco.errors import ParameterError, require_positive
+from ngvisco.shapes.places import Places
+from ngvisco.shapes.shape import Shape, as_place, require_dim
+
+
+@dataclass(frozen=True)
+class Ball(Shape):
+    """A ball, in two dimensions a disc.
+
+    Parameters
+    ----------
+    centre : two or three numbers
+        m.
+    radius : float
+        m, > 0.
+    """
+
+    centre: tuple[float, ...]
+    radius: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", as_place("Ball.centre", self.centre))
+        require_positive(self, radius=self.radius)
+
+    def level(self, at: Places) -> np.ndarray:
+        require_dim("Ball.centre", self.centre, at.mesh)
+        return self.radius - np.linalg.norm(at.coordinates - self.centre, axis=1)
+
+
+@dataclass(frozen=True)
+class Block(Shape):
+    """The box between two corners, with edges along the axes.
+
+    Parameters
+    ----------
+    low, high : two or three numbers
+        m, each coordinate of ``low`` below that of ``high``.
+    """
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        low, high = as_place("Block.low", self.low), as_place("Block.high", self.high)
+        if len(low) != len(high) or not all(a < b for a, b in zip(low, high, strict=True)):
+            raise ParameterError("Block.high", self.high, f"coordinates above those of low = {low}")
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+
+    def level(self, at: Places) -> np.ndarray:
+        require_dim("Block.low", self.low, at.mesh)
+        inside = np.minimum(at.coordinates - self.low, np.array(self.high) - at.coordinates)
+        return inside.min(axis=1)
+
+
+@dataclass(frozen=True)
+class HalfSpace(Shape):
+    """All that lies behind a plane, on the side that its normal points away from.
+
+    Parameters
+    ----------
+    point : two or three numbers
+        A point of the plane, m.
+    normal : as many numbers
+        Outward normal, of any length > 0.
+    """
+
+    point: tuple[float, ...]
+    normal: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        point, normal = as_place("HalfSpace.point", self.point), as_place("HalfSpace.normal", self.normal)
+        length = float(np.linalg.norm(normal))
+        if len(normal) != len(point) or length == 0:
+            raise ParameterError(
+                "HalfSpace.normal", self.normal, f"a vector of length {len(point)}, not zero"
+            )
+        object.__setattr__(self, "point", point)
+        object.__setattr__(self, "normal", tuple(n / length for n in normal))
+
+    def level(self, at: Places) -> np.ndarray:
+        require_dim("HalfSpace.point", self.point, at.mesh)
+        return (self.point - at.coordinates) @ np.array(self.normal)
+
+
+@dataclass(frozen=True)
+class Polygon(Shape):
+    """A polygon of the plane, which need not be convex; the last point is joined to the first.
+
+    Parameters
+    ----------
+    points : three pairs of numbers at least
+        m, in either sense of rotation; edges do not cross each other.
+    """
+
+    points: tuple[tuple[float, float], ...]
+
+    def __post_init__(self) -> None:
+        expected = "at least three points of two finite numbers"
+        try:
+            points = tuple(as_place("Polygon.points", point) for point in self.points)
+        except TypeError:
+            points = ()
+        if len(points) < 3 or any(len(point) != 2 for point in points):
+            raise ParameterError("Polygon.points", self.points, expected)
+        object.__setattr__(self, "points", points)
+        a, b = self._edges
+        if not (np.linalg.norm(b - a, axis=1) > 0).all():
+            raise ParameterError("Polygon.points", self.points, "points that differ from the one before")
+        crossing = _crossing(a, b)
+        if crossing is not None:
+            i, j = (k + 1 for k in crossing)
+            raise ParameterError("Polygon.points", self.points, f"edges that do not cross: {i} and {j} do")
+
+    @property
+    def _edges(self) -> tuple[np.ndarray, np.ndarray]:
+        first = np.array(self.points)
+        return first, np.roll(first, -1, axis=0)
+
+    def level(self, at: Places) -> np.ndarray:
+        if at.mesh.dim != 2:
+            raise ParameterError("Polygon.points", self.points, "a mesh of the plane")
+        p, is_inside = at.coordinates, np.zeros(len(at.coordinates), dtype=bool)
+        distance = np.full(len(p), np.inf)
+        for a, b in zip(*self._edges, strict=True):
+            along = b - a
+            share = np.clip((p - a) @ along / (along @ along), 0, 1)
+            distance = np.minimum(distance, np.linalg.norm(p - a - share[:, None] * along, axis=1))
+            spans = (a[1] > p[:, 1]) != (b[1] > p[:, 1])  # the ray to the right meets the edge's height
+            if spans.any():
+                where = a[0] + (p[spans, 1] - a[1]) / along[1] * along[0]
+                is_inside[spans] ^= p[spans, 0] < where
+        return np.where(is_inside, distance, -distance)
+
+
+def _crossing(a: np.ndarray, b: np.ndarray) -> tuple[int, int] | None:
+    """Two edges a_i b_i that cross in their interiors, or None."""
+
+    def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
+        return np.sign(
+            (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1])
+            - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
+        )
+
+    A, B = a[:, None], b[:, None]
+    apart = side(A, B, a[None]) * side(A, B, b[None]), side(a[None], b[None], A) * side(a[None], b[None], B)
+    found = np.argwhere((apart[0] < 0) & (apart[1] < 0))
+    return None if not len(found) else (int(found[0, 0]), int(found[0, 1]))

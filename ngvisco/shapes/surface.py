@@ -1,0 +1,170 @@
+"""Shapes from STL files: closed surfaces of triangles."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from ngvisco.errors import ParameterError, require_path, require_positive
+from ngvisco.shapes.places import Places
+from ngvisco.shapes.shape import Shape
+
+_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_SAME = 1e-6  # of the surface's size: corners that are this close are one, as files round them
+_DIRECTION = np.array([0.267261, 0.534522, 0.801784])
+"""Of the rays, along no axis and no diagonal, so that they meet edges of usual surfaces by accident only."""
+
+
+@dataclass(frozen=True)
+class ClosedSurface(Shape):
+    """The inside of a closed surface of triangles, from an STL file (text or binary).
+
+    Parameters
+    ----------
+    path : path
+    scale : float
+        Length of the file's unit, m; STL files do not say theirs.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such file, it is no STL file, holds no triangles, or its surface does not close: every
+        edge of a closed surface belongs to two triangles, which run along it in opposite senses.
+    """
+
+    path: str | os.PathLike[str]
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", str(require_path("ClosedSurface.path", self.path)))
+        require_positive(self, scale=self.scale)
+        self.triangles  # read and checked  # noqa: B018
+
+    @cached_property
+    def triangles(self) -> np.ndarray:
+        """Their corners, (triangles, 3, 3), m, seen from outside against the clock."""
+        corners = _read(Path(self.path)) * self.scale
+        if not len(corners):
+            raise ParameterError("ClosedSurface.path", self.path, "an STL file with triangles: it is empty")
+        if not np.isfinite(corners).all():
+            raise ParameterError("ClosedSurface.path", self.path, "corners of finite numbers")
+        size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
+        _require_closed(self.path, corners, size)
+        a, b, c = corners.transpose(1, 0, 2) - corners.mean(axis=(0, 1))
+        volume = float(np.sum(a * np.cross(b, c)) / 6)
+        if not abs(volume) > 1e-12 * size**3:
+            raise ParameterError("ClosedSurface.path", self.path, "a surface with a volume: it encloses none")
+        return corners if volume > 0 else corners[:, ::-1]
+
+    def level(self, at: Places) -> np.ndarray:
+        if at.mesh.dim != 3:
+            raise ParameterError("ClosedSurface.path", self.path, "a mesh in space: it is a surface of space")
+        return crossings(self.triangles, at.coordinates) - 0.5
+
+
+def _read(path: Path) -> np.ndarray:
+    """Corners (triangles, 3, 3) in the file's unit."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        expected = f"a readable file ({error.strerror})"
+        raise ParameterError("ClosedSurface.path", str(path), expected) from error
+    count = int.from_bytes(raw[80:84], "little")
+    if len(raw) >= 84 and len(raw) == 84 + count * _RECORD.itemsize:
+        return np.frombuffer(raw, _RECORD, count, 84)["corners"].astype(float)
+    text = raw.decode("ascii", errors="replace")
+    if not text.lstrip().startswith("solid") or "endsolid" not in text:
+        raise ParameterError("ClosedSurface.path", str(path), "a whole STL file, text or binary")
+    number = r"([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)"
+    found = re.findall(rf"vertex\s+{number}\s+{number}\s+{number}", text)
+    if len(found) % 3 or len(found) != len(re.findall(r"\bvertex\b", text)):
+        raise ParameterError("ClosedSurface.path", str(path), "three corners of three numbers a triangle")
+    try:
+        return np.array(found, dtype=float).reshape(-1, 3, 3)
+    except ValueError as error:
+        raise ParameterError("ClosedSurface.path", str(path), f"numbers ({error})") from error
+
+
+def _require_closed(path: str | os.PathLike[str], corners: np.ndarray, size: float) -> None:
+    """Raise ParameterError unless each edge is there once in each sense."""
+    if size == 0:
+        raise ParameterError("ClosedSurface.path", path, "a surface with a volume: it is a point")
+    places = np.round(corners.reshape(-1, 3) / (_SAME * size)).astype(np.int64)
+    _, numbers = np.unique(places, axis=0, return_inverse=True)
+    triangles = numbers.reshape(-1, 3)
+    whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)  # not those that are a line
+    edges = np.concatenate([triangles[whole][:, [i, (i + 1) % 3]] for i in range(3)])
+    key = edges.min(axis=1) * (numbers.max() + 1) + edges.max(axis=1)
+    _, where = np.unique(key, return_inverse=True)
+    where = where.reshape(-1)
+    sense = np.bincount(where, weights=np.sign(edges[:, 1] - edges[:, 0]))
+    open_edges = int(np.count_nonzero(sense))
+    if open_edges:
+        expected = f"a closed surface: {open_edges} of its {len(sense)} edges have triangles on one side only"
+        raise ParameterError("ClosedSurface.path", path, expected)
+
+
+def crossings(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """How often rays from points leave a closed surface more than they enter it: 1 inside, 0 outside.
+
+    Parameters
+    ----------
+    triangles : array (triangles, 3, 3)
+        Corners, m, seen from outside against the clock.
+    points : array (points, 3)
+
+    Returns
+    -------
+    array (points,)
+    """
+    # both are sorted into squares of the plane normal to the rays: a ray is held against those triangles
+    # only that it can meet
+    ray = _DIRECTION / np.linalg.norm(_DIRECTION)
+    across = np.cross(ray, (1.0, 0.0, 0.0)) / np.linalg.norm(ray[1:])
+    plane = np.array([across, np.cross(ray, across)])  # with the ray a right-handed frame
+    along = triangles @ ray
+    flat, at, height = triangles @ plane.T, points @ plane.T, points @ ray
+    low, high = flat.reshape(-1, 2).min(axis=0), flat.reshape(-1, 2).max(axis=0)
+    count = int(np.clip(np.sqrt(len(triangles)), 1, 256))
+    step = (high - low) / count
+
+    def square(where: np.ndarray) -> np.ndarray:
+        return np.clip(((where - low) / step).astype(int), 0, count - 1)
+
+    result = np.zeros(len(points))
+    first, last = square(flat.min(axis=1)), square(flat.max(axis=1))
+    near = ((at >= low) & (at <= high)).all(axis=1) & (height <= along.max())
+    todo = np.flatnonzero(near)
+    own = square(at[todo]) @ np.array([count, 1])
+    order = np.argsort(own, kind="stable")
+    squares, starts = np.unique(own[order], return_index=True)
+    for number, members in zip(squares, np.split(todo[order], starts[1:]), strict=True):
+        i, j = divmod(int(number), count)
+        meets = (first[:, 0] <= i) & (last[:, 0] >= i) & (first[:, 1] <= j) & (last[:, 1] >= j)
+        if meets.any():
+            result[members] = _through(flat[meets], along[meets], at[members], height[members])
+    return result
+
+
+def _through(flat: np.ndarray, along: np.ndarray, at: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Signed number of triangles above each point."""
+    a, b, c = flat.transpose(1, 0, 2)[:, None]
+    p = at[:, None]
+
+    def area(u: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
+        return (v[..., 0] - u[..., 0]) * (w[..., 1] - u[..., 1]) - (v[..., 1] - u[..., 1]) * (
+            w[..., 0] - u[..., 0]
+        )
+
+    whole = area(a, b, c)
+    parts = np.stack([area(p, b, c), area(a, p, c), area(a, b, p)])
+    sense = np.sign(whole)
+    hit = (parts * sense > 0).all(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        met = np.einsum("ipt,ti->pt", parts, along) / whole
+    return np.sum(np.where(hit & (met > height[:, None]), sense, 0.0), axis=1)

@@ -1,0 +1,156 @@
+"""Shapes from files and from the mesh: closed surfaces, pictures, subdomains."""
+
+import struct
+import sys
+
+import numpy as np
+import pytest
+from netgen.occ import Circle, Glue, OCCGeometry, Rectangle
+from ngsolve import Mesh, pi
+
+from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.geometries import box
+from ngvisco.shapes.fractions import volumes
+from ngvisco.shapes.image import Image
+from ngvisco.shapes.solids import Block
+from ngvisco.shapes.subdomain import Subdomain
+from ngvisco.shapes.surface import ClosedSurface, crossings
+
+
+def cube(low=0.2, high=0.8):
+    """Twelve triangles, seen from outside against the clock."""
+    corner = np.array([[i, j, k] for i in (low, high) for j in (low, high) for k in (low, high)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return np.array([corner[list(t)] for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+
+
+def ascii_stl(triangles):
+    facets = "".join(
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join(f"vertex {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in triangle)
+        + "endloop\nendfacet\n"
+        for triangle in triangles
+    )
+    return f"solid part\n{facets}endsolid part\n".encode()
+
+
+def binary_stl(triangles):
+    records = b"".join(struct.pack("<12fH", 0, 0, 0, *np.ravel(t), 0) for t in triangles)
+    return b"solid, though binary".ljust(80) + struct.pack("<I", len(triangles)) + records
+
+
+@pytest.mark.parametrize("write", [ascii_stl, binary_stl])
+@pytest.mark.parametrize("inward", [False, True])
+def test_closed_surface_holds_its_volume(tmp_path, write, inward):
+    path = tmp_path / "cube.stl"
+    path.write_bytes(write(cube()[:, ::-1] if inward else cube()))
+    mesh = box((1, 1, 1), maxh=0.4)
+    surface = ClosedSurface(path)
+    exact = volumes(mesh, [Block((0.2,) * 3, (0.8,) * 3)])[0]
+    assert volumes(mesh, [surface])[0] == pytest.approx(0.216, rel=0.02)
+    assert volumes(mesh, [surface])[0] == pytest.approx(exact, rel=0.02)
+    assert volumes(mesh, [ClosedSurface(path, scale=0.5)])[0] == pytest.approx(0.027, rel=0.05)
+
+
+def test_rays_count_shells_one_within_another():
+    """A shell that is turned inwards is a hole."""
+    both = np.concatenate([cube(), cube(0.4, 0.6)[:, ::-1]])
+    points = np.array([[0.5, 0.5, 0.5], [0.3, 0.3, 0.3], [0.1, 0.5, 0.5], [0.5, 0.5, 0.9], [0.21, 0.79, 0.5]])
+    assert crossings(both, points).tolist() == [0, 1, 0, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (ascii_stl(cube()[:-1]), "3 of its 18 edges"),
+        (binary_stl(cube()[1:]), "closed surface"),
+        (ascii_stl(np.concatenate([cube()[:1, ::-1], cube()[1:]])), "closed surface"),
+        (ascii_stl([]), "empty"),
+        (binary_stl([]), "empty"),
+        (b"", "whole STL file"),
+        (binary_stl(cube())[:-7], "whole STL file"),
+        (ascii_stl(cube())[:300], "whole STL file"),
+        (ascii_stl(cube()).replace(b"vertex 0.2", b"vertex q", 1), "three corners"),
+        (ascii_stl(cube() * 0), "a point"),
+        (ascii_stl(np.array([cube()[0], cube()[0][::-1]])), "encloses none"),
+    ],
+)
+def test_surface_that_is_not_closed_empty_or_broken_is_refused(tmp_path, content, expected):
+    path = tmp_path / "part.stl"
+    path.write_bytes(content)
+    with pytest.raises(ParameterError, match=expected) as caught:
+        ClosedSurface(path)
+    assert caught.value.field == "ClosedSurface.path"
+
+
+def test_surface_that_is_missing_or_in_a_mesh_of_the_plane_is_refused(tmp_path):
+    with pytest.raises(ParameterError, match="readable file"):
+        ClosedSurface(tmp_path / "none.stl")
+    path = tmp_path / "cube.stl"
+    path.write_bytes(ascii_stl(cube()))
+    with pytest.raises(ParameterError, match="mesh in space"):
+        volumes(box((1, 1), maxh=0.5), [ClosedSurface(path)])
+
+
+def picture(path, pixels):
+    from matplotlib.image import imsave
+
+    imsave(path, pixels)
+    return path
+
+
+def test_picture_is_a_shape_where_it_is_dark(tmp_path):
+    X, Y = np.meshgrid((np.arange(200) + 0.5) / 200, (199.5 - np.arange(200)) / 200)
+    dark = (X - 0.5) ** 2 + (Y - 0.7) ** 2 < 0.04  # above the middle: the first row is the highest one
+    path = picture(tmp_path / "disc.png", np.repeat(np.where(dark, 0.0, 1.0)[..., None], 3, axis=2))
+    mesh = box((2, 1), maxh=0.1)
+    image = Image(path, (0, 0), (1, 1))
+    assert volumes(mesh, [image])[0] == pytest.approx(0.04 * pi, rel=0.01)
+    assert volumes(mesh, [image & Block((0, 0.5), (1, 1))])[0] == pytest.approx(0.04 * pi, rel=0.01)
+    bright = Image(path, (0, 0), (1, 1), dark=False)
+    assert volumes(mesh, [bright])[0] == pytest.approx(1 - 0.04 * pi, rel=0.01)
+    assert volumes(mesh, [Image(path, (0, 0), (2, 1))])[0] == pytest.approx(0.08 * pi, rel=0.01)
+
+
+def test_transparent_pixels_count_as_white(tmp_path):
+    pixels = np.zeros((10, 10, 4))
+    pixels[:, :5, 3] = 1.0
+    path = picture(tmp_path / "half.png", pixels)
+    assert volumes(box((1, 1), maxh=0.3), [Image(path, (0, 0), (1, 1))])[0] == pytest.approx(0.5, abs=0.01)
+
+
+def test_picture_that_is_none_is_refused(tmp_path, monkeypatch):
+    broken = tmp_path / "broken.png"
+    broken.write_bytes(b"no picture")
+    good = picture(tmp_path / "good.png", np.zeros((4, 4, 3)))
+    for make, field in [
+        (lambda: Image(broken, (0, 0), (1, 1)), "Image.path"),
+        (lambda: Image(tmp_path / "none.png", (0, 0), (1, 1)), "Image.path"),
+        (lambda: Image(tmp_path / "shape.gif", (0, 0), (1, 1)), "Image.path"),
+        (lambda: Image(good, (0, 0), (0, 1)), "Image.high"),
+        (lambda: Image(good, (0, 0), (1, 1), threshold=1.5), "Image.threshold"),
+    ]:
+        with pytest.raises(ParameterError) as caught:
+            make()
+        assert caught.value.field == field
+    monkeypatch.setitem(sys.modules, "matplotlib.image", None)
+    with pytest.raises(ParameterError, match="pip install"):
+        Image(good, (0, 0), (1, 1))
+
+
+def test_subdomain_is_its_cells_and_nothing_else():
+    outer, inner = Rectangle(1, 1).Face(), Circle((0.6, 0.5), 0.2).Face()
+    inner.faces.name, inner.edges.name = "disc", "interface"
+    outer = outer - inner
+    outer.faces.name = "matrix"
+    mesh = Mesh(OCCGeometry(Glue([outer, inner]), dim=2).GenerateMesh(maxh=0.2)).Curve(3)
+    disc, rest = volumes(mesh, [Subdomain("disc")])
+    assert disc == pytest.approx(0.04 * pi, rel=1e-3)
+    assert disc + rest == pytest.approx(1, rel=1e-12)
+    values = Subdomain("disc").inside(mesh, 0).vec.FV().NumPy()
+    assert np.unique(np.round(values, 14)).tolist() == [0, 1]
+    assert volumes(mesh, [Subdomain(["disc", "matrix"])])[0] == pytest.approx(1, rel=1e-12)
+    with pytest.raises(UnknownNameError, match="did you mean 'disc'"):
+        volumes(mesh, [Subdomain("dics")])
+    with pytest.raises(ParameterError):
+        Subdomain([])

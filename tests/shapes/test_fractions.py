@@ -1,0 +1,138 @@
+"""Fractions of shapes in cells: volumes, bounds, sums, and exactness where a surface is plane."""
+
+import numpy as np
+import pytest
+from netgen.geom2d import unit_square
+from ngsolve import CF, ET, VOL, IfPos, Integrate, IntegrationRule, Mesh, pi, x, y
+
+from ngvisco.errors import ParameterError
+from ngvisco.geometries import box, disc
+from ngvisco.shapes.fractions import fractions, share_of_simplex, subdivision, volumes
+from ngvisco.shapes.shape import Union, Where
+from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon
+
+
+def sampled(mesh, function):
+    rules = {et: IntegrationRule(et, 6) for et in (ET.TRIG, ET.QUAD, ET.TET)}
+    return np.asarray(function(mesh.MapToAllElements(rules, VOL)))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("seed", range(3))
+def test_share_of_a_simplex_is_that_of_many_points(dim, seed):
+    random = np.random.default_rng(seed)
+    levels = random.normal(size=(40, dim + 1))
+    weights = random.dirichlet(np.ones(dim + 1), size=40_000)
+    counted = (weights @ levels.T > 0).mean(axis=0)
+    assert share_of_simplex(levels) == pytest.approx(counted, abs=0.015)
+    assert share_of_simplex(levels) + share_of_simplex(-levels) == pytest.approx(1, abs=1e-13)
+
+
+@pytest.mark.parametrize(("dim", "is_quad"), [(2, False), (2, True), (3, False)])
+def test_subdivision_fills_the_reference_cell_once(dim, is_quad):
+    corners, pieces = subdivision(dim, 3, is_quad)
+    edges = corners[pieces[:, 1:]] - corners[pieces[:, :1]]
+    sizes = abs(np.linalg.det(edges))
+    assert len(pieces) == 3**dim * (2 if is_quad else 1)
+    assert sizes == pytest.approx(3.0**-dim)
+    assert corners.min() == 0 and (corners.max() == 1 if is_quad else corners.sum(axis=1).max() <= 1 + 1e-15)
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_volume_of_a_plane_cut_is_exact(order):
+    mesh = box((1, 1), maxh=0.3)
+    part, rest = fractions(mesh, [HalfSpace((0.37, 0.5), (1, 0.3))], order)
+    exact = 0.37  # the cut goes through (0.37, 0.5): its mean is the middle's
+    assert Integrate(part, mesh) == pytest.approx(exact, rel=1e-8)
+    assert Integrate(rest, mesh) == pytest.approx(1 - exact, rel=1e-8)
+
+
+@pytest.mark.parametrize(("dim", "maxh", "bound"), [(2, 0.1, 1e-4), (3, 0.3, 2e-2)])
+def test_volume_of_a_ball_is_met_and_improves_with_the_mesh(dim, maxh, bound):
+    ball, exact = Ball((0.6, 0.5, 0.5)[:dim], 0.3), pi * 0.09 if dim == 2 else 4 / 3 * pi * 0.027
+    errors = [abs(volumes(box((1,) * dim, maxh=h), [ball])[0] / exact - 1) for h in (2 * maxh, maxh)]
+    assert errors[1] < bound
+    assert errors[1] < errors[0] / 2
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+@pytest.mark.parametrize(
+    "mesh", [disc(1, maxh=0.4), Mesh(unit_square.GenerateMesh(maxh=0.4, quad_dominated=True))]
+)
+def test_fractions_of_layers_sum_to_one_within_their_bounds(mesh, order):
+    """Curved triangles and quadrilaterals; the second shape lies over the first."""
+    shapes = [Ball((0.2, 0.3), 0.35), HalfSpace((0, 0.3), (0.2, 1))]
+    parts = fractions(mesh, shapes, order)
+    values = np.array([sampled(mesh, part) for part in parts])
+    assert abs(values.sum(axis=0) - 1).max() < 1e-12
+    assert values.min() > -1e-4 and values.max() < 1 + 1e-4
+    assert [Integrate(part, mesh) for part in parts] == pytest.approx(volumes(mesh, shapes), rel=1e-12)
+
+
+def test_later_shapes_lie_over_earlier_ones():
+    mesh = box((1, 1), maxh=0.3)
+    below, above, rest = volumes(mesh, [Block((0, 0), (1, 0.6)), Block((0, 0.4), (1, 1))])
+    assert (below, above) == pytest.approx((0.4, 0.6), rel=2e-4)
+    assert abs(rest) < 1e-8
+
+
+def test_shapes_are_united_cut_and_complemented():
+    mesh = box((1, 1), maxh=0.2)
+    a, b = Block((0, 0), (0.6, 1)), Block((0.3, 0), (1, 1))
+    for shape, exact in [(a | b, 1.0), (a & b, 0.3), (a - b, 0.3), (~a, 0.4), (Union((a, ~a)), 1.0)]:
+        assert volumes(mesh, [shape])[0] == pytest.approx(exact, abs=1e-5)
+
+
+def test_functions_are_shapes_where_they_are_positive_or_one():
+    mesh = box((1, 1), maxh=0.2)
+    smooth = volumes(mesh, [Where(0.09 - (x - 0.5) ** 2 - (y - 0.5) ** 2)])[0]
+    jumping = volumes(mesh, [Where(IfPos(0.09 - (x - 0.5) ** 2 - (y - 0.5) ** 2, 1, 0))])[0]
+    assert smooth == pytest.approx(0.09 * pi, rel=1e-3)
+    assert jumping == pytest.approx(0.09 * pi, rel=1e-2)
+
+
+def test_polygon_that_is_not_convex_has_its_area_in_either_sense():
+    mesh = box((1, 1), maxh=0.1)
+    points = ((0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.5, 0.3), (0.1, 0.9))
+
+    area = 0.4  # of the square 0.64, less the triangle 0.8 x 0.6/2
+    for given in (points, points[::-1]):
+        assert volumes(mesh, [Polygon(given)])[0] == pytest.approx(area, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: Ball((0, 0), -1.0), "Ball.radius"),
+        (lambda: Ball((0,), 1.0), "Ball.centre"),
+        (lambda: Ball(0.5, 1.0), "Ball.centre"),
+        (lambda: Block((0, 0), (1, 0)), "Block.high"),
+        (lambda: Block((0, 0), (1, 1, 1)), "Block.high"),
+        (lambda: HalfSpace((0, 0), (0, 0)), "HalfSpace.normal"),
+        (lambda: Polygon(((0, 0), (1, 1))), "Polygon.points"),
+        (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1))), "Polygon.points"),
+        (lambda: Polygon(((0, 0), (0, 0), (1, 0), (0, 1))), "Polygon.points"),
+        (lambda: Union(()), "Union.shapes"),
+        (lambda: ~Ball((0, 0), 1.0) | 3, "Union.shapes"),
+        (lambda: Where(CF((x, y))), "Where.function"),
+    ],
+)
+def test_shape_that_is_none_is_refused_with_its_field(make, field):
+    with pytest.raises(ParameterError) as caught:
+        make()
+    assert caught.value.field == field
+
+
+@pytest.mark.parametrize(
+    "shape", [Ball((0, 0, 0), 1.0), Block((0, 0, 0), (1, 1, 1)), HalfSpace((0, 0, 0), (0, 0, 1))]
+)
+def test_shape_of_another_dimension_than_the_mesh_is_refused(shape):
+    with pytest.raises(ParameterError, match="as many as the mesh has"):
+        volumes(box((1, 1), maxh=0.5), [shape])
+
+
+def test_polygon_in_space_and_function_that_is_not_finite_are_refused():
+    with pytest.raises(ParameterError, match="mesh of the plane"):
+        volumes(box((1, 1, 1), maxh=1), [Polygon(((0, 0), (1, 0), (0, 1)))])
+    with pytest.raises(ParameterError, match="finite"):
+        volumes(box((1, 1), maxh=0.5), [Where(1 / (x - x))])
