@@ -56,6 +56,7 @@ from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, LinearViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
+from ngvisco.run.bodies import Bodies
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.closure import ClosureWarning
 from ngvisco.run.ledger import DefectWarning
@@ -109,6 +110,7 @@ __all__ = [
     "Ball",
     "BarotropicFluid",
     "Block",
+    "Bodies",
     "Body",
     "BodyForce",
     "Case",

@@ -153,6 +153,23 @@ def test_case_file_gives_the_numbers_of_its_script(name, tmp_path):
             ), column
 
 
+def test_soft_disc_keeps_its_mass_and_is_carried_by_the_flow(tmp_path):
+    demo = load("soft_disc")
+    run = demo.main(str(tmp_path), until=0.15, maxh=0.25)
+    assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
+    rows = np.genfromtxt(tmp_path / "bodies.csv", delimiter=",", names=True)
+    assert rows["disc_mass"] == pytest.approx(rows["disc_mass"][0], rel=1e-12)
+    assert rows["disc_mass"][0] == pytest.approx(0.04 * np.pi, rel=1e-3)
+    assert rows["disc_volume"] == pytest.approx(0.04 * np.pi, rel=0.05)  # K_e = 20 Pa
+    assert rows["disc_x"][-1] < rows["disc_x"][0]  # below the vortex, against the lid
+    for file in ("disc.png", "energies.png", "fields.png", "run.h5"):
+        assert (tmp_path / file).stat().st_size > 0
+    case = nv.load_case(DEMOS / "soft_disc" / "soft_disc.toml", ["domain.maxh=0.25"])
+    again = case.simulation(case.mesh())
+    again.advance()
+    assert again.ledger.column("stored")[1] == pytest.approx(run.ledger.column("stored")[1], rel=1e-9)
+
+
 @pytest.mark.parametrize("demo", sorted(p.name for p in DEMOS.iterdir() if p.is_dir()))
 def test_demo_is_short_and_explained(demo):
     source = (DEMOS / demo / f"{demo}.py").read_text().splitlines()

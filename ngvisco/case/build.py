@@ -12,14 +12,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ngsolve import CF, CoefficientFunction, Mesh
+from ngsolve import Mesh
 from pydantic import ValidationError
 
 from ngvisco.case import catalogue, toml
 from ngvisco.case.errors import CaseError, Fault
 from ngvisco.case.faults import Locator, faults_of
-from ngvisco.case.schema import CaseSections, Section, field_names, parameters
+from ngvisco.case.places import copy_of, digest_of, place_of, reads_z, shapes_with_files
+from ngvisco.case.samples import samples
+from ngvisco.case.schema import CaseSections
+from ngvisco.case.section import Section, field_names, made, parameters
 from ngvisco.case.units import to_si
+from ngvisco.case.values import as_function
 from ngvisco.errors import (
     InitialDataError,
     MeshError,
@@ -31,18 +35,17 @@ from ngvisco.errors import (
 from ngvisco.expressions import ExpressionError, parse
 from ngvisco.forms.boundaries import check_boundary_names
 from ngvisco.forms.context import time
-from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.mesh import distributed
+from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material
 from ngvisco.physics.model import Model, default_elastic_state
 from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.inputs import times_of
 from ngvisco.run.observers import LedgerCSV, VTKSeries
-from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.ranks import abort_alone
-from ngvisco.run.series import Series
+from ngvisco.run.series import ON_RANKS
 from ngvisco.run.simulation import Observer, Simulation
+from ngvisco.shapes.fractions import volumes
 
 MAX_FILE_SIZE = 1_000_000
 
@@ -134,9 +137,14 @@ class Case:
 
     @property
     def resolved(self) -> str:
-        """The case as TOML with every default written out and paths made absolute."""
+        """The case as TOML with every default written out and the mesh file's path made absolute.
+
+        Files of shapes are those that a run directory has copies of, ``shape_files``.
+        """
         data = self.sections.model_dump(exclude_none=True)
         self._settle(data)
+        for table, file in shapes_with_files(data, self.directory):
+            table["path"] = copy_of(file)
         if data["domain"]["geometry"] == "file":
             data["domain"]["path"] = str(self._mesh_path)
         return toml.write(data)
@@ -146,21 +154,31 @@ class Case:
         """SHA-256 of all that the solution depends on: not of title, end time and output."""
         data = self.sections.model_dump()
         self._settle(data)
+        for table, file in shapes_with_files(data, self.directory):
+            table["path"] = digest_of(file)
         for name in ("title", "units", "output", "domain"):  # the mesh has a hash of its own
             del data[name]
         del data["time"]["until"]
         return hashlib.sha256(toml.write(data).encode()).hexdigest()
 
+    @property
+    def shape_files(self) -> dict[str, Path]:
+        """The files that bodies' shapes are in, by the names that they have in a run directory."""
+        dump = self.sections.model_dump()
+        return {copy_of(file): file for _, file in shapes_with_files(dump, self.directory)}
+
     def _settle(self, data: dict[str, Any]) -> None:
         """Write into a dump what the case left to the model: whether its material is by F or by B, and the
         density where no referential one says what it is."""
+        if self.sections.material is None:
+            return
         creep = self.sections.rheology.creep
-        part: Section = self.sections.material
+        part: Any = self.sections.material
         values = data["material"]
         if data["initial"].get("density") is None and self._material().referential_density is None:
             data["initial"] = {"density": None, **data["initial"]} | {"density": 1.0}
         while "material" in type(part).model_fields:
-            part, values = part.material, values["material"]  # type: ignore[attr-defined]
+            part, values = part.material, values["material"]
         if "elastic_state" in type(part).model_fields and values.get("elastic_state") is None:
             values["elastic_state"] = default_elastic_state(
                 None if creep is None else catalogue.MECHANISMS["creep"](**parameters(creep))
@@ -171,8 +189,8 @@ class Case:
 
     def _material(self) -> Material:
         part: Any = self.sections.material
-        made: Material = catalogue.ALL_MATERIALS[part.kind](**parameters(part))
-        return made
+        material: Material = catalogue.ALL_MATERIALS[part.kind](**parameters(part))
+        return material
 
     @property
     def _mesh_path(self) -> Path:
@@ -185,23 +203,19 @@ class Case:
         values = parameters(domain)
         if name == "file":
             values["path"] = str(self._mesh_path)
-        with self._located("domain"):
+        with self.located("domain"):
             return catalogue.GEOMETRIES[name](**values)
-
-    def distributed(self, mesh: Mesh | None, ranks: Communicator) -> Mesh:
-        """The first rank's mesh over all ranks; raises CaseError."""
-        with self._located("domain"):
-            return distributed(mesh, ranks)
 
     def model(self, dim: int) -> Model:
         """Material, mechanisms and loads in ``dim`` dimensions; raises CaseError."""
-        with self._located("material"):
-            material = self._material()
+        if dim == 2 and (found := reads_z(self.sections)) is not None:
+            path, text = found
+            raise self._error(path, f"{text!r:.60}: there is no z in a mesh of two dimensions")
         mechanisms = {}
         for name, kind in catalogue.MECHANISMS.items():
             part = getattr(self.sections.rheology, name)
             if part is not None:
-                with self._located("rheology", name):
+                with self.located("rheology", name):
                     mechanisms[_MODEL_NAMES.get(name, name)] = kind(
                         **self._values(part, ("rheology", name), dim)
                     )
@@ -209,29 +223,47 @@ class Case:
             self._made(load, catalogue.LOADS, ("loads", str(i)), dim)
             for i, load in enumerate(self.sections.loads)
         ]
-        with self._located("material"):
-            material = material.with_elastic_state(default_elastic_state(mechanisms.get("creep")))
-        with self._located("loads"):
+        if self.sections.bodies:
+            bodies = tuple(self._body(i) for i in range(len(self.sections.bodies)))
+            with self.located("bodies"):
+                return Model(bodies=bodies, loads=tuple(loads), **mechanisms)
+        with self.located("material"):
+            material = self._material().with_elastic_state(default_elastic_state(mechanisms.get("creep")))
+        with self.located("loads"):
             return Model(material=material, loads=tuple(loads), **mechanisms)
+
+    def _body(self, number: int) -> Body:
+        part, path = self.sections.bodies[number], ("bodies", str(number))
+        values: dict[str, Any] = {}
+        for name in ("material", "viscosity", "linear_viscosity", "creep"):
+            section: Any = getattr(part, name)
+            if section is not None:
+                with self.located(*path, name):
+                    values[_MODEL_NAMES.get(name, name)] = made(section)
+        with self.located(*path, "where"):
+            values["where"] = place_of(part.where, self.directory)
+        with self.located(*path):
+            return Body(name=part.name, density=part.density, order=part.order, **values)
 
     def simulation(self, mesh: Mesh, observers: Sequence[Observer] = ()) -> Simulation:
         """The simulation at its initial state; raises CaseError for data that the model refuses."""
         sections, made = self.sections, {}
-        with self._located("walls"):
+        with self.located("walls"):
             check_boundary_names(mesh, sections.walls)
         for name in ("initial", "discretisation", "solver"):
-            with self._located(name):
+            with self.located(name):
                 values = self._values(getattr(sections, name), (name,), mesh.dim)
                 made[name] = catalogue.SECTIONS[name](**values)
         walls: dict[str | tuple[str, ...], Wall] = {}
         for wall, condition in sections.walls.items():
             walls[wall] = self._made(condition, catalogue.WALLS, ("walls", wall), mesh.dim)
         adaptive = sections.time.adaptive
-        with self._located("time"):
+        with self.located("time"):
             stepping = None if adaptive is None else catalogue.SECTIONS["adaptive"](**parameters(adaptive))
         time.Set(0.0)
         model = self.model(mesh.dim)
-        with self._located("initial"):
+        self._check_bodies(mesh)
+        with self.located("initial"):
             run = Simulation(
                 mesh,
                 model,
@@ -255,49 +287,35 @@ class Case:
         self._check_output(run)
         return run
 
+    def _check_bodies(self, mesh: Mesh) -> None:
+        """Raise CaseError for a body that is nowhere in the mesh, or whose place does not fit it."""
+        for i, body in enumerate(self.sections.bodies):
+            with self.located("bodies", str(i), "where"):
+                place = place_of(body.where, self.directory)
+                if place is not None and not volumes(mesh, [place])[0] > 0:
+                    raise ParameterError("bodies.where", body.where, "a place within the domain: it is empty")
+
     def observers(self, directory: str | os.PathLike[str], until: float | None = None) -> list[Observer]:
-        """Ledger, VTK series and checkpoints in a run directory."""
+        """Ledger, VTK series, tables and checkpoints, which come last, in a run directory."""
         out, vtk, checkpoint = Path(directory), self.sections.output.vtk, self.sections.output.checkpoint
         chosen: list[Observer] = [LedgerCSV(out / "ledger.csv")]
         if vtk.enabled:
             times = self.output_times(self.until if until is None else until)
             every = None if vtk.interval else vtk.every
             chosen.append(VTKSeries(out / "vtk", every, vtk.fields, vtk.subdivision, times))
-        chosen += self.samples(out / "samples").values()
+        chosen += samples(self.sections, out).values()
         attributes = {"case": self.hash}
         chosen.append(Checkpoints(out / "run.h5", checkpoint.every, checkpoint.keep, attributes))
         return chosen
-
-    def samples(self, directory: Path) -> dict[tuple[str, ...], Series]:
-        """Probes, lines, forces and integrals by the key that describes them, writing into ``directory``."""
-        output, found = self.sections.output, dict[tuple[str, ...], Series]()
-        for i, p in enumerate(output.probes):
-            path = directory / f"{p.name}.csv"
-            found["output", "probes", str(i)] = Probes({p.name: p.point}, p.fields, path, p.every)
-        for i, line in enumerate(output.lines):
-            path = directory / f"{line.name}.csv"
-            found["output", "lines", str(i)] = LineSamples(
-                line.start, line.end, line.points, line.fields, path, line.every
-            )
-        if output.forces is not None:
-            f, path = output.forces, directory / "forces.csv"
-            found["output", "forces"] = WallForces(f.walls, f.about, path, f.every)
-        for i, integral in enumerate(output.integrals):
-            path = directory / f"{integral.name}.csv"
-            found["output", "integrals", str(i)] = Integrals(
-                {integral.name: integral.of}, path, integral.every
-            )
-        return found
 
     def _check_output(self, run: Simulation) -> None:
         for name in self.sections.output.vtk.fields or ():
             if name not in run.fields:
                 error = UnknownNameError("field", name, run.fields)
                 raise self._error(("output", "vtk", "fields"), str(error))
-        for path, series in self.samples(Path()).items():
+        for path, series in samples(self.sections, Path()).items():
             if run.ranks.is_distributed:
-                expected = "ledger, VTK series and checkpoints only on several ranks"
-                raise self._error(path, f"expected {expected}: its points are one process's")
+                raise self._error(path, f"expected {ON_RANKS}")
             try:
                 series.prepare(run)
             except ParameterError as error:
@@ -312,7 +330,7 @@ class Case:
     def _made(
         self, part: Any, table: Mapping[str, Callable[..., Any]], path: tuple[str, ...], dim: int
     ) -> Any:
-        with self._located(*path):
+        with self.located(*path):
             return table[part.kind](**self._values(part, path, dim))
 
     def _values(self, part: Section, path: tuple[str, ...], dim: int) -> dict[str, Any]:
@@ -322,11 +340,11 @@ class Case:
             if name in fields:
                 self._check_names(value, (*path, name), dim)
                 self._check_length(value, (*path, name), dim)
-                with self._located(*path, name):
+                with self.located(*path, name):
                     if isinstance(value, dict):
-                        values[name] = {key: _as_function(field) for key, field in value.items()}
+                        values[name] = {key: as_function(field) for key, field in value.items()}
                     else:
-                        values[name] = value if isinstance(value, (int, float)) else _as_function(value)
+                        values[name] = value if isinstance(value, (int, float)) else as_function(value)
         return values
 
     def _check_names(self, value: Any, path: tuple[str, ...], dim: int) -> None:
@@ -345,7 +363,7 @@ class Case:
         return CaseError(self.source, [self.locator.fault(path, message)])
 
     @contextmanager
-    def _located(self, *path: str) -> Iterator[None]:
+    def located(self, *path: str) -> Iterator[None]:
         """Turn ngvisco's errors into faults of a section (or of the one that the error names)."""
         try:
             yield
@@ -360,8 +378,9 @@ class Case:
             where = _SECTION_OF_NAME.get(error.kind, path)
             raise self._error((*where, error.name), str(error)) from error
         except InitialDataError as error:
-            if error.field == "stored energy" and self._starts_at_rest:
-                names = ", ".join(parameters(self.sections.material))
+            material: Any = self.sections.material
+            if error.field == "stored energy" and self._starts_at_rest and material is not None:
+                names = ", ".join(parameters(material))
                 message = f"its energy at rest is not finite: expected other values of {names}"
                 raise self._error(("material",), message) from error
             keys = [key for word, key in _INITIAL_KEYS.items() if word in error.field]
@@ -372,7 +391,7 @@ class Case:
         except NgviscoError as error:
             raise self._error(path, str(error)) from error
         except Exception as error:  # NGSolve and Netgen raise bare exceptions for what they refuse
-            abort_alone(Communicator.world(), error)
+            abort_alone(error)
             raise self._error(path, f"{type(error).__name__}: {error}") from error
 
     @property
@@ -388,6 +407,13 @@ class Case:
         if owner == "loads":
             names = [str(load.name) for load in self.sections.loads]  # type: ignore[attr-defined]
             return (owner, str(names.index(rest[0])), *rest[1:])
+        if owner == "bodies":
+            names = [body.name for body in self.sections.bodies]
+            return (owner, str(names.index(rest[0])), *rest[1:]) if rest[:1] and rest[0] in names else path
+        if owner in (*catalogue.SHAPES, "Where"):
+            return path
+        if owner == "Model" and rest[:1] == ["bodies"]:
+            return ("bodies",)
         if owner == "Model":
             return ("loads",) if rest == ["loads"] else ("rheology", *rest)
         if owner in ("until", "stops"):
@@ -412,6 +438,7 @@ _MODEL_NAMES = {"linear_viscosity": "viscosity"}
 _SECTION_OF_NAME = {
     "material variable": ("initial", "values"),
     "passive field": ("output", "passive"),
+    "subdomain": ("bodies",),
     "boundary": ("walls",),
     "wall": ("domain", "refine"),
 }
@@ -426,22 +453,3 @@ _SECTION_OF = {
     "LinearViscosity": ("rheology", "linear_viscosity"),
 }
 """Sections of the objects that the parts of a simulation name in their errors."""
-
-
-def _as_function(value: Any) -> Any:
-    """A number, text or array as a coefficient function; arrays of arrays are matrices."""
-    if not isinstance(value, list):
-        return _scalar(value)
-    if not all(isinstance(row, list) for row in value):
-        if any(isinstance(row, list) for row in value):
-            raise ParameterError("array", value, "a vector, or a matrix of equally long rows")
-        return CF(tuple(_scalar(part) for part in value))
-    widths = {len(row) for row in value}
-    if len(widths) != 1 or any(isinstance(part, list) for row in value for part in row):
-        raise ParameterError("array", value, "a matrix of equally long rows")
-    flat = tuple(_scalar(part) for row in value for part in row)
-    return CF(flat, dims=(len(value), widths.pop()))
-
-
-def _scalar(value: Any) -> CoefficientFunction:
-    return parse(value).coefficient() if isinstance(value, str) else CF(float(value))

@@ -11,6 +11,7 @@ from typing import Any
 
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
 from ngvisco.case.meshfile import read_mesh
+from ngvisco.case.regions import closed_surface, image
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.physics.materials import (
@@ -35,6 +36,8 @@ from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, LinearViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.stepping import AdaptiveSteps
+from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon
+from ngvisco.shapes.subdomain import Subdomain
 from ngvisco.solver.options import NewtonOptions
 
 
@@ -107,6 +110,17 @@ WALLS: dict[str, type] = {
     "Traction": Traction,
 }
 """Walls that a case does not name are Slip."""
+
+SHAPES: dict[str, Callable[..., Any]] = {
+    "Ball": Ball,
+    "Block": Block,
+    "ClosedSurface": closed_surface,
+    "HalfSpace": HalfSpace,
+    "Image": image,
+    "Polygon": Polygon,
+    "Subdomain": Subdomain,
+}
+"""Where bodies are at the start, besides conditions on x, y, z."""
 
 SECTIONS: dict[str, type] = {
     "adaptive": AdaptiveSteps,

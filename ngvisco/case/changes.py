@@ -30,8 +30,9 @@ CHANGEABLE = "title, time, loads, walls, numbers of material and rheology, solve
 
 _INSTEAD = "start a new run with its fields: ngvisco run CASE -o NEW --from"
 
-FIXED = ("domain", "initial", "discretisation", "material.kind", "output.passive")
-"""What it may not: another mesh or other unknowns are a new run, which takes over the fields of this one."""
+FIXED = ("domain", "initial", "discretisation", "material.kind", "bodies", "output.passive")
+"""What it may not, of bodies all but the numbers of their materials and mechanisms: another mesh or other
+unknowns are a new run, which takes over the fields of this one."""
 
 
 def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:
@@ -48,9 +49,18 @@ def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:
 
 def _value(case: Case, key: str) -> Any:
     node: Any = case.sections.model_dump()
+    if key == "bodies":
+        kept = ("name", "where", "density", "order")
+        return [{name: body[name] for name in kept} | _kinds(body) for body in node["bodies"]]
     for part in key.split("."):
-        node = node[part]
+        node = None if node is None else node[part]
     return node
+
+
+def _kinds(body: dict[str, Any]) -> dict[str, Any]:
+    """What a body is made of, without numbers."""
+    mechanisms = ("viscosity", "linear_viscosity", "creep")
+    return {"kind": body["material"]["kind"], **{name: body[name] is not None for name in mechanisms}}
 
 
 def check_change(place: RunDirectory, case: Case, new: Case) -> None:

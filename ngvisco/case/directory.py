@@ -8,6 +8,8 @@
 | ledger.csv    | the energy ledger, a row a step                                           |
 | run.h5        | ledger and checkpoints (ngvisco.run.checkpoint)                           |
 | vtk/          | the VTK series                                                            |
+| shapes/       | the files of bodies' shapes, under their content's hashes                  |
+| bodies.csv    | mass, centroid, energies, ... of each body, a row a step                   |
 | samples/      | probes, lines, forces on walls, integrals over the domain, as CSV         |
 | log.txt       | what was done when                                                        |
 | failed.txt    | of a run that ended at a step: where and why, and what to change          |
@@ -42,6 +44,7 @@ from ngvisco.case.meshfile import mesh_image, mesh_of, require_whole
 from ngvisco.case.versions import versions
 from ngvisco.errors import CheckpointError, MeshError, NgviscoError, StepError, require_path
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import distributed
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.failure import write_failure
 from ngvisco.run.files import write_atomically
@@ -78,6 +81,8 @@ class RunDirectory:
         pictures = [self.path / name for name in (*names, "scene.html", "movie.gif", "movie.mp4")]
         series = [path for kind in ("vtu", "pvtu", "pvd") for path in self.vtk.glob(f"fields*.{kind}")]
         series += [*self.path.glob("samples/*.csv"), *self.path.glob("case.until-step-*.toml")]
+        own.append(self.path / "bodies.csv")
+        series += [*self.path.glob("shapes/*.stl"), *self.path.glob("shapes/*.png")]
         own += [self.log_file, self.failure_file, self.failed_state]
         return [path for path in [*own, *pictures, *series] if path.exists()]
 
@@ -109,6 +114,10 @@ class RunDirectory:
     def prepare(self, case: Case, image: bytes, source: Origin | None = None) -> None:
         """Write case, mesh (a .vol file's content) and versions of a new run, and where it starts from."""
         write_atomically(self.case_file, case.resolved.encode())
+        for name, file in case.shape_files.items():
+            (self.path / name).parent.mkdir(exist_ok=True)
+            if file != self.path / name:
+                write_atomically(self.path / name, file.read_bytes())
         write_atomically(self.mesh_file, image)
         record = versions() | {"mesh_sha256": hashlib.sha256(image).hexdigest()}
         if source is not None:
@@ -305,7 +314,7 @@ def _go(
             log.write(note)
 
     ranks.on_first(begin)
-    write = log.write if ranks.is_first else _nothing
+    write = log.write if ranks.is_first else (lambda line: None)
     try:
         with noting_warnings(write):
             simulation.run(max(end, simulation.t), case.output_times(end))
@@ -323,15 +332,12 @@ def _go(
     return simulation
 
 
-def _nothing(line: str) -> None:
-    """The log of a rank that writes none."""
-
-
 def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) -> Mesh:
     """The mesh that the first rank makes, distributed; its error is raised on every rank."""
     made: list[Mesh] = []
     ranks.on_first(lambda: made.append(make()))
-    return case.distributed(made[0] if made else None, ranks)
+    with case.located("domain"):
+        return distributed(made[0] if made else None, ranks)
 
 
 def _require_one_process(ranks: Communicator, what: str) -> None:

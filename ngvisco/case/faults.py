@@ -110,6 +110,8 @@ def _resolve(model: type[BaseModel], location: tuple[Any, ...]) -> tuple[tuple[s
     candidates: list[type[BaseModel]] = [model]
     here, known = "the case", list(model.model_fields)
     for part in location:
+        if isinstance(part, str) and part.startswith("<"):  # which form a value has, which is no key
+            continue
         fields = {name: field for c in candidates for name, field in c.model_fields.items()}
         chosen = [c for c in candidates if c.__name__ == part]
         if part in fields:
@@ -130,4 +132,4 @@ def models_in(annotation: Any) -> list[type[BaseModel]]:
     """The sections that a schema's type holds."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [found for part in get_args(annotation) for found in models_in(part)]
+    return list(dict.fromkeys(found for part in get_args(annotation) for found in models_in(part)))

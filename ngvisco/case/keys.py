@@ -42,6 +42,9 @@ KEYS: dict[str, Key] = {
     "Units.viscosity": Key("", "of viscosities and the creep modulus", "Pa s"),
     "CaseSections.domain": Key("", "the domain and its mesh", None),
     "CaseSections.material": Key("", "the material: its variables and its stored energy", None),
+    "CaseSections.bodies": Key(
+        "", "bodies of different material, each an element of the array, in place of [material]", None
+    ),
     "CaseSections.time": Key("", "step length and end", None),
     "CaseSections.walls": Key("", "what holds on the walls, by name; Slip where nothing is said", None),
     "CaseSections.rheology": Key("", "dissipative mechanisms, each a table of its own", None),
@@ -62,6 +65,8 @@ KEYS: dict[str, Key] = {
     "Output.lines": Key("", "fields along lines over time, each a file samples/NAME.csv", None),
     "Output.forces": Key("", "forces and torques on walls over time, in samples/forces.csv", None),
     "Output.integrals": Key("", "integrals over the domain over time, each a file samples/NAME.csv", None),
+    "Output.bodies": Key("", "mass, centroid, energies, ... of each body over time, in bodies.csv", None),
+    "BodiesTable.every": Key("1", "a row every so many steps, and at the end", 1),
     # domain
     "geometry": Key("", "which domain", "box"),
     "size": Key("m", "edge lengths, two (plane strain) or three", [1.0, 1.0]),
@@ -169,6 +174,37 @@ KEYS: dict[str, Key] = {
     "Yosida.eps": Key("1/Pa", "width of the Yosida approximation, > 0", 1e-3),
     "WithQuadratic.delta": Key("Pa^2", "sqrt(delta)/2 |z|^2 is added to the energy, > 0", 1e-6),
     "WithQuadratic.only": Key("", "variables for which it is added; all without this key", ["J"]),
+    # bodies
+    "Body.name": Key("", "letters, digits and _; fields and columns of the body begin with it", "disc"),
+    "Body.where": Key(
+        "",
+        "where the body is at the start: a condition on x, y, z, a shape, or several of which it is the "
+        "union; what the other bodies leave without this key, which one of them at most may lack",
+        None,
+    ),
+    "where.kind": Key("", "which shape", "Ball"),
+    "Body.material": Key("", "its material, with the keys of [material]", None),
+    "Body.viscosity": Key("", "its Stokes viscosity, with the keys of [rheology.viscosity]", None),
+    "Body.linear_viscosity": Key("", "any linear viscosity instead, as [rheology.linear_viscosity]", None),
+    "Body.creep": Key("", "its creep, with the keys of [rheology.creep]", None),
+    "Body.density": Key(
+        "kg/m^3", "its density where J = 1, > 0; that of its material where this has rho_R", 1000.0
+    ),
+    "Body.order": Key("1", "of two bodies that overlap at the start the one of higher order is there", 1),
+    "Ball.centre": Key("m", "its centre, a coordinate for each dimension", [0.6, 0.5]),
+    "Block.low": Key("m", "corner of the smallest coordinates", [0.2, 0.2]),
+    "Block.high": Key("m", "corner of the largest coordinates", [0.8, 0.4]),
+    "HalfSpace.point": Key("m", "a point of the plane", [0.0, 0.5]),
+    "HalfSpace.normal": Key("1", "outward normal of the plane, of any length", [0.0, 1.0]),
+    "Polygon.points": Key("m", "corners in order; the last is joined to the first", [[0, 0], [1, 0], [0, 1]]),
+    "ClosedSurface.path": Key("", "an STL file whose surface closes; relative to the case file", "part.stl"),
+    "ClosedSurface.scale": Key("m", "length of the STL file's unit", 1e-3),
+    "Image.path": Key("", "a PNG file; relative to the case file", "part.png"),
+    "Image.low": Key("m", "place of the picture's lower left corner", [0.0, 0.0]),
+    "Image.high": Key("m", "place of its upper right corner", [1.0, 1.0]),
+    "Image.threshold": Key("1", "grey, from 0 (black) to 1 (white), below which a pixel belongs to it", 0.5),
+    "Image.dark": Key("", "false: what is brighter than the threshold instead", True),
+    "Subdomain.names": Key("", "names of subdomains of the mesh", ["inclusion"]),
     # mechanisms
     "K_v": Key("Pa s", "bulk viscosity, >= 0: stress K_v (div v) I", 0.01),
     "G_v": Key("Pa s", "shear viscosity, >= 0: stress 2 G_v dev eps(v), the usual dynamic viscosity", 0.01),
@@ -307,6 +343,9 @@ KEYS: dict[str, Key] = {
     "max_iterations": Key("1", "iterations that a step may take", 60),
     "refresh": Key("1", "contraction above which the Jacobian is made anew, in (0, 1)", 0.25),
     "min_damping": Key("1", "smallest damping of a Newton step that is tried, in (0, 1)", 1e-3),
+    "retry_seconds": Key(
+        "s", "what the coupled solver may take for a step that the split one has failed at", 120.0
+    ),
     "inverse": Key("", 'sparse direct solver, "umfpack", "pardiso" or "mumps"', "umfpack"),
     "method": Key(
         "", '"coupled" (small meshes), "split" (large ones) or "auto"; both solve the same equations', "auto"

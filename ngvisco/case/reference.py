@@ -12,7 +12,7 @@ import json
 import types
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -21,7 +21,9 @@ from ngvisco.case import toml
 from ngvisco.case.faults import models_in
 from ngvisco.case.keys import key
 from ngvisco.case.laws import EnergyText
-from ngvisco.case.schema import _TARGETS, CaseSections, FieldValue, NumberValues
+from ngvisco.case.schema import CaseSections
+from ngvisco.case.section import _TARGETS, moduli
+from ngvisco.case.values import FieldValue, NumberValues, RegionText
 from ngvisco.errors import ParameterError
 
 _TAGS = ("geometry", "kind")
@@ -85,6 +87,16 @@ def entries() -> list[Entry]:
     return list(grouped.values())
 
 
+_SAME_KEYS = {
+    ("material", "material"): ("material",),
+    ("bodies", "N", "material"): ("material",),
+    ("bodies", "N", "viscosity"): ("rheology", "viscosity"),
+    ("bodies", "N", "linear_viscosity"): ("rheology", "linear_viscosity"),
+    ("bodies", "N", "creep"): ("rheology", "creep"),
+}
+"""Tables that have the keys of another one, which are listed there."""
+
+
 def _walk(model: type[BaseModel], path: tuple[str, ...], kinds: tuple[str, ...]) -> Iterator[Entry]:
     for name, field in model.model_fields.items():
         here, inner = (*path, name), models_in(field.annotation)
@@ -94,14 +106,14 @@ def _walk(model: type[BaseModel], path: tuple[str, ...], kinds: tuple[str, ...])
         yield Entry(
             here,
             kinds,
-            type_text(field.annotation),
+            "number or expression" if name in moduli(model) else type_text(field.annotation),
             meant.unit,
             field.is_required(),
             None if inner or field.is_required() else field.default,
             meant.meaning,
             None if inner else meant.example,
         )
-        if inner and here != ("material", "material"):  # the wrapped material has the keys of the outer one
+        if inner and here not in _SAME_KEYS:
             yield from _walk_kinds(inner, (*here, *_place(field.annotation)), name)
 
 
@@ -153,13 +165,18 @@ def type_text(annotation: Any) -> str:
         return "number, expression, or array of them"
     if origin is Literal:
         return f"one of {', '.join(json.dumps(value) for value in arguments)}"
-    if models_in(annotation):
-        return {dict: "tables by name", list: "array of tables"}.get(origin, "table")
     if origin in (Union, types.UnionType):
         parts = dict.fromkeys(type_text(part) for part in arguments if part is not type(None))
         return " or ".join(parts)
+    if origin is Annotated and get_args(RegionText)[1] in arguments:
+        return "condition"
+    if origin is Annotated:
+        return type_text(arguments[0])
+    if models_in(annotation):
+        return {dict: "tables by name", list: "array of tables"}.get(origin, "table")
     if origin is list:
-        return f"array of {type_text(arguments[0])}s"
+        inner = type_text(arguments[0])
+        return f"array of arrays{inner[5:]}" if inner.startswith("array") else f"array of {inner}s"
     if origin is dict:
         return f"table of {type_text(arguments[1])}s" if arguments[1] is float else "table by name"
     return type_text(arguments[0])
@@ -181,6 +198,9 @@ def explain(path: str) -> str:
     """
     every = entries()
     wanted = tuple(part for part in path.strip().strip(".").split(".") if part)
+    for place, same in _SAME_KEYS.items():
+        if len(wanted) > len(place) and _matches(place, wanted[: len(place)]):
+            wanted = (*same, *wanted[len(place) :])
     kinds = {kind: entry.path[:-1] for entry in every for kind in entry.kinds}
     if wanted and wanted[-1] in kinds:
         kind, section = wanted[-1], kinds[wanted[-1]]

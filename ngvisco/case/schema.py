@@ -1,40 +1,18 @@
-"""The schema of a case file, made from the dataclasses and functions of the catalogue.
-
-Each section is a strict pydantic model whose fields are the parameters of a dataclass or function;
-parameters that are functions of space and time are numbers, expressions or arrays of them.  What a
-dataclass refuses is a fault of its section, with the parameter's name.
-"""
+"""The schema of a case file: its sections, made from the dataclasses and functions of the catalogue."""
 
 from __future__ import annotations
 
-import collections.abc
-import dataclasses
-import functools
-import inspect
 import math
-import operator
 import re
-import types
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
 
-from ngsolve import CoefficientFunction
-from numpy.typing import ArrayLike
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    WithJsonSchema,
-    create_model,
-    model_validator,
-)
+from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
 
 from ngvisco.case import catalogue
-from ngvisco.case.laws import EnergyText
-from ngvisco.errors import ParameterError, UnknownNameError, as_number
-from ngvisco.expressions import parse
-from ngvisco.physics.material import Material as MaterialObject
+from ngvisco.case.section import Section, materials, section, tagged
+from ngvisco.case.values import RegionText
+from ngvisco.errors import ParameterError
 from ngvisco.run.stepping import HALVINGS, MOST_HALVINGS
 from ngvisco.timestepping.scheme import SCHEMES, scheme_of
 
@@ -43,204 +21,16 @@ _MAX_STEPS = 100_000_000
 """Steps above which a run has no end: ten of the smallest a second make a hundred days."""
 
 
-class Section(BaseModel):
-    """A table of a case file: unknown keys and wrong types are refused."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-def _check_field(value: Any) -> Any:
-    """A number, an expression, or an array (of arrays) of them; raises ValueError."""
-    if isinstance(value, list):
-        if not value:
-            raise ValueError("expected a number, an expression or an array of them, not an empty array")
-        for part in value:
-            _check_field(part)
-    elif isinstance(value, str):
-        parse(value)
-    elif isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError("expected a number, an expression in quotes, or an array of them")
-    elif as_number(value) is None:
-        raise ValueError("expected a finite number")
-    return value
-
-
-FieldValue = Annotated[
-    Any, AfterValidator(_check_field), WithJsonSchema({"type": ["number", "string", "array"]})
-]
-"""A scalar, vector or tensor field as it stands in a case file."""
-
-
-def _check_numbers(value: list[Any]) -> list[Any]:
-    """Arrays of arrays of finite numbers; raises ValueError."""
-    for part in value:
-        if isinstance(part, list):
-            _check_numbers(part)
-        elif as_number(part) is None:
-            raise ValueError(f"expected an array of finite numbers, or of such arrays, not of {part!r:.30}")
-    return value
-
-
-NumberValues = Annotated[list[Any], AfterValidator(_check_numbers)]
-"""Numbers in arrays of arrays."""
-
-
-def _annotation(hint: Any) -> Any:
-    """The schema's type for a parameter's type hint; None if a case file cannot give it."""
-    if hint in (float, int, bool, str, EnergyText):
-        return hint
-    if hint == ArrayLike:
-        return NumberValues
-    origin, arguments = get_origin(hint), get_args(hint)
-    if origin in (Union, types.UnionType):
-        if _mentions_function(hint):
-            return FieldValue | None if type(None) in arguments else FieldValue
-        parts = [part for part in arguments if part is not type(None)]
-        inner = [_annotation(part) for part in parts]
-        if None in inner:
-            return None
-        return functools.reduce(operator.or_, [*inner, None] if len(parts) < len(arguments) else inner)
-    if origin is Literal:
-        return hint
-    if hint is CoefficientFunction:
-        return FieldValue
-    if origin is collections.abc.Mapping and arguments[0] is str and _mentions_function(arguments[1]):
-        return dict[str, FieldValue]
-    if origin is collections.abc.Mapping and arguments == (str, float):
-        return dict[str, float]
-    if origin in (collections.abc.Sequence, list, tuple) and not _mentions_function(hint):
-        inner_hint = _annotation(arguments[0])
-        return None if inner_hint is None else list[inner_hint]  # type: ignore[valid-type]
-    if _mentions_function(hint) and origin is not collections.abc.Callable:
-        return FieldValue
-    return None
-
-
-def _mentions_function(hint: Any) -> bool:
-    if hint is CoefficientFunction:
-        return True
-    return any(_mentions_function(part) for part in get_args(hint) if not isinstance(part, list))
-
-
-def section(
-    target: Callable[..., Any], tag: tuple[str, str] | None = None, wrapped: Any = Section
-) -> type[Section]:
-    """The section that holds a dataclass's (or function's) parameters.
-
-    Parameters
-    ----------
-    target : class or function
-    tag : (key, name), optional
-        A key whose value chooses this section, e.g. ``("kind", "NeoHookean")``.
-    wrapped : type
-        The schema's type of a parameter that is a material.
-    """
-    # of a dataclass its fields', each with the names that its own class's module knows
-    hints = get_type_hints(target)
-    fields: dict[str, Any] = {}
-    if tag is not None:
-        fields[tag[0]] = (Literal[tag[1]], ...)
-    for name, parameter in inspect.signature(target).parameters.items():
-        hint = hints.get(name)
-        annotation = wrapped if hint is MaterialObject else _annotation(hint)
-        required = parameter.default is inspect.Parameter.empty
-        if annotation is None:
-            if required:
-                raise TypeError(f"{target.__qualname__}.{name}: a case file cannot give a {hints.get(name)}")
-            continue
-        fields[name] = (annotation, ... if required else _default(annotation, parameter.default))
-    base = _checked_section(target) if _is_plain(target, fields, hints.get("return")) else Section
-    model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
-    _TARGETS[model] = target
-    _FIELDS[model] = frozenset(
-        name for name, (annotation, _) in fields.items() if _has_field_value(annotation)
-    )
-    return model
-
-
-_FIELDS: dict[type[Section], frozenset[str]] = {}
-_TARGETS: dict[type[Section], Callable[..., Any]] = {}
-
-
-def field_names(part: Section) -> frozenset[str]:
-    """The parameters of a section that are functions of space and time."""
-    return _FIELDS[type(part)]
-
-
-def _default(annotation: Any, default: Any) -> Any:
-    """A parameter's default as a case file would have it."""
-    if annotation == dict[str, FieldValue]:
-        return {}
-    return list(default) if isinstance(default, tuple) else default
-
-
-def _is_plain(target: Callable[..., Any], fields: dict[str, Any], returned: Any) -> bool:
-    """Whether the object can be made, and so checked, from the file's values alone.
-
-    Functions make materials; those of geometries make meshes, which takes long.
-    """
-    has_fields = any(_has_field_value(annotation) for annotation, _ in fields.values())
-    is_material = isinstance(returned, type) and issubclass(returned, MaterialObject)
-    return not has_fields and (dataclasses.is_dataclass(target) or is_material)
-
-
-def _has_field_value(annotation: Any) -> bool:
-    return annotation == FieldValue or any(_has_field_value(part) for part in get_args(annotation))
-
-
-def _checked_section(target: Callable[..., Any]) -> type[Section]:
-    class Checked(Section):
-        @model_validator(mode="after")
-        def _admitted(self) -> Any:
-            try:
-                target(**parameters(self))
-            except UnknownNameError as error:  # a KeyError, which pydantic would let through
-                raise ValueError(str(error)) from error
-            return self
-
-    return Checked
-
-
-def parameters(part: Section) -> dict[str, Any]:
-    """The parameters that a section holds, by name, without its tag; None is left to the default.
-
-    A section within it becomes the object that it describes.
-    """
-    tags = {"kind", "geometry"} & set(type(part).model_fields)
-    values = {name: getattr(part, name) for name in type(part).model_fields if name not in tags}
-    return {
-        name: _TARGETS[type(value)](**parameters(value)) if isinstance(value, Section) else value
-        for name, value in values.items()
-        if value is not None
-    }
-
-
-def _tagged(key: str, table: dict[str, Any]) -> Any:
-    return _choice(key, tuple(section(target, (key, name)) for name, target in table.items()))
-
-
-def _choice(key: str, models: tuple[type[Section], ...]) -> Any:
-    if len(models) == 1:
-        return models[0]
-    return Annotated[Union[models], Field(discriminator=key)]  # noqa: UP007 (made at run time)
-
-
-def _materials() -> Any:
-    """The materials, and the wrappers of those before them."""
-    models = tuple(section(target, ("kind", name)) for name, target in catalogue.MATERIALS.items())
-    for name, target in catalogue.WRAPPERS.items():
-        models = (*models, section(target, ("kind", name), _choice("kind", models)))
-    return _choice("kind", models)
-
-
-Domain = _tagged("geometry", catalogue.GEOMETRIES)
-Material = _materials()
-Load = _tagged("kind", catalogue.LOADS)
-Wall = _tagged("kind", catalogue.WALLS)
+Domain = tagged("geometry", catalogue.GEOMETRIES)
+Material = materials()
+Load = tagged("kind", catalogue.LOADS)
+Wall = tagged("kind", catalogue.WALLS)
+Shape = tagged("kind", catalogue.SHAPES)
+_MECHANISMS = {name: section(target) for name, target in catalogue.MECHANISMS.items()}
 Rheology: Any = create_model(
     "Rheology",
     __base__=Section,
-    **{name: (section(target) | None, None) for name, target in catalogue.MECHANISMS.items()},  # type: ignore
+    **{name: (part | None, None) for name, part in _MECHANISMS.items()},  # type: ignore
 )
 Adaptive, Discretisation, Initial, Solver = (
     section(catalogue.SECTIONS[name]) for name in ("adaptive", "discretisation", "initial", "solver")
@@ -351,17 +141,24 @@ class DomainIntegral(Section):
     every: int = Field(default=1, ge=1)
 
 
+class BodiesTable(Section):
+    """What is measured of each body over time."""
+
+    every: int = Field(default=1, ge=1)
+
+
 class Output(Section):
     """What is written into the run directory."""
 
     vtk: VTK = VTK()
     checkpoint: Checkpoint = Checkpoint()
-    probes: list[Probe] = []
-    lines: list[Line] = []
+    probes: list[Probe] = Field(default=[])
+    lines: list[Line] = Field(default=[])
     forces: Forces | None = None
-    integrals: list[DomainIntegral] = []
+    integrals: list[DomainIntegral] = Field(default=[])
+    bodies: BodiesTable = BodiesTable()
     log_every: int = Field(default=1, ge=1)
-    passive: list[str] = []
+    passive: list[str] = Field(default=[])
 
     @model_validator(mode="after")
     def _distinct(self) -> Output:
@@ -377,6 +174,48 @@ class Output(Section):
                     expected = f"a name that no other of the tables has: both would write {name}.csv"
                     raise ParameterError(f"Output.{key}.{i}.name", name, expected)
                 taken.add(name)
+        return self
+
+
+Viscosity, Creep = _MECHANISMS["viscosity"], _MECHANISMS["creep"]
+LinearViscosity = _MECHANISMS["linear_viscosity"]
+
+
+def _form_of_place(value: Any) -> str:
+    return "<text>" if isinstance(value, str) else "<shapes>" if isinstance(value, list) else "<shape>"
+
+
+Where = Annotated[
+    Annotated[RegionText, Tag("<text>")]
+    | Annotated[Shape, Tag("<shape>")]  # type: ignore[valid-type]
+    | Annotated[list[Shape], Tag("<shapes>")],  # type: ignore[valid-type]
+    Discriminator(_form_of_place),
+]
+"""A condition on x, y, z, a shape, or several of them, of which it is the union."""
+
+
+class Body(Section):
+    """A body of one material, and where it is at the start."""
+
+    name: str
+    where: Where | None = None
+    material: Material  # type: ignore[valid-type]
+    viscosity: Viscosity | None = None  # type: ignore[valid-type]
+    linear_viscosity: LinearViscosity | None = None  # type: ignore[valid-type]
+    creep: Creep | None = None  # type: ignore[valid-type]
+    density: float | None = None
+    order: int = 0
+
+    @model_validator(mode="after")
+    def _admitted(self) -> Body:
+        if not re.fullmatch(r"[A-Za-z]\w{0,59}", self.name, re.ASCII):
+            raise ParameterError("Body.name", self.name, "a letter, and then letters, digits and _")
+        if self.density is not None and not 0 < self.density < math.inf:
+            raise ParameterError("Body.density", self.density, "a finite number > 0: a body has mass")
+        if self.where == []:
+            raise ParameterError("Body.where", [], "at least one shape")
+        if self.viscosity is not None and self.linear_viscosity is not None:
+            raise ParameterError("Body.linear_viscosity", "D", "no viscosity beside it: D is the whole")
         return self
 
 
@@ -399,11 +238,12 @@ class CaseSections(Section):
     title: str = ""
     units: Units = Units()
     domain: Domain  # type: ignore[valid-type]
-    material: Material  # type: ignore[valid-type]
+    material: Material | None = None  # type: ignore[valid-type]
+    bodies: list[Body] = Field(default=[])
     time: Time
-    walls: dict[str, Wall] = {}  # type: ignore[valid-type]
+    walls: dict[str, Wall] = Field(default={})  # type: ignore[valid-type]
     rheology: Rheology = Rheology()
-    loads: list[Load] = []  # type: ignore[valid-type]
+    loads: list[Load] = Field(default=[])  # type: ignore[valid-type]
     initial: Initial = Initial()  # type: ignore[valid-type]
     discretisation: Discretisation = Discretisation()  # type: ignore[valid-type]
     solver: Solver = Solver()  # type: ignore[valid-type]
@@ -412,6 +252,9 @@ class CaseSections(Section):
     @model_validator(mode="after")
     def _consistent(self) -> CaseSections:
         rheology: Any = self.rheology
+        if self.material is None and not self.bodies:
+            raise ParameterError("material", None, "a table [material], or bodies, [[bodies]]")
+        self._check_bodies()
         if rheology.viscosity is not None and rheology.linear_viscosity is not None:
             expected = "no table [rheology.viscosity] beside it: D is the whole of the viscosity"
             raise ParameterError("rheology.linear_viscosity", "D", expected)
@@ -424,3 +267,22 @@ class CaseSections(Section):
                 expected = f"a multiple of time.dt = {self.time.dt:g}"
                 raise ParameterError("output.vtk.interval", interval, expected)
         return self
+
+    def _check_bodies(self) -> None:
+        if not self.bodies:
+            return
+        if self.material is not None:
+            expected = "no table [material] beside [[bodies]]: each of them has a material of its own"
+            raise ParameterError("material.kind", self.material.kind, expected)
+        for name in ("viscosity", "linear_viscosity", "creep"):
+            if getattr(self.rheology, name) is not None:
+                expected = f"no such table beside [[bodies]]: each has {name} of its own, [bodies.{name}]"
+                raise ParameterError(f"rheology.{name}", "a table", expected)
+        names = [body.name for body in self.bodies]
+        for i, body in enumerate(self.bodies):
+            if names.index(body.name) < i:
+                raise ParameterError(f"bodies.{i}.name", body.name, "a name that no other body has")
+        rest = [i for i, body in enumerate(self.bodies) if body.where is None]
+        if len(rest) > 1:
+            expected = f"a place: bodies.{rest[0]} has none, and is what the others leave"
+            raise ParameterError(f"bodies.{rest[1]}.where", None, expected)

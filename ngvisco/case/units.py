@@ -24,8 +24,8 @@ from ngvisco.case.faults import Locator, models_in
 from ngvisco.case.keys import key
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.reference import owner_name
-from ngvisco.case.schema import FieldValue, NumberValues
-from ngvisco.expressions import ExpressionError, parse
+from ngvisco.case.values import FieldValue, NumberValues
+from ngvisco.expressions import ExpressionError, parse, parse_region
 
 SI = {
     "length": "m",
@@ -136,6 +136,8 @@ class Converter:
             if _chosen(inner, value) is not None and not _is_named(annotation):
                 return self._table(value, inner, path)
             return {key_: self._table(part, inner, (*path, key_)) for key_, part in value.items()}
+        if inner and isinstance(value, str) and name != "kind":
+            return self._region(value, path)
         if name in ("kind", "geometry") or inner:
             return value
         unit = key(owner_name(model), name).unit
@@ -154,6 +156,24 @@ class Converter:
         if converted is not value and converted != value:
             self.written[path] = value
         return converted
+
+    def _region(self, value: str, path: tuple[str, ...]) -> str:
+        """The same condition on x, y, z in m."""
+        try:
+            parse_region(value)
+        except ExpressionError:
+            return value  # the schema says what is wrong with it
+        scaled = self._in_si_places(value)
+        if scaled != value:
+            self.written[path] = value
+        return scaled
+
+    def _in_si_places(self, text: str) -> str:
+        """The same function of x, y, z in m and t in s."""
+        length, time = self.scales.get("length", 1.0), self.scales.get("time", 1.0)
+        if length == time == 1.0:
+            return text
+        return ast.unparse(_Scaled(length, time).visit(ast.parse(" ".join(text.split()), mode="eval")))
 
     def _energy(self, value: Any, unit: str, path: tuple[str, ...]) -> Any:
         """The same energy in SI units: its value is in those of the case, its variables are pure numbers."""
@@ -194,12 +214,7 @@ class Converter:
 
     def _expression(self, text: str, unit: str) -> str:
         """The same function of x, y, z in m and t in s, with values in SI units."""
-        length, time = self.scales.get("length", 1.0), self.scales.get("time", 1.0)
-        scale = self._scale(unit)
-        if length == time == scale == 1.0:
-            return text
-        tree = _Scaled(length, time).visit(ast.parse(" ".join(text.split()), mode="eval"))
-        inner = ast.unparse(tree)
+        scale, inner = self._scale(unit), self._in_si_places(text)
         return inner if scale == 1.0 else f"{scale!r}*({inner})"
 
     def _scale(self, unit: str) -> float:

@@ -9,7 +9,7 @@ from ngsolve import CoefficientFunction, SetNumThreads
 
 from ngvisco import case as cases
 from ngvisco.case.directory import Results, RunDirectory
-from ngvisco.run.fields import field_unit, scalar_fields
+from ngvisco.run.fields import field_unit, outlined, scalar_fields
 from ngvisco.run.movie import write_movie
 from ngvisco.run.observers import read_pvd
 from ngvisco.run.plots import Section, plot_energies, plot_fields, plot_history, titled
@@ -34,7 +34,8 @@ def plot(options: argparse.Namespace) -> int:
     plot_history(ledger, written[1])
     fields = [(_titled(name), value) for name, value in chosen.items()]
     title = titled(results.case.sections.title, results.time)
-    plot_fields(results.mesh, fields, written[2], section=section, title=title)
+    lines = _outlines(results)
+    plot_fields(results.mesh, fields, written[2], section=section, title=title, outlines=lines)
     for path in written:
         print(path)
     return 0
@@ -48,7 +49,8 @@ def scene(options: argparse.Namespace) -> int:
         write_scene_of_series(place.vtk, path, names, title)
     else:
         results, chosen = _load(options)
-        write_scene(results.mesh, chosen, path, titled(title, results.time))
+        title = titled(title, results.time)
+        write_scene(results.mesh, chosen, path, title, outlines=_outlines(results))
     print(path)
     return 0
 
@@ -57,6 +59,11 @@ def _load(options: argparse.Namespace) -> tuple[Results, dict[str, CoefficientFu
     SetNumThreads(1)
     results = cases.load(options.directory, options.step)
     return results, scalar_fields(results.fields, _names(options))
+
+
+def _outlines(results: Results) -> list[CoefficientFunction]:
+    fields = results.fields
+    return [fields[name] for name in outlined(fields)]
 
 
 def _names(options: argparse.Namespace) -> list[str] | None:

@@ -1,4 +1,4 @@
-"""Bounds of a state: rho > 0 and what its variables say must be positive; and the limiter that restores them.
+"""Bounds of a state: rho > 0, what its variables say must be positive, a cut-off's; and the limiter of them.
 
 A discontinuous polynomial may be negative at a point of a cell whose mean is positive.  Such a state is
 mended by scaling towards the cell's mean (Zhang and Shu, J. Comput. Phys. 229, 2010),
@@ -12,11 +12,15 @@ for that rule:
 
     int_K phi(z_K + s (z - z_K)) <= s int_K phi(z) + (1 - s) |K| phi(z_K) <= int_K phi(z).
 
-Parameters and bodies' amounts have ranges of their own (``ngvisco.forms.ranges``), and are limited first.
+Bodies' amounts and parameters have bounds of their own (``ngvisco.forms.amounts``, ``ngvisco.forms.ranges``)
+and are limited first.
 
 Only a mean out of bounds is beyond mending; it ends a step.  Two bounds do not count: those of variables for
 which the material's energy is continued (``Material.continued``: a Yosida approximation, J_min), and in a
 cell those of variables that the energy does not read there, phi'_z = 0 in all of it.
+
+With a cut-off rho_max + width - rho is such a quantity too (paper: Euler-small-est3+++), where the state that
+the bounds are made for, that of a run's start, has it positive.
 """
 
 from __future__ import annotations
@@ -28,6 +32,7 @@ from functools import cached_property
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
+from ngvisco.forms.amounts import Amounts
 from ngvisco.forms.cell_means import CellMeans
 from ngvisco.forms.locating import nearest_wall
 from ngvisco.forms.ranges import Ranges
@@ -43,6 +48,9 @@ which the body is being torn at two corners, the split solver does not take with
 (until 0.72 s).  Cells are limited where something is <= 0, not where it is below its share of the mean:
 a density that falls to zero along a line is no reason to change it.
 """
+
+OF_CUT_OFF = "rho_max + width - rho"
+"""The name of the bound of a cut-off."""
 
 _HALVINGS = 45
 """Of the interval of s, until it is a number to rounding: limited states depend continuously on theirs."""
@@ -131,6 +139,15 @@ class Bounds:
         self._variables: list[str | None] = [None]
         """The variable that each bound is of; None for rho."""
         present: dict[str, CoefficientFunction] = {"rho": u.rho}
+        law = step.model.regularisation
+        self._densest: float | None = None
+        """The density that a cut-off bounds it by, kg/m^3."""
+        if law is not None and law.rho_max is not None:
+            bound = law.rho_max + law.width
+            if sampler.extrema(u.rho)[1] < bound:
+                self._densest = bound
+                present[OF_CUT_OFF] = bound - u.rho
+                self._variables.append(None)
         for variable in material.variables:
             if variable.name not in material.continued:
                 bounds = variable.positive(u.z_tensors[variable.name])
@@ -146,14 +163,21 @@ class Bounds:
 
     @cached_property
     def ranges(self) -> Ranges:
-        """Those of the parameters and the bodies' amounts."""
+        """Those of the parameters."""
         return Ranges(self.step, self.sampler, self._means)
+
+    @cached_property
+    def amounts(self) -> Amounts:
+        """Those of the bodies."""
+        return Amounts(self.step, self.sampler, self._means)
 
     @cached_property
     def _bounds_of_means(self) -> CoefficientFunction:
         material, means = self.step.model.material, self._means
         z = material.states(self.step.mesh.dim).tensors(lambda: means.z)
         values = [means.rho]
+        if self._densest is not None:
+            values.append(self._densest - means.rho)
         for variable in material.variables:
             if variable.name not in material.continued:
                 values += variable.positive(z[variable.name]).values()
@@ -187,7 +211,7 @@ class Bounds:
 
         Only rho and z change, and only in cells that are out of bounds at a point.
         """
-        out_of_range = self.ranges.limit()
+        out_of_range = np.union1d(self.amounts.limit(), self.ranges.limit())
         found = self._outside()
         if found is None:
             return len(out_of_range)
@@ -201,7 +225,7 @@ class Bounds:
 
     def is_exceeded(self) -> bool:
         """Whether ``limit`` would change the present state."""
-        return self.ranges.is_exceeded() or self._outside() is not None
+        return self.amounts.is_exceeded() or self.ranges.is_exceeded() or self._outside() is not None
 
     def _scale(
         self, name: str, found: _Outside, outside: np.ndarray, required: np.ndarray, target: np.ndarray

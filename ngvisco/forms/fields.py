@@ -133,10 +133,20 @@ class Fields:
         """Trace of rho in the delta-regularisation."""
         return self.parts["rho_delta_hat"]
 
+    @cached_property
+    def z_slope(self) -> CoefficientFunction:
+        """The slope of z by its conjugates in the delta-regularisation, (components, dim), 1/m."""
+        return self.parts["z_slope"].Reshape((self.parts["z_slope"].dim // self.dim, self.dim))
+
     @property
-    def z_delta_hat(self) -> CoefficientFunction:
-        """Trace of z in the delta-regularisation."""
-        return self.parts["z_delta_hat"]
+    def zeta_delta_hat(self) -> CoefficientFunction:
+        """Mean of both sides' conjugates in the delta-regularisation."""
+        return self.parts["zeta_delta_hat"]
+
+    @property
+    def z_slope_hat(self) -> CoefficientFunction:
+        """The jump of the slope's normal part over the sum of both sides' weights."""
+        return self.parts["z_slope_hat"]
 
     @cached_property
     def Pi(self) -> CoefficientFunction:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -17,6 +17,7 @@ from ngsolve import (
 )
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
+from ngvisco.forms.amounts import Amounts
 from ngvisco.forms.cell_means import CellMeans
 from ngvisco.forms.data_checks import distortion_of, warn_of_mismatch
 from ngvisco.forms.elimination import LocalProjection
@@ -26,10 +27,12 @@ from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.projections import set_traces
 from ngvisco.forms.ranges import Ranges
 from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.starting_bodies import starting_fractions
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.material import conjugates, volume_ratio
+from ngvisco.physics.mixture import AMOUNT
 from ngvisco.physics.model import VectorLike, as_tensor, as_vector
 from ngvisco.physics.parameters import Parameter, moduli_in, value_at
 from ngvisco.physics.tensors import inner, square, tensor_space
@@ -94,9 +97,16 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     sampler.require(Det(F), "det F_0", minimum=0.0)
     referential = step.model.material.referential_density
     parameters = _parameters(step, initial)
+    amounts = _fractions(step, initial)
     rho_R = None if referential is None else CF(value_at(referential, parameters))
     _check_moduli(step, parameters, sampler)
-    if initial.density is None:
+    if amounts:
+        values = _initial_values(step, initial, F, parameters)
+        J = volume_ratio(step.model.material, values)
+        sampler.require(J, "material variables: J_0", minimum=0.0)
+        values |= {AMOUNT + name: part / J for name, part in amounts.items()}
+        density = _sum(body.density * values[AMOUNT + body.name] for body in step.model.bodies)
+    elif initial.density is None:
         values = _initial_values(step, initial, F, parameters)
         density = CF(1.0) if rho_R is None else rho_R / volume_ratio(step.model.material, values)
         sampler.require(density, "density rho_0", minimum=0.0)
@@ -114,7 +124,8 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         parts["rho"].Set(density)
         parts["z"].Set(step.model.material.states(dim).components(values))
         step.ranges = {name: sampler.extrema(value) for name, value in parameters.items()}
-        Ranges(step, sampler, CellMeans(step)).limit()
+        for limited in (Amounts, Ranges):
+            limited(step, sampler, CellMeans(step)).limit()
         if initial.velocity is not None:
             v_0 = as_vector(initial.velocity, dim, "Initial.velocity")
             sampler.require(inner(v_0, v_0), "|v_0|^2")
@@ -133,6 +144,24 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     step.start_from_old()
     known = distortion_of(step.model.material, values)
     return F if known is None else known
+
+
+def _fractions(step: Step, initial: Initial) -> dict[str, CoefficientFunction]:
+    """Those of the model's bodies at the start."""
+    bodies = step.model.bodies
+    if not bodies:
+        return {}
+    if initial.density is not None:
+        raise ParameterError("Initial.density", initial.density, "None with bodies, which have theirs")
+    for body in bodies:
+        if AMOUNT + body.name in initial.values:
+            raise ParameterError("Initial.values", AMOUNT + body.name, "places of the bodies, not amounts")
+    return starting_fractions(step.mesh, bodies, step.discretisation.m)
+
+
+def _sum(parts: Iterable[CoefficientFunction]) -> CoefficientFunction:
+    first, *others = parts
+    return sum(others, first)
 
 
 def _parameters(step: Step, initial: Initial) -> dict[str, CoefficientFunction]:

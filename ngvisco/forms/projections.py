@@ -50,7 +50,7 @@ class FacetProjection:
 
 
 def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature: Quadrature) -> None:
-    """Facet unknowns of the state as the means of both sides' values of rho, z and d_n v."""
+    """Traces of the state as the means of both sides' values of rho, z, ... and d_n v."""
     parts = dict(zip(layout.names, state.components, strict=True))
     now = layout.fields(state.components)
     projections: dict[tuple[str, int], FacetProjection] = {}
@@ -66,7 +66,8 @@ def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature
             value = (now.grad_v * normal)[unknown.component]
             parts[name].vec.data = projections[key](value)
             continue
-        assert unknown.trace_of is not None
+        if unknown.trace_of is None:
+            continue
         value = now.parts[unknown.trace_of]
         for i in range(value.dim):
             row = projections[key](value[i] if value.dim > 1 else value)

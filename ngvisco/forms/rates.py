@@ -14,6 +14,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.fields import Fields
 from ngvisco.physics.material import creep_tensors, mandel_stress
 from ngvisco.physics.model import Model
+from ngvisco.physics.rheology import Creep
 from ngvisco.physics.tensors import inner, trace_free_tensors
 from ngvisco.physics.variables import Values
 
@@ -63,8 +64,10 @@ class Rates:
         law = self.model.creep
         if law is None or law.R == 0:
             return None
-        if not law.is_local:
-            return u.Pi
+        return self.local_creep(law, u) if law.is_local else u.Pi
+
+    def local_creep(self, law: Creep, u: Fields) -> CoefficientFunction:
+        """Pi by a local law, 3x3, 1/s."""
         M = zeta = None
         if law.weights[0]:
             M = self.mandel(u)

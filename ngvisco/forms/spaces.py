@@ -11,7 +11,9 @@
 | z_hat            | the trace of z                                    | global         | UpwindTrace |
 | Pi               | creep rate where nu > 0, continuous P_max(1, m)   | global         | CreepRate |
 | rho_delta_hat    | the trace of rho in its diffusion                 | global         | DensityDiffusion |
-| z_delta_hat      | the trace of z in its diffusion                   | global         | FieldDiffusion |
+| z_slope          | slope of z in its diffusion, P_m                  | local          | FieldDiffusion |
+| zeta_delta_hat   | mean of both sides' conjugates there              | global         | FieldDiffusion |
+| z_slope_hat      | jump of the slope's normal part                   | global         | FieldDiffusion |
 | wall_stress      | P_{k-2} (2D, k = 3: P_2) on oblique, curved walls | global         | Impenetrability |
 
 The local unknowns are condensed out cell by cell.

@@ -32,6 +32,7 @@ from ngvisco.forms.context import Context
 from ngvisco.forms.creep import CreepRate
 from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
+from ngvisco.forms.fading import fading_terms
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Continuity, Convection, Inertia, Loading, Stokes
@@ -50,7 +51,7 @@ from ngvisco.physics.model import Model
 def equations(model: Model, dim: int) -> tuple[Term, ...]:
     """The terms of a model's equations, without walls."""
     terms: list[Term] = [
-        Continuity(model.regularisation),
+        Continuity(model.regularisation, by_trace=bool(model.bodies)),
         Inertia(),
         Convection(model.regularisation),
         ElasticForce(),
@@ -60,10 +61,10 @@ def equations(model: Model, dim: int) -> tuple[Term, ...]:
     if model.hyperviscosity is not None:
         terms.append(Hyperviscosity(model.hyperviscosity))
     terms += [Loading(load, dim) for load in model.loads]
-    terms += [Kinematics(model), Conjugates(model), UpwindTrace()]
+    terms += [Kinematics(model), Conjugates(model), UpwindTrace(), *fading_terms(model.material)]
     if model.creep is not None and not model.creep.is_local:
         terms.append(CreepRate(model.creep))
-    return (*terms, *regularising_terms(model.regularisation))
+    return (*terms, *regularising_terms(model, dim))
 
 
 @dataclass(frozen=True)

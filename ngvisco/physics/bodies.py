@@ -6,7 +6,7 @@ sum theta_i = 1 at every point.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias, runtime_checkable
 
 from ngsolve import CoefficientFunction, Det, Mesh
@@ -94,7 +94,7 @@ class Body:
     """
 
     name: str
-    where: Where | None = None
+    where: Where | None = field(default=None, repr=False)  # of the start alone, not of what the body is
     material: Material
     viscosity: Viscosity | None = None
     creep: Creep | None = None

@@ -11,8 +11,10 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 
 from ngvisco.errors import ParameterError, _is_number, as_number, require_number, require_positive
+from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import ElasticState, Material, check_material
 from ngvisco.physics.materials.heterogeneous import carrying
+from ngvisco.physics.mixture import MixedCreep, MixedViscosity, Mixture, mixed_creep, mixed_viscosity
 from ngvisco.physics.parameters import parameters_in
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, Viscosity
@@ -114,24 +116,30 @@ class Model:
     loads : sequence of Gravity, CentralGravity or BodyForce
     regularisation : Regularisation, optional
         None (default) is none of the paper's regularising terms.
+    bodies : sequence of Body
+        In place of ``material``, ``viscosity`` and ``creep``, which are then those of the bodies' mixture
+        (``ngvisco.physics.mixture``).  Isotropic materials that leave ``elastic_state`` open are by B.
 
     Raises
     ------
     ParameterError
-        If a part is of the wrong type, two loads share a name, the material's list of variables
-        makes no sense, or the law of creep needs a conformation tensor that the material does not have.
+        If a part is of the wrong type, two loads or two bodies share a name, bodies have variables of one
+        name that differ, the material's list of variables makes no sense, or the law of creep needs a
+        conformation tensor that the material does not have.
     UnknownNameError
         If a ``WithQuadratic`` names variables that its material does not have in the form for this model.
     """
 
-    material: Material
+    material: Material = None  # type: ignore[assignment]
     viscosity: Viscosity | None = None
     hyperviscosity: HyperViscosity | None = None
     creep: Creep | None = None
     loads: tuple[Load, ...] = field(default=())
     regularisation: Regularisation | None = None
+    bodies: tuple[Body, ...] = field(default=())
 
     def __post_init__(self) -> None:
+        self._take_bodies()
         for name, kind in (
             ("material", Material),
             ("viscosity", Viscosity),
@@ -154,16 +162,59 @@ class Model:
         if len(set(names)) < len(names):
             raise ParameterError("Model.loads", names, "distinct names")
         check_material(self.material)
-        carried = parameters_in((self.material, self.viscosity, self.hyperviscosity, self.creep))
+        laws = (self.material, self.viscosity, self.hyperviscosity, self.creep)
+        carried = parameters_in(laws)
         law = "mandel" if self.creep is None else self.creep.law
         if law != "mandel" and self.material.conformation is None:
             raise ParameterError("Model.creep", f"law = {law!r}", "a material with a conformation tensor")
-        state = default_elastic_state(self.creep)
+        state = "B" if self.bodies else default_elastic_state(self.creep)
         material = carrying(self.material.with_elastic_state(state), carried)
         check_material(material)
         object.__setattr__(self, "material", material)
+        if isinstance(material, Mixture):
+            object.__setattr__(self, "bodies", material.bodies)
         check_energy(material)
 
+    def _take_bodies(self) -> None:
+        """Make material, viscosity and creep those of the bodies, where there are such."""
+        if not isinstance(self.bodies, (tuple, list)) or not all(isinstance(b, Body) for b in self.bodies):
+            raise ParameterError("Model.bodies", self.bodies, "a sequence of Body objects")
+        object.__setattr__(self, "bodies", tuple(self.bodies))
+        if not self.bodies:
+            return
+        for name in ("material", "viscosity", "creep"):
+            if (value := getattr(self, name)) is not None and not isinstance(value, _MIXED):
+                raise ParameterError(f"Model.{name}", value, "None with bodies, which have theirs")
+        names = [body.name for body in self.bodies]
+        if len(set(names)) < len(names):
+            raise ParameterError("Model.bodies", names, "distinct names")
+        if sum(body.where is None for body in self.bodies) > 1:
+            without = [body.name for body in self.bodies if body.where is None]
+            raise ParameterError("Model.bodies", without, "one body at most without a place, the rest")
+        self._require_mass_of_bodies()
+        mixture = Mixture(bodies=self.bodies)
+        object.__setattr__(self, "material", mixture)
+        object.__setattr__(self, "viscosity", mixed_viscosity(mixture.bodies))
+        object.__setattr__(self, "creep", mixed_creep(mixture.bodies))
+
+    def _require_mass_of_bodies(self) -> None:
+        """Raise ParameterError where rho moves by other fluxes than the bodies' amounts, whose sum it is."""
+        law = self.regularisation
+        if not isinstance(law, Regularisation):
+            return
+        for name, value, none in (
+            ("rho_max", law.rho_max, None),
+            ("delta_density", law.delta_density, 0.0),
+        ):
+            if value != none:
+                expected = (
+                    f"{none} with bodies: the density is the sum of theirs, which nothing cuts off or mixes"
+                )
+                raise ParameterError(f"Regularisation.{name}", value, expected)
+
+
+_MIXED = (Mixture, MixedViscosity, MixedCreep)
+"""What a model with bodies has already, where it is made of another one."""
 
 _EXPECTED = {"viscosity": "a StokesViscosity or a LinearViscosity"}
 

@@ -17,7 +17,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from operator import add, mul, neg, sub, truediv
 from typing import Any, TypeAlias, TypeVar
 
@@ -134,6 +134,8 @@ class _Modulus(Expression):
     expression: Expression
     is_positive: bool
     """Whether it must be > 0; otherwise >= 0."""
+    is_own: bool = False
+    """Whether it is a parameter that a function of the place became by itself."""
 
     def at(self, z: Values) -> CoefficientFunction:
         return self.expression.at(z)
@@ -146,7 +148,7 @@ class _Modulus(Expression):
         return repr(self.expression)
 
     def replaced(self, new: Mapping[str, Expression]) -> Expression:
-        return _Modulus(self.name, self.expression.replaced(new), self.is_positive)
+        return replace(self, expression=self.expression.replaced(new))
 
 
 @dataclass(frozen=True)
@@ -257,7 +259,7 @@ def _require_moduli(owner: object, values: Mapping[str, Any], is_positive: bool)
         elif isinstance(value, Expression):
             value = _Modulus(full, value, is_positive)
         elif _is_scalar_function(value):
-            value = _Modulus(full, Parameter(name, start=value, typical=1.0), is_positive)
+            value = _Modulus(full, Parameter(name, start=value, typical=1.0), is_positive, is_own=True)
         else:
             expected = (
                 f"a finite number {sign} 0, a function of the initial place, an expression of parameters"
@@ -276,7 +278,8 @@ def parameters_in(values: Iterable[object]) -> tuple[Parameter, ...]:
     """
     found: dict[str, Parameter] = {}
     for value in values:
-        for expression in expressions_in(value):
+        own = (value,) if isinstance(value, Parameter) else expressions_in(value)
+        for expression in own:
             for parameter in expression.parameters:
                 known = found.setdefault(parameter.name, parameter)
                 if known is not parameter and not (known == parameter and known.start is parameter.start):
@@ -287,14 +290,17 @@ def parameters_in(values: Iterable[object]) -> tuple[Parameter, ...]:
 
 
 def expressions_in(value: object) -> Iterator[Expression]:
-    """The expressions among the parameters of a law or a material, and in materials that it holds."""
+    """The expressions among the parameters of a law or a material, and in laws that it holds."""
+    if isinstance(value, Variable):
+        return
     if isinstance(value, Expression):
         yield value
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
         for each in dataclasses.fields(value):
-            inner = getattr(value, each.name)
-            if isinstance(inner, Expression) or _is_law(inner):
-                yield from expressions_in(inner)
+            yield from expressions_in(getattr(value, each.name))
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from expressions_in(part)
 
 
 def substituted(law: T, value_of: Callable[[Expression], Any]) -> T:
@@ -315,6 +321,20 @@ def substituted(law: T, value_of: Callable[[Expression], Any]) -> T:
     for name, value in changes.items():
         object.__setattr__(result, name, value)
     return result
+
+
+def renamed(law: T, prefix: str) -> T:
+    """A law with ``prefix`` before the names of the parameters that its moduli became by themselves."""
+
+    def with_prefix(expression: Expression) -> Expression:
+        if not (isinstance(expression, _Modulus) and expression.is_own):
+            return expression
+        (own,) = expression.parameters
+        if own.name.startswith(prefix):
+            return expression
+        return expression.replaced({own.name: replace(own, name=prefix + own.name)})
+
+    return law if law is None else substituted(law, with_prefix)
 
 
 def moduli_in(value: object) -> Iterator[tuple[str, Expression, bool]]:

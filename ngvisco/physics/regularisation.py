@@ -8,11 +8,12 @@ Gravity is averaged over the step in every run.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import require_above, require_nonnegative, require_positive
+from ngvisco.errors import ParameterError, require_above, require_nonnegative, require_positive
 from ngvisco.physics.tensors import Scalar, if_positive, power_of_square
 
 
@@ -30,13 +31,15 @@ class Regularisation:
         Its exponent, > 1; the paper's analysis wants r > 3.  Default 4.
     delta_fields : float
         delta in the Laplacian of all transported variables, m^2/s, >= 0.  The ledger has its power under
-        ``dissipation_delta_fields``, positive for a quadratic energy, of either sign in general.
+        ``dissipation_delta_fields``, >= 0 for every convex energy.  phi'' at rest has to be positive definite
+        in the variables that the energy is not linear in; ``WithQuadratic`` makes it so.
     epsilon : float
         Coefficient of epsilon |v|^{p-2} v in the momentum equation, such that epsilon |v|^p is W/m^3; >= 0.
     p : float
         Its exponent, > 1.  Default 4; the paper takes that of the hyperviscosity.
     rho_max : float, optional
-        Density above which the cut-off acts, kg/m^3, > 0; None (default) is no cut-off.
+        Density above which the cut-off acts, kg/m^3, > 0; None (default) is no cut-off.  A density that
+        starts at most at rho_max + width stays so: with m = 0 by the scheme, with m > 0 by the limiter.
     width : float
         The cut-off falls from 1 at rho_max to 0 at rho_max + width, kg/m^3, > 0; the paper has 1.
     penalty : float
@@ -78,6 +81,17 @@ class Regularisation:
         if self.rho_max is not None:
             require_positive(self, rho_max=self.rho_max)
 
+    def require_gradients(self, name: str, m: int) -> None:
+        """Raise ParameterError for a diffusion, ``name``, of fields of order m = 0."""
+        if m == 0:
+            raise ParameterError(
+                f"Regularisation.{name}", getattr(self, name), "0 with m = 0, which has no gradients"
+            )
+
+    def penalty_weight(self, m: int) -> float:
+        """s = penalty (m + 1)^2, for polynomials of degree m."""
+        return self.penalty * (m + 1) ** 2
+
     def diffusivity(self, gradient_square: Scalar) -> Scalar:
         """delta |grad rho|^{r-2}, m^2/s, of |grad rho|^2."""
         return self.delta_density * power_of_square(gradient_square, 0.5 * (self.r - 2), self.floor)
@@ -97,3 +111,23 @@ class Regularisation:
         s = (rho - self.rho_max) * (1 / self.width)
         smooth = 1 - s * s * (3 - 2 * s)
         return if_positive(rho, if_positive(s, if_positive(1 - s, smooth, 0.0), 1.0), 0.0)
+
+    @property
+    def densest_flow(self) -> float:
+        """The density at which K(rho) rho is largest, kg/m^3; infinite without a cut-off."""
+        if self.rho_max is None:
+            return math.inf
+        c = 6 * self.rho_max / self.width
+        return self.rho_max + self.width * (1 - c + math.sqrt((c - 1) ** 2 + 32)) / 16
+
+    def carried(self, rho: CoefficientFunction) -> CoefficientFunction:
+        """K(rho) rho, what the velocity carries; rho itself without a cut-off."""
+        return rho if self.rho_max is None else self.cut_off(rho) * rho
+
+    def rising(self, rho: CoefficientFunction) -> CoefficientFunction:
+        """The non-decreasing part of K(rho) rho: that of min(rho, ``densest_flow``)."""
+        return if_positive(self.densest_flow - rho, self.carried(rho), self.carried(CF(self.densest_flow)))
+
+    def falling(self, rho: CoefficientFunction) -> CoefficientFunction:
+        """The non-increasing part: K(rho) rho is ``rising`` + ``falling``."""
+        return self.carried(rho) - self.rising(rho)

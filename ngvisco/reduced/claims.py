@@ -18,10 +18,11 @@ import numpy as np
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.context import Context
+from ngvisco.forms.field_diffusion import FieldDiffusion
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.momentum import Continuity, Inertia, Loading
-from ngvisco.forms.regularisation import CutOffVolume, DensityDiffusion, FieldDiffusion
+from ngvisco.forms.regularisation import CutOffVolume, DensityDiffusion
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm, Term
 from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
@@ -46,7 +47,7 @@ class Claims:
     """The projection of phi'(z)."""
     at_points: list[PointTerm] = field(default_factory=list)
     """By arrays."""
-    continuity: list[PointTerm] = field(default_factory=list)
+    continuity: list[Continuity] = field(default_factory=list)
     """The continuity equation where it is linear in rho, by arrays; solved for the upwind trace of rho."""
     density: list[Term] = field(default_factory=list)
     """The continuity equation where it is not linear in rho, by forms."""
@@ -55,7 +56,7 @@ class Claims:
     forms_ask_for: set[str] = field(default_factory=set)
     """Names of what these take of the step's ``Context``."""
     diffusion: list[FieldDiffusion] = field(default_factory=list)
-    """delta Laplace z, a constant matrix."""
+    """delta Laplace z, its slope and traces eliminated."""
     hyperviscosity: list[Hyperviscosity] = field(default_factory=list)
     sources: list[Term] = field(default_factory=list)
     """Known before the iteration."""

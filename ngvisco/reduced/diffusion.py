@@ -1,52 +1,143 @@
-"""delta Laplace z with its trace eliminated: one constant matrix for every component of strains."""
+"""delta Laplace z with the slope of z and its traces eliminated, cell by cell and facet by facet.
+
+All that is constant in ``FieldDiffusion`` is the same for every component: matrices of its form, for one.
+What depends on the state is phi''(z) in the cells' equations of the slope,
+
+    (phi''(z) + P) q_j = L_j (zeta + P z),        rows of z:  delta (sum_j L_j^T q_j + C S (zeta + P z)),
+
+tested by the functions of a cell on the left: L_j the lifted gradient, S the penalty, P the projection on
+the directions in which the energy is linear, C the compliance.  Of parameters, which have no rows, zeta and
+phi'' are left out, and P is one.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from ngsolve import BilinearForm, FESpace
+import scipy.sparse as sp
+from ngsolve import BilinearForm, FESpace, VectorValued
 
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.sparse import apply
+from ngvisco.forms.field_diffusion import FieldDiffusion
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.points import csr
-from ngvisco.forms.regularisation import FieldDiffusion
 from ngvisco.forms.system import Step
+from ngvisco.reduced.evaluation import Coefficients
 from ngvisco.reduced.operators import Operators
+from ngvisco.reduced.slope import PointwiseSlope
+
+_INCREMENT = 6e-6
+"""Of z over its size, in central differences of phi''(z) q: the third root of the rounding unit."""
 
 
-class FieldDiffusionMatrix:
-    """``FieldDiffusion`` is linear and the same for all strains: its form, for one of them."""
+class FieldDiffusionRows:
+    """The rows of z that ``FieldDiffusion`` makes, and their derivative."""
 
-    def __init__(self, step: Step, operators: Operators, term: FieldDiffusion) -> None:
-        self.strains = step.layout.states.strains
+    def __init__(self, step: Step, operators: Operators, slope: PointwiseSlope, term: FieldDiffusion) -> None:
+        self._op, self._slope, self._dim = operators, slope, step.mesh.dim
+        self._delta, curvature = term.law.delta_fields, term.curvature
+        self._of_itself = curvature.of_itself if curvature.of_itself.any() else None
+        self.strains = curvature.strains
         """Which components diffuse."""
+        self._compliance = curvature.compliance
         cell, facet = operators.scalar, step.layout.scalar_facet_space()
-        space = FESpace([cell, facet])
-        u, w = (
-            Fields(step.layout, dict(zip(("z", "z_delta_hat"), parts, strict=True))) for parts in space.TnT()
-        )
+        names = ("zeta", "z_slope", "zeta_delta_hat", "z_slope_hat")
+        one = [VectorValued(scalar, 1) for scalar in (cell, facet, facet)]
+        space = FESpace([one[0], VectorValued(cell, step.mesh.dim), *one[1:]])
+        u, w = (Fields(step.layout, dict(zip(names, parts, strict=True))) for parts in space.TnT())
         form = BilinearForm(space)
-        step.quadrature.add(form, term.form(u, w))
+        step.quadrature.add(form, term.of_one_component(u, w))
         matrix = csr(form.Assemble().mat)
-        own, hat = slice(0, cell.ndof), slice(cell.ndof, space.ndof)
-        self._hats = BlockInverse(matrix[hat, hat].tocsr())
-        self._hats.update(matrix[hat, hat].tocsr())
-        inverse = self._hats.matrix()
-        self._to_trace = -(inverse @ matrix[hat, own]).tocsr()
-        self._from_trace = -(matrix[own, hat] @ inverse).tocsr()
-        self.matrix = (matrix[own, own] + matrix[own, hat] @ self._to_trace).tocsr()
+        where = {
+            name: slice(r.start, r.stop) for name, r in zip(names, map(space.Range, range(4)), strict=True)
+        }
 
-    def __call__(self, z: np.ndarray) -> np.ndarray:
-        """Rows of z, (n, functions)."""
-        return self._of_strains(apply(self.matrix, z))
+        def block(test: str, trial: str) -> sp.csr_matrix:
+            return matrix[where[test], where[trial]].tocsr()
 
-    def trace(self, z: np.ndarray) -> np.ndarray:
-        """The trace that belongs to z, (n, functions of facets)."""
-        return apply(self._to_trace, z)
+        mean, jump = block("zeta_delta_hat", "zeta_delta_hat"), block("z_slope_hat", "z_slope_hat")
+        self._mean, self._jump = BlockInverse(mean), BlockInverse(jump)
+        self._mean.update(mean)
+        self._jump.update(jump)
+        self._to_mean = -(self._mean.matrix() @ block("zeta_delta_hat", "zeta")).tocsr()
+        self._to_jump = -(self._jump.matrix() @ block("z_slope_hat", "z_slope")).tocsr()
+        lifting = -(block("z_slope", "zeta") + block("z_slope", "zeta_delta_hat") @ self._to_mean)
+        size = cell.ndof
+        self._lifting = [lifting[j * size : (j + 1) * size].tocsr() for j in range(self._dim)]
+        self._adjoint = [part.T.tocsr() for part in self._lifting]
+        self._penalty = (block("zeta", "zeta") + block("zeta", "zeta_delta_hat") @ self._to_mean).tocsr()
+        blocks = operators.z.blocks  # (cells, points, functions)
+        weighted = operators.weights.reshape(*blocks.shape[:2], 1) * blocks
+        self._products = np.einsum("cpk,cpl->cklp", weighted, blocks).reshape(
+            len(blocks), -1, blocks.shape[1]
+        )
 
-    def eliminated(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of rows of the trace (n, .) given beside: the change of the trace, and the rows that z gets."""
-        return self._hats(rows), self._of_strains(apply(self._from_trace, rows))
+    def laplacian(self, inverse_mass: BlockInverse) -> sp.csr_matrix:
+        """delta Laplace of one component, as if phi'' were one: what the rows are near for smooth z."""
+        square = sum(L.T @ inverse_mass.matrix() @ L for L in self._lifting)
+        return (self._delta * (square + self._penalty)).tocsr()
+
+    def slopes(self, z_values: np.ndarray, c: Coefficients) -> dict[str, np.ndarray]:
+        """The eliminated unknowns by name, (components, functions), of z at the cells' points, z and zeta.
+
+        With complex z and zeta, increments of them, all is complex.
+        """
+        chi = self._potential(c)
+        at = np.ascontiguousarray(z_values.real)
+        matrices = self._matrices(at)
+        gradients = np.stack([apply(L, chi) for L in self._lifting])  # (dim, n, functions)
+        q = self._solve(matrices, np.ascontiguousarray(gradients.real))
+        if np.iscomplexobj(chi):
+            change = self._changed(at, np.ascontiguousarray(z_values.imag), q)
+            q = q + 1j * self._solve(matrices, np.ascontiguousarray(gradients.imag) - change)
+        slope = q.transpose(1, 0, 2).reshape(-1, q.shape[2])
+        normal_parts = apply(self._to_jump, slope.reshape(len(chi), -1))
+        return {"z_slope": slope, "zeta_delta_hat": apply(self._to_mean, chi), "z_slope_hat": normal_parts}
+
+    def rows(self, c: Coefficients) -> np.ndarray:
+        """Rows of z, (n, functions), of zeta, z and its slope."""
+        chi = self._potential(c)
+        slope = c["z_slope"].reshape(len(chi), self._dim, -1)
+        rows = np.sum([apply(A, slope[:, j]) for j, A in enumerate(self._adjoint)], axis=0)
+        return self._delta * (self._of_strains(rows) + self._compliance @ apply(self._penalty, chi))
+
+    def _potential(self, c: Coefficients) -> np.ndarray:
+        """zeta; of parameters z in its place, in linear directions both together."""
+        zeta = self._of_strains(c["zeta"])
+        return zeta if self._of_itself is None else zeta + self._of_itself @ c["z"]
 
     def _of_strains(self, rows: np.ndarray) -> np.ndarray:
-        return rows if self.strains.all() else rows * self.strains[:, None]
+        return rows if self.strains.all() else rows * self.strains.reshape(-1, *(1,) * (rows.ndim - 1))
+
+    def _matrices(self, z_values: np.ndarray) -> np.ndarray:
+        """Inverses of phi''(z) + P in the functions of every cell, (cells, n functions, n functions)."""
+        n, cells = len(z_values), len(self._products)
+        along = self._slope.derivative(z_values)
+        units = np.eye(n)
+        columns = [self._of_strains(along(np.broadcast_to(e[:, None], z_values.shape))) for e in units]
+        hessian = np.stack(columns, axis=1).reshape(n * n, cells, -1)
+        if self._of_itself is not None:
+            hessian = hessian + self._of_itself.reshape(-1, 1, 1)
+        tested = self._products @ hessian.transpose(1, 2, 0)  # (cells, functions^2, n^2)
+        q = self._op.z.blocks.shape[2]
+        matrices = tested.reshape(cells, q, q, n, n).transpose(0, 3, 1, 4, 2).reshape(cells, n * q, n * q)
+        return np.linalg.inv(matrices)
+
+    def _solve(self, inverses: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Slopes (dim, n, functions) of rows of the same shape; functions of a cell stand side by side."""
+        dim, n, _ = rows.shape
+        q = self._op.z.blocks.shape[2]
+        local = rows.reshape(dim, n, -1, q).transpose(2, 1, 3, 0).reshape(len(inverses), n * q, dim)
+        found = (inverses @ local).reshape(-1, n, q, dim)
+        return np.ascontiguousarray(found.transpose(3, 1, 0, 2)).reshape(rows.shape)
+
+    def _changed(self, z: np.ndarray, dz: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """phi'''(z) dz q, tested: the slopes' equations by z, (dim, n, functions)."""
+        size = float(np.abs(dz).max())
+        if size == 0:
+            return np.zeros_like(q)
+        step = _INCREMENT * max(float(np.abs(z).max()), 1e-300) / size
+        ahead, behind = (self._slope.derivative(z + s * step * dz) for s in (1, -1))
+        values = [self._op.z(np.ascontiguousarray(q_j)) for q_j in q]
+        changes = [self._of_strains(ahead(v) - behind(v)) / (2 * step) for v in values]
+        return np.stack([self._op.z.test(change) for change in changes])

@@ -1,7 +1,7 @@
 """The residual with everything derived put in: a function of (v, wall stress, Pi, a, rho, z) alone.
 
 For a given v the kinematic equations are linear but for creep.  The upwind traces, the conjugates zeta, the
-local creep rate, the hyperviscosity's local unknowns and the trace of the delta-regularised z are functions
+local creep rate, the hyperviscosity's local unknowns and those of the delta-regularised z are functions
 of the iterated unknowns: they are evaluated, never iterated.  All rows follow from the terms themselves
 (``ngvisco.reduced.evaluation``); with an infinitesimal imaginary part in the unknowns they are Newton's whole
 matrix times a direction.
@@ -22,7 +22,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.upwinding import mean_share
 from ngvisco.physics.increments import TINY
 from ngvisco.reduced.claims import Claims
-from ngvisco.reduced.diffusion import FieldDiffusionMatrix
+from ngvisco.reduced.diffusion import FieldDiffusionRows
 from ngvisco.reduced.evaluation import CellTerms, FacetTerms, with_parts
 from ngvisco.reduced.facet_mass import FacetMass
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity
@@ -103,16 +103,16 @@ class ReducedResidual:
         self.by_forms = RestrictedForm(step, flow, claims.by_forms) if claims.by_forms else None
         self.density = RestrictedForm(step, density, claims.density) if claims.density else None
         self._density_of_all: RestrictedForm | None = None
-        self.diffusion = (
-            FieldDiffusionMatrix(step, self.op, claims.diffusion[0]) if claims.diffusion else None
-        )
+        self.diffusion: FieldDiffusionRows | None = None
+        if claims.diffusion:
+            self.diffusion = FieldDiffusionRows(step, self.op, self.slope, claims.diffusion[0])
         self.hyper: MatrixHyperviscosity | None = None
         if claims.hyperviscosity:
             points = self.op.points, self.side_op.points
             self.hyper = MatrixHyperviscosity(step, claims.hyperviscosity[0], *points)
         self.right_hand_side: RightHandSide | None = None
         if step.sources is not None:
-            self.right_hand_side = RightHandSide(step, self.unknowns, self.diffusion)
+            self.right_hand_side = RightHandSide(step, self.unknowns)
         self.trace_mass, self.density_mass = FacetMass(self.side_op.hat), FacetMass(self.side_op.hat)
         self.trace_mass.update(self.side_op.points.weights * mean_share(self.side_op.inner))
         self._at_points = [*claims.at_points, *claims.continuity]
@@ -137,7 +137,7 @@ class ReducedResidual:
             for name, values in self.facet_terms.rows(self._at_points, s).items():
                 rows[name] = rows[name] + values if name in rows else values
             if self.diffusion is not None:
-                rows["z"] = rows["z"] + self.diffusion(c["z"])
+                rows["z"] = rows["z"] + self.diffusion.rows(c)
             if hyper is not None:
                 rows["v"] = rows["v"] + hyper.rows[:, : c["v"].shape[1]]
                 rows["a"] = hyper.rows[:, c["v"].shape[1] :]
@@ -160,6 +160,9 @@ class ReducedResidual:
             self._set_traces(c, s)
         with self._clock("projections"):
             c["zeta"] = self.inverse_mass(op.z.test(self.slope(u.z.value)))
+        with self._clock("diffusion"):
+            if self.diffusion is not None:
+                c |= self.diffusion.slopes(u.z.value, c)
         if is_real:
             self.unknowns.unpack(x)
             self.unknowns.put(c)
@@ -192,16 +195,12 @@ class ReducedResidual:
         return rows
 
     def _set_traces(self, c: dict[str, np.ndarray], s: Fields) -> None:
-        """Solve for the upwind traces of z and rho, and for that of the diffusion of z."""
+        """Solve for the upwind traces of z and rho."""
         op, weights = self.side_op, self.side_op.points.weights
         at_zero = with_parts(s, **self._zeros)
         terms = self.claims.traces if self.density is not None else self._of_traces
         found = self.facet_terms.slots(terms, at_zero)
         c["z_hat"] = -self.trace_mass.solve(op.hat.test(found["z_hat"]))
-        if self.diffusion is not None:
-            c["z_delta_hat"] = self.diffusion.trace(c["z"])
-            if self.right_hand_side is not None:
-                c["z_delta_hat"] = c["z_delta_hat"] + self.right_hand_side.of_trace
         if self.density is not None:
             return
         # the rows of rho_hat are linear in it: what multiplies it is their value for rho = 0, rho_hat = 1

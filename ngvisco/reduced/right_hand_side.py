@@ -1,8 +1,7 @@
 """Sources of a step in the split solver: rows that are known before the iteration.
 
 A source is a term of the step that is linear in the tests and takes no unknown (``Simulation``'s
-``sources``).  Its rows are assembled once a step.  Those of z_delta_hat, which is eliminated from the
-equations of the delta-regularised z, go to z by the same elimination.
+``sources``).  Its rows are assembled once a step.
 """
 
 from __future__ import annotations
@@ -15,12 +14,8 @@ from ngsolve import FESpace, LinearForm
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
-from ngvisco.reduced.diffusion import FieldDiffusionMatrix
 from ngvisco.reduced.unknowns import Unknowns
 from ngvisco.reduced.withheld import GivenParts, WithheldError
-
-ELIMINATED = "z_delta_hat"
-"""The one derived unknown whose equation may have a source: that of the flux through walls."""
 
 
 def source_obstacle(step: Step) -> str | None:
@@ -37,7 +32,7 @@ def source_obstacle(step: Step) -> str | None:
 
 def receivers(step: Step) -> list[str]:
     """Names of the unknowns whose equations may have sources."""
-    allowed = (*Unknowns(step).names, ELIMINATED)
+    allowed = Unknowns(step).names
     return [name for name in step.layout.names if name in allowed]
 
 
@@ -57,15 +52,13 @@ def _integrands(step: Step, space: FESpace, names: list[str]) -> list[Integrand]
 class RightHandSide:
     """The rows of a step's source, added to the residual."""
 
-    def __init__(self, step: Step, unknowns: Unknowns, diffusion: FieldDiffusionMatrix | None) -> None:
-        self.step, self.unknowns, self._diffusion = step, unknowns, diffusion
+    def __init__(self, step: Step, unknowns: Unknowns) -> None:
+        self.step, self.unknowns = step, unknowns
         self.names = receivers(step)
         self.space = joint_space(step, self.names)
         self.form = LinearForm(self.space)
         step.quadrature.add(self.form, _integrands(step, self.space, self.names))
         self.rows: dict[str, np.ndarray] = {}
-        self.of_trace: np.ndarray | None = None
-        """What the trace of the delta-regularised z has besides what z makes of it, (n, functions)."""
 
     def start(self) -> None:
         """Assemble for the present step."""
@@ -73,11 +66,6 @@ class RightHandSide:
         values = self.form.vec.FV().NumPy()
         ranges = [self.space.Range(i) for i in range(len(self.names))]
         self.rows = {n: values[r.start : r.stop].copy() for n, r in zip(self.names, ranges, strict=True)}
-        if self._diffusion is not None:
-            loads = self.rows.pop(ELIMINATED).reshape(self.step.layout.states.size, -1)
-            change, of_z = self._diffusion.eliminated(loads)
-            self.of_trace = -change
-            self.rows["z"] = self.rows["z"] + of_z.ravel()
 
     def of(self, names: Iterable[str]) -> np.ndarray:
         """The rows of these unknowns, one after the other."""

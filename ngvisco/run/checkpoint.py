@@ -6,6 +6,7 @@ Layout::
                                     fixed states, by which an energy is known again), scheme and any that the
                                     caller adds (``case``, the hash of a case file's physics)
     /ledger/<column>                one value a step, attribute ``unit``
+    /<table>/<column>               of the observers that have a ``group``, as ``bodies``, one value a row
     /checkpoints/<step>/state       all coefficients of the step's space; attributes time (s), step,
                                     energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s)
     /checkpoints/<step>/solver      where the Jacobian was factorised (attributes tau, end, loads_from,
@@ -45,6 +46,7 @@ from ngvisco.physics.material import Material
 from ngvisco.physics.pointwise import sampled_energies
 from ngvisco.run.files import write_atomically
 from ngvisco.run.ledger import Balance, unit
+from ngvisco.run.series import Series
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -136,9 +138,18 @@ class Checkpoints:
                 data = group.create_dataset(column, data=simulation.ledger.column(column))
                 data.attrs["unit"] = unit(column)
             group.attrs[_CHECKSUM] = _digest({}, {name: np.array(data) for name, data in group.items()})
+            for observer in simulation.observers:
+                if isinstance(observer, Series) and observer.group is not None and observer.group not in file:
+                    _store_table(file.create_group(observer.group), observer)
             for number, one in kept.items():
                 _store(file.create_group(f"checkpoints/{number:08d}"), one)
         write_atomically(self.path, image.getvalue())
+
+
+def _store_table(group: h5py.Group, table: Series) -> None:
+    for column in table.columns:
+        data = group.create_dataset(column, data=table.column(column))
+        data.attrs["unit"] = table.unit(column)
 
 
 def _store(group: h5py.Group, one: Snapshot) -> None:

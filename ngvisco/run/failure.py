@@ -91,7 +91,8 @@ def _described(attempt: Attempt) -> str:
         which += f", {attempt.length:.3g} of the step"
     increments = ", ".join(f"{one.increment:.1e}" for one in solution.history[-_SHOWN:])
     last = f", the last increments {increments}" if increments else ""
-    return f"{which}: {len(iterations([attempt]))} iterations{last}; {solution.reason or 'solved'}"
+    against = f"; {solution.against}" if solution.against else ""
+    return f"{which}: {len(iterations([attempt]))} iterations{last}; {solution.reason or 'solved'}{against}"
 
 
 def failure_report(

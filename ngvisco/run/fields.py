@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
-from ngsolve import CoefficientFunction, sqrt
+from ngsolve import CF, CoefficientFunction, sqrt
 
 from ngvisco.errors import UnknownNameError
 from ngvisco.forms.system import Step
 from ngvisco.physics.material import cauchy_stress
-from ngvisco.physics.tensors import dev, square, tr
+from ngvisco.physics.mixture import Mixture
+from ngvisco.physics.tensors import dev, if_positive, square, tr
 from ngvisco.run.further_fields import further_fields, usual
 from ngvisco.run.scales import rest_pressure
 
@@ -33,8 +34,33 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
         "pressure": (-1 / 3) * tr(T),
         "pressure_from_rest": (-1 / 3) * tr(T) - rest_pressure(material, step.mesh.dim),
         "von_mises": sqrt(1.5 * square(dev(T))),
+        **_body_fields(step),
         **further_fields(step, T),
     }
+
+
+_FRACTION = "_fraction"
+"""What the name of a body's volume fraction ends in."""
+
+
+def _body_fields(step: Step) -> dict[str, CoefficientFunction]:
+    """Volume fractions of the bodies, ``NAME_fraction``, and ``body``, the number, from 1, of the largest."""
+    material = step.model.material
+    if not isinstance(material, Mixture):
+        return {}
+    theta = material.fractions.at(step.now.z_tensors)
+    fields = {name + _FRACTION: CF(value) for name, value in theta.items()}
+    number, largest = CF(1.0), next(iter(fields.values()))
+    for i, value in enumerate(list(fields.values())[1:], start=2):
+        number = if_positive(value - largest, CF(float(i)), number)
+        largest = if_positive(value - largest, value, largest)
+    return {**fields, "body": number}
+
+
+def outlined(names: Iterable[str]) -> list[str]:
+    """Of the names of a run's fields the fractions by which pictures outline its bodies: all but the last,
+    whose surface is that of the others."""
+    return [name for name in names if name.endswith(_FRACTION)][:-1]
 
 
 def scalar_fields(

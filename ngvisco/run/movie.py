@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from ngvisco.errors import ParameterError
-from ngvisco.run.fields import field_unit
-from ngvisco.run.plots import PlotError, Section, figure, titled
+from ngvisco.run.fields import field_unit, outlined
+from ngvisco.run.plots import OUTLINE, PlotError, Section, figure, has_outline, titled
 from ngvisco.run.vtu import Frame, cut, read_frame, read_series_files
 
 FORMATS = ("gif", "mp4")
@@ -76,10 +76,12 @@ def write_movie(
     writer = _writer(kind, frames_per_second)
     try:
         with writer.saving(fig, str(draft), dpi=100):
+            lines: list[Any] = []
             for time, file in files:
                 frame = read_frame(file)
                 for image, name in zip(images, names, strict=True):
                     image.set_array(picture.values(frame, name))
+                lines = picture.outlined(frame, axes[0], lines)
                 fig.suptitle(titled(title, time, picture.section_text))
                 writer.grab_frame()
         draft.replace(target)
@@ -143,6 +145,19 @@ class _Picture:
 
     def values(self, frame: Frame, name: str) -> np.ndarray:
         return self._between(frame.scalar(name))
+
+    def outlined(self, frame: Frame, axes: Sequence[Any], former: Sequence[Any]) -> list[Any]:
+        """Draw the surfaces of bodies in a frame, in place of the former one's."""
+        for line in former:
+            line.remove()
+        X, Y = self._points.T
+        fractions = [self.values(frame, name) for name in outlined(frame.fields)]
+        return [
+            axis.tricontour(X, Y, self._triangles, share, **OUTLINE)
+            for axis in axes
+            for share in fractions
+            if has_outline(share)
+        ]
 
     def draw(self, fig: Any, axis: Any, name: str, limits: tuple[float, float]) -> Any:
         X, Y = self._points.T

@@ -184,6 +184,7 @@ def plot_fields(
     section: Section | None = None,
     subdivisions: int = 3,
     title: str = "",
+    outlines: Sequence[CoefficientFunction] = (),
 ) -> None:
     """Scalar fields side by side; in 3D in a plane normal to an axis.  Formats as ``plot_energies``.
 
@@ -198,6 +199,8 @@ def plot_fields(
         In 2D every cell is drawn as subdivisions^2 triangles, so that jumps between cells show.
     title : str
         Above all fields; in 3D the plane is added to it.
+    outlines : sequence of scalar coefficient functions
+        Volume fractions of bodies: drawn over each field as the line where they are one half.
     """
     for name, value in fields:
         if value.dim != 1:
@@ -210,9 +213,9 @@ def plot_fields(
     fig, ((*axes,),) = figure(1, len(fields), (5.0 * len(fields), height))
     for axis, (name, value) in zip(axes, fields, strict=True):
         if mesh.dim == 3:
-            image = _draw_plane(axis, mesh, value, chosen)
+            image = _draw_plane(axis, mesh, value, chosen, outlines)
         else:
-            image = _draw_cells(axis, mesh, value, subdivisions)
+            image = _draw_cells(axis, mesh, value, subdivisions, outlines)
         labels = [f"{'xyz'[i]}, m" for i in along]
         axis.set(title=name, aspect="equal", xlabel=labels[0], ylabel=labels[1])
         fig.colorbar(image, ax=axis, shrink=0.8)
@@ -222,7 +225,22 @@ def plot_fields(
     _save(fig, path)
 
 
-def _draw_cells(axis: Any, mesh: Mesh, value: CoefficientFunction, subdivisions: float) -> Any:
+OUTLINE: dict[str, Any] = {"levels": [0.5], "colors": "white", "linewidths": 1.4}
+"""How surfaces of bodies are drawn, where a fraction is one half."""
+
+
+def has_outline(values: np.ndarray) -> bool:
+    """Whether a fraction is one half anywhere: matplotlib warns of lines that are not there."""
+    return bool(np.nanmin(values) < 0.5 < np.nanmax(values))
+
+
+def _draw_cells(
+    axis: Any,
+    mesh: Mesh,
+    value: CoefficientFunction,
+    subdivisions: float,
+    outlines: Sequence[CoefficientFunction],
+) -> Any:
     """Every triangle (or quadrilateral) by its own points: nothing is averaged between cells."""
     n = int(subdivisions)
     lattice = [(i / n, j / n) for j in range(n + 1) for i in range(n + 1 - j)]
@@ -238,10 +256,21 @@ def _draw_cells(axis: Any, mesh: Mesh, value: CoefficientFunction, subdivisions:
     X, Y, values = (np.asarray(f(points)).ravel() for f in (x, y, value))
     cells = len(X) // len(lattice)
     triangles = np.add.outer(np.arange(cells) * len(lattice), np.array(small)).reshape(-1, 3)
-    return axis.tripcolor(X, Y, triangles, values, shading="gouraud", cmap="viridis", rasterized=True)
+    image = axis.tripcolor(X, Y, triangles, values, shading="gouraud", cmap="viridis", rasterized=True)
+    for outline in outlines:
+        share = np.asarray(outline(points)).ravel()
+        if has_outline(share):
+            axis.tricontour(X, Y, triangles, share, **OUTLINE)
+    return image
 
 
-def _draw_plane(axis: Any, mesh: Mesh, value: CoefficientFunction, section: Section) -> Any:
+def _draw_plane(
+    axis: Any,
+    mesh: Mesh,
+    value: CoefficientFunction,
+    section: Section,
+    outlines: Sequence[CoefficientFunction],
+) -> Any:
     corners = coordinates(mesh)
     low, high = corners.min(axis=0), corners.max(axis=0)
     inset = 1e-9 * (high - low)
@@ -252,10 +281,18 @@ def _draw_plane(axis: Any, mesh: Mesh, value: CoefficientFunction, section: Sect
     points[:, section.axes[0]], points[:, section.axes[1]] = X.ravel(), Y.ravel()
     points[:, section.normal_axis] = np.clip(at, low + inset, high - inset)[section.normal_axis]
     found = mesh(*points.T)
-    values = np.full(X.size, np.nan)
     inside = found["nr"] >= 0
-    values[inside] = np.asarray(value(found[inside])).reshape(-1)
-    return axis.pcolormesh(X, Y, values.reshape(X.shape), shading="gouraud", cmap="viridis", rasterized=True)
+
+    def on_plane(function: CoefficientFunction) -> np.ndarray:
+        values = np.full(X.size, np.nan)
+        values[inside] = np.asarray(function(found[inside])).reshape(-1)
+        return values.reshape(X.shape)
+
+    image = axis.pcolormesh(X, Y, on_plane(value), shading="gouraud", cmap="viridis", rasterized=True)
+    for share in map(on_plane, outlines):
+        if has_outline(share):
+            axis.contour(X, Y, share, **OUTLINE)
+    return image
 
 
 FORMATS = ("png", "pdf", "svg")

@@ -36,11 +36,18 @@ def tell(simulation: Simulation, observer: Observer, what: Callable[..., None], 
         raise together from failure
 
 
-def abort_alone(ranks: Communicator, error: BaseException) -> None:
+def is_to_stop(simulation: Simulation) -> bool:
+    """Whether some rank was asked to stop, as by a signal, and now all are."""
+    simulation.stop_requested = simulation.ranks.any(simulation.stop_requested)
+    return simulation.stop_requested
+
+
+def abort_alone(error: BaseException, ranks: Communicator | None = None) -> None:
     """End all ranks for what one of them has met in a computation, in which the others wait for it.
 
     What ngvisco raises is decided by all ranks together, and is not such an error.
     """
+    ranks = ranks or Communicator.world()
     is_of_all = isinstance(error, NgviscoError) or _TOGETHER in vars(error)
     if ranks.is_distributed and not is_of_all:
         traceback.print_exception(error)

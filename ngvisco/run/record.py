@@ -7,8 +7,9 @@ from collections.abc import Mapping
 
 from ngvisco.errors import ParameterError, as_number, require_path
 from ngvisco.expressions import parse
+from ngvisco.run.bodies import Bodies
 from ngvisco.run.checkpoint import Checkpoints
-from ngvisco.run.fields import components
+from ngvisco.run.fields import components, outlined
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import figure, plot_energies, plot_fields
@@ -26,7 +27,8 @@ def record(
 ) -> Ledger:
     """Run until ``until`` with progress on the terminal, and leave files and pictures in ``directory``.
 
-    These are ``ledger.csv``, the VTK series ``vtk/fields.pvd``, ``run.h5`` with ledger and checkpoints, and
+    These are ``ledger.csv``, the VTK series ``vtk/fields.pvd``, ``run.h5`` with ledger and checkpoints, of a
+    model with bodies ``bodies.csv``, and
     by the extra ``plots`` ``energies.png`` and, of the state at the end, ``fields.png``.  The observers that
     the simulation has already see the same run.
 
@@ -69,6 +71,8 @@ def record(
         VTKSeries(out / "vtk", every=every),
         Checkpoints(out / "run.h5", every=checkpoints),
     ]
+    if simulation.model.bodies and not any(isinstance(one, Bodies) for one in simulation.observers):
+        files.insert(-1, Bodies(out / "bodies.csv"))
     before = list(simulation.observers)
     simulation.observers += files
     try:
@@ -79,6 +83,8 @@ def record(
     if pictures:
         scalars = components(simulation.fields)
         shown = [(title, picture.coefficient(scalars)) for title, picture in pictures.items()]
-        plot_fields(simulation.mesh, shown, out / "fields.png")
+        fields = simulation.fields
+        lines = [fields[name] for name in outlined(fields)]
+        plot_fields(simulation.mesh, shown, out / "fields.png", outlines=lines)
     print(f"largest |closure| {abs(ledger.column('closure_relative')).max():.1e}; results in {out}")
     return ledger

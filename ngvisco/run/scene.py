@@ -33,7 +33,7 @@ from ngsolve import (
 )
 
 from ngvisco.errors import ParameterError
-from ngvisco.run.fields import USUAL, field_unit
+from ngvisco.run.fields import USUAL, field_unit, outlined
 from ngvisco.run.files import write_atomically
 from ngvisco.run.vtu import read_frame, read_series_files
 
@@ -61,6 +61,8 @@ class Drawing:
     cells: np.ndarray
     times: Sequence[float]
     fields: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    outlines: Sequence[tuple[np.ndarray, np.ndarray]] = ()
+    """Fractions of bodies as a field is, drawn as lines where they are one half."""
 
 
 def write_scene(
@@ -69,6 +71,7 @@ def write_scene(
     path: str | os.PathLike[str],
     title: str = "ngvisco",
     subdivisions: int = 3,
+    outlines: Sequence[CoefficientFunction] = (),
 ) -> None:
     """Write the view of scalar fields at the present time.
 
@@ -80,17 +83,20 @@ def write_scene(
     title : str
     subdivisions : int
         Every triangle is drawn as subdivisions^2 ones, in which fields are linear.
+    outlines : sequence of scalar coefficient functions
+        Volume fractions of bodies: drawn as lines where they are one half.
     """
     if not fields:
         raise ParameterError("write_scene.fields", list(fields), "at least one field")
     for name, value in fields.items():
         if value.dim != 1:
             raise ParameterError(f"write_scene field {name!r}", value.dim, "a scalar")
-    together = CF(tuple(fields.values()))
+    together = CF((*fields.values(), *outlines))
     points, values = _triangles(mesh, together, subdivisions)
     corners, inside = _tetrahedra(mesh, together)
-    named = {name: (values[None, :, i], inside[None, :, i]) for i, name in enumerate(fields)}
-    write_page(Drawing(mesh.dim, points, corners, [0.0], named), path, title)
+    every = [(values[None, :, i], inside[None, :, i]) for i in range(values.shape[1])]
+    named = dict(zip(fields, every, strict=False))
+    write_page(Drawing(mesh.dim, points, corners, [0.0], named, every[len(fields) :]), path, title)
 
 
 def write_scene_of_series(
@@ -130,9 +136,12 @@ def write_scene_of_series(
         raise ParameterError("write_scene_of_series.fields", fields, "at least one field of the series")
     faces = (first.cells if first.dim == 2 else first.boundary()).ravel()
     corners = first.cells.ravel() if first.dim == 3 else faces[:0]
-    values = {name: np.array([frame.scalar(name) for frame in frames]) for name in names}
-    named = {name: (table[:, faces], table[:, corners]) for name, table in values.items()}
-    drawing = Drawing(first.dim, first.points[faces], first.points[corners], times, named)
+    lines = outlined(first.fields)
+    values = {name: np.array([frame.scalar(name) for frame in frames]) for name in (*names, *lines)}
+    placed = {name: (table[:, faces], table[:, corners]) for name, table in values.items()}
+    named = {name: placed[name] for name in names}
+    of_bodies = [placed[name] for name in lines]
+    drawing = Drawing(first.dim, first.points[faces], first.points[corners], times, named, of_bodies)
     write_page(drawing, path, title)
 
 
@@ -148,6 +157,9 @@ def write_page(drawing: Drawing, path: str | os.PathLike[str], title: str) -> No
         "fields": [
             {"name": name, "unit": field_unit(name), "values": _packed(values), "inside": _packed(inside)}
             for name, (values, inside) in drawing.fields.items()
+        ],
+        "outlines": [
+            {"values": _packed(values), "inside": _packed(inside)} for values, inside in drawing.outlines
         ],
     }
     # "</" would end the script element wherever it stands

@@ -38,6 +38,9 @@ class Series(ABC):
     initial = True
     """Whether there is something to note of the state before the first step."""
 
+    group: str | None = None
+    """Under which a run's HDF5 file has the columns too; None (default) is not at all."""
+
     def __init__(self, path: str | os.PathLike[str] | None, every: int) -> None:
         require_count(type(self).__name__, every=every)
         self.path = None if path is None else Path(path)
@@ -53,6 +56,10 @@ class Series(ABC):
     @abstractmethod
     def _sample(self, simulation: Simulation) -> Any:
         """Rows of the columns at the present state."""
+
+    def unit(self, column: str) -> str:
+        """SI unit of a column, for that file."""
+        return {"time": "s"}.get(column, "1")
 
     def column(self, name: str) -> np.ndarray:
         """A column over all rows so far; ``"time"`` is in s."""
@@ -100,11 +107,14 @@ class Series(ABC):
             append(self.path, _csv(rows))
 
 
+ON_RANKS = "ledger, VTK series and checkpoints only on several ranks: its points are one process's"
+"""What is expected of the observers of a distributed run."""
+
+
 def require_one_process(simulation: Simulation, name: str) -> None:
     """Raise ParameterError for an observer that several ranks do not serve."""
     if simulation.ranks.is_distributed:
-        expected = "ledger, VTK series and checkpoints only on several ranks: its points are one process's"
-        raise ParameterError("Simulation.observers", name, expected)
+        raise ParameterError("Simulation.observers", name, ON_RANKS)
 
 
 def _csv(rows: Sequence[Sequence[object]]) -> str:

@@ -56,11 +56,12 @@ from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
 from ngvisco.run.numbering import Numbering
 from ngvisco.run.passive import PassiveFields
-from ngvisco.run.ranks import abort_alone, tell
+from ngvisco.run.ranks import abort_alone, is_to_stop, tell
 from ngvisco.run.stepping import (
     HALVINGS,
     AdaptiveStepper,
     AdaptiveSteps,
+    NoticeObserver,
     Rejection,
     RejectionObserver,
     make_stepper,
@@ -188,19 +189,16 @@ class Simulation:
             require_positive("Simulation", velocity_scale=velocity_scale)
         check_arguments(observers, walls, stepping, passive, sources, terms)
         chosen = checked_scheme(scheme, theta, startup, relaxation, stepping)
-        if mesh.comm.size == 1 and (world := Communicator.world()).is_distributed:
-            mesh = distributed(mesh, world)
+        mesh = distributed(mesh, Communicator.world()) if mesh.comm.size == 1 else mesh
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping, halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
         check_distributed(self.rothe_step, passive)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.ranks = self.sampler.ranks
-        self.cells = int(self.ranks.total(mesh.ne))
-        """Of the whole mesh."""
-        space = self.rothe_step.layout.space
+        space, self.cells = self.rothe_step.layout.space, int(self.ranks.total(mesh.ne))
         self.unknowns = space.ndofglobal if self.ranks.is_distributed else space.ndof
-        """Of the whole space."""
+        """Of the whole mesh, as are ``cells``."""
         self.check_data([0.0])
         self.observers = list(observers)
         self.t, self.number = 0.0, 0
@@ -215,7 +213,7 @@ class Simulation:
         options = newton or NewtonOptions()
         if solver is not None:
             options = replace(options, method=solver)
-        self.solver = RotheSolver(self.rothe_step, options, self.defect, strategies)
+        self.solver = RotheSolver(self.rothe_step, options, self.defect, strategies, self.notify)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.closure_check = ClosureCheck(options.tolerance)
         self.bounds = Bounds(self.rothe_step, self.sampler, limiter)
@@ -321,7 +319,7 @@ class Simulation:
                     error.report = failure_report(self, tau, str(error), error.history, self._refused)
                 raise
             except BaseException as error:
-                abort_alone(self.ranks, error)
+                abort_alone(error, self.ranks)
                 raise
             try:
                 row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
@@ -390,23 +388,25 @@ class Simulation:
             if isinstance(observer, RejectionObserver):
                 tell(self, observer, observer.rejected, rejection)
 
+    def notify(self, text: str) -> None:
+        """Tell the observers that ask for it what goes on within a step."""
+        for observer in self.observers:
+            if isinstance(observer, NoticeObserver):
+                observer.noticed(self, text)
+
     def _observed(self, targets: Sequence[float]) -> BaseException | None:
         """Start the observers and step through the targets; what ended it early, if anything did."""
         try:
             for observer in self.observers:
                 tell(self, observer, observer.start)
             for target in targets:
-                while not self.stepper.reached(self, target) and not self._is_to_stop():
+                while not self.stepper.reached(self, target) and not is_to_stop(self):
                     row = self.advance(target)
                     for observer in self.observers:
                         tell(self, observer, observer.step, row)
         except BaseException as error:
             return error
         return None
-
-    def _is_to_stop(self) -> bool:
-        self.stop_requested = self.ranks.any(self.stop_requested)  # a signal may have met one rank
-        return self.stop_requested
 
     def _start_ledger(self) -> None:
         if not self.ledger.rows and self.ledger.balance is None:

@@ -53,10 +53,6 @@ HALVINGS, MOST_HALVINGS = 3, 20
 _LAST = Effort.CONTINUATION | Effort.OTHER_SOLVER
 """What is asked where no part of a step is solved from start values at hand."""
 
-_SECONDS, _UNKNOWNS, _GROWTH = (2.7, 6.5), (67_000, 45_000), (1.3, 2.0)
-"""Measured for an iteration of the coupled solver in 2D and 3D (2,360 triangles, 455 tetrahedra: assembly and
-factorisation), and how it grows with the unknowns."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class AdaptiveSteps:
@@ -114,6 +110,14 @@ class RejectionObserver(Protocol):
 
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
         """After a step was rejected; the state is that before the step."""
+
+
+@runtime_checkable
+class NoticeObserver(Protocol):
+    """An observer that wants to know what goes on within a step that takes long."""
+
+    def noticed(self, simulation: Simulation, text: str) -> None:
+        """Within a step: a line for the user."""
 
 
 class Stepper(Protocol):
@@ -220,7 +224,7 @@ class FixedStepper:
                 reason += f"; taken in parts of {self.dt / (1 << level):.4g} s"
             else:  # as much of the step as is made up of halves
                 efforts, level = _LAST, self.halvings - _powers_of_two(done or self._parts)
-                reason += f"; {coupled_cost(simulation)}"
+                reason += f"; {coupled_solver(simulation)}"
             rejections += 1
             simulation.notify_rejection(Rejection(t, tau, reason))
 
@@ -242,18 +246,12 @@ def _powers_of_two(number: int) -> int:
     return (number & -number).bit_length() - 1
 
 
-def coupled_cost(simulation: Simulation) -> str:
-    """That the coupled solver is asked, and what that is going to cost, in words."""
-    unknowns = sum(simulation.rothe_step.layout.space.FreeDofs(True))
-    dim, cells = simulation.mesh.dim, simulation.mesh.ne
-    seconds = _SECONDS[dim - 2] * (unknowns / _UNKNOWNS[dim - 2]) ** _GROWTH[dim - 2]
-    largest = simulation.solver.options.split.coupled_up_to[dim - 2]
-    if cells > largest:
+def coupled_solver(simulation: Simulation) -> str:
+    """That the coupled solver is asked next, or why it is not, in words."""
+    largest = simulation.solver.options.split.coupled_up_to[simulation.mesh.dim - 2]
+    if simulation.mesh.ne > largest:
         return f"the coupled solver is for meshes up to {largest} cells (NewtonOptions.split.coupled_up_to)"
-    return (
-        f"the coupled solver is asked, with {unknowns} unknowns: roughly {seconds:.2g} s for an iteration, "
-        "of which a step takes 10 to 100 (NewtonOptions.split.coupled_up_to bounds it)"
-    )
+    return "the coupled solver is asked"
 
 
 class AdaptiveStepper:

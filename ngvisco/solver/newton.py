@@ -19,6 +19,7 @@ increment of that size, or one below the tolerance with the norm's coarse floor 
 
 from __future__ import annotations
 
+import time as clock
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -28,9 +29,14 @@ from ngvisco.errors import StepError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.petsc import Direct
+from ngvisco.solver.cost import Allowance
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status
+
+
+class _TooCostlyError(StepError):
+    """The time that the solver may take does not suffice for another factorisation."""
 
 
 class CondensedJacobian:
@@ -115,16 +121,18 @@ class Newton:
         eliminate: Callable[[], None],
         options: NewtonOptions,
         refresh: Callable[[], None] = lambda: None,
+        allowance: Allowance | None = None,
         exchange: Exchange | None = None,
     ) -> None:
-        """``eliminate`` recomputes the local unknowns of ``state`` from the others.
+        """``allowance`` bounds the time of all solves together; ``eliminate`` recomputes the local unknowns
+        of ``state`` from the others.
 
         ``refresh`` is called before the form is used at a state that ``eliminate`` was not just called at.
         ``exchange`` is that of the form's space, where it may be distributed.
         """
         self.exchange = exchange or Exchange(form.space, Communicator())
         self.form, self.state, self.norm, self.options = form, state, norm, options
-        self.eliminate, self.refresh = eliminate, refresh
+        self.eliminate, self.refresh, self.allowance = eliminate, refresh, allowance
         self.jacobian = CondensedJacobian(
             form, options.inverse, options.coupled.heap_sizes, self.exchange.communicator
         )
@@ -148,8 +156,14 @@ class Newton:
         self._factorise(problem)
 
     def _factorise(self, problem: Problem) -> None:
+        began, allowance = clock.perf_counter(), self.allowance
+        refusal = None if allowance is None else allowance.refusal()
+        if refusal is not None:
+            raise _TooCostlyError(refusal)
         self.refresh()
         self.jacobian.factorise(self.state)
+        if allowance is not None:
+            allowance.measured(clock.perf_counter() - began)
         problem.factorised()
 
     def solve(self, problem: Problem, guess: BaseVector, full_steps: int | None = None) -> Solution:
@@ -168,6 +182,8 @@ class Newton:
         problem.pose()
         try:
             status = self._iterate(problem, history, full_steps)
+        except _TooCostlyError as error:
+            return Solution(Status.TOO_COSTLY, tuple(history), str(error))
         except StepError as error:  # of a factorisation
             return Solution(Status.SINGULAR, tuple(history), str(error))
         reason = ""

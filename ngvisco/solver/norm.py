@@ -3,7 +3,8 @@
 |d| = max over the blocks v, rho, z of |d_block|_2 / scale_block, in coefficients, with
 scale_v = |v|_2 + f sqrt(n) h/tau, scale_rho = |rho|_2, scale_z = |z|_2 + f sqrt(n), where n is the
 number of the block's coefficients and h the smallest cell size: a velocity counts by the strain that
-it makes in the step.  The other unknowns are functions of these three.  The floor f (``NormOptions``) lets
+it makes in the step.  The other unknowns are functions of these three; the trace of a density that diffuses
+by an r-Laplacian, a nonlinear one, counts like rho.  The floor f (``NormOptions``) lets
 small strains and velocities converge relatively to themselves; a stalled iteration is asked about with a
 larger one.
 """

@@ -75,6 +75,11 @@ class KrylovOptions(_Checked):
     """Of an increment's linear system; with 0.1 one of six long steps failed."""
     directions: int = 40
     """Derivatives taken for one increment at most."""
+    largest: float = 0.3
+    """Increment up to which it takes over: farther from the solution it fails all the same, fifty times as
+    slowly, where half of the step is solved at once (Courant number 5)."""
+    min_damping: float = 0.05
+    """Smallest step length tried."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +100,30 @@ class TwoLevelOptions(_Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
+class SweepOptions(_Checked):
+    """Sweeps of the transport over the cells, in which the fields' change is carried into the flow's
+    system."""
+
+    least: int = 3
+    """Two take 12 instead of 9 iterations on 2,258 triangles (Courant number 0.55) and 11 instead of 10 on
+    739 tetrahedra; four take as many as three."""
+    most: int = 30
+    share: float = 0.05
+    """What they may leave of a field: at a Courant number of 2.5 twelve sweeps take 28 iterations, three 34
+    and seven times as long, by Newton-Krylov."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldOptions(_Checked):
+    """Linear systems of the fields for a given velocity, where sweeps of the transport are not enough."""
+
+    tolerance: float = 0.05
+    """Of z's and rho's increments; 0.1 takes an iteration of Newton more in twenty, 0.01 no fewer."""
+    iterations: int = 20
+    """Of GMRES at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SplitOptions(_Checked):
     """The split solver's choice, iteration and linear systems."""
 
@@ -107,7 +136,9 @@ class SplitOptions(_Checked):
     slow: int = 24
     """Iterations after which Newton-Krylov takes over."""
     stall: float = 0.3
-    """So it does where ``window`` iterations shorten the increment by less: above a Courant number of one."""
+    """So it does where ``window`` iterations shorten an increment below ``linearised_above`` by less; and
+    there it gives up itself.  Larger increments need not fall: those of p = 4 in an impulsive start do
+    not."""
     window: int = 4
     restarts: int = 4
     """New starts from the best iterate within a step, after which Newton-Krylov takes over."""
@@ -115,6 +146,9 @@ class SplitOptions(_Checked):
     """Iterations for the flow's linear system after which its preconditioner is made anew."""
     renewed_above: float = 0.5
     """Increment after which it is: made at rest it does not know the curvature of v."""
+    renewed_at_once_above: float = 0.1
+    """Increment, it or the one before, above which a worn preconditioner is made anew before the increment is
+    taken: an impulsive start with p = 4 fails otherwise, while a smooth run wastes a twentieth on it."""
     linearised_above: float = 1e-2
     """Increment below which only hyperviscosity and upwinding, which change suddenly, are linearised anew."""
     rounding: float = 1e-8
@@ -127,9 +161,8 @@ class SplitOptions(_Checked):
     """Unknowns of v up to which its tangent is factorised as a whole; above, two levels are faster."""
     krylov: KrylovOptions = KrylovOptions()
     two_level: TwoLevelOptions = TwoLevelOptions()
-    transport_sweeps: int = 3
-    """Of the transport over the cells: two take 12 instead of 9 iterations on 2,258 triangles (Courant number
-    0.55) and 11 instead of 10 on 739 tetrahedra; four take as many as three."""
+    fields: FieldOptions = FieldOptions()
+    sweeps: SweepOptions = SweepOptions()
     switch_share: float = 2e-4
     """Share of a cell's inertia rho h/tau, in the force by v . n, from which a facet where the flow turns
     round counts in the linearisation."""
@@ -158,6 +191,10 @@ class NewtonOptions(_Checked):
     """``"coupled"``: all unknowns at once; ``"split"``: one problem for the velocity, with the fields as
     functions of it, whose cost grows like the mesh; ``"auto"``: the faster one for the mesh's dimension and
     size.  Both solve the same equations."""
+    retry_seconds: float = 120.0
+    """Seconds that the coupled solver may take for a step that the split one has failed at.  It is not
+    asked where a few iterations would take longer, by an estimate, and begins none that would not end in
+    time."""
     norm: NormOptions = NormOptions()
     coupled: CoupledOptions = CoupledOptions()
     split: SplitOptions = SplitOptions()

@@ -14,6 +14,7 @@ from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.solver.choice import default_strategies, split_obstacle
+from ngvisco.solver.cost import FEWEST, Allowance, CoupledCost
 from ngvisco.solver.extrapolation import Extrapolation
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.norm import BlockNorm
@@ -39,6 +40,8 @@ class RotheSolver:
     strategies : sequence of Strategy, optional
         How a step is tried to be solved, in this order, in place of those that belong to ``options.method``
         (``ngvisco.solver.choice.default_strategies``).
+    announce : callable, optional
+        Told in words what a retry costs, while it goes on.
 
     Raises
     ------
@@ -52,8 +55,10 @@ class RotheSolver:
         options: NewtonOptions,
         defect: Callable[[], str | None] | None = None,
         strategies: Sequence[Strategy] | None = None,
+        announce: Callable[[str], None] = lambda text: None,
     ) -> None:
-        self.step, self.options = step, options
+        self.step, self.options, self.announce = step, options, announce
+        self.cost = CoupledCost(step)
         self.defect = defect or (lambda: None)
         self.strategies = tuple(default_strategies(step, options) if strategies is None else strategies)
         if strategies is not None:
@@ -61,6 +66,8 @@ class RotheSolver:
         self.exchange = Exchange(step.layout.space, Communicator.of(step.mesh))
         self.h_min = self.exchange.communicator.least(step.context.h.vec.FV().NumPy())
         units = {"v": 0.0, "rho": 0.0, "z": 1.0}
+        if "rho_delta_hat" in step.layout.ranges:
+            units["rho_delta_hat"] = 0.0  # its equation is cubic where the density is flat
         self.norm = BlockNorm(step.layout.ranges, units, options.norm, self.exchange)
         tried = [one for one in self.strategies if one.obstacle(step.mesh) is None]
         self.method = (tried or self.strategies)[0].solver
@@ -75,14 +82,15 @@ class RotheSolver:
         self.extrapolation = Extrapolation(step)
         self._extrapolates = any(one.extrapolates for one in self.strategies)
 
-    def made(self, solver: str) -> NonlinearSolver:
-        """A new solver of this step's equations, ``"coupled"`` or ``"split"``."""
+    def made(self, solver: str, allowance: Allowance | None = None) -> NonlinearSolver:
+        """A new solver of this step's equations, ``"coupled"``, which may have an allowance, or
+        ``"split"``."""
         step, norm, options = self.step, self.norm, self.options
         if solver == "split":
             return Split(step, norm, options)
         eliminate = step.eliminate
         exchange, refresh = self.exchange, eliminate.refresh
-        return Newton(step.residual, step.state.vec, norm, eliminate, options, refresh, exchange)
+        return Newton(step.residual, step.state.vec, norm, eliminate, options, refresh, allowance, exchange)
 
     def problem(self, interval: Interval) -> RotheProblem:
         """The problem of a step over the interval, with the scheme's upwinding."""
@@ -180,6 +188,7 @@ class _Run:
         self.attempts: list[Attempt] = []
         self._strategy = rothe.strategies[0]
         self._other: NonlinearSolver | None = None
+        self._allowance: Allowance | None = None
         self._has_tried = False
 
     @property
@@ -192,13 +201,14 @@ class _Run:
         failed = [one for one in self.attempts if not one.solution.converged]
         left = [one for one in failed if one.solution.status is Status.NOT_TRIED]
         reasons = [one.solution.reason for one in failed if one not in left][-1:]
+        reasons += [one.solution.against for one in failed if one.solution.against][-1:]
         reasons += [f"{one.strategy} was not tried: {one.solution.reason}" for one in left[:1]]
         return "; ".join(reasons) or "no strategy was asked for"
 
     def solves(self, strategy: Strategy) -> bool:
         """Whether the strategy solves the step."""
         self._strategy = strategy
-        obstacle = strategy.obstacle(self.rothe.step.mesh)
+        obstacle = strategy.obstacle(self.rothe.step.mesh) or self._refusal(strategy)
         if obstacle is not None:
             self.attempts.append(Attempt(strategy.name, Solution(Status.NOT_TRIED, (), obstacle)))
             return False
@@ -210,6 +220,16 @@ class _Run:
         if not solved:
             self.rothe.extrapolation.drop()
         return solved
+
+    def _refusal(self, strategy: Strategy) -> str | None:
+        """Why the coupled solver, as the other one, is not asked or asked no more: its time; or None."""
+        rothe = self.rothe
+        if strategy.solver == rothe.method or strategy.solver != "coupled":
+            return None
+        is_new = self._allowance is None
+        if self._allowance is None:
+            self._allowance = Allowance(rothe.cost, rothe.options.retry_seconds, rothe.announce)
+        return self._allowance.refusal(FEWEST if is_new else 1)
 
     def extrapolated(self, farthest: float, largest_change: float) -> BaseVector | None:
         return self.rothe.extrapolation.guess(self.problem.interval.end, farthest, largest_change)
@@ -231,7 +251,9 @@ class _Run:
             return rothe.newton
         rothe.newton.reset()  # it is not where the step will end
         if self._other is None:
-            self._other = rothe.made(name)
+            self._other = rothe.made(name, self._allowance)
+            if self._allowance is not None:
+                rothe.announce(f"the coupled solver is asked: {self._allowance}")
             rothe.retried += 1
         return self._other
 

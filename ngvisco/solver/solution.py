@@ -24,6 +24,7 @@ class Status(Enum):
     SINGULAR = "a linear system has no factorisation"
     INADMISSIBLE = "the solution of the equations is not admissible"
     NOT_TRIED = "not tried"
+    TOO_COSTLY = "the time that it may take is used up"
 
 
 @dataclass(frozen=True)
@@ -46,11 +47,14 @@ class Solution:
     history : tuple of NewtonIteration
     reason : str
         Why it failed, with figures and what may help; empty where it converged.
+    against : str
+        Which terms of the equations stand against convergence, where that is known.
     """
 
     status: Status
     history: tuple[NewtonIteration, ...] = ()
     reason: str = ""
+    against: str = ""
 
     @property
     def converged(self) -> bool:

@@ -8,7 +8,8 @@ from typing import Any
 
 from ngsolve import BilinearForm, BitArray, Integrate, LinearForm
 
-from ngvisco.forms.regularisation import DensityDiffusion, FieldDiffusion
+from ngvisco.forms.field_diffusion import FieldDiffusion
+from ngvisco.forms.regularisation import DensityDiffusion
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.physics.tensors import inner, square
@@ -27,7 +28,9 @@ class DeltaTerms:
         _, w = self._fields()
         now = step.now
         self._rho = _Representative(step, "rho", DensityDiffusion(law).form(now, w))
-        self._z = _Representative(step, "z", FieldDiffusion(law).form(now, w))
+        self._z = _Representative(
+            step, "z", FieldDiffusion(law, step.model.material, step.mesh.dim).form(now, w)
+        )
 
     def _fields(self) -> tuple[Any, Any]:
         trial, test = self.step.layout.space.TnT()

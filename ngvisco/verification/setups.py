@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Integrate, Mesh, cos, pi, sin, x, y
+from ngsolve import CF, CoefficientFunction, Integrate, Mesh, cos, pi, sin, x, y, z
 
 from ngvisco.forms.initial import Initial
 from ngvisco.geometries import box
@@ -40,6 +40,12 @@ def material(kind: str) -> Material:
 
 
 @cache
+def cube_mesh(maxh: float) -> Mesh:
+    """The unit cube."""
+    return box((1, 1, 1), maxh)
+
+
+@cache
 def square_mesh(maxh: float) -> Mesh:
     """The unit box; runs on one mesh can be compared by ``separation``."""
     return box((1, 1), maxh)
@@ -54,25 +60,26 @@ def block(
     gravity: float = 0.0,
     viscosity: float | StokesViscosity = 0.1,
     hyperviscosity: HyperViscosity | None = None,
-    creep: float | None = None,
+    creep: float | Creep | None = None,
     of: Material | None = None,
     **parts: Any,
 ) -> Simulation:
-    """The block of ``SETTING``; ``creep`` is G_m, ``of`` another material, ``parts`` of the model or run."""
-    regularisation = parts.pop("regularisation", None)
+    """The block of ``SETTING``; ``creep`` is G_m or a law, ``of`` a material, ``parts`` of model or run."""
+    regularisation, mesh = parts.pop("regularisation", None), mesh or square_mesh(0.5)
     if not isinstance(viscosity, StokesViscosity):
         viscosity = StokesViscosity(K_v=viscosity, G_v=viscosity)
     model = Model(
         material=of or material(kind),
         viscosity=viscosity,
         hyperviscosity=hyperviscosity,
-        creep=None if creep is None else Creep(G_m=creep),
-        loads=(Gravity((0.0, -gravity)),) if gravity else (),
+        creep=Creep(G_m=creep) if isinstance(creep, float) else creep,
+        loads=(Gravity((0.0,) * (mesh.dim - 1) + (-gravity,)),) if gravity else (),
         regularisation=regularisation,
     )
-    velocity = CF(tuple(speed * v for v in SWIRL))
+    swirl = SWIRL if mesh.dim == 2 else (*(v * (1 + 0.3 * cos(pi * z)) for v in SWIRL), CF(0.0))
+    velocity = CF(tuple(speed * v for v in swirl))
     initial = parts.pop("initial", None) or Initial(density=1 + 0.2 * cos(pi * x), velocity=velocity)
-    return Simulation(mesh or square_mesh(0.5), model, dt=dt, initial=initial, **parts)
+    return Simulation(mesh, model, dt=dt, initial=initial, **parts)
 
 
 def potential(simulation: Simulation, gravity: float) -> float:

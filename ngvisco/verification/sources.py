@@ -172,7 +172,7 @@ class Sources:
             across = slopes[0] * n[0]
             for i in range(1, self.dim):
                 across = across + slopes[i] * n[i]
-            parts.append(Integrand(facets=-law.delta_fields * on_wall * inner(across, w.z_delta_hat)))
+            parts.append(Integrand(facets=-law.delta_fields * on_wall * inner(across, w.z)))
         return parts
 
     def entries(self, u: Fields) -> list[Entry]:

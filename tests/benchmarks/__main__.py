@@ -1,8 +1,8 @@
 """What a Rothe step costs: ``python -m tests.benchmarks [-o DIRECTORY] [--sizes ...]`` in the project's root.
 
 The neo-Hookean swirl (P2 velocity, DG1 fields, p = 4, tau = 0.02 s) in series of meshes, by both solvers,
-and with creep by F and by B.  Every row is a process of its own, so that its peak memory is its own.  Times
-compare within one call only: ratios are what is meant to be quoted.
+with creep by F and by B, and as one body and as two.  Every row is a process of its own, so that its peak
+memory is its own.  Times compare within one call only: ratios are what is meant to be quoted.
 
 The series "schemes" is the time to a given error in time (see ``schemes``), in a process of its own too.
 """
@@ -26,6 +26,8 @@ SIZES = {
     "3D coupled": [0.5, 0.3],
     "2D creep": [0.055],
     "3D creep": [0.18],
+    "2D bodies": [0.055],
+    "3D bodies": [0.18],
 }
 QUICK = {
     "2D": [0.3],
@@ -34,7 +36,12 @@ QUICK = {
     "3D coupled": [0.7],
     "2D creep": [0.3],
     "3D creep": [0.7],
+    "2D bodies": [0.3],
+    "3D bodies": [0.7],
 }
+FORMS = {"creep": ("F", "B"), "bodies": ("one body", "two bodies")}
+"""What is compared in a series, on each of its meshes."""
+
 SCHEMES = ["0.25", "0.2", "160", "0.02", "0.002"]
 QUICK_SCHEMES = ["0.5", "0.06", "6", "0.2"]
 """maxh, m, end, s, steps of the reference, and the relative errors to be met, of the series of schemes."""
@@ -90,11 +97,11 @@ def main(arguments: list[str] | None = None) -> int:
     for series in (name for name in SIZES if name in chosen.series):
         dim, method = int(series[0]), "coupled" if "coupled" in series else "split"
         sizes = [h for h in (QUICK if chosen.quick else SIZES)[series] if h >= (chosen.largest or 0)]
-        forms = ("F", "B") if "creep" in series else ("",)
+        forms = FORMS.get(series[3:], ("",))
         for maxh, creeping in product(sizes, forms):
             rows.append(measure(dim, maxh, method, chosen.threads, chosen.steps, chosen.timeout, creeping))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)
-        if method == "split" and "creep" not in series:  # two threads over one, in the middle of the series
+        if method == "split" and series[3:] not in FORMS:  # two threads over one, in the middle of the series
             middle, others = sizes[len(sizes) // 2], 3 - chosen.threads
             rows.append(measure(dim, middle, method, others, chosen.steps, chosen.timeout))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)

@@ -6,6 +6,7 @@ import json
 import resource
 import sys
 import time
+from typing import Any
 
 from ngsolve import CF, Mesh, SetNumThreads, TaskManager, cos, pi, sin, x, y, z
 
@@ -31,6 +32,19 @@ def domain(dim: int, maxh: float) -> Mesh:
     return mesh
 
 
+def bodies(which: str, dim: int) -> list[nv.Body]:
+    """A ball of another stiffness in the middle, or one body that carries its stiffness."""
+
+    def body(name: str, G_e: float | nv.Parameter, **place: Any) -> nv.Body:
+        material = nv.ReferentialNeoHookean(K_e=10.0, G_e=G_e)
+        viscosity = nv.StokesViscosity(K_v=0.01, G_v=0.01)
+        return nv.Body(name=name, material=material, viscosity=viscosity, density=1.0, **place)
+
+    if which == "one body":
+        return [body("whole", nv.Parameter("stiffness", start=5.0))]
+    return [body("ball", 5.0, where=nv.Ball((0.5,) * dim, 0.3)), body("rest", 2.0)]
+
+
 def swirl(
     dim: int,
     maxh: float,
@@ -39,11 +53,19 @@ def swirl(
     dt: float = 0.02,
     scheme: str = "backward-euler",
 ) -> nv.Simulation:
-    """``creeping`` is "F" or "B": with creep, the elastic state by F or by B; "" is without creep."""
+    """``creeping`` is "F" or "B": with creep, the elastic state by F or by B; "" is without creep.
+
+    "one body" and "two bodies" are of as many unknowns: the one has a parameter where the two have a second
+    amount.
+    """
+    is_of_bodies, state = creeping.endswith(("body", "bodies")), "B" if creeping == "B" else "F"
+    what = {
+        "material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state=state),
+        "creep": nv.Creep(G_m=5.0) if creeping else None,
+        "viscosity": nv.StokesViscosity(K_v=0.01, G_v=0.01),
+    }
     model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state=creeping or "F"),
-        creep=nv.Creep(G_m=5.0) if creeping else None,
-        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
+        **({"bodies": bodies(creeping, dim)} if is_of_bodies else what),
         hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
         loads=[nv.Gravity((0.0,) * (dim - 1) + (-1.0,))],
     )

@@ -38,7 +38,7 @@ def markdown(rows: list[dict]) -> str:
     for row in rows:
         name = f"{row['dim']}D {row['method']}, h = {row['maxh']:g}"
         if row.get("creeping"):
-            name += f", creep by {row['creeping']}"
+            name += f", {row['creeping']}" if " " in row["creeping"] else f", creep by {row['creeping']}"
         if "failed" in row:
             lines.append(f"| {name} | {row['failed']} |" + " |" * (len(head) - 2))
             continue
@@ -70,6 +70,9 @@ def summary(rows: list[dict]) -> str:
         if form == "B" and (dim, maxh, "F") in creeping:
             ratio = seconds / creeping[dim, maxh, "F"]
             lines.append(f"- {dim}D, h = {maxh:g}, with creep: a step by B over one by F {ratio:.2f}")
+        if form == "two bodies" and (dim, maxh, "one body") in creeping:
+            ratio = seconds / creeping[dim, maxh, "one body"]
+            lines.append(f"- {dim}D, h = {maxh:g}: a step of two bodies over one of one {ratio:.2f}")
     done = [row for row in done if not row.get("creeping")]
     for row in done:
         partner = [

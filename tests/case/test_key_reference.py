@@ -11,7 +11,8 @@ import ngvisco as nv
 from ngvisco.case import reference, template, toml
 from ngvisco.case.build import parse_case
 from ngvisco.case.keys import KEYS, key
-from ngvisco.case.schema import CaseSections, FieldValue
+from ngvisco.case.schema import CaseSections
+from ngvisco.case.values import FieldValue
 
 ENTRIES = reference.entries()
 COMPANIONS = {
@@ -70,6 +71,8 @@ def test_no_description_is_left_over():
 def placed(entry, kind):
     """A case in which the key has its example, in a section of this kind with what else it requires."""
     data = tomllib.loads(BASE)
+    if entry.path[0] == "bodies":
+        data["bodies"] = [{"name": "block", "material": data.pop("material"), "density": 1.0}]
     path = [{"NAME": "left", "N": "0"}.get(part, part) for part in entry.path]
     section = entry.path[:-1]
     needed = {
@@ -134,7 +137,8 @@ def test_the_schema_admits_the_demos_and_refuses_what_is_misspelt(schema):
         schema.validate(data)
         for section in ("material", "time", "domain"):
             wrong = copy.deepcopy(data)
-            wrong[section]["nonsense"] = 1
+            where = wrong["bodies"][0] if section == "material" and "bodies" in wrong else wrong
+            where[section]["nonsense"] = 1
             assert not schema.is_valid(wrong), (path, section)
     text = Path(__file__).with_name("test_units.py").read_text()
     in_units = tomllib.loads(text.split('CASE = """\\\n')[1].split('"""')[0])

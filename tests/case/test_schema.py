@@ -308,7 +308,7 @@ def test_faults_of_wrapped_materials_have_their_place(override, message):
 
 
 def test_every_dataclass_of_the_catalogue_makes_a_section():
-    from ngvisco.case.schema import section
+    from ngvisco.case.section import section
 
     for table in (GEOMETRIES, MATERIALS, WRAPPERS, MECHANISMS, LOADS, WALLS, SECTIONS):
         for name, target in table.items():

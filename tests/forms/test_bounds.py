@@ -5,7 +5,7 @@ import pytest
 from ngsolve import CF, VOL, Integrate, x, y, z
 
 import ngvisco as nv
-from ngvisco.forms.bounds import SHARE, Bounds
+from ngvisco.forms.bounds import OF_CUT_OFF, SHARE, Bounds
 from ngvisco.forms.initial import set_initial
 from ngvisco.forms.locating import nearest_wall
 from ngvisco.forms.sampling import Sampler
@@ -28,8 +28,9 @@ MESHES = {
 }
 
 
-def step_of(mesh=None, material=CONVEX, m=1):
-    step = Step(mesh or box((1, 1), 0.4), nv.Model(material=material), nv.Discretisation(m=m))
+def step_of(mesh=None, material=CONVEX, m=1, regularisation=None):
+    model = nv.Model(material=material, regularisation=regularisation)
+    step = Step(mesh or box((1, 1), 0.4), model, nv.Discretisation(m=m))
     set_initial(step, nv.Initial(density=2.0), Sampler(step.mesh, step.quadrature))
     return step
 
@@ -248,3 +249,29 @@ def test_leaving_B_symmetric_variables_have_their_leading_minors():
         "B_11 B_22 - B_12^2",
         "det B",
     }
+
+
+BELOW_CUT_OFF = nv.Regularisation(rho_max=2.2, width=0.3)
+
+
+def test_limiter_keeps_a_cut_off_s_bound_and_every_mean():
+    """rho <= rho_max + width, where the state at first keeps it."""
+    step = step_of(regularisation=BELOW_CUT_OFF)
+    bounds = bounds_of(step)
+    shaken(step, size=1.0)
+    assert bounds.violation(everywhere=True).quantity == OF_CUT_OFF and bounds.violation() is None
+    before, sampler = means_of(step), bounds.sampler
+    assert sampler.extrema(step.now.rho)[1] > 2.5
+    assert bounds.limit() > 0
+    assert sampler.extrema(step.now.rho)[1] <= 2.5 - 0.9 * SHARE * 0.5
+    for name, means in means_of(step).items():
+        assert np.abs(means - before[name]).max() <= 1e-13 * np.abs(before[name]).max()
+
+
+def test_mean_above_a_cut_off_s_bound_is_a_violation():
+    step = step_of(regularisation=BELOW_CUT_OFF)
+    bounds = bounds_of(step)
+    step.state.vec.FV().NumPy()[step.layout.ranges["rho"]] *= 1.3
+    violation = bounds.violation()
+    assert violation is not None and violation.is_mean and violation.quantity == OF_CUT_OFF
+    assert bounds_of(step).violation() is None  # a start above it has no such bound

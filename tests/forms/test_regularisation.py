@@ -23,6 +23,7 @@ import ngvisco as nv
 from ngvisco.forms.momentum import Convection
 from ngvisco.geometries import box
 from ngvisco.physics.regularisation import Regularisation
+from ngvisco.verification.cases.invariants import converging
 
 MATERIALS = {
     "linear": nv.LinearElastic(K_e=10, G_e=5),
@@ -69,7 +70,7 @@ def test_ledger_closes_with_each_regularisation(case, material):
     law = CASES[case]
     if law.delta_density:
         assert ledger.column("density_diffusion")[1:].min() > 0
-    if law.delta_fields:  # both energies are quadratic in their tensors and convex in J
+    if law.delta_fields:
         assert ledger.column("dissipation_delta_fields")[1:].min() > 0
     if law.epsilon:
         assert ledger.column("dissipation_epsilon")[1:].min() > 0
@@ -217,6 +218,33 @@ def test_cut_off_is_c1_and_ends_where_it_should():
         assert inside == pytest.approx(outside, abs=1e-5)
     h = 1e-6
     assert at(2.2)[1] == pytest.approx((at(2.2 + h)[0] - at(2.2 - h)[0]) / (2 * h), rel=1e-6)
+
+
+@pytest.mark.parametrize(("rho_max", "width"), [(1.0, 1.0), (0.2, 1.0), (3.0, 0.1)])
+def test_cut_off_s_flow_is_a_rising_and_a_falling_part(rho_max, width):
+    law, point, rho = Regularisation(rho_max=rho_max, width=width), POINTS(0.2, 0.2), Parameter(0.0)
+    parts, found = (law.carried(rho), law.rising(rho), law.falling(rho)), []
+    values = np.linspace(-0.1, rho_max + width + 0.1, 2001)
+    for value in values:
+        rho.Set(value)
+        found.append([part(point) for part in parts])
+    carried, rising, falling = np.array(found).T
+    assert np.abs(carried - rising - falling).max() <= 1e-15 * carried.max()
+    assert np.diff(rising).min() >= 0 >= np.diff(falling).max()
+    assert np.diff(falling).min() < 0 < np.diff(rising).max()
+    assert values[carried.argmax()] == pytest.approx(law.densest_flow, abs=2 * (values[1] - values[0]))
+
+
+@pytest.mark.parametrize(("m", "delta"), [(0, 0.0), (1, 0.0), (1, 1e-4)])
+def test_density_stays_below_rho_max_plus_width_whatever_delta(m, delta):
+    """Matter runs into the middle of a tube, where without the cut-off it would be 2.2 times as dense."""
+    run, end = converging("finite", Regularisation(delta_density=delta, rho_max=1.0), 1 / 8, 0.03, m)
+    ledger = run.ledger
+    assert not end
+    assert ledger.column("rho_min").min() > 0 and ledger.column("rho_max").max() <= 2.0
+    assert ledger.column("cutoff_volume").max() > 0.3 * 0.125
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert np.abs(ledger.column("mass_drift")).max() <= 1e-12
 
 
 def test_cut_off_stops_the_flow_of_dense_matter():

@@ -1,5 +1,7 @@
 """Steps of one length that are not solved are taken in halves before the coupled solver is asked."""
 
+import time
+
 import numpy as np
 import pytest
 from ngsolve import cos, pi, sin, x, y
@@ -7,6 +9,8 @@ from ngsolve import cos, pi, sin, x, y
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.stepping import FixedStepper
+from ngvisco.solver import cost, newton
+from ngvisco.solver.newton import CondensedJacobian
 from ngvisco.solver.solution import Solution, Status
 from ngvisco.solver.split.solver import Split
 
@@ -41,7 +45,7 @@ def fails_above(monkeypatch, length, calls=None):
 
 class Rejections:
     def __init__(self):
-        self.seen = []
+        self.seen, self.notices = [], []
 
     def start(self, run):
         """Nothing."""
@@ -54,6 +58,9 @@ class Rejections:
 
     def rejected(self, run, rejection):
         self.seen.append(rejection)
+
+    def noticed(self, run, text):
+        self.notices.append(text)
 
 
 def state(run):
@@ -100,7 +107,45 @@ def test_the_coupled_solver_is_asked_last_and_its_cost_is_said(monkeypatch):
     assert min(calls) == pytest.approx(DT / 8)
     assert [r.tau for r in watch.seen] == pytest.approx([DT, DT / 2, DT / 4, DT / 8])
     assert "the coupled solver is asked" in watch.seen[-1].reason
-    assert "s for an iteration" in watch.seen[-1].reason
+    asked, measured = watch.notices
+    assert "s for an iteration, estimated, with " in asked and "120 s at most" in asked
+    assert measured.startswith("the coupled solver takes ") and "s for an iteration, estimated" in measured
+    assert run.solver.cost.measured > 0
+
+
+def test_the_coupled_solver_is_not_asked_where_it_would_take_too_long(monkeypatch):
+    """By the estimate before it is asked, and by what its first iterations took afterwards."""
+    fails_above(monkeypatch, 0.0)
+    run = simulation(newton=nv.NewtonOptions(retry_seconds=1e-4))
+    with pytest.raises(nv.StepError, match=r"may take 0\.0001 s for a step .*estimated.*5 more at least"):
+        run.advance()
+    assert run.t == 0 and run.solver.retried == 0 and run.solver.cost.measured is None
+    run = simulation(newton=nv.NewtonOptions(retry_seconds=1e6))
+    run.solver.cost.estimate = 1e-3
+    factorise = CondensedJacobian.factorise
+
+    def takes_long(jacobian, state):
+        factorise(jacobian, state)
+        clock.advanced += 6e5
+
+    clock = Clock()
+    monkeypatch.setattr(cost, "clock", clock)
+    monkeypatch.setattr(newton, "clock", clock)
+    monkeypatch.setattr(CondensedJacobian, "factorise", takes_long)
+    with pytest.raises(nv.StepError) as caught:
+        run.advance()
+    ends = [one.solution.status for one in caught.value.history]
+    assert ends.count(Status.TOO_COSTLY) == 1 and Status.NOT_TRIED in ends
+    assert run.solver.cost.measured == pytest.approx(6e5, rel=1e-3) and run.t == 0
+
+
+class Clock:
+    """Time that goes on by what is added to it."""
+
+    advanced = 0.0
+
+    def perf_counter(self):
+        return time.perf_counter() + self.advanced
 
 
 def test_halvings_are_an_option(monkeypatch):

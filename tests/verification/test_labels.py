@@ -100,7 +100,7 @@ def test_cases_are_those_that_name_the_label_also_in_a_bound():
     assert found == {"rem-f-ne-0": ("a-case",), "Euler-small-est7": ("a-case",)}
     measured = {row[0]: row[3] for row in label_table([one]).rows}
     assert measured["Euler-small-est7"] == "cases: a-case"
-    assert measured["Euler-small-est6"] == "not measured, as Euler-small-est++"
+    assert measured["def-ED-Ch4-momentum"] == "not measured, as def-ED-Ch4"
     assert measured["Cauchy-stress++"] == "with rem-referential"
 
 

@@ -10,6 +10,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.materials.yosida import Yosida
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.parameters import Modulus, Parameter, substituted
 from ngvisco.physics.variables import Values, Variable
 
@@ -58,6 +59,8 @@ class Heterogeneous(Material):
 
 def carrying(material: Material, parameters: Sequence[Parameter]) -> Material:
     """The material with these among its variables; what wraps a material as regularised wraps that one."""
+    if isinstance(material, Mixture):
+        return material.with_carried(parameters)
     if isinstance(material, (WithQuadratic, Yosida)):
         return replace(material, material=carrying(material.material, parameters))
     names = {v.name for v in material.variables if not v.is_strain}

@@ -8,12 +8,9 @@ from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import require_nonnegative
-from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.neo_hookean import NeoHookean, first_invariant, volumetric
-from ngvisco.physics.materials.referential import LogarithmicNeoHookean, referential_volume
-from ngvisco.physics.materials.singular import check_continuation, continued_in_J
-from ngvisco.physics.parameters import Modulus, require_nonnegative_moduli, require_positive_moduli
+from ngvisco.physics.materials.referential import LogarithmicNeoHookean, ReferentialNeoHookean
+from ngvisco.physics.parameters import Modulus, require_nonnegative_moduli
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import (
     Cofactor,
@@ -75,8 +72,19 @@ class MooneyRivlin(NeoHookean):
         return volumetric(self, J) + first + 2 / (3 * math.sqrt(3)) * self.G_mr * second
 
 
+def _with_cofactor(variables: tuple[Variable, ...], by_B: bool) -> tuple[Variable, ...]:
+    """The variables with N = J^{-7/6} Cof F, or by B with J^{-7/3} Cof(F F^T), after the first."""
+    second = CofactorLeftCauchyGreen(exponent=-7 / 3) if by_B else Cofactor("N", exponent=-7 / 6)
+    return (variables[0], second, *variables[1:])
+
+
+def _second_invariant(z: Values, by_B: bool) -> CoefficientFunction:
+    """|N|^2, or by B tr N."""
+    return tr(z["N"]) if by_B else square(z["N"])
+
+
 @dataclass(frozen=True, kw_only=True)
-class ReferentialMooneyRivlin(IsotropicElastic):
+class ReferentialMooneyRivlin(ReferentialNeoHookean):
     """phi(H, N, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2 + G_mr |N|^2 (paper: exa-Mooney–Rivlin-ref),
 
     H = J^{-5/6} F and N = J^{-7/6} Cof F: the compressible Mooney-Rivlin material with the invariants of
@@ -100,35 +108,18 @@ class ReferentialMooneyRivlin(IsotropicElastic):
         If a parameter is out of its range.
     """
 
-    K_e: Modulus
-    G_e: Modulus
     G_mr: Modulus
-    epsilon: Modulus = 0.0
-    kappa: float = 1.0
-    J_min: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
-        require_nonnegative_moduli(self, G_mr=self.G_mr, epsilon=self.epsilon)
-        require_nonnegative(self, kappa=self.kappa)
-        check_continuation(self, self.J_min)
+        require_nonnegative_moduli(self, G_mr=self.G_mr)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        if self.is_by_B:
-            return (LeftCauchyGreen(exponent=-5 / 3), CofactorLeftCauchyGreen(exponent=-7 / 3), Jacobian())
-        return (Distortion("H", exponent=-5 / 6), Cofactor("N", exponent=-7 / 6), Jacobian())
-
-    @property
-    def continued(self) -> frozenset[str]:
-        return continued_in_J(self.J_min)
+        return _with_cofactor(super().variables, self.is_by_B)
 
     def energy(self, z: Values) -> CoefficientFunction:
-        volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)
-        if self.is_by_B:
-            return volume + self.G_e * tr(z["B"]) + self.G_mr * tr(z["N"])
-        return volume + self.G_e * square(z["H"]) + self.G_mr * square(z["N"])
+        return super().energy(z) + self.G_mr * _second_invariant(z, self.is_by_B)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,10 +158,7 @@ class LogarithmicMooneyRivlin(LogarithmicNeoHookean):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        by_B, by_F = CofactorLeftCauchyGreen(exponent=-7 / 3), Cofactor("N", exponent=-7 / 6)
-        first, *volume = super().variables
-        return (first, by_B if self.is_by_B else by_F, *volume)
+        return _with_cofactor(super().variables, self.is_by_B)
 
     def energy(self, z: Values) -> CoefficientFunction:
-        second = tr(z["N"]) if self.is_by_B else square(z["N"])
-        return super().energy(z) + self.G_mr * second
+        return super().energy(z) + self.G_mr * _second_invariant(z, self.is_by_B)

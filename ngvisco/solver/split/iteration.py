@@ -41,7 +41,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
             if best_x is None or best_f is None:
                 return Status.NOT_FINITE
             if restarts > options.restarts:
-                return newton_krylov(split, problem, best_x, history)
+                return _by_krylov(split, problem, best_x, best, history)
             # from half the step of the best iterate, with a preconditioner of its own
             x = best_x - 0.5**restarts * best_f
             split.reset()
@@ -58,16 +58,24 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
             best, best_x, best_f = size, x, f
         last = size
         sizes.append(size)
-        stalled = since > 2 * options.window and size > max(
+        stalled = since > 2 * options.window and options.linearised_above > size > max(
             options.stall * sizes[-1 - options.window], options.rounding
         )
         if since > options.slow or stalled:
-            return newton_krylov(split, problem, x, history)
+            return _by_krylov(split, problem, x, size, history)
         worn = split.preconditioner.iterations > options.renewed_after[dim - 2] and size > 1e3 * wanted
         if worn or size > options.renewed_above:
             split.reset()
         x = x - f
     return Status.TOO_MANY_ITERATIONS
+
+
+def _by_krylov(
+    split: Split, problem: Problem, x: np.ndarray, size: float, history: list[NewtonIteration]
+) -> Status:
+    """Newton-Krylov from x, whose increment is of this size: where that is near enough for it."""
+    near = size <= split.options.split.krylov.largest
+    return newton_krylov(split, problem, x, history) if near else Status.STALLED
 
 
 def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[NewtonIteration]) -> Status:
@@ -88,6 +96,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
     at = evaluated(x)
     f = solved(at)
     size = split.size(f)
+    sizes = [size]
     while len(history) < split.options.max_iterations:
         derivative = split.residual.derivative(at)
 
@@ -96,6 +105,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
 
         operator = LinearOperator((len(x), len(x)), along, dtype=float)
         d, _ = gmres(operator, f / scale, rtol=krylov.tolerance, restart=krylov.directions, maxiter=1)
+        split.note(at, scale * d, split.size(scale * d))
         damping = 1.0
         while True:
             new_x = x - damping * scale * d
@@ -105,12 +115,15 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
             if new_size <= (1 - 0.25 * damping) * size:
                 break
             damping /= 2
-            if damping < split.options.min_damping:
+            if damping < krylov.min_damping:
                 return _ends_at(split, x) if size <= tolerance else Status.STALLED  # by rounding
         history.append(NewtonIteration(new_size, new_size / size, damping, True))
         at, x, f, size = new, new_x, new_f, new_size
         if size <= wanted:
             return _ends_at(split, x - f)
+        sizes.append(size)
+        if len(sizes) > options.window and size > options.stall * sizes[-1 - options.window]:
+            return _ends_at(split, x) if size <= tolerance else Status.STALLED
         split.renew(problem, at)
         f = solved(at)
         size = split.size(f)

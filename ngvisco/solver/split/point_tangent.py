@@ -3,7 +3,7 @@
 For an increment X = (grad dv, dPi) the fields follow at every point, neither convected nor carried through
 facets, as
 
-    dz = tau (1 - tau K)^{-1} (d rate/dX) X,    K = d(rate + creep)/dz,
+    dz = tau (1 - tau K)^{-1} (d rate/dX) X,    K = d(rate + creep + fading)/dz,
 
 and with the elastic force zeta : rate(z; X) that makes the point's stiffness
 C = tau (zeta : T + (d rate/dX)^T phi'') (1 - tau K)^{-1} (d rate/dX), not symmetric where there is stress or
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ngvisco.forms.fading import Fading
 from ngvisco.reduced.evaluation import CellTerms
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
@@ -54,6 +55,11 @@ class PointTangent:
             K -= of_mandel[:, None, None] * (by_Pi @ force[:, g:])
             if of_conjugates is not None:
                 K += by_Pi @ (of_conjugates @ slopes)
+        for term in self.residual.claims.at_points:
+            if isinstance(term, Fading):
+                own = np.arange(self.components)[step.layout.states.slices[term.variable.name]]
+                K[:, own, own] -= step.context.rate(term.weight(u).value)[:, None]
+        self.rate_slope = K
         self.resolvent = np.linalg.inv(np.eye(self.components)[None] - self.tau * K)
         self.force, self.columns = force, columns
         self.dz = u.grad_z.value

@@ -9,13 +9,13 @@ from dataclasses import asdict
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
-from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.factorised import DirectSolver, TwoLevelSolver
-from ngvisco.algebra.sparse import mass_matrix, together
+from ngvisco.algebra.sparse import together
 from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import NewtonOptions
+from ngvisco.solver.split.fields_system import FieldsSystem
 from ngvisco.solver.split.hyper_derivative import HyperDerivative
 from ngvisco.solver.split.hyper_tangent import HyperTangent
 from ngvisco.solver.split.point_tangent import PointTangent
@@ -25,7 +25,7 @@ from ngvisco.solver.split.velocity_tangent import VelocityTangent
 
 
 class Preconditioner:
-    """Sweeps of the transport, the flow's linear system, and what z and rho take from the new velocity.
+    """The flow's linear system with the fields by sweeps of the transport, then the fields' own systems.
 
     The flow's unknowns are v, wall stress, creep rate and the facets' normal derivatives of v, one vector.
     """
@@ -35,7 +35,7 @@ class Preconditioner:
         self.unknowns, self.options, self.dim = unknowns, options.split, step.mesh.dim
         k, m = step.discretisation.k, step.discretisation.m
         self.op = Operators(step, max(k - 1, m))
-        self.sweep = TransportSweeps(residual, options.inverse, self.options.transport_sweeps)
+        self.sweep = TransportSweeps(residual, options.inverse, self.options.sweeps)
         derivative = (
             None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
         )
@@ -63,9 +63,7 @@ class Preconditioner:
             self._blocks.append(normals)
             free_normals = np.ones(normals.stop - normals.start, dtype=bool)
             self._rows = np.concatenate([self.free, free_normals])
-        mass = mass_matrix(self.op.z.matrix, self.op.weights)
-        self.project = BlockInverse(mass)
-        self.project.update(mass)
+        self.fields = FieldsSystem(self.operator, self.options.fields)
         self.iterations = 0
         """What the last linear system of the flow took."""
 
@@ -75,7 +73,7 @@ class Preconditioner:
         ``clock(name)`` measures the time of a part.
         """
         with clock("assembly"):
-            self.operator.update(at)
+            self.linearise(at, everything=True)
             if self.hyper_tangent is not None:
                 self.hyper_tangent.update()
             matrix = self.tangent.matrix()
@@ -85,6 +83,8 @@ class Preconditioner:
     def linearise(self, at: Evaluation, everything: bool) -> None:
         """Let the linear operator follow an evaluation, or what changes suddenly; the rest stays."""
         self.operator.update(at, everything)
+        if everything:
+            self.fields.renew()
 
     def __call__(self, at: Evaluation, tolerance: float) -> np.ndarray:
         """The increment, packed; ``tolerance`` is that of the flow's linear system."""
@@ -98,14 +98,13 @@ class Preconditioner:
         dPi = None
         if "Pi" in u.slices:
             dPi = op.creep_values(dflow[u.slices["Pi"]].reshape(u.components["Pi"], -1))
-        dz += operator.carried(dv, dPi)
+        dz = self.fields.z(np.ascontiguousarray(r.z.T) - operator.fields_rows(dv, dPi))
         dv_q, L = op.v(dv), op.velocity_gradient(dv)
         drho = op.z(rho) * sum(L[i * (dim + 1)] for i in range(dim))
         drho += sum(D(rho) * dv_q[j] for j, D in enumerate(op.dz))
         density = r.density.copy()
         density[: rho.size] -= op.z.test(drho)
-        dz = self.project(op.z.test(operator.resolved(dz)))
-        return np.concatenate([dflow, self.sweep.density(density), dz.ravel()])
+        return np.concatenate([dflow, self.fields.density(density), dz.T.ravel()])
 
     def _flow(self, right: np.ndarray, tolerance: float) -> np.ndarray:
         """The flow's unknowns by its tangent with the hyperviscosity's own derivative, by GMRES."""

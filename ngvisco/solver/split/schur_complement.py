@@ -157,14 +157,16 @@ class FlowSchurComplement:
         e = self.elements
         return e.scattered(product(e.from_fields, dz.reshape(e.cells, -1, 1)))
 
-    def carried(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
-        """What z takes from an increment of v (dim, .) and Pi, before rates and creep, as above."""
+    def fields_rows(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
+        """What the rows of z, (cells' unknowns, n), take from an increment of v (dim, .) and Pi."""
         e = self.elements
         rows = product(e.to_fields, e.gathered(dv)).reshape(-1, e.components)
         if dPi is not None:
             values = at_points(self.tangent.columns[:, :, self.dim**2 :], dPi)
             rows -= self.op.z.test(values).T
-        return self._carried(rows, self.switch(dv)[1] if self.switch.exists else None)
+        if self.switch.exists:
+            rows += self.switch(dv)[1].T
+        return rows
 
     def resolved(self, dz: np.ndarray) -> np.ndarray:
         """(1 - tau K)^{-1} dz at the points, (n, points), of coefficients dz (cells' unknowns, n)."""

@@ -29,6 +29,7 @@ from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status
 from ngvisco.solver.split.iteration import iterate
 from ngvisco.solver.split.preconditioner import Preconditioner
+from ngvisco.solver.split.resistance import in_words, resistance
 from ngvisco.threads import on_arrays
 
 
@@ -44,6 +45,8 @@ class Split:
         self.unknowns = self.residual.unknowns
         self.preconditioner = Preconditioner(self.residual, options)
         self._full = step.state.vec.CreateVector()
+        self._best: tuple[Evaluation, np.ndarray, float] | None = None
+        """The evaluation of a solve with the smallest increment, that increment and its size."""
 
     def reset(self) -> None:
         """Drop the tangent, so that the next solve makes a new one."""
@@ -68,6 +71,7 @@ class Split:
         if full_steps is not None:
             return Solution(Status.NOT_TRIED, (), "the split solver has no iteration by full steps only")
         history: list[NewtonIteration] = []
+        self._best = None
         self.step.state.vec.data = guess
         problem.pose()
         if not np.isfinite(guess.Norm()):
@@ -91,7 +95,18 @@ class Split:
             f"{last:.1e}, wanted {self.options.split.margin * self.options.tolerance:.0e}): take a smaller "
             "step or the coupled solver"
         )
-        return Solution(status, tuple(history), reason)
+        return Solution(status, tuple(history), reason, self._resistance())
+
+    def _resistance(self) -> str:
+        """What stands against convergence, in words; empty where that is not known."""
+        if self._best is None:
+            return ""
+        at, f, size = self._best
+        try:
+            with on_arrays():
+                return in_words(resistance(self, at, f), size)
+        except (StepError, FloatingPointError, np.linalg.LinAlgError):  # a state that has no tangent
+            return ""
 
     def increment(self, problem: Problem, x: np.ndarray, last: float) -> tuple[Evaluation, np.ndarray, float]:
         """What R is at the unknowns x, their increment and its size, infinite where R is no number.
@@ -102,15 +117,28 @@ class Split:
             at = self.residual(x)
         if not at.residual.is_finite:
             return at, np.zeros_like(x), np.inf
-        options = self.options.split
-        if not self.is_factorised:
+        options, fresh = self.options.split, not self.is_factorised
+        if fresh:
             self.renew(problem, at)
         else:
             with self._clock("assembly"):
                 self.preconditioner.linearise(at, last > options.linearised_above)
         with self._clock("solves"):
             f = self.preconditioner(at, options.forcing)
-        return at, f, self.size(f)
+        size = self.size(f)
+        worn = self.preconditioner.iterations > options.renewed_after[self.step.mesh.dim - 2]
+        if worn and not fresh and max(size, last) > options.renewed_at_once_above:
+            self.renew(problem, at)
+            with self._clock("solves"):
+                f = self.preconditioner(at, options.forcing)
+            size = self.size(f)
+        self.note(at, f, size)
+        return at, f, size
+
+    def note(self, at: Evaluation, f: np.ndarray, size: float) -> None:
+        """Keep the best iterate, for what is said of a failure."""
+        if 0 < size < (np.inf if self._best is None else self._best[2]):
+            self._best = at, f, size
 
     def renew(self, problem: Problem, at: Evaluation) -> None:
         """Make the tangent anew at an evaluation, which is that of the step's state."""

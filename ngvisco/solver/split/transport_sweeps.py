@@ -3,8 +3,10 @@
 One component of z, and rho, have the scalar matrix T = M/tau + convection + facets with the trace
 eliminated, in dense blocks: of a cell's own values, and of those across its sides (``FacetCoupling``).
 Sweeps over the cells, each for itself with its neighbours' values (block Jacobi), converge like the
-Courant number; their number is fixed, so that the map stays linear.  With diffusion of z, which cells do not
-resolve, T is factorised.  A density equation that is not linear has a Jacobian of its own.
+Courant number; their number is fixed by the velocity of the last ``update``, so that the map stays linear,
+as what solves for rows drawn at random.  (``FieldsSystem`` solves the whole of the fields' equations.)
+With diffusion of z, which cells do not resolve, T is factorised.  A density equation that is not linear has
+a Jacobian of its own.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import scipy.sparse as sp
 from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import DirectSolver
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
+from ngvisco.solver.options import SweepOptions
 from ngvisco.solver.split.facet_coupling import FacetCoupling
 from ngvisco.threads import product
 
@@ -22,8 +25,8 @@ from ngvisco.threads import product
 class TransportSweeps:
     """Approximate inverses of the scalar transport of z and of the density equation."""
 
-    def __init__(self, residual: ReducedResidual, inverse: str, sweeps: int) -> None:
-        self.residual, self.sweeps = residual, sweeps
+    def __init__(self, residual: ReducedResidual, inverse: str, options: SweepOptions) -> None:
+        self.residual, self.options, self.sweeps = residual, options, options.least
         self.coupling = FacetCoupling(residual.side_op, residual.trace_mass)
         self._neighbours = self.coupling.neighbours()
         op = residual.op
@@ -32,6 +35,7 @@ class TransportSweeps:
         self._mass = product(self._tests, op.z.blocks)
         self._whole = self._own = None
         if residual.diffusion is not None:
+            self._laplacian = residual.diffusion.laplacian(residual.inverse_mass)
             self._whole = DirectSolver(np.ones(residual.mass.shape[0], dtype=bool), inverse)
         if residual.density is not None:
             self._own = DirectSolver(residual.density.free, inverse)
@@ -43,14 +47,31 @@ class TransportSweeps:
         carried = f.carried.value
         own, across = self.coupling.blocks(-carried, f.share.value, carried, r.trace_mass)
         own += storage + convection
-        if self._whole is not None and r.diffusion is not None:
-            self._whole.factorise((self._sparse(own, across) + r.diffusion.matrix).tocsr())
+        if self._whole is not None:
+            self._whole.factorise((self._sparse(own, across) + self._laplacian).tocsr())
         self._cells, self._carried = _sweep(own, across)
+        self._blocks = _rows_of(own, across)
+        self._count_sweeps()
         if self._own is None:
-            outward, inward = f.outward.value, f.inward.value
-            own, across = self.coupling.blocks(outward, outward, -inward, r.density_mass)
+            of_facets = f.outward.value, f.outward.value, -f.inward.value
+            if r.claims.continuity[0].by_trace:
+                of_facets = np.zeros_like(carried), f.share.value, f.normal_velocity.value
+            own, across = self.coupling.blocks(*of_facets, r.density_mass)
             own += storage - convection.transpose(0, 2, 1)
             self._rho_cells, self._rho_carried = _sweep(own, across)
+            self._rho_blocks = _rows_of(own, across)
+
+    def _count_sweeps(self) -> None:
+        """How many sweeps the present transport takes, by what they leave of a field drawn at random."""
+        options = self.options
+        count, q = self._cells.shape[:2]
+        x = np.random.default_rng(0).standard_normal((count, q, 1)).astype(precision.SINGLE)
+        size, number = options.share * np.linalg.norm(x), 0
+        # the error of n sweeps is the n-th power of what carries from cell to cell
+        while number < options.most and (number < options.least or np.linalg.norm(x) > size):
+            x = product(self._carried, x[self._neighbours].reshape(count, -1, 1))
+            number += 1
+        self.sweeps = number
 
     def _convection(self, at: Evaluation) -> np.ndarray:
         """int (v . grad z) q in cells, (cells, q, q)."""
@@ -88,11 +109,34 @@ class TransportSweeps:
         """The cells' own inverses times ``rows``, (cells' unknowns, .): no sweep, no diffusion."""
         return product(self._cells, rows.reshape(*self._cells.shape[:2], -1)).reshape(rows.shape)
 
+    @property
+    def density_is_factorised(self) -> bool:
+        """Whether ``density`` is exact: where the equation is not linear."""
+        return self._own is not None
+
     def density(self, r: np.ndarray) -> np.ndarray:
-        """Increments of the density's unknowns."""
+        """Increments of the density's unknowns, of rows (unknowns,), or of (cells' unknowns, .) by sweeps."""
         if self._own is not None:
             return self._own(r)
-        return self._swept(self._rho_cells, self._rho_carried, r[:, None])[:, 0]
+        return self._swept(self._rho_cells, self._rho_carried, r)
+
+    def rows(self, x: np.ndarray) -> np.ndarray:
+        """T x, of coefficients x of the fields: both (cells' unknowns, n)."""
+        rows = self._applied(self._blocks, x)
+        if self.residual.diffusion is not None:
+            strains = self.residual.diffusion.strains
+            rows[:, strains] += self._laplacian @ x[:, strains]
+        return rows
+
+    def density_rows(self, x: np.ndarray) -> np.ndarray:
+        """The density equation's matrix times x, (cells' unknowns, .), where it is not factorised."""
+        return self._applied(self._rho_blocks, x)
+
+    def _applied(self, blocks: np.ndarray, x: np.ndarray) -> np.ndarray:
+        count = len(blocks)
+        values = x.astype(precision.SINGLE, copy=False).reshape(count, -1, x.shape[1])
+        beside = values[self._neighbours].reshape(count, -1, x.shape[1])
+        return product(blocks, np.concatenate([values, beside], axis=1)).reshape(x.shape)
 
     def _swept(self, cells: np.ndarray, carried: np.ndarray, r: np.ndarray) -> np.ndarray:
         count, q = cells.shape[:2]
@@ -108,3 +152,10 @@ def _sweep(own: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     inverse = np.linalg.inv(own)
     taken = -product(inverse, across.transpose(0, 2, 1, 3).reshape(count, q, sides * q))
     return inverse.astype(precision.SINGLE), taken.astype(precision.SINGLE)
+
+
+def _rows_of(own: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """A cell's rows by its own values and its neighbours' side by side, (cells, q, (1 + sides) q)."""
+    count, _, q, _ = across.shape
+    beside = across.transpose(0, 2, 1, 3).reshape(count, q, -1)
+    return np.concatenate([own, beside], axis=2).astype(precision.SINGLE)

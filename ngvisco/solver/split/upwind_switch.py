@@ -62,6 +62,8 @@ class UpwindSwitchJacobian:
         self._jump, self._inflow = jump[:, where], upwinding.inflow.value[where]
         self._carried = upwinding.carried.value[where]
         self._carried_slope = self._inflow + through.value[where] * self._slope
+        self._normal_velocity = upwinding.normal_velocity.value[where]
+        self._conserved = self.residual.step.layout.states.conserved
 
     def _from_mean(self, zeta: np.ndarray, where: np.ndarray) -> np.ndarray:
         """How far zeta is from the means of both sides, on the boundary from itself, (n, points there).
@@ -83,7 +85,11 @@ class UpwindSwitchJacobian:
         through = (self._normals * together(self._v, dv)).sum(axis=0)
         inflow = self._slope * through
         trace = -together(self._trace, inflow * self._values)
-        density = -((inflow * self._jump + self._inflow * trace) * self._zeta).sum(axis=0)
+        carried = inflow * self._jump + self._inflow * trace
         fields = self._carried_slope * through * self._jump + self._carried * trace
+        of_flux = self._conserved  # which is v . n times the trace
+        carried[of_flux] = trace[of_flux]
+        fields[of_flux] = through * self._jump[of_flux] + self._normal_velocity * trace[of_flux]
+        density = -(carried * self._zeta).sum(axis=0)
         force = together(self._v_t, self._weights * density * self._normals)
         return force, together(self._z_t, self._weights * fields)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from ngsolve import Integrate
+from ngsolve import Integrate, Mesh
 
 from ngvisco.forms.sampling import Sampler
 from ngvisco.physics.rheology import HyperViscosity
@@ -31,10 +31,12 @@ MESHES = (0.5, 0.25, 0.125)
 EXPONENTS = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
 
 
-def run_of(kind: str, law: HyperViscosity | None, maxh: float = MAXH) -> Simulation:
+def run_of(
+    kind: str, law: HyperViscosity | None, maxh: float = MAXH, mesh: Mesh | None = None, steps: int = STEPS
+) -> Simulation:
     """The block with this hyperviscosity after its steps."""
-    run = block(kind, TAU, mesh=square_mesh(maxh), hyperviscosity=law, creep=2.0)
-    run.run(STEPS * TAU)
+    run = block(kind, TAU, mesh=mesh or square_mesh(maxh), hyperviscosity=law, creep=2.0)
+    run.run(steps * TAU)
     return run
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import product
 
 import numpy as np
-from ngsolve import Mesh, cos, pi, sin, x, y
+from ngsolve import CoefficientFunction, Mesh, cos, pi, sin, x, y
 
 from ngvisco.errors import StepError
 from ngvisco.forms.initial import Initial
@@ -98,16 +99,24 @@ def material(kind: str, stiffness: float, ratio: float) -> Material:
     return ReferentialNeoHookean(K_e=ratio * stiffness, G_e=stiffness / 2, elastic_state="F")
 
 
-def attempt(kind: str, stiffness: float, ratio: float, viscosity: float, tau: float) -> tuple[Tally, str]:
+def attempt(
+    kind: str,
+    stiffness: float,
+    ratio: float,
+    viscosity: float,
+    tau: float,
+    mesh: Mesh | None = None,
+    drift: tuple[CoefficientFunction, ...] = DRIFT,
+) -> tuple[Tally, str]:
     """Three steps of one configuration, and how it failed, if it did."""
     tally = Tally(tried=STEPS)
     run = block(
         kind,
         tau,
-        mesh=drifting_mesh(),
+        mesh=mesh or drifting_mesh(),
         of=material(kind, stiffness, ratio),
         viscosity=viscosity,
-        initial=Initial(density=1 + 0.2 * cos(2 * pi * x), velocity=DRIFT),
+        initial=Initial(density=1 + 0.2 * cos(2 * pi * x), velocity=drift),
     )
     run.stepper = stepper = FirstTry(tau)
     failure = ""
@@ -126,14 +135,22 @@ def attempt(kind: str, stiffness: float, ratio: float, viscosity: float, tau: fl
     return tally, failure
 
 
-def measure(kind: str) -> Outcome:
+AXES = {"stiffness, Pa": STIFFNESS, "K_e/G_e": RATIOS, "viscosity, Pa s": VISCOSITIES, "tau, s": TAUS}
+
+
+def measure(
+    kind: str,
+    axes: Mapping[str, Sequence[float]] = AXES,
+    mesh: Mesh | None = None,
+    drift: tuple[CoefficientFunction, ...] = DRIFT,
+) -> Outcome:
     """The whole grid, summed along each of its axes."""
-    axes = {"stiffness, Pa": STIFFNESS, "K_e/G_e": RATIOS, "viscosity, Pa s": VISCOSITIES, "tau, s": TAUS}
     sums = {(name, value): Tally() for name, values in axes.items() for value in values}
     total = Tally()
     failures: list[list[str | float]] = []
     for point in product(*axes.values()):
-        tally, failure = attempt(kind, *point)
+        stiffness, ratio, viscosity, tau = point
+        tally, failure = attempt(kind, stiffness, ratio, viscosity, tau, mesh, drift)
         total.add(tally)
         for name, value in zip(axes, point, strict=True):
             sums[name, value].add(tally)
@@ -142,9 +159,10 @@ def measure(kind: str) -> Outcome:
     rows: list[list[str | float]] = [[name, value, *tally.row] for (name, value), tally in sums.items()]
     rows.append(["all", "", *total.row])
     columns = ["", "value", "steps", "first try", "solved", "its a step", "closure", "CFL"]
+    taus = axes["tau, s"]
     curves = [
-        Curve("at first try", list(TAUS), [sums["tau, s", tau].row[1] for tau in TAUS]),
-        Curve("solved", list(TAUS), [sums["tau, s", tau].row[2] for tau in TAUS], "s--"),
+        Curve("at first try", list(taus), [sums["tau, s", tau].row[1] for tau in taus]),
+        Curve("solved", list(taus), [sums["tau, s", tau].row[2] for tau in taus], "s--"),
     ]
     tables = [Table("shares of the steps, summed over the other parameters", columns, rows)]
     if failures:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
+from ngsolve import Mesh
 
 from ngvisco.errors import StepError
 from ngvisco.physics.rheology import HyperViscosity
@@ -16,16 +18,19 @@ TAUS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 STEPS = 5
 
 
-def measure(kind: str, gravity: float) -> Outcome:
+def measure(
+    kind: str, gravity: float, mesh: Mesh | None = None, taus: Sequence[float] = TAUS, steps: int = STEPS
+) -> Outcome:
     """Energy, with the weight's potential, after every step, for every tau."""
     rows: list[list[str | float]] = []
     curves, rises, closures, remainders, unsolved = [], [], [], [], 0
-    for tau in TAUS:
-        run = block(kind, tau, gravity=gravity, creep=2.0, hyperviscosity=HyperViscosity(mu=1e-5, p=4))
+    for tau in taus:
+        law = HyperViscosity(mu=1e-5, p=4)
+        run = block(kind, tau, mesh=mesh, gravity=gravity, creep=2.0, hyperviscosity=law)
         energies: list[float] = []
         failure = ""
         with_potential = potential(run, gravity)
-        for _ in range(STEPS):
+        for _ in range(steps):
             try:
                 row = run.advance()
             except StepError as error:

@@ -1,0 +1,56 @@
+"""A soft disc in a lid-driven cavity (after Sugiyama et al. 2011): a body carried round by a fluid.
+Run with ``python demos/soft_disc/soft_disc.py [output directory]``; needs the extra ``plots``.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from ngsolve import IfPos, x
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.physics.variables import Jacobian
+from ngvisco.run.plots import OUTLINE, figure
+from ngvisco.run.vtu import read_frame, read_series_files
+
+
+def simulation(maxh: float = 0.14, dt: float = 0.05, K_e: float = 20.0, **options) -> nv.Simulation:
+    """1 m x 1 m; density 1 kg/m^3, viscosity 0.01 Pa s, shear modulus of the disc 0.1 Pa."""
+    fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J + 1 / J - 2))
+    solid = nv.OldroydB(K_e=K_e, G_e=0.05)  # without creep neo-Hookean: the determinant of its B is 1
+    both = {"viscosity": nv.StokesViscosity(K_v=0.01, G_v=0.01), "density": 1.0}
+    disc = nv.Body(name="disc", where=nv.Ball((0.6, 0.5), 0.2), material=solid, **both)
+    lid = (1 - (2 * x - 1) ** 4) * IfPos(nv.time - 0.1, 1.0, nv.time / 0.1)  # m/s, a ramp of 0.1 s
+    walls = {"top": nv.PrescribedTangential((lid, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
+    model = nv.Model(bodies=[nv.Body(name="fluid", material=fluid, **both), disc])
+    return nv.Simulation(box((1, 1), maxh=maxh), model, dt=dt, walls=walls, **options)
+
+
+def main(directory: str = "results/soft_disc", until: float = 8.0, **options) -> nv.Simulation:
+    out = Path(directory)
+    table = nv.Bodies(out / "bodies.csv")
+    run = simulation(**options, observers=[table])
+    nv.record(run, out, until, show={"speed, m/s": "sqrt(velocity_1**2 + velocity_2**2)"})
+    draw(out, table.column("disc_x"), table.column("disc_y"))
+    return run
+
+
+def draw(out: Path, X: np.ndarray, Y: np.ndarray) -> None:
+    """The disc and the speed at seven times, and the path of the disc's centroid."""
+    fig, axes = figure(2, 4, (15, 7.6))
+    files = read_series_files(out / "vtk")
+    chosen = np.linspace(0, len(files) - 1, 7).round().astype(int)
+    for axis, (time, file) in zip(axes.ravel(), (files[i] for i in chosen), strict=False):
+        frame = read_frame(file)
+        mesh = (*frame.points.T[:2], frame.cells)
+        axis.tripcolor(*mesh, frame.scalar("velocity"), shading="gouraud", vmin=0, vmax=1)
+        axis.tricontour(*mesh, frame.scalar("fluid_fraction"), **OUTLINE)
+        axis.set(title=f"speed, t = {time:.2f} s", aspect="equal", xticks=[], yticks=[])
+    axes[1, 3].plot(X, Y, ".-", markersize=3)
+    axes[1, 3].set(title="centroid of the disc, m", aspect="equal", xlim=(0, 1), ylim=(0, 1))
+    fig.savefig(out / "disc.png", dpi=80)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2])

@@ -1,0 +1,73 @@
+"""The places of a case's bodies: shapes from sections, and the files that some of them are in."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from ngvisco.case import catalogue
+from ngvisco.case.errors import CaseError, Fault
+from ngvisco.case.section import Section, moduli, parameters
+from ngvisco.expressions import parse, parse_region
+from ngvisco.shapes.shape import Shape, Union, Where
+
+
+def place_of(where: Any, directory: Path) -> Shape | None:
+    """The shape that a body's key ``where`` describes; its file is sought from ``directory``."""
+    if where is None:
+        return None
+    if isinstance(where, str):
+        return Where(parse_region(where).coefficient())
+    if isinstance(where, list):
+        return Union([_shape(part, directory) for part in where])
+    return _shape(where, directory)
+
+
+def _shape(part: Any, directory: Path) -> Shape:
+    values = parameters(part)
+    if "path" in values:
+        values["path"] = str((directory / values["path"]).resolve())
+    made: Shape = catalogue.SHAPES[part.kind](**values)
+    return made
+
+
+def shapes_with_files(data: dict[str, Any], directory: Path) -> list[tuple[dict[str, Any], Path]]:
+    """Of a dump of a case the shapes that have a file, and these."""
+    found = []
+    for body in data.get("bodies", []):
+        where = body.get("where")
+        for table in where if isinstance(where, list) else [where]:
+            if isinstance(table, dict) and "path" in table:
+                found.append((table, (directory / table["path"]).resolve()))
+    return found
+
+
+def digest_of(file: Path) -> str:
+    """SHA-256 of a file's content; raises CaseError where there is none."""
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError as error:
+        raise CaseError(str(file), [Fault("", f"cannot be read: {error.strerror}")]) from error
+
+
+def copy_of(file: Path) -> str:
+    """The name of a shape's file in a run directory, which has copies of them."""
+    return f"shapes/{digest_of(file)[:16]}{file.suffix.lower()}"
+
+
+def reads_z(part: Any, path: tuple[str, ...] = ()) -> tuple[tuple[str, ...], str] | None:
+    """Key path and text of a modulus, or of a body's place, that reads z; None where none does."""
+    if isinstance(part, (list, dict)):
+        inner = part.items() if isinstance(part, dict) else enumerate(part)
+        found = (reads_z(value, (*path, str(name))) for name, value in inner)
+    elif isinstance(part, Section):
+        for name in moduli(type(part)) | {"where"} & set(type(part).model_fields):
+            text = getattr(part, name)
+            checked = parse_region if name == "where" else parse
+            if isinstance(text, str) and "z" in checked(text).names:
+                return (*path, name), text
+        found = (reads_z(getattr(part, name), (*path, name)) for name in type(part).model_fields)
+    else:
+        return None
+    return next((one for one in found if one is not None), None)

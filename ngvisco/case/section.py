@@ -1,0 +1,205 @@
+"""Sections of a case file, made from dataclasses and functions: the machinery of the schema.
+
+Each section is a strict pydantic model whose fields are the parameters of a dataclass or function;
+parameters that are functions of space and time are numbers, expressions or arrays of them.  What a
+dataclass refuses is a fault of its section, with the parameter's name.
+"""
+
+from __future__ import annotations
+
+import collections.abc
+import dataclasses
+import functools
+import inspect
+import operator
+import types
+from collections.abc import Callable
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from ngsolve import CoefficientFunction
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
+
+from ngvisco.case import catalogue
+from ngvisco.case.laws import EnergyText
+from ngvisco.case.values import FieldValue, ModulusValue, NumberValues
+from ngvisco.errors import UnknownNameError
+from ngvisco.expressions import parse
+from ngvisco.physics.material import Material as MaterialObject
+from ngvisco.physics.parameters import Modulus
+
+
+class Section(BaseModel):
+    """A table of a case file: unknown keys and wrong types are refused."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+def _annotation(hint: Any) -> Any:
+    """The schema's type for a parameter's type hint; None if a case file cannot give it."""
+    if hint in (float, int, bool, str, EnergyText):
+        return hint
+    if hint == ArrayLike:
+        return NumberValues
+    if hint == Modulus:
+        return ModulusValue
+    if hint == Modulus | None:
+        return ModulusValue | None
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        if _mentions_function(hint):
+            return FieldValue | None if type(None) in arguments else FieldValue
+        parts = [part for part in arguments if part is not type(None)]
+        inner = [_annotation(part) for part in parts]
+        if None in inner:
+            return None
+        return functools.reduce(operator.or_, [*inner, None] if len(parts) < len(arguments) else inner)
+    if origin is Literal:
+        return hint
+    if hint is CoefficientFunction:
+        return FieldValue
+    if origin is collections.abc.Mapping and arguments[0] is str and _mentions_function(arguments[1]):
+        return dict[str, FieldValue]
+    if origin is collections.abc.Mapping and arguments == (str, float):
+        return dict[str, float]
+    if origin in (collections.abc.Sequence, list, tuple) and not _mentions_function(hint):
+        inner_hint = _annotation(arguments[0])
+        return None if inner_hint is None else list[inner_hint]  # type: ignore[valid-type]
+    if _mentions_function(hint) and origin is not collections.abc.Callable:
+        return FieldValue
+    return None
+
+
+def _mentions_function(hint: Any) -> bool:
+    if hint is CoefficientFunction:
+        return True
+    return any(_mentions_function(part) for part in get_args(hint) if not isinstance(part, list))
+
+
+def section(
+    target: Callable[..., Any], tag: tuple[str, str] | None = None, wrapped: Any = Section
+) -> type[Section]:
+    """The section that holds a dataclass's (or function's) parameters.
+
+    Parameters
+    ----------
+    target : class or function
+    tag : (key, name), optional
+        A key whose value chooses this section, e.g. ``("kind", "NeoHookean")``.
+    wrapped : type
+        The schema's type of a parameter that is a material.
+    """
+    # of a dataclass its fields', each with the names that its own class's module knows
+    hints = get_type_hints(target)
+    fields: dict[str, Any] = {}
+    if tag is not None:
+        fields[tag[0]] = (Literal[tag[1]], ...)
+    for name, parameter in inspect.signature(target).parameters.items():
+        hint = hints.get(name)
+        annotation = wrapped if hint is MaterialObject else _annotation(hint)
+        required = parameter.default is inspect.Parameter.empty
+        if annotation is None:
+            if required:
+                raise TypeError(f"{target.__qualname__}.{name}: a case file cannot give a {hints.get(name)}")
+            continue
+        fields[name] = (annotation, ... if required else _default(annotation, parameter.default))
+    base = _checked_section(target) if _is_plain(target, fields, hints.get("return")) else Section
+    model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
+    _TARGETS[model] = target
+    _FIELDS[model] = frozenset(
+        name for name, (annotation, _) in fields.items() if _has_field_value(annotation)
+    )
+    _MODULI[model] = frozenset(
+        name for name, (annotation, _) in fields.items() if annotation in (ModulusValue, ModulusValue | None)
+    )
+    return model
+
+
+_MODULI: dict[type[BaseModel], frozenset[str]] = {}
+_FIELDS: dict[type[Section], frozenset[str]] = {}
+_TARGETS: dict[type[Section], Callable[..., Any]] = {}
+
+
+def field_names(part: Section) -> frozenset[str]:
+    """The parameters of a section that are functions of space and time."""
+    return _FIELDS[type(part)]
+
+
+def _default(annotation: Any, default: Any) -> Any:
+    """A parameter's default as a case file would have it."""
+    if annotation == dict[str, FieldValue]:
+        return {}
+    return list(default) if isinstance(default, tuple) else default
+
+
+def _is_plain(target: Callable[..., Any], fields: dict[str, Any], returned: Any) -> bool:
+    """Whether the object can be made, and so checked, from the file's values alone.
+
+    Functions make materials; those of geometries make meshes, which takes long.
+    """
+    has_fields = any(_has_field_value(annotation) for annotation, _ in fields.values())
+    is_material = isinstance(returned, type) and issubclass(returned, MaterialObject)
+    return not has_fields and (dataclasses.is_dataclass(target) or is_material)
+
+
+def _has_field_value(annotation: Any) -> bool:
+    return annotation == FieldValue or any(_has_field_value(part) for part in get_args(annotation))
+
+
+def _checked_section(target: Callable[..., Any]) -> type[Section]:
+    class Checked(Section):
+        @model_validator(mode="after")
+        def _admitted(self) -> Any:
+            try:
+                target(**parameters(self))
+            except UnknownNameError as error:  # a KeyError, which pydantic would let through
+                raise ValueError(str(error)) from error
+            return self
+
+    return Checked
+
+
+def parameters(part: Section) -> dict[str, Any]:
+    """The parameters that a section holds, by name, without its tag; None is left to the default.
+
+    A section within it becomes the object that it describes, a modulus' text a function of the place.
+    """
+    tags = {"kind", "geometry"} & set(type(part).model_fields)
+    values: dict[str, Any] = {}
+    for name in type(part).model_fields:
+        value = getattr(part, name)
+        if isinstance(value, Section):
+            value = made(value)
+        elif isinstance(value, str) and name in moduli(type(part)):
+            value = parse(value).coefficient()
+        if value is not None and name not in tags:
+            values[name] = value
+    return values
+
+
+def made(part: Section) -> Any:
+    """What a section without functions of time describes."""
+    return _TARGETS[type(part)](**parameters(part))
+
+
+def moduli(model: type[BaseModel]) -> frozenset[str]:
+    """The keys of a section that take a function of the initial place."""
+    return _MODULI.get(model, frozenset())
+
+
+def tagged(key: str, table: dict[str, Any]) -> Any:
+    return _choice(key, tuple(section(target, (key, name)) for name, target in table.items()))
+
+
+def _choice(key: str, models: tuple[type[Section], ...]) -> Any:
+    if len(models) == 1:
+        return models[0]
+    return Annotated[Union[models], Field(discriminator=key)]  # noqa: UP007 (made at run time)
+
+
+def materials() -> Any:
+    """The materials, and the wrappers of those before them."""
+    models = tuple(section(target, ("kind", name)) for name, target in catalogue.MATERIALS.items())
+    for name, target in catalogue.WRAPPERS.items():
+        models = (*models, section(target, ("kind", name), _choice("kind", models)))
+    return _choice("kind", models)

@@ -1,0 +1,67 @@
+"""Where bodies are at the start: amounts and density, from their places."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ngsolve import CoefficientFunction, Mesh
+
+from ngvisco.errors import ParameterError
+from ngvisco.physics.bodies import Body
+from ngvisco.shapes.fractions import fractions, volumes
+from ngvisco.shapes.shape import Shape, as_shape
+
+_OVERLAP = 1e-3
+"""Of the volume of the smaller of two bodies: less of it in both is what touching surfaces leave."""
+
+_COVERED = 1e-10
+"""Of the domain's volume: what bodies leave free where they cover all of it, by rounding."""
+
+
+def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> dict[str, CoefficientFunction]:
+    """Volume fractions of the bodies, discontinuous P_order that sum to one, by name.
+
+    Raises
+    ------
+    ParameterError
+        For bodies of one order that overlap, an empty body, and points that no body covers.
+    """
+    placed = sorted((body for body in bodies if body.where is not None), key=lambda body: body.order)
+    shapes = {body.name: as_shape(f"bodies[{body.name!r}].where", body.where) for body in placed}
+    rest = next((body for body in bodies if body.where is None), None)
+    _require_order(mesh, placed, shapes)
+    *of_placed, of_rest = volumes(mesh, list(shapes.values()))
+    total = sum(of_placed) + of_rest
+    for body, volume in zip(placed, of_placed, strict=True):
+        if volume <= _COVERED * total:
+            expected = "a place within the domain that bodies of higher order do not cover"
+            raise ParameterError(f"bodies[{body.name!r}].where", body.where, expected)
+    if rest is None and of_rest > _OVERLAP * total:
+        expected = f"one without a place, for the rest: {of_rest / total:.2%} of the domain is in no body"
+        raise ParameterError("Model.bodies", [body.name for body in bodies], expected)
+    if rest is not None and of_rest <= _COVERED * total:
+        expected = "some space that the other bodies leave free"
+        raise ParameterError(f"bodies[{rest.name!r}].where", rest.where, expected)
+    found = fractions(mesh, list(shapes.values()), order)
+    result: dict[str, CoefficientFunction] = dict(zip(shapes, found, strict=False))
+    if rest is not None:
+        result[rest.name] = found[-1]
+    else:  # what is in no body, less than ``_OVERLAP`` of all, is of all in their shares
+        known = sum(found[1:-1], found[0])
+        result = {name: part / known for name, part in result.items()}
+    return {body.name: result[body.name] for body in bodies}
+
+
+def _require_order(mesh: Mesh, placed: Sequence[Body], shapes: dict[str, Shape]) -> None:
+    for i, first in enumerate(placed):
+        for second in placed[i + 1 :]:
+            if first.order != second.order:
+                continue
+            a, b = shapes[first.name], shapes[second.name]
+            common, size = volumes(mesh, [a & b])[0], min(volumes(mesh, [s])[0] for s in (a, b))
+            if common > _OVERLAP * size:
+                expected = (
+                    f"an order other than {first.order}, that of {first.name!r}: {common / size:.1%} of the "
+                    "smaller of the two is in both, and there is the one of higher order"
+                )
+                raise ParameterError(f"bodies[{second.name!r}].order", second.order, expected)

@@ -1,0 +1,224 @@
+"""One material, one viscosity and one creep of several bodies, by their volume fractions.
+
+The amounts n_i (``Amount``) are carried, and with theta_i = n_i/sum n_j
+
+    phi = sum theta_i phi_i(z),     D = sum theta_i D_i,     R = sum theta_i R_i
+
+over the union of the bodies' variables.  Variables of one name are one variable, of all bodies whose energy
+reads it; a body whose energy does not read a variable lets it be.  sum n_i zeta_{n_i} = 0, since phi is of
+degree zero in the amounts: they have no pressure of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
+from typing import Any
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import ParameterError
+from ngvisco.physics.bodies import Amount, Body
+from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.parameters import Parameter, parameters_in, renamed, substituted, typical_value
+from ngvisco.physics.rheology import Creep, ValueOfModulus, Viscosity
+from ngvisco.physics.variables import Values, Variable
+
+AMOUNT = "n_"
+"""What the name of a body's amount begins with."""
+
+
+@dataclass(frozen=True)
+class Fractions:
+    """theta_i of the amounts of bodies, by name."""
+
+    bodies: tuple[str, ...]
+
+    def at(self, z: Values) -> dict[str, Any]:
+        """theta_i at a point with the values ``z``, by the bodies' names; their sum is one."""
+        amounts = [z[AMOUNT + name] for name in self.bodies]
+        inverse = 1 / reduce(add, amounts)
+        return {name: amount * inverse for name, amount in zip(self.bodies, amounts, strict=True)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mixture(Material):
+    """The material of bodies; a ``Model`` makes it.
+
+    Parameters
+    ----------
+    bodies : tuple of Body
+        Parameters that moduli became by themselves have the body's name before theirs.
+
+    Raises
+    ------
+    ParameterError
+        For two variables of one name that are not the same, and energies without an expression.
+    """
+
+    bodies: tuple[Body, ...]
+    carried: tuple[Parameter, ...] = ()
+    """Parameters of the model's other laws."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bodies", tuple(_with_own_names(body) for body in self.bodies))
+        for body in self.bodies:
+            if body.material.response(3) is not None:
+                expected = "a material whose energy is an expression; a Yosida approximation has none"
+                raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
+        self._united()
+
+    def _united(self) -> dict[str, Variable]:
+        found: dict[str, Variable] = {}
+        for body in self.bodies:
+            for variable in body.material.variables:
+                known = found.setdefault(variable.name, variable)
+                if known != variable:
+                    expected = f"the same {variable.name!r} in all bodies, {known} here and {variable} there"
+                    raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
+        return found
+
+    @property
+    def fractions(self) -> Fractions:
+        """theta_i of the amounts."""
+        return Fractions(tuple(body.name for body in self.bodies))
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        united = self._united()
+        strains = tuple(v for v in united.values() if v.is_strain)
+        amounts = tuple(Amount(AMOUNT + b.name, density=b.density or 0.0) for b in self.bodies)
+        parameters = {p.name: p for p in (*parameters_in(self.bodies), *self.carried)}
+        parameters |= {name: v for name, v in united.items() if isinstance(v, Parameter)}
+        return (*strains, *amounts, *parameters.values())
+
+    def readers(self, variable: str) -> tuple[str, ...]:
+        """Names of the bodies whose energy reads a variable."""
+        return tuple(b.name for b in self.bodies if variable in {v.name for v in b.material.variables})
+
+    @property
+    def conformation(self) -> str | None:
+        names = {body.material.conformation for body in self.bodies} - {None}
+        return names.pop() if len(names) == 1 else None
+
+    @property
+    def continued(self) -> frozenset[str]:
+        """Where every body that reads a variable goes on beyond its bounds."""
+        found = {v.name for v in self.variables if v.is_strain}
+        for body in self.bodies:
+            found -= {v.name for v in body.material.variables} - body.material.continued
+        return frozenset(found)
+
+    def with_elastic_state(self, state: ElasticState) -> Mixture:
+        bodies = (replace(body, material=body.material.with_elastic_state(state)) for body in self.bodies)
+        return replace(self, bodies=tuple(bodies))
+
+    def with_carried(self, parameters: Sequence[Parameter]) -> Mixture:
+        """The same with parameters of the model's other laws, those that it does not have yet."""
+        names = {v.name for v in self.variables}
+        more = tuple(p for p in parameters if p.name not in names)
+        return replace(self, carried=(*self.carried, *more)) if more else self
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        fractions = self.fractions.at(z)
+        return reduce(add, (fractions[b.name] * energy_of(b, z) for b in self.bodies))
+
+
+def energy_of(body: Body, z: Values) -> CoefficientFunction:
+    """phi_i(z), Pa, at a point with the values ``z`` of all variables."""
+    material = substituted(body.material, lambda expression: expression.at(z))
+    return material.energy({v.name: z[v.name] for v in body.material.variables})
+
+
+@dataclass(frozen=True, kw_only=True)
+class MixedViscosity(Viscosity):
+    """sum theta_i D_i eps."""
+
+    parts: tuple[tuple[str, Viscosity], ...]
+    """Names of the bodies that have a viscosity, and these."""
+    fractions: Fractions
+
+    @property
+    def K_v(self) -> float:  # type: ignore[override]
+        """The largest of the bodies' numbers, Pa s."""
+        return max(_number(part.K_v) for _, part in self.parts)
+
+    @property
+    def G_v(self) -> float:  # type: ignore[override]
+        """The largest of the bodies' numbers, Pa s."""
+        return max(_number(part.G_v) for _, part in self.parts)
+
+    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+        theta = self.fractions.at(z)
+        return reduce(add, (theta[name] * part.stress(eps, z) for name, part in self.parts))
+
+    def bulk_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+        theta = self.fractions.at(z)
+        return reduce(add, (theta[name] * part.bulk_dissipation(eps, z) for name, part in self.parts))
+
+    def shear_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+        theta = self.fractions.at(z)
+        return reduce(add, (theta[name] * part.shear_dissipation(eps, z) for name, part in self.parts))
+
+    def require_dimension(self, dim: int) -> None:
+        for _, part in self.parts:
+            part.require_dimension(dim)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MixedCreep(Creep):
+    """Local creep of one law with R = sum theta_i R_i; its own G_m is the least of the bodies' numbers."""
+
+    parts: tuple[tuple[str, Creep], ...]
+    """Names of the bodies that creep, and their creep."""
+    fractions: Fractions
+
+    def mobility(self, z: Values) -> ValueOfModulus:
+        theta = self.fractions.at(z)
+        return reduce(add, (theta[name] * part.mobility(z) for name, part in self.parts))
+
+
+def mixed_viscosity(bodies: Sequence[Body]) -> Viscosity | None:
+    """That of the bodies; None without any."""
+    parts = tuple((b.name, b.viscosity) for b in bodies if b.viscosity is not None)
+    return MixedViscosity(parts=parts, fractions=_fractions(bodies)) if parts else None
+
+
+def mixed_creep(bodies: Sequence[Body]) -> Creep | None:
+    """That of the bodies; None without any.
+
+    Raises
+    ------
+    ParameterError
+        For different laws, or a gradient term.
+    """
+    parts = tuple((b.name, b.creep) for b in bodies if b.creep is not None and b.creep.R > 0)
+    if not parts:
+        return None
+    law = parts[0][1].law
+    for name, part in parts:
+        if part.law != law:
+            raise ParameterError(f"bodies[{name!r}].creep", part, f"law = {law!r}, that of {parts[0][0]!r}")
+        if part.nu:
+            expected = "nu = 0: the creep of several bodies is local"
+            raise ParameterError(f"bodies[{name!r}].creep", part, expected)
+    least = 1 / max(part.R for _, part in parts)
+    return MixedCreep(G_m=least, law=law, parts=parts, fractions=_fractions(bodies))
+
+
+def _fractions(bodies: Sequence[Body]) -> Fractions:
+    return Fractions(tuple(body.name for body in bodies))
+
+
+def _number(modulus: Any) -> float:
+    return typical_value(modulus)
+
+
+def _with_own_names(body: Body) -> Body:
+    """The body with parameters that its moduli became by themselves under names with its own."""
+    laws = {
+        name: renamed(getattr(body, name), f"{body.name}_") for name in ("material", "viscosity", "creep")
+    }
+    return replace(body, **{name: law for name, law in laws.items() if law is not getattr(body, name)})

@@ -1,0 +1,283 @@
+"""Bodies and moduli that vary, in case files: what is admitted, what is refused and where, what is kept."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ngsolve import Integrate, pi
+
+import ngvisco as nv
+from ngvisco.case import directory, reference
+from ngvisco.case.build import parse_case
+from ngvisco.case.errors import CaseError
+from ngvisco.case.places import place_of
+from ngvisco.geometries import box
+from ngvisco.shapes.fractions import volumes
+
+HEAD = """
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 0.3
+[time]
+dt = 0.02
+until = 0.04
+"""
+GRAVITY = """
+[[loads]]
+kind = "Gravity"
+g = [0, -1]
+[solver]
+method = "split"
+"""
+BODIES = """
+[[bodies]]
+name = "fluid"
+density = 1.0
+material = { kind = "NeoHookean", K_e = 10, G_e = 0.1, epsilon = 0.1 }
+viscosity = { K_v = 0.0, G_v = 0.01 }
+creep = { G_m = 0.01 }
+[[bodies]]
+name = "disc"
+where = { kind = "Ball", centre = [0.6, 0.5], radius = 0.2 }
+density = 2.0
+order = 1
+viscosity = { K_v = 0.0, G_v = 0.01 }
+[bodies.material]
+kind = "NeoHookean"
+K_e = 10
+G_e = 5
+epsilon = 0.1
+"""
+
+
+def case(text=HEAD + BODIES, place=Path(".")):
+    return parse_case(text, "case.toml", place)
+
+
+def where_of(text):
+    """The volume of the second body's place in the unit square."""
+    given = BODIES.replace('{ kind = "Ball", centre = [0.6, 0.5], radius = 0.2 }', text)
+    part = case(HEAD + given).sections.bodies[1].where
+    place = place_of(part, Path("."))
+    assert place is not None
+    return volumes(box((1, 1), maxh=0.1), [place])[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "volume"),
+    [
+        ('"(x - 0.6)**2 + (y - 0.5)**2 < 0.04"', 0.04 * pi),
+        ('"0.04 - (x - 0.6)**2 - (y - 0.5)**2"', 0.04 * pi),
+        ('"x < 0.25 or (x > 0.75 and y < 0.5)"', 0.375),
+        ('{ kind = "Ball", centre = [0.6, 0.5], radius = 0.2 }', 0.04 * pi),
+        ('{ kind = "Block", low = [0, 0.5], high = [0.5, 1] }', 0.25),
+        ('{ kind = "HalfSpace", point = [0, 0.3], normal = [0, 1] }', 0.3),
+        ('{ kind = "Polygon", points = [[0.2, 0.2], [0.8, 0.2], [0.2, 0.8]] }', 0.18),
+        (
+            '[{ kind = "Block", low = [0, 0], high = [0.5, 1] }, { kind = "Block", low = [0.25, 0], '
+            "high = [0.75, 1] }]",
+            0.75,
+        ),
+        ('{ kind = "Subdomain", names = "default" }', 1.0),
+    ],
+)
+def test_place_of_a_body_is_a_condition_a_shape_or_several(text, volume):
+    assert where_of(text) == pytest.approx(volume, rel=1e-3)
+
+
+def test_units_of_length_hold_for_places_of_bodies():
+    text = HEAD.replace("[1, 1]", "[1e-3, 1e-3]").replace("0.3", "3e-4") + '[units]\nlength = "km"\n'
+    for given in (
+        '{ kind = "Ball", centre = [6e-4, 5e-4], radius = 2e-4 }',
+        '{ kind = "Ball", centre = ["0.6 m", "0.5 m"], radius = "20 cm" }',
+        '"(x - 6e-4)**2 + (y - 5e-4)**2 < 4e-8"',
+    ):
+        bodies = BODIES.replace('{ kind = "Ball", centre = [0.6, 0.5], radius = 0.2 }', given)
+        place = place_of(case(text + bodies).sections.bodies[1].where, Path("."))
+        assert volumes(box((1, 1), maxh=0.1), [place])[0] == pytest.approx(0.04 * pi, rel=1e-3)
+
+
+REFUSED = [
+    ("density = 2.0", "density = 0", "bodies.1.density: 0.0: expected a finite number > 0"),
+    ('name = "disc"', 'name = "fluid"', "bodies.1.name: 'fluid': expected a name that no other"),
+    ('name = "disc"', 'name = "a disc"', "bodies.1.name: 'a disc': expected a letter"),
+    ('name = "disc"', "", "bodies.1.name: is missing"),
+    ("where = {", "#", "bodies.1.where: None: expected a place: bodies.0 has none"),
+    ('kind = "Ball"', 'kind = "Bal"', "expected one of Ball, Block"),
+    ("radius = 0.2", "radius = -1", "bodies.1.where.radius: -1.0: expected a finite number > 0"),
+    ("radius = 0.2", "radios = 1", "unknown key; did you mean 'radius'?"),
+    ("G_e = 5", "G_e = -5", "bodies.1.material.G_e: -5.0: expected a finite number > 0"),
+    ("G_e = 5", "G_f = 5", "unknown key; did you mean 'G_e'?"),
+    ("where = {", 'where = "x <" #', "not an expression, at character"),
+    ("where = {", 'where = "x < t" #', "a condition on x, y and z alone"),
+    ("where = {", "where = [] #", "bodies.1.where: []: expected at least one shape"),
+    ("where = {", "where = 3 #", "bodies.1.where: 3: expected a table"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), REFUSED, ids=[new for _, new, _ in REFUSED])
+def test_body_that_is_none_is_refused_with_its_key(old, new, message):
+    text = HEAD + (BODIES[::-1].replace(old[::-1], new[::-1], 1)[::-1] if "where" in old else "")
+    if "where" not in old:
+        head, mark, tail = BODIES.partition('[[bodies]]\nname = "disc"')
+        text = HEAD + head + (mark + tail).replace(old, new, 1)
+    with pytest.raises(CaseError) as caught:
+        case(text)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        ('[material]\nkind = "NeoHookean"\nK_e = 1\nG_e = 1\nepsilon = 1\n', "no table [material] beside"),
+        ("[rheology.creep]\nG_m = 1\n", "no such table beside [[bodies]]"),
+        ("[rheology.viscosity]\nK_v = 1\nG_v = 1\n", "no such table beside [[bodies]]"),
+    ],
+)
+def test_what_bodies_have_themselves_is_refused_beside_them(extra, message):
+    with pytest.raises(CaseError) as caught:
+        case(HEAD + extra + BODIES)
+    assert message in str(caught.value)
+
+
+def test_a_case_without_material_and_bodies_is_refused():
+    with pytest.raises(CaseError, match=r"material: None: expected a table \[material\], or bodies"):
+        case(HEAD)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ('"10 + 5*t"', "of x, y and z alone"),
+        ('"10"', "expected a number, or a function"),
+        ('"10 +"', "not an expression"),
+        ("true", "expected a number, or an expression"),
+        ("[1, 2]", "expected a number, or an expression"),
+        ("-1", "expected a finite number > 0"),
+    ],
+)
+def test_modulus_that_is_none_is_refused(value, message):
+    material = f'[material]\nkind = "NeoHookean"\nK_e = {value}\nG_e = 1\nepsilon = 1\n'
+    with pytest.raises(CaseError) as caught:
+        case(HEAD + material)
+    assert "material.K_e" in str(caught.value)
+    assert message in str(caught.value)
+
+
+def test_modulus_of_the_initial_place_is_carried_and_the_ledger_closes():
+    material = '[material]\nkind = "NeoHookean"\nK_e = "10 + 5*x"\nG_e = 1\nepsilon = 1\n'
+    loaded = case(HEAD + material + '[units]\npressure = "kPa"\n[[loads]]\nkind = "Gravity"\ng = [0, -1]\n')
+    mesh = loaded.mesh()
+    run = loaded.simulation(mesh)
+    (carried,) = [v for v in run.model.material.variables if v.name == "K_e"]
+    assert Integrate(run.fields[carried.name], mesh) == pytest.approx(12_500)
+    ledger = run.run(0.04)
+    assert abs(ledger.column("closure_relative")).max() < 1e-12
+
+
+def test_modulus_in_z_is_refused_in_two_dimensions():
+    material = '[material]\nkind = "NeoHookean"\nK_e = "10 + 5*z"\nG_e = 1\nepsilon = 1\n'
+    with pytest.raises(CaseError, match=r"material.K_e: '10 \+ 5\*z': there is no z"):
+        case(HEAD + material).model(2)
+    with pytest.raises(CaseError, match=r"bodies.1.where: 'z < 1': there is no z"):
+        case(HEAD + BODIES.replace("where = {", 'where = "z < 1" #')).model(2)
+
+
+def test_resolved_case_is_the_same_case():
+    loaded = case()
+    again = parse_case(loaded.resolved, "case.toml", Path("."))
+    assert again.resolved == loaded.resolved and again.hash == loaded.hash
+    bodies = tomllib.loads(loaded.resolved)["bodies"]
+    assert [body["name"] for body in bodies] == ["fluid", "disc"]
+    assert bodies[1]["where"]["centre"] == [0.6, 0.5]
+    assert case(HEAD + BODIES.replace("radius = 0.2", "radius = 0.3")).hash != loaded.hash
+
+
+def test_hash_is_that_of_a_shape_s_file_not_of_its_path(tmp_path):
+    from matplotlib.image import imsave
+
+    pixels = np.zeros((4, 4, 3))
+    for name in ("a.png", "b.png"):
+        imsave(tmp_path / name, pixels)
+    picture = 'where = { kind = "Image", path = "FILE", low = [0, 0], high = [1, 1] } #'
+    texts = [BODIES.replace("where = {", picture.replace("FILE", name)) for name in ("a.png", "b.png")]
+    first, second = (case(HEAD + text, tmp_path) for text in texts)
+    assert first.hash == second.hash
+    ((copy, file),) = first.shape_files.items()
+    assert file == (tmp_path / "a.png").resolve()
+    assert tomllib.loads(first.resolved)["bodies"][1]["where"]["path"] == copy
+    imsave(tmp_path / "b.png", 1 - pixels)
+    assert case(HEAD + texts[1], tmp_path).hash != first.hash
+    (tmp_path / "b.png").unlink()
+    with pytest.raises(CaseError, match="cannot be read"):
+        case(HEAD + texts[1], tmp_path).hash  # noqa: B018
+
+
+def test_run_directory_goes_on_without_the_shape_s_file(tmp_path):
+    """It has a copy; mass, table and ledger go on from the checkpoint."""
+    from matplotlib.image import imsave
+
+    X, Y = np.meshgrid(np.linspace(0, 1, 100), np.linspace(1, 0, 100))
+    dark = (X - 0.6) ** 2 + (Y - 0.5) ** 2 < 0.04
+    imsave(tmp_path / "disc.png", np.where(dark, 0.0, 1.0)[..., None].repeat(3, axis=2))
+    picture = 'where = { kind = "Image", path = "disc.png", low = [0, 0], high = [1, 1] } #'
+    text = HEAD + BODIES.replace("where = {", picture) + GRAVITY
+    loaded = case(text.replace("until = 0.04", "until = 0.02"), tmp_path)
+    directory.run(loaded, tmp_path / "run")
+    (tmp_path / "disc.png").unlink()
+    for setting, message in [("bodies.1.density=3.0", "cannot change"), ("bodies.1.where='x < 1'", "cannot")]:
+        with pytest.raises(CaseError, match=message):
+            directory.resume(tmp_path / "run", until=0.04, settings=[setting])
+    directory.resume(tmp_path / "run", until=0.04, settings=["bodies.1.viscosity.G_v=0.02"])
+    rows = np.genfromtxt(tmp_path / "run" / "bodies.csv", delimiter=",", names=True)
+    assert (np.diff(rows["time"]) > 0).all()
+    assert rows["time"][[0, 1, -1]] == pytest.approx([0, 0.02, 0.04])
+    assert rows["disc_mass"] == pytest.approx(rows["disc_mass"][0], rel=1e-12)
+    assert rows["disc_y"][-1] < rows["disc_y"][0]
+    results = nv.load(tmp_path / "run")
+    assert abs(results.ledger["closure_relative"]).max() < 1e-10
+    assert {"disc_fraction", "fluid_fraction", "body"} <= set(results.fields)
+
+
+@pytest.mark.parametrize(
+    ("where", "key", "message"),
+    [
+        ('{ kind = "Ball", centre = [6, 5], radius = 0.2 }', "bodies.1.where", "it is empty"),
+        ('{ kind = "Ball", centre = [6, 5, 1], radius = 0.2 }', "bodies.1.where", "2 coordinates"),
+        ('{ kind = "Subdomain", names = "inclusion" }', "bodies", "unknown subdomain 'inclusion'"),
+        ('{ kind = "ClosedSurface", path = "part.stl" }', "bodies.1.where", "closed surface"),
+        ('{ kind = "Image", path = "none.png", low = [0, 0], high = [1, 1] }', "bodies.1.where", "readable"),
+    ],
+)
+def test_place_that_does_not_fit_is_refused_before_anything_is_written(tmp_path, where, key, message):
+    triangle = "vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
+    (tmp_path / "part.stl").write_text(
+        f"solid a\nfacet\nouter loop\n{triangle}endloop\nendfacet\nendsolid a\n"
+    )
+    text = BODIES.replace('{ kind = "Ball", centre = [0.6, 0.5], radius = 0.2 }', where)
+    with pytest.raises(CaseError) as caught:
+        directory.run(case(HEAD + text, tmp_path), tmp_path / "run")
+    assert key in str(caught.value)
+    assert message in str(caught.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_bodies_that_overlap_without_order_are_refused():
+    third = '[[bodies]]\nname = "block"\nwhere = { kind = "Block", low = [0.5, 0.5], high = [0.9, 0.9] }\n'
+    third += 'density = 1.0\norder = 1\nmaterial = { kind = "NeoHookean", K_e = 9, G_e = 1, epsilon = 0.1 }\n'
+    loaded = case(HEAD + BODIES + third)
+    with pytest.raises(CaseError, match=r"bodies.2.order: 1: expected an order other than 1"):
+        loaded.simulation(loaded.mesh())
+    ordered = case(HEAD + BODIES + third.replace("order = 1", "order = 2"))
+    assert ordered.simulation(ordered.mesh()).model.bodies[2].name == "block"
+
+
+def test_keys_of_bodies_are_explained():
+    assert "shear" in reference.explain("bodies.0.material.G_e")
+    assert "condition" in reference.explain("bodies.0.where")
+    assert "its centre" in reference.explain("bodies.1.where.centre")
+    assert "kg/m^3" in reference.explain("bodies.N.density")
+    with pytest.raises(nv.ParameterError, match="such as"):
+        reference.explain("bodies.0.densty")

@@ -1,0 +1,195 @@
+"""delta Laplace z has its sign for every convex energy, takes nothing from constants, and is consistent."""
+
+import numpy as np
+import pytest
+from ngsolve import CF, H1, VOL, ElementId, Integrate, cos, pi, x, y
+
+import ngvisco as nv
+from ngvisco.algebra.blocks import BlockInverse
+from ngvisco.algebra.sparse import mass_matrix
+from ngvisco.errors import ParameterError
+from ngvisco.forms.field_diffusion import FieldDiffusion
+from ngvisco.forms.system import Step
+from ngvisco.geometries import box
+from ngvisco.physics.convexity import StateSampling
+from ngvisco.physics.curvature import curvature_of
+from ngvisco.physics.materials.catalogue import examples
+from ngvisco.physics.pointwise import respond
+from ngvisco.physics.regularisation import Regularisation
+from ngvisco.physics.variables import Jacobian
+from ngvisco.reduced.diffusion import FieldDiffusionRows
+from ngvisco.reduced.operators import Operators, SideOperators
+from ngvisco.reduced.slope import PointwiseSlope
+
+DELTA = 0.3
+MATERIALS = {f"{i} {type(e.material).__name__}": e.material for i, e in enumerate(examples())}
+CONVEX = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
+MATERIALS["Yosida"] = nv.Yosida(material=CONVEX, eps=1e-2)
+MATERIALS["WithQuadratic"] = nv.WithQuadratic(material=CONVEX, delta=0.01)
+
+
+class Diffusion:
+    """The term alone, of one material on one mesh."""
+
+    def __init__(self, material, mesh, m=1):
+        law = Regularisation(delta_fields=DELTA)
+        model = nv.Model(material=material, regularisation=law)
+        self.step = step = Step(mesh, model, nv.Discretisation(m=m))
+        self.op = op = Operators(step, step.quadrature.volume_degree // 2)
+        self.side = SideOperators(step, op)
+        self.slope = PointwiseSlope(step, op.points)
+        self.term = next(term for term in step.terms if isinstance(term, FieldDiffusion))
+        self.rows = FieldDiffusionRows(step, op, self.slope, self.term)
+        mass = mass_matrix(op.z.matrix, op.weights)
+        self.inverse_mass = BlockInverse(mass)
+        self.inverse_mass.update(mass)
+
+    def projected(self, values):
+        return self.inverse_mass(self.op.z.test(values))
+
+    def power(self, z):
+        """The form at G = zeta, and the ledger's entry, W."""
+        at = self.op.z(z)
+        zeta = self.projected(self.slope(at))
+        parts = {"z": z, "zeta": zeta}
+        parts |= self.rows.slopes(at, parts)
+        state = self.step.state.vec.FV().NumPy()
+        for name, values in parts.items():
+            state[self.step.layout.ranges[name]] = values.ravel()
+        self.step.eliminate.refresh()
+        (entry,) = self.term.entries(self.step.now)
+        rule = self.step.quadrature
+        entered = rule.integrate_cells(entry.integrand.cells)
+        entered += rule.integrate_facets(entry.integrand.facets)
+        return float((self.rows.rows(parts) * zeta).sum()), float(entered)
+
+    def interior_penalty(self, z):
+        """What a symmetric interior penalty of z has at G = zeta, for comparison."""
+        op, side = self.op, self.side
+        zeta = self.projected(self.slope(op.z(z)))
+        slopes = [op.gradients(op.dz, c) for c in (z, zeta)]
+        cells = (op.weights * slopes[0] * slopes[1]).sum()
+        normal, weights = side.points.normals, side.points.weights
+        through = [self._on_sides(slope) for slope in slopes]
+        flux, G_flux = ((t * normal).sum(axis=1) for t in through)
+        jump = side.z(z) - self._mean(side.z(z))
+        weight = Regularisation().penalty_weight(1) / side.h
+        test = side.z(zeta)
+        facets = (weights * (weight * jump * test - flux * (test - self._mean(test)) - G_flux * jump)).sum()
+        return DELTA * float(cells + facets)
+
+    def _on_sides(self, slopes):
+        """Gradients, constant in a cell for m = 1, on the cell's sides."""
+        per_cell = slopes.reshape(*slopes.shape[:2], self.step.mesh.ne, -1)[..., :1]
+        return np.repeat(per_cell, self.side.z.per_cell, axis=3).reshape(*slopes.shape[:2], -1)
+
+    def _mean(self, values):
+        """Means of both sides; on walls the value itself."""
+        hat, weights = self.side.hat, self.side.points.weights
+        mass = BlockInverse(mass_matrix(hat.matrix, weights))
+        mass.update(mass_matrix(hat.matrix, weights))
+        return hat(mass(hat.test(values)))
+
+
+MESH = box((1, 1), maxh=0.5)
+
+
+def rough_states(diffusion, rng, spread):
+    """Coefficients of states that differ from cell to cell, and within cells."""
+    material, mesh, op = diffusion.step.model.material, diffusion.step.mesh, diffusion.op
+    sampling = StateSampling(material, mesh.dim)
+    means = sampling.fitting_states(rng, spread)[: mesh.ne].T
+    at = np.repeat(means, op.points.per_cell, axis=1)
+    size = 0.5 * spread * np.abs(sampling.rest()).max()
+    return diffusion.projected(at + size * rng.uniform(-1, 1, at.shape))
+
+
+def continuous_states(diffusion, rng, spread):
+    """Coefficients of continuous states, linear in the cells, with random values at the vertices."""
+    mesh = diffusion.step.mesh
+    vertices = StateSampling(diffusion.step.model.material, mesh.dim).fitting_states(rng, spread)[: mesh.nv]
+    values = diffusion.op.points.values(H1(mesh, order=1))
+    return diffusion.projected(np.stack([values @ component for component in vertices.T]))
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_power_is_that_of_the_ledger_and_positive_at_random_states(name, rng):
+    diffusion = Diffusion(MATERIALS[name], MESH)
+    for spread in (0.02, 0.2):
+        for states in (rough_states, continuous_states):
+            power, entry = diffusion.power(states(diffusion, rng, spread))
+            assert entry > 0
+            assert power == pytest.approx(entry, rel=1e-9)
+
+
+def test_sign_holds_where_an_interior_penalty_of_z_creates_energy():
+    """Two cells of a stiff fluid, p = J^-30: one at rest, one compressed towards one of its vertices."""
+    mesh = box((1, 1), maxh=1)
+    diffusion = Diffusion(nv.BarotropicFluid(B=10.0, gamma=30.0), mesh)
+    vertices = diffusion.op.points.values(H1(mesh, order=1)).toarray().reshape(mesh.ne, -1, mesh.nv)
+    assert mesh.ne == 2
+    created = []
+    for vertex in mesh[ElementId(VOL, 0)].vertices:
+        J = np.full(mesh.nv, 0.84)
+        J[vertex.nr] = 0.70
+        values = np.stack([vertices[0] @ J, np.ones(vertices.shape[1])])
+        z = diffusion.projected(values.reshape(1, -1))
+        created.append(diffusion.interior_penalty(z))
+        power, entry = diffusion.power(z)
+        assert power > 0
+        assert power == pytest.approx(entry, rel=1e-9)
+    assert min(created) < -1e3
+
+
+@pytest.mark.parametrize("m", [1, 2])
+def test_slope_is_the_gradient_of_z_and_the_power_the_paper_s(m):
+    """phi''(z) grad z : grad z (Euler-small-calc-Delta), for a smooth z without flux through walls."""
+    T = 1 + 0.3 * cos(pi * x) * cos(pi * y)
+    slopes, powers = [], []
+    for maxh in (0.4, 0.2, 0.1):
+        mesh = box((1, 1), maxh=maxh)
+        diffusion = Diffusion(nv.BarotropicFluid(B=10.0, gamma=1.4), mesh, m)
+        values = diffusion.op.points.function(1)
+        values.Interpolate(CF((T, 0.0)))
+        power, _ = diffusion.power(diffusion.projected(diffusion.op.points.read(values, 1)))
+        exact = CF((T.Diff(x), T.Diff(y)))
+        error = diffusion.step.now.z_slope.Reshape((2,)) - exact
+        slopes.append(Integrate(error * error, mesh, order=8) ** 0.5)
+        curvature = 10.0 * 1.4 * 2.4 * T ** (-3.4)  # phi = B J^-gamma
+        powers.append(abs(power - DELTA * Integrate(curvature * exact * exact, mesh, order=10)))
+    assert np.log2(slopes[1] / slopes[2]) > m - 0.2
+    assert np.log2(powers[1] / powers[2]) > 2 * m - 0.4
+
+
+def test_constant_states_have_no_diffusion_and_mass_of_z_is_kept(rng):
+    diffusion = Diffusion(CONVEX, MESH)
+    z = rough_states(diffusion, rng, 0.2)
+    at = diffusion.op.z(z)
+    parts = {"z": z, "zeta": diffusion.projected(diffusion.slope(at))}
+    rows = diffusion.rows.rows(parts | diffusion.rows.slopes(at, parts))
+    one = diffusion.projected(np.ones((1, diffusion.op.points.count)))[0]
+    assert np.abs(rows @ one).max() <= 1e-12 * np.abs(rows).max()
+    constant = diffusion.projected(np.repeat(z[:, :1], diffusion.op.points.count, axis=1))
+    power, entry = diffusion.power(constant)
+    assert abs(power) <= 1e-12 and entry <= 1e-12
+
+
+def test_directions_in_which_an_energy_is_linear_are_found():
+    material = nv.LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=1.0)
+    curvature = curvature_of(material, 2)
+    slices = material.states(2).slices
+    expected = np.zeros_like(curvature.linear)
+    hessian = respond(material, 2)(StateSampling(material, 2).rest()[None]).hessian[0]
+    (flat,) = np.flatnonzero(np.abs(hessian).max(axis=0) == 0)
+    expected[flat, flat] = 1.0
+    assert flat in [where.start for where in slices.values()]
+    assert np.abs(curvature.linear - expected).max() <= 1e-12
+    assert np.linalg.eigvalsh(curvature.compliance)[0] > 0
+
+
+def test_energy_without_curvature_at_rest_is_refused_with_the_remedy():
+    flat = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: (J - 1) ** 4)
+    mesh = box((1, 1), maxh=1)
+    with pytest.raises(ParameterError, match="WithQuadratic"):
+        Diffusion(flat, mesh)
+    Diffusion(nv.WithQuadratic(material=flat, delta=1e-4), mesh)

@@ -1,0 +1,241 @@
+"""Bodies of different material in one domain: mass, fractions, the ledger, both solvers, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ngsolve import CF, IfPos, cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.physics.mixture import AMOUNT, energy_of
+from ngvisco.physics.tensors import tr
+from ngvisco.physics.variables import Jacobian
+
+SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+STOKES = nv.StokesViscosity(K_v=0.05, G_v=0.05)
+SOLID = nv.NeoHookean(K_e=10.0, G_e=1.0, epsilon=0.1)
+FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J - 1) * (J - 1))
+
+
+def disc(**changes):
+    options = {"name": "disc", "where": nv.Ball((0.6, 0.5), 0.25), "material": SOLID, "density": 2.0}
+    return nv.Body(**(options | {"viscosity": STOKES} | changes))
+
+
+def rest(**changes):
+    options = {"name": "rest", "material": FLUID, "density": 1.0, "viscosity": STOKES}
+    return nv.Body(**(options | changes))
+
+
+CASES = {
+    "solid in a fluid": lambda: [disc(), rest()],
+    "two solids": lambda: [
+        disc(),
+        rest(material=nv.MooneyRivlin(K_e=5.0, G_e=0.5, G_mr=0.5, epsilon=0.1), viscosity=None),
+    ],
+    "creeping and not": lambda: [
+        disc(),
+        rest(
+            material=nv.NeoHookean(K_e=10.0, G_e=0.2 + 0.1 * x, epsilon=0.1),
+            creep=nv.Creep(G_m=0.02 + 0.02 * y),
+        ),
+    ],
+    "three, a layer on a layer": lambda: [
+        disc(order=1),
+        nv.Body(
+            name="layer",
+            where=nv.HalfSpace((0.0, 0.4), (0.0, 1.0)),
+            material=SOLID,
+            density=3.0,
+            viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+        ),
+        rest(),
+    ],
+    "compressible": lambda: [
+        nv.Body(name="gas", material=nv.BarotropicFluid(B=1.0, gamma=1.4, rho_R=0.5), viscosity=STOKES),
+        disc(material=nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)),
+    ],
+}
+
+
+def simulation(name, solver="auto", maxh=0.3, m=1, **options):
+    model = nv.Model(bodies=CASES[name](), hyperviscosity=nv.HyperViscosity(mu=1e-5))
+    settings = {"dt": 0.02, "initial": nv.Initial(velocity=SWIRL), "solver": solver} | options
+    return nv.Simulation(box((1, 1), maxh=maxh), model, discretisation=nv.Discretisation(m=m), **settings)
+
+
+def masses(run):
+    u, q = run.rothe_step.now, run.rothe_step.quadrature
+    of_bodies = [b.density * q.integrate_cells(u.z_tensors[AMOUNT + b.name]) for b in run.model.bodies]
+    return np.array(of_bodies)
+
+
+def fractions(run):
+    theta = run.model.material.fractions.at(run.rothe_step.now.z_tensors)
+    return np.array([run.sampler.values(value) for value in theta.values()])
+
+
+def states(run):
+    state, ranges = run.rothe_step.state.vec.FV().NumPy(), run.rothe_step.layout.ranges
+    return {name: state[ranges[name]].copy() for name in ("v", "rho", "z")}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_ledger_mass_and_fractions_are_exact_and_both_solvers_agree(name):
+    found = []
+    for solver in ("split", "coupled"):
+        run = simulation(name, solver)
+        before = masses(run)
+        run.run(0.06)
+        assert run.solver.retried == 0
+        assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-12
+        assert np.abs(masses(run) / before - 1).max() <= 1e-12
+        assert run.ledger.rows[-1]["mass"] == pytest.approx(before.sum(), rel=1e-13)
+        theta = fractions(run)
+        assert theta.min() >= -1e-8 and theta.max() <= 1 + 1e-8
+        assert np.abs(theta.sum(axis=0) - 1).max() <= 1e-14
+        found.append(states(run))
+    for part, values in found[0].items():
+        assert np.abs(values - found[1][part]).max() <= 1e-9 * np.abs(values).max()
+
+
+@pytest.mark.parametrize("m", [0, 2])
+@pytest.mark.parametrize("scheme", ["midpoint", "sdirk2"])
+def test_other_orders_and_schemes(m, scheme):
+    run = simulation("solid in a fluid", m=m, scheme=scheme)
+    before = masses(run)
+    run.run(0.06)
+    assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-12
+    assert np.abs(masses(run) / before - 1).max() <= 1e-12
+    theta = fractions(run)
+    assert theta.min() >= -1e-8 and theta.max() <= 1 + 1e-8
+
+
+def test_without_a_limiter_fractions_leave_their_range_and_mass_is_kept():
+    run = simulation("solid in a fluid", limiter=False)
+    before = masses(run)
+    run.run(0.06)
+    assert fractions(run).min() < -0.01
+    assert np.abs(masses(run) / before - 1).max() <= 1e-12
+
+
+def test_density_is_that_of_the_amounts():
+    """rho has the flux of the amounts, and changes with them where they are limited: rho = sum rho_i n_i."""
+    run = simulation("three, a layer on a layer")
+    run.run(0.1)
+    u = run.rothe_step.now
+    expected = sum(b.density * u.z_tensors[AMOUNT + b.name] for b in run.model.bodies)
+    assert np.abs(run.sampler.values(u.rho - expected)).max() < 1e-9
+
+
+def test_two_halves_of_one_material_are_one_body():
+    """Motion and energy are those of a body that is not divided, and the density."""
+    halves = [
+        nv.Body(name="left", where=0.5 - x, material=SOLID, density=2.0, viscosity=STOKES),
+        nv.Body(name="right", material=SOLID, density=2.0, viscosity=STOKES),
+    ]
+    whole = [nv.Body(name="whole", material=SOLID, density=2.0, viscosity=STOKES)]
+    kinetic = []
+    for bodies in (halves, whole):
+        model, initial = nv.Model(bodies=bodies), nv.Initial(velocity=SWIRL)
+        run = nv.Simulation(box((1, 1), maxh=0.35), model, dt=0.02, initial=initial, velocity_scale=1.0)
+        kinetic.append(run.run(0.1).column("kinetic"))
+    assert kinetic[0] == pytest.approx(kinetic[1], rel=1e-9)
+
+
+def test_a_tensor_fades_where_no_energy_reads_it():
+    """In the fluid B stays near I however far it is sheared; in the solid it is that of a run by itself."""
+    run = simulation("solid in a fluid", dt=0.05, maxh=0.3)
+    run.run(0.6)
+    z = run.rothe_step.now.z_tensors
+    theta = fractions(run)[0]
+    traces = run.sampler.values(tr(z["B"]))
+    assert traces[theta < 0.01].max() < 3.25 and traces[theta > 0.9].max() > 3.02
+    assert run.ledger.column("dissipation_fading_B").min() >= -1e-12
+    assert "dissipation_fading_B" not in simulation("two solids").ledger.columns
+
+
+def test_the_run_that_ended_at_one_second_goes_on():
+    """A soft disc in a lid-driven cavity: det F <= 0 in the fluid ended it at 0.98 s, and fractions reached
+    -0.4 and 1.4 before that."""
+    fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J - 1) * (J - 1))
+    viscosity = nv.StokesViscosity(K_v=0.01, G_v=0.01)
+    bodies = [
+        disc(
+            where=nv.Ball((0.6, 0.5), 0.2),
+            material=nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.01),
+            density=1.0,
+            viscosity=viscosity,
+        ),
+        rest(material=fluid, viscosity=viscosity),
+    ]
+    ramp = IfPos(nv.time - 0.2, 1.0, nv.time / 0.2)
+    walls = {name: nv.NoSlip() for name in ("left", "right", "bottom")}
+    walls["top"] = nv.PrescribedTangential((ramp * 16 * x * x * (1 - x) * (1 - x), 0.0))
+    model = nv.Model(bodies=bodies)
+    run = nv.Simulation(box((1, 1), maxh=0.15), model, dt=0.04, walls=walls, velocity_scale=1.0)
+    before = masses(run)
+    run.run(1.2)
+    assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
+    assert np.abs(masses(run) / before - 1).max() <= 1e-12
+    assert fractions(run).min() >= -1e-8 and run.ledger.rows[-1]["J_min"] > 0.5
+
+
+def test_energies_of_bodies_sum_up():
+    run = simulation("three, a layer on a layer")
+    run.run(0.02)
+    z, q = run.rothe_step.now.z_tensors, run.rothe_step.quadrature
+    theta = run.model.material.fractions.at(z)
+    stored = [q.integrate_cells(theta[b.name] * energy_of(b, z)) for b in run.model.bodies]
+    assert sum(stored) == pytest.approx(run.ledger.rows[-1]["stored"], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("make", "match"),
+    [
+        (lambda: [disc(name="a b")], "Body.name"),
+        (lambda: [disc(), disc()], "distinct names"),
+        (lambda: [rest(), rest(name="other")], "one body at most without a place"),
+        (lambda: [disc(where="here"), rest()], r"bodies\['disc'\].where"),
+        (lambda: [disc(where=CF((x, y))), rest()], r"bodies\['disc'\].where"),
+        (lambda: [disc(density=None), rest()], r"bodies\['disc'\].density.*a body has mass"),
+        (lambda: [disc(density=-1.0), rest()], r"bodies\['disc'\].density"),
+        (lambda: [disc(material=None), rest()], r"bodies\['disc'\].material"),
+        (lambda: [disc(order=0.5), rest()], r"bodies\['disc'\].order"),
+        (lambda: [disc(where=nv.Ball((3.0, 3.0), 0.2)), rest()], r"disc'\].where.*within the domain"),
+        (lambda: [disc(), disc(name="over", where=nv.Ball((0.5, 0.5), 0.2)), rest()], r"'over'\].order"),
+        (lambda: [disc()], "in no body"),
+        (lambda: [disc(where=CF(1.0) + 0 * x), rest()], r"bodies\['rest'\].where"),
+        (lambda: [disc(), rest(material=nv.ReferentialNeoHookean(K_e=1.0, G_e=1.0))], "the same 'B'"),
+        (lambda: [disc(material=nv.Yosida(material=SOLID, eps=0.01)), rest()], "Yosida approximation"),
+        (lambda: [disc(creep=nv.Creep(G_m=1.0, nu=0.1)), rest()], "nu = 0"),
+        (
+            lambda: [disc(material=nv.OldroydB(K_e=1.0, G_e=1.0), creep=nv.Creep(G_m=1.0, law="leonov")),
+                     rest(material=SOLID, creep=nv.Creep(G_m=1.0))],
+            "law = 'leonov'",
+        ),
+    ],
+)  # fmt: skip
+def test_bad_bodies_are_refused_by_name(make, match):
+    with pytest.raises(nv.NgviscoError, match=match):
+        nv.Simulation(box((1, 1), maxh=0.5), nv.Model(bodies=make()), dt=0.1)
+
+
+def test_what_bodies_say_is_not_said_twice():
+    with pytest.raises(nv.ParameterError, match=r"Model.viscosity.*None with bodies"):
+        nv.Model(bodies=[disc(), rest()], viscosity=STOKES)
+    with pytest.raises(nv.ParameterError, match=r"Initial.density.*None with bodies"):
+        model, initial = nv.Model(bodies=[disc(), rest()]), nv.Initial(density=1.0)
+        nv.Simulation(box((1, 1), 0.5), model, dt=0.1, initial=initial)
+    with pytest.raises(nv.ParameterError, match=r"Model\.bodies"):
+        nv.Model(bodies=disc())
+    with pytest.raises(nv.ParameterError, match=r"Model\.material"):
+        nv.Model()
+
+
+@pytest.mark.parametrize("options", [{"rho_max": 2.0}, {"delta_density": 1e-3}], ids=lambda o: next(iter(o)))
+def test_a_density_that_is_not_the_sum_of_the_bodies_is_refused(options):
+    """Cut off or diffused it would not be; their own fluxes know of neither."""
+    with pytest.raises(nv.ParameterError, match=next(iter(options))):
+        nv.Model(bodies=[disc(), rest()], regularisation=nv.Regularisation(**options))

@@ -1,0 +1,182 @@
+"""What is measured and drawn of bodies: sums are the ledger's, tables go on without a seam."""
+
+import csv
+import json
+import re
+
+import h5py
+import numpy as np
+import pytest
+from ngsolve import Integrate
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.run.fields import outlined
+from ngvisco.run.plots import plot_fields
+from ngvisco.run.scene import write_scene, write_scene_of_series
+
+STOKES = nv.StokesViscosity(K_v=0.02, G_v=0.01)
+
+
+def bodies():
+    return [
+        nv.Body(
+            name="fluid",
+            material=nv.NeoHookean(K_e=10, G_e=0.2, epsilon=0.1),
+            viscosity=STOKES,
+            creep=nv.Creep(G_m=0.05),
+            density=1.0,
+        ),
+        nv.Body(
+            name="disc",
+            where=nv.Ball((0.6, 0.5), 0.2),
+            material=nv.NeoHookean(K_e=10, G_e=2, epsilon=0.1),
+            viscosity=STOKES,
+            density=2.0,
+        ),
+    ]
+
+
+def simulation(*observers, maxh=0.25, m=1):
+    model = nv.Model(bodies=bodies(), loads=[nv.Gravity((0, -1))])
+    walls = {"top": nv.PrescribedTangential((0.5, 0))}
+    return nv.Simulation(
+        box((1, 1), maxh=maxh),
+        model,
+        dt=0.02,
+        walls=walls,
+        observers=observers,
+        discretisation=nv.Discretisation(m=m),
+    )
+
+
+def rows_of(path):
+    with path.open() as file:
+        head, *rows = csv.reader(file)
+    return head, np.array(rows, dtype=float)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole")
+    table = nv.Bodies(out / "bodies.csv")
+    observers = [table, nv.VTKSeries(out / "vtk", every=2), nv.Checkpoints(out / "run.h5", every=2)]
+    run = simulation(*observers)
+    run.run(0.08)
+    return out, table, run
+
+
+def test_table_has_the_columns_of_each_body(whole):
+    out, table, _ = whole
+    head, rows = rows_of(out / "bodies.csv")
+    assert head[:2] == ["step", "time"]
+    wanted = [
+        "mass",
+        "volume",
+        "x",
+        "y",
+        "momentum_x",
+        "momentum_y",
+        "kinetic",
+        "stored",
+        "dissipation",
+        "x_min",
+        "x_max",
+        "y_min",
+        "y_max",
+    ]
+    assert head[2:] == [f"{name}_{column}" for name in ("fluid", "disc") for column in wanted]
+    assert rows[:, 1] == pytest.approx([0, 0.02, 0.04, 0.06, 0.08])
+    assert rows == pytest.approx(np.array(table.rows), rel=1e-15)
+
+
+def test_disc_starts_where_it_is_put(whole):
+    _, table, _ = whole
+    assert table.column("disc_volume")[0] == pytest.approx(0.04 * np.pi, rel=1e-3)
+    assert table.column("disc_mass")[0] == pytest.approx(0.08 * np.pi, rel=1e-3)
+    assert table.column("disc_x")[0] == pytest.approx(0.6, abs=0.01)
+    assert table.column("disc_y")[0] == pytest.approx(0.5, abs=0.01)
+    for end, exact in (("x_min", 0.4), ("x_max", 0.8), ("y_min", 0.3), ("y_max", 0.7)):
+        assert table.column(f"disc_{end}")[0] == pytest.approx(exact, abs=0.07)  # of cells of 0.25 m
+    assert table.column("disc_y")[-1] < 0.5 - 1e-4  # it is the heavier one
+
+
+def test_mass_of_each_body_is_constant_and_volumes_fill_the_domain(whole):
+    _, table, _ = whole
+    for name in ("fluid", "disc"):
+        mass = table.column(f"{name}_mass")
+        assert abs(mass / mass[0] - 1).max() < 1e-12
+    assert table.column("fluid_volume") + table.column("disc_volume") == pytest.approx(1, rel=1e-12)
+
+
+def test_sums_over_bodies_are_the_ledger_s(whole):
+    _, table, run = whole
+    ledger = run.ledger
+
+    def total(quantity):
+        return table.column(f"fluid_{quantity}") + table.column(f"disc_{quantity}")
+
+    assert total("mass") == pytest.approx(ledger.column("mass"), rel=1e-12)
+    assert total("kinetic") == pytest.approx(ledger.column("kinetic"), rel=1e-8, abs=1e-12)
+    assert total("stored") == pytest.approx(ledger.column("stored"), rel=1e-10)
+    assert (table.column("disc_dissipation")[1:] > 0).all()
+    # limiting changes the state that a step ends in; constants on cells it changes by rounding only
+    table = nv.Bodies()
+    ledger = simulation(table, m=0).run(0.04)
+    lost = sum(ledger.column(f"dissipation_{of}") for of in ("stokes_bulk", "stokes_shear", "creep"))
+    assert total("dissipation")[1:] == pytest.approx(lost[1:], rel=1e-6)
+
+
+def test_resumed_table_is_that_of_the_whole_run(whole, tmp_path):
+    out, _, _ = whole
+    observers = [nv.Bodies(tmp_path / "bodies.csv"), nv.Checkpoints(tmp_path / "run.h5", every=2)]
+    simulation(*observers).run(0.04)
+    again = simulation(nv.Bodies(tmp_path / "bodies.csv"), nv.Checkpoints(tmp_path / "run.h5", every=2))
+    again.restore(tmp_path / "run.h5")
+    again.run(0.08)
+    assert (tmp_path / "bodies.csv").read_bytes() == (out / "bodies.csv").read_bytes()
+
+
+def test_run_file_has_the_table_with_units(whole):
+    out, table, _ = whole
+    with h5py.File(out / "run.h5") as file:
+        group = file["bodies"]
+        assert set(group) == set(table.columns)
+        assert group["disc_x"][:] == pytest.approx(table.column("disc_x"))
+        units = {name: data.attrs["unit"] for name, data in group.items()}
+    assert units["disc_mass"] == "kg" and units["fluid_dissipation"] == "W" and units["time"] == "s"
+    assert units["disc_momentum_x"] == "kg m/s" and units["disc_x_min"] == "m"
+
+
+def test_fractions_and_numbers_of_bodies_are_fields(whole):
+    _, table, run = whole
+    fields, mesh = run.fields, run.mesh
+    assert Integrate(fields["disc_fraction"], mesh) == pytest.approx(
+        table.column("disc_volume")[-1], rel=1e-3
+    )
+    assert fields["body"](mesh(0.6, 0.45)) == 2
+    assert fields["body"](mesh(0.1, 0.1)) == 1
+    assert outlined(fields) == ["fluid_fraction"]
+
+
+def test_surfaces_are_drawn_in_pictures_and_scenes(whole, tmp_path):
+    out, _, run = whole
+    fields = run.fields
+    lines = [fields[name] for name in outlined(fields)]
+    for name, of in (("with", lines), ("without", [])):
+        plot_fields(run.mesh, [("density", fields["density"])], tmp_path / f"{name}.png", outlines=of)
+    assert (tmp_path / "with.png").read_bytes() != (tmp_path / "without.png").read_bytes()
+    write_scene(run.mesh, {"density": fields["density"]}, tmp_path / "one.html", outlines=lines)
+    write_scene_of_series(out / "vtk", tmp_path / "series.html")
+    for name, states in (("one", 1), ("series", 3)):
+        text = (tmp_path / f"{name}.html").read_text()
+        data = json.loads(re.search(r'id="data">(.*?)</script>', text, re.S)[1])
+        assert len(data["times"]) == states and len(data["outlines"]) == 1
+        assert len(data["outlines"][0]["values"]) == len(data["fields"][0]["values"])
+
+
+def test_model_without_bodies_is_refused():
+    model = nv.Model(material=nv.NeoHookean(K_e=1, G_e=1, epsilon=0.1))
+    run = nv.Simulation(box((1, 1), maxh=0.6), model, dt=0.02, observers=[nv.Bodies()])
+    with pytest.raises(nv.ParameterError, match="bodies"):
+        run.run(0.02)

@@ -1,0 +1,22 @@
+"""An elastic solid's impact and expansion on a coarse strip; the case has the fine one."""
+
+import numpy as np
+import pytest
+
+from ngvisco.verification.cases.riemann import SOUND, solved, star_of_expansion, star_of_impact, stars
+
+
+def test_weak_waves_are_acoustic():
+    """Both star states are 1 -+ U/c to first order, and lie on either side of each other's square terms."""
+    U = 1e-4 * SOUND
+    assert star_of_impact(U) == pytest.approx(1 - 1e-4, abs=1e-7)
+    assert star_of_expansion(U) == pytest.approx(1 + 1e-4, abs=1e-7)
+
+
+def test_star_states_of_impact_and_expansion():
+    run = solved(0.2, 40)
+    assert run.ledger.column("rejections").sum() == 0 and run.solver.retried == 0
+    assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
+    for star in stars(run, 0.2):
+        assert max(star.errors.values()) < 0.02
+        assert 1e-4 < abs(star.drift) < 0.02  # an error of time, which midpoint has not
