@@ -42,6 +42,8 @@ from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.inputs import times_of
 from ngvisco.run.observers import LedgerCSV, VTKSeries
+from ngvisco.run.ranks import abort_alone
+from ngvisco.run.series import ON_RANKS
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.shapes.fractions import volumes
 
@@ -201,7 +203,7 @@ class Case:
         values = parameters(domain)
         if name == "file":
             values["path"] = str(self._mesh_path)
-        with self._located("domain"):
+        with self.located("domain"):
             return catalogue.GEOMETRIES[name](**values)
 
     def model(self, dim: int) -> Model:
@@ -213,7 +215,7 @@ class Case:
         for name, kind in catalogue.MECHANISMS.items():
             part = getattr(self.sections.rheology, name)
             if part is not None:
-                with self._located("rheology", name):
+                with self.located("rheology", name):
                     mechanisms[_MODEL_NAMES.get(name, name)] = kind(
                         **self._values(part, ("rheology", name), dim)
                     )
@@ -223,11 +225,11 @@ class Case:
         ]
         if self.sections.bodies:
             bodies = tuple(self._body(i) for i in range(len(self.sections.bodies)))
-            with self._located("bodies"):
+            with self.located("bodies"):
                 return Model(bodies=bodies, loads=tuple(loads), **mechanisms)
-        with self._located("material"):
+        with self.located("material"):
             material = self._material().with_elastic_state(default_elastic_state(mechanisms.get("creep")))
-        with self._located("loads"):
+        with self.located("loads"):
             return Model(material=material, loads=tuple(loads), **mechanisms)
 
     def _body(self, number: int) -> Body:
@@ -236,32 +238,32 @@ class Case:
         for name in ("material", "viscosity", "linear_viscosity", "creep"):
             section: Any = getattr(part, name)
             if section is not None:
-                with self._located(*path, name):
+                with self.located(*path, name):
                     values[_MODEL_NAMES.get(name, name)] = made(section)
-        with self._located(*path, "where"):
+        with self.located(*path, "where"):
             values["where"] = place_of(part.where, self.directory)
-        with self._located(*path):
+        with self.located(*path):
             return Body(name=part.name, density=part.density, order=part.order, **values)
 
     def simulation(self, mesh: Mesh, observers: Sequence[Observer] = ()) -> Simulation:
         """The simulation at its initial state; raises CaseError for data that the model refuses."""
         sections, made = self.sections, {}
-        with self._located("walls"):
+        with self.located("walls"):
             check_boundary_names(mesh, sections.walls)
         for name in ("initial", "discretisation", "solver"):
-            with self._located(name):
+            with self.located(name):
                 values = self._values(getattr(sections, name), (name,), mesh.dim)
                 made[name] = catalogue.SECTIONS[name](**values)
         walls: dict[str | tuple[str, ...], Wall] = {}
         for wall, condition in sections.walls.items():
             walls[wall] = self._made(condition, catalogue.WALLS, ("walls", wall), mesh.dim)
         adaptive = sections.time.adaptive
-        with self._located("time"):
+        with self.located("time"):
             stepping = None if adaptive is None else catalogue.SECTIONS["adaptive"](**parameters(adaptive))
         time.Set(0.0)
         model = self.model(mesh.dim)
         self._check_bodies(mesh)
-        with self._located("initial"):
+        with self.located("initial"):
             run = Simulation(
                 mesh,
                 model,
@@ -288,7 +290,7 @@ class Case:
     def _check_bodies(self, mesh: Mesh) -> None:
         """Raise CaseError for a body that is nowhere in the mesh, or whose place does not fit it."""
         for i, body in enumerate(self.sections.bodies):
-            with self._located("bodies", str(i), "where"):
+            with self.located("bodies", str(i), "where"):
                 place = place_of(body.where, self.directory)
                 if place is not None and not volumes(mesh, [place])[0] > 0:
                     raise ParameterError("bodies.where", body.where, "a place within the domain: it is empty")
@@ -312,6 +314,8 @@ class Case:
                 error = UnknownNameError("field", name, run.fields)
                 raise self._error(("output", "vtk", "fields"), str(error))
         for path, series in samples(self.sections, Path()).items():
+            if run.ranks.is_distributed:
+                raise self._error(path, f"expected {ON_RANKS}")
             try:
                 series.prepare(run)
             except ParameterError as error:
@@ -326,7 +330,7 @@ class Case:
     def _made(
         self, part: Any, table: Mapping[str, Callable[..., Any]], path: tuple[str, ...], dim: int
     ) -> Any:
-        with self._located(*path):
+        with self.located(*path):
             return table[part.kind](**self._values(part, path, dim))
 
     def _values(self, part: Section, path: tuple[str, ...], dim: int) -> dict[str, Any]:
@@ -336,7 +340,7 @@ class Case:
             if name in fields:
                 self._check_names(value, (*path, name), dim)
                 self._check_length(value, (*path, name), dim)
-                with self._located(*path, name):
+                with self.located(*path, name):
                     if isinstance(value, dict):
                         values[name] = {key: as_function(field) for key, field in value.items()}
                     else:
@@ -359,7 +363,7 @@ class Case:
         return CaseError(self.source, [self.locator.fault(path, message)])
 
     @contextmanager
-    def _located(self, *path: str) -> Iterator[None]:
+    def located(self, *path: str) -> Iterator[None]:
         """Turn ngvisco's errors into faults of a section (or of the one that the error names)."""
         try:
             yield
@@ -387,6 +391,7 @@ class Case:
         except NgviscoError as error:
             raise self._error(path, str(error)) from error
         except Exception as error:  # NGSolve and Netgen raise bare exceptions for what they refuse
+            abort_alone(error)
             raise self._error(path, f"{type(error).__name__}: {error}") from error
 
     @property

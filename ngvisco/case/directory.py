@@ -29,8 +29,6 @@ import json
 import os
 import platform
 import sys
-import time as clock
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,14 +39,16 @@ from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.case import changes
 from ngvisco.case.build import Case, load_case
+from ngvisco.case.log import Log, noting_warnings
 from ngvisco.case.meshfile import mesh_image, mesh_of, require_whole
 from ngvisco.case.versions import versions
 from ngvisco.errors import CheckpointError, MeshError, NgviscoError, StepError, require_path
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import distributed
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.failure import write_failure
-from ngvisco.run.files import append, write_atomically
+from ngvisco.run.files import write_atomically
 from ngvisco.run.notebook import data_frame, results_html
-from ngvisco.run.observers import Progress
 from ngvisco.run.plots import FORMATS
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.transfer import resume_changed, transfer
@@ -79,7 +79,7 @@ class RunDirectory:
         own = [self.case_file, self.versions_file, self.mesh_file, self.ledger_file, self.run_file]
         names = [f"{stem}.{kind}" for stem in ("energies", "history", "fields") for kind in FORMATS]
         pictures = [self.path / name for name in (*names, "scene.html", "movie.gif", "movie.mp4")]
-        series = [*self.vtk.glob("fields*.vtu"), *self.vtk.glob("fields*.pvd")]
+        series = [path for kind in ("vtu", "pvtu", "pvd") for path in self.vtk.glob(f"fields*.{kind}")]
         series += [*self.path.glob("samples/*.csv"), *self.path.glob("case.until-step-*.toml")]
         own.append(self.path / "bodies.csv")
         series += [*self.path.glob("shapes/*.stl"), *self.path.glob("shapes/*.png")]
@@ -184,36 +184,6 @@ class Origin:
         )
 
 
-class Log(Progress):
-    """Progress lines with the date, appended to a run's log file."""
-
-    def __init__(self, path: Path, until: float, every: int = 1) -> None:
-        super().__init__(until, every)
-        self.path = path
-
-    def write(self, line: str) -> None:
-        """Append a line."""
-        stamp = clock.strftime("%Y-%m-%d %H:%M:%S")
-        append(self.path, f"{stamp}  {line}\n")
-
-    def _print(self, line: str) -> None:
-        self.write(line)
-
-
-@contextlib.contextmanager
-def noting_warnings(note: Callable[[str], None]) -> Iterator[None]:
-    """Within: warnings are given to ``note`` too, each as a line."""
-    shown = warnings.showwarning
-
-    def show(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
-        note(f"{category.__name__}: {message}")
-        shown(message, category, *where, **options)
-
-    with warnings.catch_warnings():
-        warnings.showwarning = show
-        yield
-
-
 def run(
     case: Case,
     directory: str | os.PathLike[str],
@@ -240,25 +210,36 @@ def run(
     ------
     RunDirectoryError, CaseError, StepError, OSError
     """
-    place = RunDirectory(directory)
+    place, ranks = RunDirectory(directory), Communicator.world()
     if not force:
-        place.refuse_results()
+        ranks.on_first(place.refuse_results)
+    if source is not None:
+        _require_one_process(ranks, "--from")
     # all that can be wrong with the case is found here, before anything is written or removed
-    notes = [f"run: {case.sections.title or case.source}"]
+    notes, image = [f"run: {case.sections.title or case.source}"], b""
     with noting_warnings(notes.append):
-        image = mesh_image(case.mesh())
-        simulation = case.simulation(mesh_of(image))
+
+        def whole() -> Mesh:
+            nonlocal image
+            image = mesh_image(case.mesh())
+            return mesh_of(image)
+
+        simulation = case.simulation(_mesh_of_first(case, ranks, whole))
     origin = None if source is None else Origin.last_of(source)
     if origin is not None:
         notes.append(origin.carry_to(simulation))
         _check_times(place, case, simulation, case.until)
         if simulation.t >= case.until * (1 - 1e-12):
             raise _reached(place, simulation)
-    with place.locked():
+
+    def begin() -> None:
         if not force:
             place.refuse_results()
         place.clear()
         place.prepare(case, image, origin)
+
+    with ranks.held_by_first(place.locked()):
+        ranks.on_first(begin)
         return _go(place, case, simulation, None, observers, notes)
 
 
@@ -274,11 +255,17 @@ def resume(
     ``until`` (s) replaces the case's end time.  ``settings`` change the case from here on
     (``ngvisco.case.changes`` says what may change); the directory keeps the case as it was too.
     """
-    place = RunDirectory(directory)
+    place, ranks = RunDirectory(directory), Communicator.world()
     case = place.case()
-    with place.locked():
+    if settings:
+        _require_one_process(ranks, "--set")
+
+    def prepare() -> None:
         if not place.is_prepared:  # killed while it was
             place.prepare(case, mesh_image(case.mesh()))
+
+    with ranks.held_by_first(place.locked()):
+        ranks.on_first(prepare)
         if settings:
             new = changes.changed(place, case, settings)
             if new.resolved != case.resolved:
@@ -287,7 +274,7 @@ def resume(
                 case = place.case()
         notes = [f"resume: {case.sections.title or case.source}"]
         with noting_warnings(notes.append):
-            simulation = case.simulation(place.mesh())
+            simulation = case.simulation(_mesh_of_first(case, ranks, place.mesh))
         return _go(place, case, simulation, until, observers, notes)
 
 
@@ -299,41 +286,63 @@ def _go(
     observers: Sequence[Observer],
     notes: list[str],
 ) -> Simulation:
-    end = case.until if until is None else until
-    if place.run_file.exists():
-        before = changes.pending_change(place, case)
+    end, ranks = case.until if until is None else until, simulation.ranks
+    if ranks.on_first(place.run_file.exists):
+        before = ranks.on_first(lambda: changes.pending_change(place, case))
         if before is None:
             simulation.restore(place.run_file, attributes={"case": case.hash})
         else:
+            _require_one_process(ranks, "a change that no checkpoint has reached")
             resume_changed(simulation, place.run_file, {"case": before})
             notes.append(f"changed: {', '.join(place.read_versions()['changes'][-1]['settings'])}")
     elif not simulation.ledger.rows and (found := place.read_versions().get("from")) is not None:
+        _require_one_process(ranks, "--from")
         notes.append(Origin(Path(found["directory"]), found["step"]).carry_to(simulation))
     _check_times(place, case, simulation, end)
-    for path in (place.failure_file, place.failed_state):  # of an attempt before
-        path.unlink(missing_ok=True)
     log = Log(place.log_file, end, case.sections.output.log_every)
     # an end time given to resume is an output time of its own
     simulation.observers += [*case.observers(place.path, end), log, *observers]
-    for note in notes:
-        log.write(note)
+    if ranks.is_distributed:
+        notes.append(f"on {ranks.size} ranks, {ranks.size - 1} of them with cells")
     if simulation.number:
-        log.write(f"from the checkpoint of step {simulation.number}, t = {simulation.t:g} s")
+        notes.append(f"from the checkpoint of step {simulation.number}, t = {simulation.t:g} s")
+
+    def begin() -> None:
+        for path in (place.failure_file, place.failed_state):  # of an attempt before
+            path.unlink(missing_ok=True)
+        for note in notes:
+            log.write(note)
+
+    ranks.on_first(begin)
+    write = log.write if ranks.is_first else (lambda line: None)
     try:
-        with noting_warnings(log.write):
+        with noting_warnings(write):
             simulation.run(max(end, simulation.t), case.output_times(end))
     except BaseException as error:
         with contextlib.suppress(OSError):  # a full disk is what may have ended the run
-            log.write(f"ended by {type(error).__name__}: {error}")
+            write(f"ended by {type(error).__name__}: {error}")
             if isinstance(error, StepError) and error.report is not None:
                 write_failure(place.failure_file, place.failed_state, simulation, error.report)
                 error.add_note(f"what is known of it: {place.failure_file}; its fields: {place.failed_state}")
         raise
     if simulation.stop_requested:
-        log.write(f"stopped on request at step {simulation.number}, t = {simulation.t:g} s")
+        write(f"stopped on request at step {simulation.number}, t = {simulation.t:g} s")
     if simulation.closure_check.failures:
-        log.write(simulation.closure_check.message)
+        write(simulation.closure_check.message)
     return simulation
+
+
+def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) -> Mesh:
+    """The mesh that the first rank makes, distributed; its error is raised on every rank."""
+    made: list[Mesh] = []
+    ranks.on_first(lambda: made.append(make()))
+    with case.located("domain"):
+        return distributed(made[0] if made else None, ranks)
+
+
+def _require_one_process(ranks: Communicator, what: str) -> None:
+    if ranks.is_distributed:
+        raise RunDirectoryError(f"{what}: expected one process; the run may go on with several then")
 
 
 def _check_times(place: RunDirectory, case: Case, simulation: Simulation, end: float) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -219,7 +220,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     streams.make_safe()
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
+        return _on_ranks(options)
+
+
+_DISTRIBUTED = ("run", "resume")
+"""Commands for several processes that mpirun started, besides ``info --parallel``."""
+
+
+def _on_ranks(options: argparse.Namespace) -> int:
+    """Run the command on all processes of mpirun; the first one speaks, and all end with one code."""
+    from ngvisco.parallel.communicator import Communicator, MPIError
+
+    try:
+        ranks = Communicator.world()
+    except MPIError as error:
+        return _say(str(error), BAD_INPUT)
+    if not ranks.is_distributed:
         return _ended(options)
+    if not ranks.is_first:
+        streams.be_silent()
+    if options.command not in _DISTRIBUTED and not getattr(options, "parallel", False):
+        code = _say(f"ngvisco {options.command}: expected one process, without mpirun", BAD_INPUT)
+    else:
+        try:
+            code = _ended(options)
+        except Exception as error:  # a fault of ours: its traceback is what a report needs
+            traceback.print_exception(error)
+            code = FAILED
+    sys.stdout.flush()
+    return ranks.settled(code)
 
 
 def _ended(options: argparse.Namespace) -> int:

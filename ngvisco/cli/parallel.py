@@ -13,7 +13,7 @@ from pathlib import Path
 from ngvisco.cli import streams
 from ngvisco.cli.exits import DONE, FAILED
 from ngvisco.errors import ParameterError
-from ngvisco.parallel.mesh import world
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.petsc import PETScError, packages, petsc
 from ngvisco.parallel.selftest import main as tested
 
@@ -25,15 +25,15 @@ def info(options: argparse.Namespace) -> int:
     """Print what there is, and run the self-test: on the ranks of this run, or on three of its own."""
     if options.directory is not None:
         raise ParameterError("info", options.directory, "a run directory or --parallel")
-    comm = world()
+    ranks = Communicator.world()
     complete, lines = _found()  # on all ranks alike: the first import of petsc4py is collective
-    if comm is None or comm.rank == 0:
+    if ranks.is_first:
         streams.write("\n".join(lines) + "\n")
-    if comm is not None and complete:
+    if ranks.is_distributed and complete:
         return tested()
     starter = _starter()
     if not complete or starter is None:
-        if comm is None or comm.rank == 0:
+        if ranks.is_first:
             streams.write("self-test  not run: something is missing, see 'Several processes' in the README\n")
         return FAILED
     streams.write(f"self-test  on {_RANKS} ranks\n")

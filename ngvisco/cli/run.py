@@ -57,6 +57,8 @@ class StopOnSignal:
 class ProgressBar:
     """One line that is redrawn: time, step, energy, closure, remaining time."""
 
+    on_first_rank = True
+
     def __init__(self, until: float) -> None:
         self.until = until
 
@@ -138,13 +140,14 @@ class _Lines(Progress):
 def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
     if result.closure_check.failures:
         streams.complain(result.closure_check.message)
-    if stop.received is not None:
-        name = signal.Signals(stop.received).name
+    received = int(result.ranks.most(stop.received or 0))  # a signal may have met one rank
+    if received:
+        name = signal.Signals(received).name
         streams.write(
             f"{name}: stopped after step {result.number}, t = {result.t:g} s; a checkpoint is written\n"
         )
         streams.write(f"go on with: ngvisco resume {directory}\n")
-        return 128 + stop.received
+        return 128 + received
     closure = abs(result.ledger.column("closure_relative")).max()
     streams.write(
         f"finished: t = {result.t:g} s after {result.number} steps; largest |closure| {closure:.1e}\n"

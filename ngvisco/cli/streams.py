@@ -19,8 +19,19 @@ def make_safe() -> None:
                 stream.reconfigure(errors="backslashreplace")
 
 
+_silent = False
+
+
+def be_silent() -> None:
+    """Drop what is written and complained from here on: another rank says it."""
+    global _silent
+    _silent = True
+
+
 def write(text: str) -> None:
     """Write to standard output at once; where that cannot be, the text is lost and nothing else."""
+    if _silent:
+        return
     try:
         sys.stdout.write(text)
         sys.stdout.flush()
@@ -30,6 +41,8 @@ def write(text: str) -> None:
 
 def complain(message: str) -> None:
     """Print a message to standard error, its lines after the command's name."""
+    if _silent:
+        return
     try:
         print("\n".join(f"ngvisco: {line}" for line in message.splitlines()), file=sys.stderr, flush=True)
     except (OSError, ValueError):

@@ -25,7 +25,8 @@ the bounds are made for, that of a run's start, has it positive.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -73,7 +74,8 @@ class Violation:
         Its least value, kg/m^3 for rho, else 1.
     is_mean : bool
         Whether it is that of the mean of a cell, and not that at a point.
-    cell : int
+    cell : int or None
+        Its number; None in a distributed mesh, where numbers are the ranks' own.
     point : tuple of float
         A point of the cell, m: its midpoint, or where the value is.
     wall : str or None
@@ -85,7 +87,7 @@ class Violation:
     quantity: str
     value: float
     is_mean: bool
-    cell: int
+    cell: int | None
     point: tuple[float, ...]
     wall: str | None
     distance: float
@@ -93,7 +95,7 @@ class Violation:
 
     def __str__(self) -> str:
         at = ", ".join(f"{round(coordinate, 12) + 0.0:.4g}" for coordinate in self.point)
-        where = f"in cell {self.cell} at ({at}) m"
+        where = f"at ({at}) m" if self.cell is None else f"in cell {self.cell} at ({at}) m"
         if self.wall is not None:
             near = f"{self.distance:.2g} m from" if self.distance else "on"
             where += f", {near} {self.wall!r}"
@@ -132,6 +134,7 @@ class Bounds:
 
     def __init__(self, step: Step, sampler: Sampler, limits: bool = True) -> None:
         self.step, self.sampler, self.limits = step, sampler, limits
+        self._ranks = sampler.ranks
         material, dim, u = step.model.material, step.mesh.dim, step.now
         self._variables: list[str | None] = [None]
         """The variable that each bound is of; None for rho."""
@@ -195,7 +198,8 @@ class Bounds:
         if everywhere or not self.limits:
             return self._worst(found, found.broken, found.least, is_mean=False)
         broken = found.required & ~(found.means > 0)
-        return self._worst(found, broken, found.means, is_mean=True) if broken.any() else None
+        some = self._ranks.any(broken.any())
+        return self._worst(found, broken, found.means, is_mean=True) if some else None
 
     def cells_outside(self) -> np.ndarray:
         """Numbers of the cells of the present state that are out of bounds at a point."""
@@ -211,13 +215,13 @@ class Bounds:
         found = self._outside()
         if found is None:
             return len(out_of_range)
-        target = SHARE * found.means
+        target, _ = SHARE * found.means, self._means.owner  # which all ranks make together
         of_density = np.array([variable is None for variable in self._variables])
         for name, group in (("rho", of_density), ("z", ~of_density)):
             outside = (found.broken & group).any(axis=1)
             if outside.any():
                 self._scale(name, found, outside, found.required & group, target)
-        return len(np.union1d(out_of_range, found.cells))
+        return int(self._ranks.total(len(np.union1d(out_of_range, found.cells))))
 
     def is_exceeded(self) -> bool:
         """Whether ``limit`` would change the present state."""
@@ -252,7 +256,7 @@ class Bounds:
         """The cells that are out of bounds at one of the sampler's points; NaN is so."""
         values = self._rows(self.sampler.values(self._present))
         bad = ~(values > 0)
-        if not bad.any():
+        if not self._ranks.any(bad.any()):  # from here on all ranks go together, with no cells perhaps
             return None
         numbers = self._cell_numbers
         cells = np.unique(numbers[bad.any(axis=1)])
@@ -262,7 +266,7 @@ class Bounds:
         least = _least(values[points], owner, len(cells))
         broken = required & ~(least > 0)
         kept: np.ndarray = np.any(broken, axis=1)
-        if not kept.any():
+        if not self._ranks.any(kept.any()):
             return None
         means = self._at_means(points[np.unique(owner, return_index=True)[1]])
         inside = kept[owner]
@@ -282,7 +286,8 @@ class Bounds:
         if self.step.energy.projected is not None:  # no values but at the quadrature points
             return required
         sizes = np.nan_to_num(np.abs(self._rows(self.sampler.values(self._slope))), nan=np.inf)
-        unread = _UNREAD * float(np.median(sizes.max(axis=1)))
+        every = np.concatenate(self._ranks.gathered(sizes.max(axis=1, initial=0.0)))
+        unread = _UNREAD * float(np.median(every))
         for i, name in enumerate(self._variables):
             if name is not None:
                 largest = np.zeros(count)
@@ -301,7 +306,25 @@ class Bounds:
         return self._rows(np.asarray(self._bounds_of_means(self.sampler.points[points])))
 
     def _worst(self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool) -> Violation:
-        """Of the first bound that is broken the least value, and where that is."""
+        """Of the first bound that is broken the least value, and where that is, of all ranks."""
+        mine = self._worst_here(found, broken, values, is_mean) if broken.any() else None
+        if not self._ranks.is_distributed:
+            assert mine is not None
+            return mine
+        named = [one for one in self._ranks.gathered(mine) if one is not None]
+        bound = min(self.names.index(one.quantity) for one in named)
+        same = [one for one in named if one.quantity == self.names[bound]]
+        worst = min(same, key=lambda one: one.value if one.value == one.value else -np.inf)
+        walls = self._ranks.gathered(nearest_wall(self.step.mesh, np.array(worst.point)))
+        wall, distance = min(walls, key=lambda one: one[1])
+        distance = 0.0 if worst.distance == 0.0 else distance
+        cells = int(self._ranks.total(int(broken.any(axis=1).sum())))
+        return replace(worst, cell=None, wall=wall, distance=distance, cells=cells)
+
+    def _worst_here(
+        self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool
+    ) -> Violation:
+        """The same of this rank."""
         bound = int(np.flatnonzero(broken.any(axis=0))[0])
         where = np.flatnonzero(broken[:, bound])
         least = values[where, bound]
@@ -332,7 +355,7 @@ class Bounds:
         return np.asarray(self.sampler.points["nr"])
 
     def _rows(self, values: np.ndarray) -> np.ndarray:
-        return values.reshape(len(values), -1)
+        return values.reshape(len(values), math.prod(values.shape[1:]))
 
 
 def _least(values: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:

@@ -28,6 +28,7 @@ from ngvisco.forms.boundaries import walls_of
 from ngvisco.forms.moving_walls import OPEN
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material
 from ngvisco.physics.model import BodyForce, CentralGravity, VectorLike, as_vector
 from ngvisco.physics.tensors import square
@@ -51,7 +52,7 @@ def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
         name, value = ("force", load.force) if isinstance(load, BodyForce) else ("g", load.g)
         vector = as_vector(value, dim, f"{type(load).__name__}.{name}")
         for t in _at(times):
-            if not np.isfinite(sampler.values(vector)).all():
+            if not sampler.ranks.all(np.isfinite(sampler.values(vector)).all()):
                 expected = f"finite values; at t = {t:g} s it is not finite somewhere"
                 if isinstance(load, CentralGravity):
                     expected = f"centre, strength, radius and exponent that give {expected}"
@@ -85,7 +86,7 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
             for t in _at(times):
                 where = f"{owner}.coefficient"
                 values = _require_finite(step.mesh, name, friction, where, wall.coefficient, t)
-                if (least := values.min(initial=0.0)) < 0:
+                if (least := Communicator.of(step.mesh).least(values.min(initial=0.0))) < 0:
                     expected = f"a function >= 0; at t = {t:g} s it is {least:.3g} somewhere on the wall"
                     raise ParameterError(where, wall.coefficient, expected)
 
@@ -178,7 +179,7 @@ def _require_finite(
     facets = (ET.SEGM,) if mesh.dim == 2 else (ET.TRIG, ET.QUAD)
     rules = {et: IntegrationRule(et, _DEGREE) for et in facets}
     values = np.asarray(f(mesh.MapToAllElements(rules, walls_of(mesh, [name]))))
-    if not np.isfinite(values).all():
+    if not Communicator.of(mesh).all(np.isfinite(values).all()):
         raise ParameterError(field, value, f"finite values; at t = {t:g} s it is not finite on the wall")
     return values
 

@@ -24,6 +24,7 @@ from ngvisco.errors import ParameterError
 from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.walls import Walls
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.walls import PrescribedTangential
@@ -117,7 +118,7 @@ class MovingWalls:
         """Power of the reaction on a moving wall, W, from the residual of the solved step."""
         mask = self.moving[name][1]
         where = self.layout.ranges["v"]
-        return float(residual.FV().NumPy()[where][mask] @ self._view()[mask])
+        return Communicator.of(self.walls.mesh).dot(residual.FV().NumPy()[where][mask], self._view()[mask])
 
     def _view(self) -> np.ndarray:
         return self.state.vec.FV().NumPy()[self.layout.ranges["v"]]

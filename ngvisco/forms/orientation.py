@@ -14,6 +14,7 @@ from ngsolve import (
 
 from ngvisco.errors import MeshError
 from ngvisco.forms.facets import boundary_facets, facets_with_two_sides
+from ngvisco.parallel.communicator import Communicator
 
 _ORDER = 4  # degree of the points at which the determinant is looked at; curved cells vary inside
 
@@ -25,11 +26,13 @@ def check_orientation(mesh: Mesh) -> None:
     is nowhere zero in a cell; which sign is only a matter of the order of its vertices.  The two cells
     of an inner facet lie on different sides of it, so that their outward normals cancel.
     """
-    _check_determinants(mesh)
-    _check_sides(mesh)
+    for check in (_of_determinants, _of_sides):
+        error = Communicator.of(mesh).agree(check(mesh))
+        if error is not None:
+            raise error
 
 
-def _check_determinants(mesh: Mesh) -> None:
+def _of_determinants(mesh: Mesh) -> MeshError | None:
     types = (ET.TRIG, ET.QUAD) if mesh.dim == 2 else (ET.TET,)
     determinant = Det(specialcf.JacobianMatrix(mesh.dim))
     for et in types:
@@ -40,17 +43,19 @@ def _check_determinants(mesh: Mesh) -> None:
         if flat.any():
             row = int(np.argmax(flat))
             numbers = [element.nr for element in mesh.Elements(VOL) if element.type == et]
-            raise MeshError(
+            return MeshError(
                 f"element {numbers[row]} is inverted or flat: the determinant of its map takes values from "
                 f"{values[row].min():.3e} to {values[row].max():.3e}; expected one sign and no zero"
             )
+    return None
 
 
-def _check_sides(mesh: Mesh) -> None:
+def _of_sides(mesh: Mesh) -> MeshError | None:
     doubled = ~(facets_with_two_sides(mesh) | boundary_facets(mesh))
-    if doubled.any():
-        facet = int(np.argmax(doubled))
-        raise MeshError(
-            f"facet {facet}, on no boundary, has cells on one side only: "
-            "a cell is inverted, cells overlap, or the mesh lacks a boundary element there"
-        )
+    if not doubled.any():
+        return None
+    facet = int(np.argmax(doubled))
+    return MeshError(
+        f"facet {facet}, on no boundary, has cells on one side only: "
+        "a cell is inverted, cells overlap, or the mesh lacks a boundary element there"
+    )

@@ -35,8 +35,8 @@ from ngvisco.errors import MeshError
 
 
 def csr(matrix: BaseMatrix) -> sp.csr_matrix:
-    """An NGSolve sparse matrix as a scipy one, sharing no memory."""
-    values, columns, rows = matrix.CSR()
+    """An NGSolve sparse matrix as a scipy one, sharing no memory; of a distributed one this rank's part."""
+    values, columns, rows = getattr(matrix, "local_mat", matrix).CSR()
     return sp.csr_matrix(
         (values.NumPy().copy(), columns.NumPy().copy(), np.asarray(rows.NumPy(), dtype=np.int64)),
         shape=(matrix.height, matrix.width),

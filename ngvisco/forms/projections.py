@@ -21,6 +21,8 @@ from ngsolve import (
 from ngvisco.forms.context import Context
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.petsc import inverse_of
 
 
 class FacetProjection:
@@ -39,7 +41,7 @@ class FacetProjection:
         mass = BilinearForm(space)
         mass += (trial if normal is None else trial * normal) * self._test * quadrature.facets
         # free are neither facets of coarser meshes nor identified copies
-        self._inverse = mass.Assemble().mat.Inverse(space.FreeDofs(), inverse="sparsecholesky")
+        self._inverse = inverse_of(mass.Assemble().mat, space.FreeDofs(), Communicator.of(space.mesh))
 
     def __call__(self, value: CoefficientFunction) -> BaseVector:
         """Coefficients of the projection of a scalar that may differ on the two sides of a facet."""

@@ -10,6 +10,7 @@ from ngsolve import CF, ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, 
 
 from ngvisco.errors import InitialDataError
 from ngvisco.forms.quadrature import Quadrature
+from ngvisco.parallel.communicator import Communicator
 
 _VERTICES: dict[Any, list[tuple[float, ...]]] = {
     ET.TRIG: [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)],
@@ -23,6 +24,7 @@ class Sampler:
 
     def __init__(self, mesh: Mesh, quadrature: Quadrature) -> None:
         self.mesh, self.quadrature = mesh, quadrature
+        self.ranks = Communicator.of(mesh)
 
     @cached_property
     def points(self) -> np.ndarray:
@@ -36,7 +38,7 @@ class Sampler:
         return self.mesh.MapToAllElements(rules, VOL)
 
     def values(self, f: CoefficientFunction) -> np.ndarray:
-        """Values at all points, shape (points,) or (points, components)."""
+        """Values at all points of this rank, shape (points,) or (points, components)."""
         result = np.asarray(f(self.points))
         return result[:, 0] if result.ndim == 2 and result.shape[1] == 1 else result
 
@@ -46,14 +48,14 @@ class Sampler:
         return np.asarray(position(self.points[indices])).reshape(len(indices), -1)
 
     def extrema(self, f: CoefficientFunction) -> tuple[float, float]:
-        """Minimum and maximum of a scalar."""
+        """Minimum and maximum of a scalar, over all ranks."""
         values = self.values(f)
-        return float(values.min()), float(values.max())
+        return self.ranks.least(values), self.ranks.most(values)
 
     def require(self, f: CoefficientFunction, name: str, minimum: float | None = None) -> None:
         """Raise InitialDataError unless f is finite (and > ``minimum``) at all points."""
         values = self.values(f)
-        if not np.all(np.isfinite(values)):
+        if not self.ranks.all(np.isfinite(values).all()):
             raise InitialDataError(name, "not finite somewhere", "finite values")
-        if minimum is not None and values.min() <= minimum:
-            raise InitialDataError(name, f"minimum {values.min():.6g}", f"> {minimum:g}")
+        if minimum is not None and (least := self.ranks.least(values)) <= minimum:
+            raise InitialDataError(name, f"minimum {least:.6g}", f"> {minimum:g}")

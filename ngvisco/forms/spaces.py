@@ -21,6 +21,7 @@ The local unknowns are condensed out cell by cell.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -100,7 +101,7 @@ class Layout:
         """
         self.mesh, self.discretisation, self.periodic = mesh, discretisation, periodic
         self.states = StateSpace.of(material.variables, mesh.dim)
-        self._dirichlet = tuple(dirichlet)
+        self._dirichlet: tuple[Region | None, ...] = tuple(dirichlet)
         setting = Setting(mesh.dim, self.states, discretisation.k, discretisation.m)
         self.unknowns: dict[str, Unknown] = {}
         for term in terms:
@@ -113,6 +114,13 @@ class Layout:
                     )
                 self.unknowns[unknown.name] = unknown
         self._make(list(self.unknowns))
+
+    def on(self, mesh: Mesh) -> Layout:
+        """The same unknowns on another mesh, none of them prescribed."""
+        other = copy.copy(self)
+        other.mesh, other._dirichlet = mesh, (None,) * mesh.dim  # regions are those of one mesh
+        other._make(self.names)
+        return other
 
     def _make(self, names: Sequence[str]) -> None:
         """The compound space of these unknowns."""

@@ -14,8 +14,9 @@ from collections.abc import Callable
 import numpy as np
 import scipy.sparse as sp
 from ngsolve import CF, BilinearForm, CoefficientFunction, FESpace, GridFunction, LinearForm
-from scipy.sparse.linalg import LinearOperator, cg, splu
+from scipy.sparse.linalg import splu
 
+from ngvisco.algebra.conjugate_gradients import conjugate_gradients
 from ngvisco.errors import StepError
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh_arrays import mask_of
@@ -23,6 +24,8 @@ from ngvisco.forms.points import csr
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.wall_terms import Impenetrability
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.tensors import inner
 
 _REDUCTION, _CORRECTIONS, _ITERATIONS = 1e-9, 4, 1000
@@ -63,11 +66,18 @@ class VelocityOfMomentum:
         self._load = LinearForm(space)
         self._load += inner(momentum, space.TestFunction()) * quadrature.cells
         self.free = mask_of(space.FreeDofs())
+        self._exchange = Exchange(space, Communicator.of(layout.mesh))
+        # what ranks share counts once in products
+        several = self._exchange.communicator.is_distributed
+        self._own = self._exchange.owned if several else slice(None)
+        self._own_free = self._exchange.owned[self.free] if several else slice(None)
         self._dim = layout.mesh.dim
         self._constraint = None if term is None else _constraint(layout, term, quadrature)
 
     def __call__(self) -> np.ndarray:
         """Solve; returns the rows of int rho v . w - <m, w>, which only walls leave, (unknowns of v,).
+
+        The rows are those of this rank's cells: what ranks share is their sum.
 
         Raises
         ------
@@ -76,28 +86,37 @@ class VelocityOfMomentum:
         """
         self._mass.Assemble()
         mass = sp.block_diag([csr(self._mass.mat)] * self._dim, format="csr")
-        momentum = self._load.Assemble().vec.FV().NumPy().copy()
-        free, v = self.free, self.v
-        own, diagonal = mass[free][:, free].tocsr(), mass.diagonal()[free]
+        rows = self._load.Assemble().vec.FV().NumPy().copy()
+        free, v, exchange, ranks = self.free, self.v, self._exchange, self._exchange.communicator
+        momentum, diagonal = exchange.sum(rows), exchange.sum(mass.diagonal())[free]
         project, project_back = self._projections(diagonal)
-        shape = own.shape
-        operator = LinearOperator(shape, lambda x: project_back(own @ project(x)), dtype=float)
-        inverse = LinearOperator(shape, lambda x: project(project_back(x) / diagonal), dtype=float)
+        full = np.zeros_like(v)
+
+        def product(x: np.ndarray, y: np.ndarray) -> float:
+            return ranks.dot(x[self._own_free], y[self._own_free])
+
+        def operator(x: np.ndarray) -> np.ndarray:
+            full[free] = project(x)
+            return project_back(exchange.sum(mass @ full)[free])
+
+        def inverse(x: np.ndarray) -> np.ndarray:
+            return project(project_back(x) / diagonal)
+
         if self._constraint is not None:  # a start value that the walls admit
             v[free] = project(v[free]) - self._lift(v)
-        size = np.linalg.norm(momentum) or 1.0
+        size = ranks.norm(momentum[self._own]) or 1.0
         left = np.inf
         for _ in range(_CORRECTIONS):
             # twice: beside the walls' share of the rows a small rest is rounding, not in the operator's range
-            residual = project_back(project_back((momentum - mass @ v)[free]))
-            last, left = left, float(np.linalg.norm(residual))
+            residual = project_back(project_back((momentum - exchange.sum(mass @ v))[free]))
+            last, left = left, ranks.norm(residual[self._own_free])
             if left <= _ROUNDING * size or not left < 0.5 * last:
                 break
-            change, _ = cg(operator, residual, rtol=_REDUCTION, atol=0.0, maxiter=_ITERATIONS, M=inverse)
+            change = conjugate_gradients(operator, residual, inverse, product, _REDUCTION, _ITERATIONS)
             v[free] += project(change)
         if not left <= _ENOUGH * size:
             raise StepError(f"the velocity of a momentum was solved to {left / size:.1e} only")
-        return mass @ v - momentum
+        return mass @ v - rows
 
     def _projections(self, diagonal: np.ndarray) -> tuple[Callable, Callable]:
         """The projection onto the velocities that the walls admit, and its transpose."""

@@ -2,44 +2,94 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import pickle
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from ngsolve import Mesh
 
+from ngvisco.errors import NgviscoError
+
+Result = TypeVar("Result")
+
+_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS")
+"""Variables by which the usual MPIs tell a process how many there are."""
+
+
+_LOOK, _PATIENCE = 0.01, 20.0
+"""Seconds between looks at other ranks, and for which a rank that has failed waits for their end."""
+
+
+class MPIError(NgviscoError, RuntimeError):
+    """Processes that mpirun started cannot work together."""
+
 
 @dataclass
 class Traffic:
-    """What a rank sent: messages to neighbours, their bytes, and reductions, each of a number or two."""
+    """What this process sent: messages to neighbours, their bytes, and reductions of a few numbers each."""
 
     messages: int = 0
     bytes: int = 0
     reductions: int = 0
 
 
+TRAFFIC = Traffic()
+"""Of this process so far."""
+
+
 class Communicator:
     """The ranks that hold a mesh.
 
-    Every method but the properties is collective: all ranks call it, in the same order, and get the same.
+    Every method is collective: all ranks call it, in the same order, and get the same.
 
-    Attributes
+    Parameters
     ----------
-    size, rank : int
-    traffic : Traffic
-        Of this rank so far, with the exchanges that were made with it (``ngvisco.parallel.exchange``).
+    mpi : communicator of mpi4py, or None
+        None for one process.
     """
 
-    def __init__(self, comm: Any) -> None:
-        """``comm`` is that of a mesh, ``mesh.comm``."""
-        self._comm = comm
-        self.size, self.rank = int(comm.size), int(comm.rank)
-        self.traffic = Traffic()
+    def __init__(self, mpi: Any = None) -> None:
+        self.mpi = mpi
+        self.size: int = 1 if mpi is None else mpi.size
+        self.rank: int = 0 if mpi is None else mpi.rank
 
     @classmethod
     def of(cls, mesh: Mesh) -> Communicator:
-        """That of a mesh."""
-        return cls(mesh.comm)
+        """The ranks of a mesh."""
+        return cls(mesh.comm.mpi4py if mesh.comm.size > 1 else None)
+
+    @classmethod
+    def world(cls) -> Communicator:
+        """All processes that mpirun started; without mpirun one, and MPI is not asked for.
+
+        Raises
+        ------
+        MPIError
+            If mpirun started several which cannot meet: mpi4py is missing, or belongs to another MPI.
+        """
+        started = max((int(os.environ[n]) for n in _SIZES if os.environ.get(n, "").isdigit()), default=1)
+        if started == 1 and "mpi4py.MPI" not in sys.modules:
+            return cls()
+        try:
+            from mpi4py import MPI
+        except (ImportError, RuntimeError) as error:  # RuntimeError: no library of MPI
+            raise MPIError(
+                f"mpirun started {started} processes, but mpi4py does not load ({error})"
+            ) from error
+        found = MPI.COMM_WORLD.size
+        if found < started:
+            raise MPIError(
+                f"mpirun started {started} processes, but mpi4py knows {found}: it belongs to another MPI "
+                "than mpirun; expected both of one installation (ngvisco info --parallel)"
+            )
+        return cls(MPI.COMM_WORLD if found > 1 else None)
 
     @property
     def is_distributed(self) -> bool:
@@ -50,69 +100,132 @@ class Communicator:
         """Whether this is the rank that speaks and writes."""
         return self.rank == 0
 
-    @property
-    def mpi(self) -> Any:
-        """The communicator of mpi4py; there are several ranks."""
-        return self._comm.mpi4py
-
     def total(self, value: float) -> float:
         """The sum over the ranks."""
-        if self.size == 1:
-            return value
-        self.traffic.reductions += 1
-        return self._comm.Sum(value)
-
-    def least(self, values: np.ndarray | float) -> float:
-        """The least of all ranks' values; a rank may have none, NaN counts as less than any number."""
-        return -self.most(-np.asarray(values, dtype=float))
+        return value if self.size == 1 else self._reduced(value, "SUM")
 
     def most(self, values: np.ndarray | float) -> float:
-        """The largest of all ranks' values; a rank may have none, NaN counts as larger than any number."""
+        """The largest of all ranks' values; a rank may have none.  NaN counts as larger than any number."""
         own = np.asarray(values, dtype=float)
         if self.size == 1:
             return float(own.max())
-        self.traffic.reductions += 1
         largest = float(own.max(initial=-np.inf))
-        # MPI's maximum may drop NaN
-        pair = np.array([largest if largest == largest else 0.0, float(largest != largest)])
-        result = np.empty(2)
-        self.mpi.Allreduce(pair, result, _operation("MAX"))
-        return float("nan") if result[1] else float(result[0])
+        is_number = largest == largest  # MPI's maximum may drop NaN
+        found = self._reduced(np.array([largest if is_number else np.inf, float(not is_number)]), "MAX")
+        return float("nan") if found[1] else float(found[0])
 
-    def any(self, value: bool) -> bool:
+    def least(self, values: np.ndarray | float) -> float:
+        """The least of all ranks' values; a rank may have none.  NaN counts as less than any number."""
+        return -self.most(-np.asarray(values, dtype=float))
+
+    def any(self, value: bool | np.bool_) -> bool:
         """Whether it is so on some rank."""
-        if self.size == 1:
-            return bool(value)
-        self.traffic.reductions += 1
-        return bool(self._comm.Max(int(value)))
+        return bool(value) if self.size == 1 else bool(self._reduced(int(value), "MAX"))
 
-    def all(self, value: bool) -> bool:
+    def all(self, value: bool | np.bool_) -> bool:
         """Whether it is so on every rank."""
         return not self.any(not value)
 
+    def dot(self, a: np.ndarray, b: np.ndarray) -> float:
+        """The inner product of what the ranks hold together, each entry on one of them."""
+        return float(self.total(float(a @ b)))
+
     def norm(self, values: np.ndarray) -> float:
         """The Euclidean norm of what the ranks hold together, each entry on one of them."""
-        if self.size == 1:
-            return float(np.linalg.norm(values))
-        return float(np.sqrt(self.total(float(values @ values))))
+        return float(np.linalg.norm(values)) if self.size == 1 else float(np.sqrt(self.dot(values, values)))
 
-    def from_first(self, value: Any) -> Any:
-        """The first rank's object on every rank."""
-        return value if self.size == 1 else self.mpi.bcast(value if self.is_first else None)
+    def _reduced(self, value: Any, name: str) -> Any:
+        from mpi4py import MPI
 
-    def gathered(self, value: Any) -> list[Any] | None:
-        """All ranks' objects on the first one, None on others."""
-        return [value] if self.size == 1 else self.mpi.gather(value)
+        TRAFFIC.reductions += 1
+        operation = getattr(MPI, name)
+        if not isinstance(value, np.ndarray):
+            return self.mpi.allreduce(value, operation)
+        result = np.empty_like(value)
+        self.mpi.Allreduce(value, result, operation)
+        return result
+
+    def gathered(self, value: Any) -> list[Any]:
+        """All ranks' objects, in their order."""
+        return [value] if self.size == 1 else self.mpi.allgather(value)
 
     def agree(self, error: BaseException | None) -> BaseException | None:
-        """The error that all ranks end with where some have one: that of the lowest rank which has one."""
+        """What all ranks fail with where some do: the error of the lowest rank that has one."""
         if self.size == 1 or not self.any(error is not None):
             return error
-        found: list[BaseException | None] = self.mpi.allgather(error)
-        return next(one for one in found if one is not None)
+        found = [one for one in self.gathered(_packed(error)) if one is not None]
+        return _unpacked(found[0])
+
+    def on_first(self, work: Callable[[], Result]) -> Result:
+        """What the first rank's ``work`` returns, on every rank; its error is raised on every rank."""
+        if self.size == 1:
+            return work()
+        result, error = None, None
+        if self.is_first:
+            try:
+                result = work()
+            except BaseException as raised:
+                error = raised
+        together = self.agree(error)
+        if together is not None:
+            raise together from error
+        return self.mpi.bcast(result)
+
+    @contextlib.contextmanager
+    def held_by_first(self, context: AbstractContextManager[Any]) -> Iterator[None]:
+        """Within: the first rank is in the context; what entering it raises is raised on every rank."""
+        with contextlib.ExitStack() as stack:
+
+            def enter() -> None:
+                stack.enter_context(context)
+
+            self.on_first(enter)
+            yield
+
+    def settled(self, code: int) -> int:
+        """The exit code of this process, when all ranks have come to their end.
+
+        A rank that fails alone finds that the others do not come, and ends them.
+        """
+        if self.size == 1:
+            return code
+        everyone, waited = self.mpi.Ibarrier(), 0.0
+        while not everyone.Test():
+            time.sleep(_LOOK)
+            waited += _LOOK
+            if code and waited > _PATIENCE:
+                self.abort(code)
+        return int(self.most(code))
+
+    def abort(self, code: int) -> None:
+        """End all ranks at once with an exit code, as where one alone has met an error."""
+        if self.mpi is not None:
+            self.mpi.Abort(code)
 
 
-def _operation(name: str) -> Any:
-    from mpi4py import MPI
+def _packed(error: BaseException | None) -> tuple[type[BaseException], tuple, dict[str, Any], bool] | None:
+    """An error for other ranks.  Ours are made without their arguments, which may be no plain objects."""
+    if error is None:
+        return None
+    if isinstance(error, NgviscoError):
+        kept = {}
+        for name, value in error.__dict__.items():
+            with contextlib.suppress(Exception):  # whatever pickling raises
+                kept[name] = pickle.loads(pickle.dumps(value))
+        return type(error), (str(error),), kept, True
+    try:
+        pickle.loads(pickle.dumps(error))
+        return type(error), (error,), {}, False
+    except Exception:  # whatever pickling raises
+        return RuntimeError, (RuntimeError(f"{type(error).__name__}: {error}"),), {}, False
 
-    return getattr(MPI, name)
+
+def _unpacked(packed: tuple[type[BaseException], tuple, dict[str, Any], bool]) -> BaseException:
+    kind, arguments, values, is_ours = packed
+    if not is_ours:
+        found: BaseException = arguments[0]
+        return found
+    error: BaseException = BaseException.__new__(kind)
+    error.args = arguments
+    error.__dict__.update(values)
+    return error

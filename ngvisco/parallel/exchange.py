@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from ngsolve import FESpace
 
-from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.communicator import TRAFFIC, Communicator
 
 
 class Exchange:
@@ -23,7 +23,7 @@ class Exchange:
     space : FESpace
         Of a distributed mesh, or any.
     communicator : Communicator
-        That of the mesh; its traffic counts the exchanges.
+        That of the mesh.
     """
 
     def __init__(self, space: FESpace, communicator: Communicator) -> None:
@@ -45,19 +45,23 @@ class Exchange:
                 mine[numbers] = False
         return mine
 
+    def of_owners(self, values: np.ndarray) -> np.ndarray:
+        """Of every unknown the value of the rank that owns it; collective between neighbours."""
+        return self.sum(np.where(self.owned, values, 0.0)) if self.shared else values
+
     def sum(self, values: np.ndarray) -> np.ndarray:
         """The sums of all ranks' values, (..., unknowns); collective between neighbours."""
         if not self.shared:
             return values
-        mpi, traffic = self.communicator.mpi, self.communicator.traffic
+        mpi = self.communicator.mpi
         sent = {rank: np.ascontiguousarray(values[..., own]) for rank, own in self.shared.items()}
         got = {rank: np.empty_like(part) for rank, part in sent.items()}
         requests = [mpi.Irecv(part, rank) for rank, part in got.items()]
         requests += [mpi.Isend(part, rank) for rank, part in sent.items()]
         for request in requests:
             request.Wait()
-        traffic.messages += len(sent)
-        traffic.bytes += sum(part.nbytes for part in sent.values())
+        TRAFFIC.messages += len(sent)
+        TRAFFIC.bytes += sum(part.nbytes for part in sent.values())
         result = np.array(values)
         result[..., self._all_shared] = 0.0
         for rank in sorted([*got, self.communicator.rank]):  # the same order on every rank

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from ngsolve import VERTEX, Mesh
 
 from ngvisco.errors import MeshError
+from ngvisco.parallel.communicator import Communicator
 
 CURVED = (
     "curved cells are not distributed: NGSolve's ranks do not get their shape; expected straight cells, or "
@@ -18,24 +17,31 @@ PERIODIC = (
 )
 
 
-def world() -> Any:
-    """mpi4py's communicator of all processes that mpirun started, None where it started one or mpi4py is
-    missing."""
-    try:
-        from mpi4py import MPI
-    except (ImportError, RuntimeError):  # RuntimeError: no library of MPI
-        return None
-    return MPI.COMM_WORLD if MPI.COMM_WORLD.size > 1 else None
+class Part(Mesh):
+    """A rank's part of a mesh, with facets and vertices at its border that other ranks have too.
+
+    Attributes
+    ----------
+    whole : Mesh or None
+        The mesh itself on the first rank, which has no cells of the part; None on others.
+    """
+
+    whole: Mesh | None = None
 
 
-def distributed(mesh: Mesh | None, comm: Any) -> Mesh:
-    """The first rank's mesh in parts by METIS; collective.
+def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
+    """The first rank's mesh in parts by METIS, collective; on one process the mesh itself.
 
     Parameters
     ----------
     mesh : Mesh or None
         The whole mesh on the first rank, not looked at on others.
-    comm : mpi4py communicator
+    ranks : Communicator
+
+    Returns
+    -------
+    Mesh
+        A ``Part`` on several ranks.
 
     Raises
     ------
@@ -45,16 +51,21 @@ def distributed(mesh: Mesh | None, comm: Any) -> Mesh:
     """
     from netgen.meshing import Mesh as NetgenMesh
 
-    refusal = comm.bcast(_refusal(mesh, comm.size - 1) if mesh is not None else None)
+    if not ranks.is_distributed:
+        assert mesh is not None
+        return mesh
+    refusal = ranks.on_first(lambda: _refusal(mesh, ranks.size - 1))
     if refusal is not None:
         raise MeshError(refusal)
-    if comm.rank == 0:
-        assert mesh is not None
-        return Mesh(mesh.ngmesh.Distribute(comm))
-    return Mesh(NetgenMesh.Receive(comm))
+    if mesh is not None and ranks.is_first:
+        part = Part(mesh.ngmesh.Copy().Distribute(ranks.mpi))  # which takes the cells away
+        part.whole = mesh
+        return part
+    return Part(NetgenMesh.Receive(ranks.mpi))
 
 
-def _refusal(mesh: Mesh, parts: int) -> str | None:
+def _refusal(mesh: Mesh | None, parts: int) -> str | None:
+    assert mesh is not None
     if mesh.GetCurveOrder() > 1:
         return CURVED
     if len(mesh.GetPeriodicNodePairs(VERTEX)):

@@ -103,8 +103,8 @@ class Rows:
         unknowns.FV().NumPy()[self.free] = self._values
 
 
-class Direct:
-    """A factorisation of a distributed matrix by MUMPS, in the free unknowns.
+class Direct(BaseMatrix):
+    """The inverse of a distributed matrix by a factorisation of MUMPS, in the free unknowns.
 
     Raises
     ------
@@ -113,6 +113,7 @@ class Direct:
     """
 
     def __init__(self, matrix: BaseMatrix, free: BitArray, communicator: Communicator) -> None:
+        super().__init__()
         if not packages()["mumps"]:
             raise PETScError("this PETSc has no MUMPS: expected one built with it")
         self.matrix = matrix
@@ -134,6 +135,19 @@ class Direct:
         except module.Error as error:
             raise PETScError(f"MUMPS did not factorise the matrix ({error})") from error
 
-    def solve(self, rows: BaseVector, unknowns: BaseVector) -> None:
+    def Mult(self, rows: BaseVector, unknowns: BaseVector) -> None:
         """unknowns = matrix^{-1} rows, 0 where not free; collective."""
         self.rows.solve(self._solver, rows, unknowns)
+
+    def Shape(self) -> Any:
+        return self.matrix.shape
+
+    def CreateVector(self, col: bool) -> BaseVector:
+        return self.matrix.CreateVector(not col)
+
+
+def inverse_of(matrix: BaseMatrix, free: BitArray, communicator: Communicator) -> BaseMatrix:
+    """The inverse of a symmetric positive definite matrix in the free unknowns."""
+    if communicator.is_distributed:
+        return Direct(matrix, free, communicator)
+    return matrix.Inverse(free, inverse="sparsecholesky")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from netgen.occ import Box, OCCGeometry, Pnt
@@ -25,25 +24,25 @@ from ngsolve import (
 )
 
 from ngvisco.errors import NgviscoError
-from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.communicator import TRAFFIC, Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.parallel.mesh import distributed, world
+from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import Direct, Rows, packages, petsc
 
 _ROUNDING, _REDUCTION = 1e-9, 1e-8
 
 
-def tried(comm: Any) -> Iterator[tuple[str, str]]:
+def tried(ranks: Communicator) -> Iterator[tuple[str, str]]:
     """What was tried with what came of it, collective; raises what fails."""
     whole = None
-    if comm.rank == 0:
+    if ranks.is_first:
         whole = Mesh(OCCGeometry(Box(Pnt(0, 0, 0), Pnt(1, 1, 1))).GenerateMesh(maxh=0.25))
-    cells = whole.ne if whole is not None else 0
-    mesh = distributed(whole, comm)
+    mesh = distributed(whole, ranks)
     communicator = Communicator.of(mesh)
-    if communicator.total(mesh.ne) != communicator.from_first(cells):
+    cells = communicator.total(mesh.ne)
+    if cells != ranks.total(whole.ne if whole is not None else 0):
         raise NgviscoError("the parts of the mesh are not the mesh")
-    yield "mesh", f"{int(communicator.total(mesh.ne))} cells on {comm.size - 1} of {comm.size} ranks"
+    yield "mesh", f"{cells} cells on {ranks.size - 1} of {ranks.size} ranks"
     yield "exchange", _exchanged(mesh, communicator)
     yield from _solved(mesh, communicator)
 
@@ -57,7 +56,7 @@ def _exchanged(mesh: Mesh, communicator: Communicator) -> str:
     difference = communicator.most(np.abs(ours - vector.FV().NumPy()))
     if difference > _ROUNDING:
         raise NgviscoError(f"the exchange of shared unknowns is wrong by {difference:.1e}")
-    messages = int(communicator.total(communicator.traffic.messages))
+    messages = int(communicator.total(TRAFFIC.messages))
     return f"{messages} messages, as NGSolve's to {difference:.0e}"
 
 
@@ -80,7 +79,7 @@ def _solved(mesh: Mesh, communicator: Communicator) -> Iterator[tuple[str, str]]
         return communicator.norm(residual.FV().NumPy()[own]) / communicator.norm(load.FV().NumPy()[own])
 
     if packages()["mumps"]:
-        Direct(form.mat, free, communicator).solve(load, found)
+        Direct(form.mat, free, communicator).Mult(load, found)
         if (rest := left()) > _ROUNDING:
             raise NgviscoError(f"MUMPS leaves a residual of {rest:.1e}")
         yield "MUMPS", f"{space.ndofglobal} unknowns, residual {rest:.0e}"
@@ -98,17 +97,17 @@ def _solved(mesh: Mesh, communicator: Communicator) -> Iterator[tuple[str, str]]
 
 def main() -> int:
     """Print what was tried; 1 where something failed."""
-    comm = world()
-    if comm is None:
+    ranks = Communicator.world()
+    if not ranks.is_distributed:
         print("one process: expected mpirun -n 3 python -m ngvisco.parallel.selftest")
         return 1
     try:
-        for name, result in tried(comm):
-            if comm.rank == 0:
+        for name, result in tried(ranks):
+            if ranks.is_first:
                 print(f"{name:10s} {result}", flush=True)
     except NgviscoError as error:
         print(f"failed     {error}", flush=True)
-        comm.Abort(1)
+        ranks.abort(1)
     return 0
 
 

@@ -109,7 +109,7 @@ class Checkpoints:
 
     def start(self, simulation: Simulation) -> None:
         self._kept = {}
-        if simulation.number > 0 and self.path.exists():
+        if simulation.ranks.is_first and simulation.number > 0 and self.path.exists():
             earlier = _read_snapshots(self.path)
             self._kept = {n: kept for n, kept in earlier.items() if n < simulation.number}
         self._write(simulation)
@@ -125,6 +125,11 @@ class Checkpoints:
     def _write(self, simulation: Simulation) -> None:
         kept = {**self._kept, simulation.number: snapshot(simulation)}
         kept = {number: kept[number] for number in sorted(kept)[-self.keep :]}
+        if simulation.ranks.is_first:
+            self._write_file(simulation, kept)
+        self._kept = kept
+
+    def _write_file(self, simulation: Simulation, kept: Mapping[int, Snapshot]) -> None:
         image = io.BytesIO()
         with h5py.File(image, "w") as file:
             file.attrs.update(identity(simulation) | self.attributes | {"units": UNITS})
@@ -139,7 +144,6 @@ class Checkpoints:
             for number, one in kept.items():
                 _store(file.create_group(f"checkpoints/{number:08d}"), one)
         write_atomically(self.path, image.getvalue())
-        self._kept = kept
 
 
 def _store_table(group: h5py.Group, table: Series) -> None:
@@ -201,7 +205,7 @@ def _read_snapshots(path: Path) -> dict[int, Snapshot]:
 
 
 def snapshot(simulation: Simulation) -> Snapshot:
-    """What a restart needs, copied."""
+    """What a restart needs, copied, in the numbering of one process; on the first rank, collective."""
     balance = simulation.ledger.balance
     assert balance is not None
     numbers = {
@@ -211,16 +215,35 @@ def snapshot(simulation: Simulation) -> Snapshot:
         **dataclasses.asdict(balance),
     }
     solver, stepping = simulation.solver.state_dict(), simulation.stepper.state_dict()
-    state = simulation.rothe_step.state.vec.FV().NumPy().copy()
+    state, numbering = simulation.rothe_step.state.vec.FV().NumPy().copy(), simulation.numbering
     return Snapshot(
         {"": numbers, "solver": solver[0], "stepping": stepping[0], "passive": {}},
         {
-            "": {"state": state},
-            "solver": solver[1],
-            "stepping": stepping[1],
-            "passive": simulation.passive.arrays(),
+            "": {"state": numbering.whole(state)},
+            "solver": {name: numbering.whole(array) for name, array in solver[1].items()},
+            "stepping": {name: numbering.whole(array, evolved=True) for name, array in stepping[1].items()},
+            "passive": simulation.passive.arrays(),  # none on several ranks
         },
     )
+
+
+def _distributed(one: Snapshot | None, simulation: Simulation) -> Snapshot:
+    """The checkpoint that the first rank has read, with each rank's coefficients; collective."""
+    numbering, ranks = simulation.numbering, simulation.ranks
+    if not ranks.is_distributed:
+        assert one is not None
+        return one
+    numbers, names = ranks.on_first(
+        lambda: (one.numbers, {part: list(named) for part, named in one.arrays.items()})  # type: ignore[union-attr]
+    )
+    arrays = {
+        part: {
+            name: numbering.own(None if one is None else one.arrays[part][name], evolved=part == "stepping")
+            for name in named
+        }
+        for part, named in names.items()
+    }
+    return Snapshot(numbers, arrays)
 
 
 def restore(
@@ -238,16 +261,26 @@ def restore(
         discretisation or material, or other ``attributes``; the message says which.
     """
     path = require_path("restore.path", path)
-    expected = identity(simulation) | dict(attributes or {})
-    one = read_checkpoint(path, expected, step)
-    vector, state = simulation.rothe_step.state.vec, state_of(one, simulation, path)
+    ledger, ranks = simulation.ledger, simulation.ranks
+    _ = simulation.numbering  # made by all ranks together
+    read: list[Snapshot] = []
+
+    def read_all() -> tuple[list[str], list[dict[str, float]]]:
+        one = read_checkpoint(path, identity(simulation) | dict(attributes or {}), step)
+        state_of(one, simulation, path)
+        read.append(one)
+        number = int(one.numbers[""]["step"])
+        names = [*ledger.columns, *ledger.foreign(read_ledger(path))]
+        rows = [row for row in read_ledger_rows(path, names) if row["step"] <= number]
+        if [row["step"] for row in rows] != list(range(number + 1)):
+            raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
+        return names, rows
+
+    names, rows = ranks.on_first(read_all)
+    one = _distributed(read[0] if read else None, simulation)
+    vector, state = simulation.rothe_step.state.vec, one.arrays[""]["state"]
     numbers = one.numbers[""]
     number = int(numbers["step"])
-    ledger = simulation.ledger
-    names = [*ledger.columns, *ledger.foreign(read_ledger(path))]
-    rows = [row for row in read_ledger_rows(path, names) if row["step"] <= number]
-    if [row["step"] for row in rows] != list(range(number + 1)):
-        raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
     simulation.passive.load(one.arrays["passive"])
     vector.FV().NumPy()[:] = state
     simulation.rothe_step.state_old.vec.data = vector
@@ -267,7 +300,7 @@ def balance_of(one: Snapshot) -> Balance:
 
 def state_of(one: Snapshot, simulation: Simulation, path: str | os.PathLike[str]) -> np.ndarray:
     """The coefficients of a checkpoint; raises CheckpointError if they are not as many as the run's."""
-    state, expected = one.arrays[""]["state"], len(simulation.rothe_step.state.vec)
+    state, expected = one.arrays[""]["state"], simulation.unknowns
     if state.shape != (expected,):
         raise CheckpointError(f"{path}: the state has {state.size} coefficients, not {expected}")
     return state
@@ -339,16 +372,17 @@ def read_ledger_rows(path: Path, columns: Sequence[str]) -> list[dict[str, float
 
 
 def identity(simulation: Simulation) -> dict[str, Any]:
-    """What must be equal for a checkpoint to fit: format, mesh, spaces and material.
+    """What must be equal for a checkpoint to fit, on the first rank: format, mesh, spaces and material.
 
     A material is its parameters and energies at some states: functions of one name are different energies.
     """
-    layout = simulation.rothe_step.layout
+    layout, mesh = simulation.numbering.layout, simulation.numbering.mesh
+    assert layout is not None and mesh is not None
     spaces = ", ".join(f"{name} {layout.blocks[name].ndof}" for name in layout.names)
     return {
         "format": FORMAT,
         "ngvisco": _version(),
-        "mesh": mesh_hash(simulation.mesh),
+        "mesh": mesh_hash(mesh),
         "spaces": spaces,
         "material": material_signature(simulation.model.material),
         "scheme": scheme_signature(simulation),

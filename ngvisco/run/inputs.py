@@ -6,7 +6,24 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ngvisco.errors import ParameterError, as_integer, require_collection, require_names, require_type
+import numpy as np
+
+from ngvisco.errors import (
+    MeshError,
+    ParameterError,
+    as_integer,
+    require_collection,
+    require_names,
+    require_type,
+)
+from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import CURVED, PERIODIC
+from ngvisco.physics.convexity import check_convexity
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, WithQuadratic, Yosida
+from ngvisco.physics.materials.heterogeneous import Heterogeneous
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.walls import Wall
 from ngvisco.run.stepping import AdaptiveSteps
 from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
@@ -30,6 +47,50 @@ def check_arguments(
     for term in terms:  # type: ignore[attr-defined]
         if isinstance(term, type) or not _has_methods(term, ("form", "entries")):
             raise ParameterError("Simulation.terms", term, "objects with the methods form and entries")
+
+
+def check_distributed(step: Step, passive: Sequence[str]) -> None:
+    """Raise MeshError or ParameterError for what several ranks do not take; nothing on one process."""
+    mesh, model = step.mesh, step.model
+    ranks = Communicator.of(mesh)
+    if not ranks.is_distributed:
+        return
+    if ranks.any(mesh.GetCurveOrder() > 1):
+        raise MeshError(CURVED)
+    if step.walls.periodic:
+        raise MeshError(PERIODIC)
+    if passive:
+        raise ParameterError("Simulation.passive", passive, "no passive fields on several ranks")
+    if step.walls.multiplied:
+        expected = "walls normal to an axis, or without slip, on several ranks: multipliers are one process's"
+        raise ParameterError("Simulation.walls", step.walls.multiplied, expected)
+    if carried := [v.name for v in model.material.variables if not v.is_strain]:
+        expected = "a material without parameters and bodies on several ranks: their ranges are one process's"
+        raise ParameterError("Simulation.model", carried, expected)
+    if model.material.response(mesh.dim) is not None:
+        expected = "a material whose energy is an expression on several ranks, not one computed at points"
+        raise ParameterError("Simulation.model", type(model.material).__name__, expected)
+
+
+def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
+    """Warn where a user's own energy is not convex, and how far from these states, (points, .), that is."""
+    material = step.model.material
+    if isinstance(material, Mixture):  # each body's energy at states of its own variables
+        for body in material.bodies:
+            if _is_own(body.material):
+                check_convexity(body.material, dim=step.mesh.dim, states=None)
+    elif _is_own(material):
+        near = None
+        if states is not None:
+            near = np.concatenate(Communicator.of(step.mesh).gathered(states.reshape(len(states), -1)))
+        check_convexity(material, dim=step.mesh.dim, states=near)
+
+
+def _is_own(material: Material) -> bool:
+    """Whether what the regularising wrappers hold in the end is a user's energy."""
+    while isinstance(material, (WithQuadratic, Yosida, Heterogeneous)):
+        material = material.material
+    return isinstance(material, (CustomMaterial, IsotropicStrainEnergy))
 
 
 def check_observer(observer: object) -> None:

@@ -271,20 +271,20 @@ class Ledger:
         return CF((u.rho, J, speed, speed / self.step.context.h))
 
     def _extrema(self, tau: float) -> dict[str, float]:
-        values = self.sampler.values(self._monitors)
+        values, ranks = self.sampler.values(self._monitors), self.sampler.ranks
         defect = math.nan
         if self._defect is not None:
             defect = math.sqrt(self.step.quadrature.integrate_cells(self._defect))
         rms, largest = self._relative_defects()
         return {
-            "rho_min": float(values[:, 0].min()),
-            "rho_max": float(values[:, 0].max()),
-            "J_min": float(values[:, 1].min()),
+            "rho_min": ranks.least(values[:, 0]),
+            "rho_max": ranks.most(values[:, 0]),
+            "J_min": ranks.least(values[:, 1]),
             "J_defect": defect,
             "defect_rms": rms,
             "defect_max": largest,
-            "v_max": float(values[:, 2].max()),
-            "cfl": tau * float(values[:, 3].max()),
+            "v_max": ranks.most(values[:, 2]),
+            "cfl": tau * ranks.most(values[:, 3]),
         }
 
     def _relative_defects(self) -> tuple[float, float]:
@@ -292,7 +292,8 @@ class Ledger:
         if self._defects is None:
             return math.nan, math.nan
         values = self.sampler.values(self._defects)
-        largest = np.abs(values.reshape(len(values), -1)).max(axis=0)
+        sizes = np.abs(values.reshape(len(values), len(self._defect_names)))
+        largest = np.array([self.sampler.ranks.most(column) for column in sizes.T])
         volume, *squares = self.step.quadrature.integrate_cells(self._defect_squares)
         rms = np.sqrt(np.array(squares) / volume)
         worst = int(np.argmax(rms))

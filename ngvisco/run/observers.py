@@ -50,6 +50,8 @@ class Progress:
         Default ``sys.stdout``.
     """
 
+    on_first_rank = True
+
     def __init__(self, until: float, every: int = 1, stream: TextIO | None = None) -> None:
         require_count("Progress", every=every)
         require_positive("Progress", until=until)
@@ -58,7 +60,7 @@ class Progress:
     def start(self, simulation: Simulation) -> None:
         self._began, self._from = clock.perf_counter(), simulation.t
         self._total = "" if simulation.is_adaptive else f"/{round(self.until / simulation.dt)}"
-        cells, unknowns = simulation.mesh.ne, simulation.rothe_step.layout.space.ndof
+        cells, unknowns = simulation.cells, simulation.unknowns
         steps = (
             "adaptive steps" if simulation.is_adaptive else f"{self._total[1:]} steps of {simulation.dt:g} s"
         )
@@ -113,6 +115,8 @@ class LedgerCSV:
 
     A resumed run writes the rows up to the checkpoint's and goes on from there; later ones are dropped.
     """
+
+    on_first_rank = True
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = require_path("LedgerCSV.path", path)
@@ -207,8 +211,10 @@ class VTKSeries:
     def _write(self, simulation: Simulation) -> None:
         name = f"fields_{simulation.number:06d}.vtu"
         write_vtu(self.directory / name, simulation.mesh, self._fields, simulation.t, self.subdivision)
+        name = name if not simulation.ranks.is_distributed else name.replace(".vtu", ".pvtu")
         self.written.append((simulation.t, name))
-        self._write_pvd()
+        if simulation.ranks.is_first:
+            self._write_pvd()
 
     def _write_pvd(self) -> None:
         sets = "\n".join(

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ngvisco.errors import CheckpointError, UnknownNameError, require_count
+from ngvisco.errors import CheckpointError, ParameterError, UnknownNameError, require_count
 from ngvisco.run.files import append, write_atomically
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ class Series(ABC):
         return np.array([row[self.columns.index(name)] for row in self.rows])
 
     def start(self, simulation: Simulation) -> None:
+        require_one_process(simulation, type(self).__name__)
         self.columns = ["step", "time", *self.prepare(simulation)]
         earlier = self.rows
         if not earlier and simulation.number > 0 and self.path is not None:
@@ -104,6 +105,16 @@ class Series(ABC):
         self.rows += rows
         if self.path is not None:
             append(self.path, _csv(rows))
+
+
+ON_RANKS = "ledger, VTK series and checkpoints only on several ranks: its points are one process's"
+"""What is expected of the observers of a distributed run."""
+
+
+def require_one_process(simulation: Simulation, name: str) -> None:
+    """Raise ParameterError for an observer that several ranks do not serve."""
+    if simulation.ranks.is_distributed:
+        raise ParameterError("Simulation.observers", name, ON_RANKS)
 
 
 def _csv(rows: Sequence[Sequence[object]]) -> str:

@@ -9,6 +9,7 @@ import math
 import time as clock
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from os import PathLike
 from typing import Protocol
 
@@ -35,21 +36,27 @@ from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Term
 from ngvisco.forms.walls import Conditions
-from ngvisco.physics.convexity import check_convexity
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, WithQuadratic, Yosida
-from ngvisco.physics.materials.heterogeneous import Heterogeneous
-from ngvisco.physics.mixture import Mixture
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import distributed
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.failure import failure_report
 from ngvisco.run.fields import output_fields
-from ngvisco.run.inputs import check_arguments, check_observer, checked_scheme, times_of
+from ngvisco.run.inputs import (
+    check_arguments,
+    check_distributed,
+    check_observer,
+    checked_scheme,
+    times_of,
+    warn_of_own_energy,
+)
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
+from ngvisco.run.numbering import Numbering
 from ngvisco.run.passive import PassiveFields
+from ngvisco.run.ranks import abort_alone, is_to_stop, tell
 from ngvisco.run.scales import wave_speed
 from ngvisco.run.stepping import (
     HALVINGS,
@@ -69,7 +76,11 @@ from ngvisco.timestepping.scheme import TimeScheme
 
 
 class Observer(Protocol):
-    """What wants to know of a run.  Every method may be called with the simulation at rest."""
+    """What wants to know of a run.  Every method may be called with the simulation at rest.
+
+    On several ranks each is called on every rank; one with the attribute ``on_first_rank = True``, as those
+    which write a file of the ledger, on the first one only, and it must evaluate no field.
+    """
 
     def start(self, simulation: Simulation) -> None:
         """Before the first step of a run; the initial row is ``simulation.ledger.rows[0]``."""
@@ -87,7 +98,8 @@ class Simulation:
     Parameters
     ----------
     mesh : ngsolve.Mesh
-        2D (plane strain) or 3D; every boundary that is not periodic is an impenetrable wall.
+        2D (plane strain) or 3D; every boundary that is not periodic is an impenetrable wall.  Where mpirun
+        started several processes, that of the first one is distributed over them (``simulation.mesh``).
     model : Model
     initial : Initial, optional
     walls : mapping of boundary names (or tuples of them) to Wall objects, optional
@@ -178,19 +190,25 @@ class Simulation:
             require_positive("Simulation", velocity_scale=velocity_scale)
         check_arguments(observers, walls, stepping, passive, sources, terms)
         chosen = checked_scheme(scheme, theta, startup, relaxation, stepping)
+        mesh = distributed(mesh, Communicator.world()) if mesh.comm.size == 1 else mesh
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping, halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
+        check_distributed(self.rothe_step, passive)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
+        self.ranks = self.sampler.ranks
+        space, self.cells = self.rothe_step.layout.space, int(self.ranks.total(mesh.ne))
+        self.unknowns = space.ndofglobal if self.ranks.is_distributed else space.ndof
+        """Of the whole mesh, as are ``cells``."""
         self.check_data([0.0])
         self.observers = list(observers)
         self.t, self.number = 0.0, 0
         try:
             F_0 = set_initial(self.rothe_step, initial or Initial(), self.sampler)
         except InitialDataError:
-            self._check_convexity(None)  # it may be the reason
+            warn_of_own_energy(self.rothe_step, None)  # it may be the reason
             raise
-        self._check_convexity(self.sampler.values(self.rothe_step.now.z))
+        warn_of_own_energy(self.rothe_step, self.sampler.values(self.rothe_step.now.z))
         warn_of_normal_parts(self.rothe_step, None if initial is None else initial.velocity)
         self.set_velocity_scale(float(velocity_scale or self._typical_velocity()))
         options = newton or NewtonOptions()
@@ -214,17 +232,6 @@ class Simulation:
         self.wall_time = 0.0
         self.stop_requested = False
 
-    def _check_convexity(self, states: np.ndarray | None) -> None:
-        """Warn where a user's own energy is not convex, and how far from these states that is."""
-        material = self.model.material
-        near = None if states is None else states.reshape(len(states), -1)
-        own = [(material, near)]
-        if isinstance(material, Mixture):  # each body's energy at states of its own variables
-            own = [(body.material, None) for body in material.bodies]
-        for each, at in own:
-            if isinstance(_innermost(each), (CustomMaterial, IsotropicStrainEnergy)):
-                check_convexity(each, dim=self.mesh.dim, states=at)
-
     def set_velocity_scale(self, scale: float) -> None:
         """Set the widths of the smoothed upwinding and of the penalty's weight, from m/s."""
         self.velocity_scale = scale
@@ -241,6 +248,11 @@ class Simulation:
 
     def _repr_html_(self) -> str:
         return simulation_html(self)
+
+    @cached_property
+    def numbering(self) -> Numbering:
+        """Of the unknowns on one process, for checkpoints; made by all ranks together."""
+        return Numbering(self)
 
     @property
     def scheme(self) -> TimeScheme:
@@ -304,7 +316,11 @@ class Simulation:
                 step, number = self.stepper.advance(self, stop), self.number + 1
             except StepError as error:
                 tau = self.integrator.tried
-                error.report = failure_report(self, tau, str(error), error.history, self._refused)
+                if not self.ranks.is_distributed:
+                    error.report = failure_report(self, tau, str(error), error.history, self._refused)
+                raise
+            except BaseException as error:
+                abort_alone(error, self.ranks)
                 raise
             try:
                 row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
@@ -348,7 +364,7 @@ class Simulation:
             failure = self._observed(targets)
             for observer in self.observers:
                 try:
-                    observer.finish(self)
+                    tell(self, observer, observer.finish)
                 except Exception as error:  # the other observers' files must be finished all the same
                     failure = failure or error
         if failure is not None:
@@ -371,7 +387,7 @@ class Simulation:
         """Tell the observers that ask for it that a step was rejected."""
         for observer in self.observers:
             if isinstance(observer, RejectionObserver):
-                observer.rejected(self, rejection)
+                tell(self, observer, observer.rejected, rejection)
 
     def notify(self, text: str) -> None:
         """Tell the observers that ask for it what goes on within a step."""
@@ -383,12 +399,12 @@ class Simulation:
         """Start the observers and step through the targets; what ended it early, if anything did."""
         try:
             for observer in self.observers:
-                observer.start(self)
+                tell(self, observer, observer.start)
             for target in targets:
-                while not self.stepper.reached(self, target) and not self.stop_requested:
+                while not self.stepper.reached(self, target) and not is_to_stop(self):
                     row = self.advance(target)
                     for observer in self.observers:
-                        observer.step(self, row)
+                        tell(self, observer, observer.step, row)
         except BaseException as error:
             return error
         return None
@@ -422,27 +438,24 @@ class Simulation:
         }
         energy = self.rothe_step.energy
         excess = energy.samples(u.z_tensors, self.sampler) - energy.samples(rest, self.sampler)
-        released = 2 * float(abs(excess).max())
+        ranks = self.sampler.ranks
+        released = 2 * ranks.most(abs(excess))
         least = self.sampler.extrema(u.rho)[0]
         elastic = math.sqrt(released / least)
-        walls = [abs(v).max() for v in self.rothe_step.moving_walls.velocities().values()]
+        walls = self.rothe_step.moving_walls.velocities().values()
+        moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
         # the smoothed upwinding spreads jumps at its width: by 1e-4 of the domain a step, at most
         farthest = self._diameter() / self.dt
-        known = max(speed, *walls, min(max(fall, elastic), farthest))
+        known = max(speed, moving, min(max(fall, elastic), farthest))
         if known > 0:
             return known
         # at rest, and nothing says how fast it will be: strains of a tenth
-        state = np.asarray(self.sampler.values(u.z)).reshape(len(self.sampler.points), -1)[0]
+        own = np.asarray(self.sampler.values(u.z)).reshape(-1, self.rothe_step.layout.states.size)
+        state = np.concatenate(ranks.gathered(own))[0]
         return min(0.1 * wave_speed(self.rothe_step, state, least), farthest) or 1.0
 
     def _diameter(self) -> float:
         """Diagonal of the mesh's bounding box, m."""
-        points = coordinates(self.mesh)
-        return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
-
-
-def _innermost(material: Material) -> Material:
-    """What the regularising wrappers hold in the end."""
-    while isinstance(material, (WithQuadratic, Yosida, Heterogeneous)):
-        material = material.material
-    return material
+        ranks = self.sampler.ranks
+        sides = [ranks.most(along) - ranks.least(along) for along in coordinates(self.mesh).T]
+        return float(np.linalg.norm(sides))

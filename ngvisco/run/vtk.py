@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ngsolve import CF, CoefficientFunction, Mesh, VTKOutput
+
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.run.files import write_atomically
 
 
 def write_vtu(
     path: Path, mesh: Mesh, fields: Mapping[str, CoefficientFunction], time: float, subdivision: int = 0
 ) -> None:
-    """Write fields by name, at ``time`` (s), into one .vtu file, which is complete or not there."""
+    """Write fields by name, at ``time`` (s), into one .vtu file, which is complete or not there.
+
+    On several ranks each writes its piece, ``NAME_p<rank>.vtu``, and the first the .pvtu that names them.
+    """
+    ranks = Communicator.of(mesh)
     draft = path.with_suffix(".part")
     padded = {name: _padded(value) for name, value in fields.items()}
     output = VTKOutput(
@@ -24,11 +31,34 @@ def write_vtu(
         floatsize="double",
     )
     output.Do(time=time)
-    written = Path(f"{draft}.vtu")
-    _require_complete(written)
-    _label_components(written, padded)
-    written.replace(path)
-    Path(f"{draft}.pvd").unlink(missing_ok=True)
+    if mesh.ne:
+        written = Path(f"{draft}_proc{ranks.rank}.vtu" if ranks.is_distributed else f"{draft}.vtu")
+        _require_complete(written)
+        _label_components(written, padded)
+        written.replace(_piece(path, ranks.rank) if ranks.is_distributed else path)
+    if ranks.is_first:
+        Path(f"{draft}.pvd").unlink(missing_ok=True)
+        if ranks.is_distributed:  # the first rank has no cells
+            pieces = [_piece(path, rank).name for rank in range(1, ranks.size)]
+            write_atomically(path.with_suffix(".pvtu"), _parallel_file(padded, pieces).encode())
+
+
+def _piece(path: Path, rank: int) -> Path:
+    return path.with_name(f"{path.stem}_p{rank}.vtu")
+
+
+def _parallel_file(fields: Mapping[str, CoefficientFunction], pieces: Sequence[str]) -> str:
+    arrays = "".join(
+        f'<PDataArray type="Float64" Name="{name}" NumberOfComponents="{value.dim}"{_labels(name, value)}/>\n'
+        for name, value in fields.items()
+    )
+    sources = "".join(f'<Piece Source="{name}"/>\n' for name in pieces)
+    return (
+        '<?xml version="1.0"?>\n<VTKFile type="PUnstructuredGrid" version="1.0" byte_order="LittleEndian">\n'
+        '<PUnstructuredGrid GhostLevel="0">\n<PPoints>\n<PDataArray type="Float64" Name="Points" '
+        f'NumberOfComponents="3"/>\n</PPoints>\n<PPointData>\n{arrays}</PPointData>\n{sources}'
+        "</PUnstructuredGrid>\n</VTKFile>\n"
+    )
 
 
 def _require_complete(path: Path) -> None:
@@ -51,8 +81,12 @@ def _label_components(path: Path, fields: dict[str, CoefficientFunction]) -> Non
     head, mark, tail = path.read_bytes().partition(b"<AppendedData")
     text = head.decode()
     for name, value in fields.items():
-        axes = ["1", "2", "3"] if name.startswith("principal") else ["x", "y", "z"]
-        labels = {3: axes, 9: [f"{i}{j}" for i in "123" for j in "123"]}.get(value.dim, [])
-        attributes = "".join(f' ComponentName{i}="{label}"' for i, label in enumerate(labels))
-        text = text.replace(f'Name="{name}" ', f'Name="{name}"{attributes} ')
+        text = text.replace(f'Name="{name}" ', f'Name="{name}"{_labels(name, value)} ')
     path.write_bytes(text.encode() + mark + tail)
+
+
+def _labels(name: str, value: CoefficientFunction) -> str:
+    """The components' names as attributes."""
+    axes = ["1", "2", "3"] if name.startswith("principal") else ["x", "y", "z"]
+    labels = {3: axes, 9: [f"{i}{j}" for i in "123" for j in "123"]}.get(value.dim, [])
+    return "".join(f' ComponentName{i}="{label}"' for i, label in enumerate(labels))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -95,8 +96,26 @@ def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Pa
     return found
 
 
+def _pieces(path: Path) -> list[str]:
+    """The files of the ranks that a .pvtu names."""
+    try:
+        return [node.attrib["Source"] for node in ElementTree.parse(path).getroot().iter("Piece")]
+    except (OSError, KeyError, ElementTree.ParseError) as error:
+        raise CheckpointError(f"{path}: not a readable file of a VTK series ({error})") from error
+
+
+def _joined(parts: Sequence[Frame]) -> Frame:
+    """The cells of all frames in one."""
+    starts = np.cumsum([0, *(len(part.points) for part in parts)])
+    cells = [part.cells + start for part, start in zip(parts, starts, strict=False)]
+    fields = {name: np.concatenate([part.fields[name] for part in parts]) for name in parts[0].fields}
+    return Frame(np.concatenate([part.points for part in parts]), np.concatenate(cells), fields)
+
+
 def read_frame(path: Path) -> Frame:
     """One file of a series; raises CheckpointError if it is not one of ours, or damaged."""
+    if path.suffix == ".pvtu":
+        return _joined([read_frame(path.parent / name) for name in _pieces(path)])
     try:
         head, mark, tail = path.read_bytes().partition(_MARK)
         root = ElementTree.fromstring(head + b"</VTKFile>")

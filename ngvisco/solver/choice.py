@@ -66,6 +66,8 @@ def chosen_method(step: Step, options: NewtonOptions) -> str:
 
 def split_obstacle(step: Step) -> str | None:
     """Why the split solver cannot take this step, or None."""
+    if step.mesh.comm.size > 1:
+        return "the split solver is one process's: a distributed mesh is for the coupled one"
     if not is_simplicial(step.mesh):
         return "the split solver needs a mesh of triangles or tetrahedra only"
     if meets_itself(step.mesh):

@@ -23,9 +23,12 @@ import time as clock
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from ngsolve import BaseVector, BilinearForm, BitArray, SetHeapSize
+from ngsolve import BaseMatrix, BaseVector, BilinearForm, BitArray, SetHeapSize
 
 from ngvisco.errors import StepError
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
+from ngvisco.parallel.petsc import Direct
 from ngvisco.solver.cost import Allowance
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
@@ -39,12 +42,19 @@ class _TooCostlyError(StepError):
 class CondensedJacobian:
     """The factorised linearisation of a condensed form; applies its inverse to full residuals."""
 
-    def __init__(self, form: BilinearForm, inverse: str, heap_sizes: Sequence[int] = ()) -> None:
+    def __init__(
+        self,
+        form: BilinearForm,
+        inverse: str,
+        heap_sizes: Sequence[int] = (),
+        ranks: Communicator | None = None,
+    ) -> None:
         """``heap_sizes`` are NGSolve's memory, bytes, tried for the matrix of a cell that its own is too
-        small for."""
+        small for.  On several ranks the inverse is that of PETSc's MUMPS."""
         self.form, self.inverse_type, self.heap_sizes = form, inverse, heap_sizes
+        self.ranks = ranks or Communicator()
         self.free: BitArray = form.space.FreeDofs(True)
-        self._inverse = None
+        self._inverse: BaseMatrix | None = None
         self._rhs: BaseVector | None = None
 
     @property
@@ -53,16 +63,27 @@ class CondensedJacobian:
 
     def factorise(self, state: BaseVector) -> None:
         """Assemble and factorise at ``state``; raises StepError if the matrix is singular."""
-        try:
-            self._assemble(state)
-            if self._inverse is None:
-                self._inverse = self.form.mat.Inverse(self.free, inverse=self.inverse_type)
-                self._rhs = state.CreateVector()
+        for work in (self._assemble, self._invert):
+            failure = None
+            try:
+                work(state)
+            except Exception as error:  # NGSolve raises NgException and std::exception alike
+                failure = error
+            together = self.ranks.agree(failure)
+            if together is not None:
+                self._inverse = None
+                message = f"the linearised step has no factorisation: {together}"
+                raise StepError(message) from together
+
+    def _invert(self, state: BaseVector) -> None:
+        if self._inverse is None:
+            if self.ranks.is_distributed:
+                self._inverse = Direct(self.form.mat, self.free, self.ranks)
             else:
-                self._inverse.Update()
-        except Exception as error:  # NGSolve raises NgException and std::exception alike
-            self._inverse = None
-            raise StepError(f"the linearised step has no factorisation: {error}") from error
+                self._inverse = self.form.mat.Inverse(self.free, inverse=self.inverse_type)
+            self._rhs = state.CreateVector()
+        else:
+            self._inverse.Update()
 
     def _assemble(self, state: BaseVector) -> None:
         for size in (*self.heap_sizes, None):
@@ -101,15 +122,20 @@ class Newton:
         options: NewtonOptions,
         refresh: Callable[[], None] = lambda: None,
         allowance: Allowance | None = None,
+        exchange: Exchange | None = None,
     ) -> None:
         """``allowance`` bounds the time of all solves together; ``eliminate`` recomputes the local unknowns
         of ``state`` from the others.
 
         ``refresh`` is called before the form is used at a state that ``eliminate`` was not just called at.
+        ``exchange`` is that of the form's space, where it may be distributed.
         """
+        self.exchange = exchange or Exchange(form.space, Communicator())
         self.form, self.state, self.norm, self.options = form, state, norm, options
         self.eliminate, self.refresh, self.allowance = eliminate, refresh, allowance
-        self.jacobian = CondensedJacobian(form, options.inverse, options.coupled.heap_sizes)
+        self.jacobian = CondensedJacobian(
+            form, options.inverse, options.coupled.heap_sizes, self.exchange.communicator
+        )
         self._residual = state.CreateVector()
         self._trial_residual = state.CreateVector()
         self._increment = state.CreateVector()
@@ -248,7 +274,8 @@ class Newton:
         signs = np.random.default_rng(0)  # a run does the same again
         largest = 0.0
         for _ in range(self.options.coupled.noise_samples):
-            values *= 1 + np.finfo(float).eps * signs.choice((-1.0, 1.0), len(values))
+            change_of = signs.choice((-1.0, 1.0), len(values))
+            values *= 1 + np.finfo(float).eps * self.exchange.of_owners(change_of)
             self.eliminate()
             self.form.Apply(u, rows)
             rows.data -= self._trial_residual

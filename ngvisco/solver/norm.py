@@ -16,6 +16,8 @@ from collections.abc import Mapping
 import numpy as np
 from ngsolve import BaseVector
 
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.solver.options import NormOptions
 
 
@@ -27,12 +29,24 @@ class BlockNorm:
     ranges : mapping of block names to slices of the coefficient vector
     units : mapping of the counted blocks' names to the size that one unit of the floor f has there
     options : NormOptions, optional
+    exchange : Exchange, optional
+        Of the vectors' space, where it may be distributed.
     """
 
     def __init__(
-        self, ranges: Mapping[str, slice], units: dict[str, float], options: NormOptions | None = None
+        self,
+        ranges: Mapping[str, slice],
+        units: dict[str, float],
+        options: NormOptions | None = None,
+        exchange: Exchange | None = None,
     ) -> None:
         self.ranges, self.units, self.options = ranges, units, options or NormOptions()
+        self._ranks = Communicator() if exchange is None else exchange.communicator
+        self._own: dict[str, slice | np.ndarray] = {name: ranges[name] for name in units}
+        if exchange is not None and self._ranks.is_distributed:  # what ranks share counts once
+            for name in units:
+                self._own[name] = np.flatnonzero(exchange.owned[ranges[name]]) + ranges[name].start
+        self._counts = {name: self._ranks.total(_length(own)) for name, own in self._own.items()}
 
     def __call__(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> float:
         """|increment| with the scales of the largest of ``states`` in each block."""
@@ -41,9 +55,13 @@ class BlockNorm:
         sizes = []
         with np.errstate(over="ignore", invalid="ignore"):  # a diverging iterate is inf or NaN here
             for name, size in self.units.items():
-                where = self.ranges[name]
-                largest = max(np.linalg.norm(u.FV().NumPy()[where]) for u in states)
-                scale = largest + floor * size * np.sqrt(where.stop - where.start)
-                sizes.append(np.linalg.norm(d[where]) / scale if scale > 0 else 0.0)
+                own, norm = self._own[name], self._ranks.norm
+                largest = max(norm(u.FV().NumPy()[own]) for u in states)
+                scale = largest + floor * size * np.sqrt(self._counts[name])
+                sizes.append(norm(d[own]) / scale if scale > 0 else 0.0)
         # numpy's maximum passes NaN on, Python's may drop it
         return float(np.max(sizes))
+
+
+def _length(own: slice | np.ndarray) -> int:
+    return own.stop - own.start if isinstance(own, slice) else len(own)

@@ -11,6 +11,8 @@ from ngsolve import BaseVector
 from ngvisco.errors import ParameterError, StepError, require_type
 from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.solver.choice import default_strategies, split_obstacle
 from ngvisco.solver.cost import FEWEST, Allowance, CoupledCost
 from ngvisco.solver.extrapolation import Extrapolation
@@ -61,11 +63,12 @@ class RotheSolver:
         self.strategies = tuple(default_strategies(step, options) if strategies is None else strategies)
         if strategies is not None:
             _check(self.strategies, step)
-        self.h_min = min(step.context.h.vec)
+        self.exchange = Exchange(step.layout.space, Communicator.of(step.mesh))
+        self.h_min = self.exchange.communicator.least(step.context.h.vec.FV().NumPy())
         units = {"v": 0.0, "rho": 0.0, "z": 1.0}
         if "rho_delta_hat" in step.layout.ranges:
             units["rho_delta_hat"] = 0.0  # its equation is cubic where the density is flat
-        self.norm = BlockNorm(step.layout.ranges, units, options.norm)
+        self.norm = BlockNorm(step.layout.ranges, units, options.norm, self.exchange)
         tried = [one for one in self.strategies if one.obstacle(step.mesh) is None]
         self.method = (tried or self.strategies)[0].solver
         """The first strategy's solver: it is kept, the other one made where it is needed."""
@@ -86,7 +89,8 @@ class RotheSolver:
         if solver == "split":
             return Split(step, norm, options)
         eliminate = step.eliminate
-        return Newton(step.residual, step.state.vec, norm, eliminate, options, eliminate.refresh, allowance)
+        exchange, refresh = self.exchange, eliminate.refresh
+        return Newton(step.residual, step.state.vec, norm, eliminate, options, refresh, allowance, exchange)
 
     def problem(self, interval: Interval) -> RotheProblem:
         """The problem of a step over the interval, with the scheme's upwinding."""

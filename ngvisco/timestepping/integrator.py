@@ -300,7 +300,7 @@ class Integrator:
         impulse = self._velocity()
         self.impulse = impulse / tau
         for name, (_, mask) in step.moving_walls.moving.items():
-            work = float(impulse[mask] @ states[-1].v[mask])
+            work = self.rothe.exchange.communicator.dot(impulse[mask], states[-1].v[mask])
             rates[f"power_wall_{name}"] += work / tau
         return _End(step.evolved(), limited, taken)
 

@@ -17,8 +17,10 @@ MPIRUN = shutil.which("mpirun", path=FOLDERS)
 
 @cache
 def has_petsc() -> bool:
-    """Whether distributed runs can be started here."""
-    return MPIRUN is not None and run("-c", "import ngsolve, mpi4py.MPI, petsc4py.PETSc").returncode == 0
+    """Whether distributed runs can be started here; where they must be, as in CI, it is an error if not."""
+    found = MPIRUN is not None and run("-c", "import ngsolve, mpi4py.MPI, petsc4py.PETSc").returncode == 0
+    assert found or "NGVISCO_REQUIRE_PETSC" not in os.environ, "no mpirun, mpi4py or petsc4py"
+    return found
 
 
 def run(*words: str | Path, ranks: int = 1) -> subprocess.CompletedProcess[str]:

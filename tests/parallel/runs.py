@@ -1,0 +1,103 @@
+"""Runs of small cases by one process or several; the first rank prints their ledgers as JSON.
+
+Run by ``test_runs``.  Everything is as in a script for one process: ``Simulation`` distributes the mesh.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+
+from ngsolve import cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.parallel.communicator import TRAFFIC, Communicator
+
+SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+VISCOSITY = nv.StokesViscosity(K_v=0.05, G_v=0.05)
+REGULARISED = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1, rho_max=1.0)
+
+
+def gravity(dim: int) -> nv.Gravity:
+    return nv.Gravity((0.0,) * (dim - 1) + (-1.0,))
+
+
+def swirl(maxh: float, **options) -> nv.Simulation:
+    model = nv.Model(
+        material=NEO_HOOKEAN,
+        viscosity=VISCOSITY,
+        hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
+        loads=[gravity(2)],
+    )
+    options = {"dt": 0.02, "initial": nv.Initial(velocity=SWIRL)} | options
+    return nv.Simulation(box((1, 1), maxh=maxh), model, solver="coupled", **options)
+
+
+def block() -> nv.Simulation:
+    model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY, loads=[gravity(3)])
+    initial = nv.Initial(velocity=(*SWIRL, 0.0))
+    return nv.Simulation(box((1, 1, 1), maxh=0.9), model, dt=0.02, initial=initial, solver="coupled")
+
+
+def lid() -> nv.Simulation:
+    walls = {
+        "top": nv.PrescribedTangential((x * (1 - x), 0.0)),
+        "bottom": nv.NoSlip(),
+        "left": nv.NavierFriction(0.3),
+    }
+    model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY)
+    mesh = box((1, 1), maxh=0.3)
+    return nv.Simulation(mesh, model, dt=0.05, walls=walls, scheme="midpoint", solver="coupled")
+
+
+def creep() -> nv.Simulation:
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
+        viscosity=VISCOSITY,
+        creep=nv.Creep(G_m=2.0, nu=1e-3, q=4),
+        regularisation=REGULARISED,
+    )
+    initial = nv.Initial(velocity=SWIRL)
+    return nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=initial, solver="coupled")
+
+
+def limited() -> nv.Simulation:
+    """A body under a lid of full speed, near whose corners cells are limited in the ninth step."""
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
+        hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
+    )
+    walls = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
+    mesh = box((1, 1), maxh=0.25)
+    return nv.Simulation(mesh, model, dt=0.05, walls=walls, scheme="midpoint", solver="coupled")
+
+
+CASES = {
+    "swirl": lambda: swirl(0.3),
+    "midpoint": lambda: swirl(0.3, scheme="midpoint"),
+    "sdirk2": lambda: swirl(0.4, scheme="sdirk2"),
+    "adaptive": lambda: swirl(0.4, stepping=nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-2)),
+    "block": block,
+    "lid": lid,
+    "creep": creep,
+    "limited": limited,
+}
+STEPS = {"limited": 9}
+"""Where there are more than three."""
+
+if __name__ == "__main__":
+    found = {}
+    for name in sys.argv[1:]:
+        before = TRAFFIC.messages, TRAFFIC.bytes, TRAFFIC.reductions
+        run = CASES[name]()
+        for _ in range(STEPS.get(name, 3)):
+            run.advance()
+        rows = [{key: float(value) for key, value in row.items()} for row in run.ledger.rows]
+        found[name] = {"cells": run.cells, "unknowns": run.unknowns, "rows": rows}
+        after = TRAFFIC.messages, TRAFFIC.bytes, TRAFFIC.reductions
+        found[name]["traffic"] = [b - a for a, b in zip(before, after, strict=True)]
+    if Communicator.world().is_first:
+        print(json.dumps(found))

@@ -1,0 +1,193 @@
+"""Runs on several ranks are the run on one: ledgers, checkpoints, files, refusals and failures."""
+
+import csv
+import json
+import math
+from functools import cache
+from pathlib import Path
+
+import h5py
+import pytest
+from launch import has_petsc, run
+
+HERE = Path(__file__).parent
+pytestmark = pytest.mark.skipif(
+    not has_petsc(), reason="no MPI or PETSc: see the README's 'Several processes'"
+)
+
+CASE = """\
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 0.5
+[material]
+kind = "NeoHookean"
+K_e = 10
+G_e = 5
+epsilon = 0.1
+[initial]
+velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
+[time]
+dt = 0.02
+until = 0.06
+[solver]
+method = "coupled"
+[output.checkpoint]
+every = 1
+"""
+
+
+@cache
+def found(ranks, *names):
+    result = run(HERE / "runs.py", *names, ranks=ranks)
+    assert result.returncode == 0, result.stderr[-2000:]
+    return json.loads(result.stdout.splitlines()[-1])
+
+
+def assert_same_ledger(one, several):
+    """Energies, dissipations and minima to 1e-10 of their size, and the same iterations."""
+    energy = one[0]["kinetic"] + one[0]["stored"]
+    for row, other in zip(one, several, strict=True):
+        assert row["newton_iterations"] == other["newton_iterations"]
+        for name, value in row.items():
+            size = energy if name.startswith("closure") else max(abs(value), 1e-3)
+            same = math.isnan(value) and math.isnan(other[name])
+            assert same or abs(other[name] - value) <= 1e-10 * size, name
+
+
+@pytest.mark.parametrize("name", ["midpoint", "lid"])
+def test_ledger_is_that_of_one_process(name):
+    one, several = found(1, "midpoint", "lid")[name], found(3, "midpoint", "lid")[name]
+    assert (one["cells"], one["unknowns"]) == (several["cells"], several["unknowns"])
+    assert_same_ledger(one["rows"], several["rows"])
+
+
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize("ranks", [2, 3, 4])
+def test_ledgers_of_all_cases_are_those_of_one_process(ranks):
+    names = ("swirl", "midpoint", "sdirk2", "adaptive", "block", "lid", "creep", "limited")
+    for name in names:
+        assert_same_ledger(found(1, *names)[name]["rows"], found(ranks, *names)[name]["rows"])
+    assert found(ranks, *names)["limited"]["rows"][-1]["limited_cells"] > 0
+
+
+@pytest.fixture
+def case_file(tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_text(CASE)
+    return path
+
+
+def ngvisco(*words, ranks=1):
+    return run("-m", "ngvisco", *words, ranks=ranks)
+
+
+def rows(directory):
+    with (directory / "ledger.csv").open() as file:
+        return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+
+
+def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path):
+    alone, several = tmp_path / "alone", tmp_path / "several"
+    assert ngvisco("run", case_file, "-o", alone, "--quiet").returncode == 0
+    begun = ngvisco("run", case_file, "-o", several, "--set", "time.until=0.02", ranks=3)
+    assert begun.returncode == 0, begun.stderr
+    assert begun.stdout.count("finished: t = 0.02 s after 1 steps") == 1  # the first rank speaks
+    assert "on 3 ranks" in (several / "log.txt").read_text()
+    assert ngvisco("resume", several, "--until", "0.04", "--quiet", ranks=2).returncode == 0
+    assert ngvisco("resume", several, "--until", "0.06", "--quiet").returncode == 0
+    assert_same_ledger(rows(alone), rows(several))
+    # one file, in the numbering of one process
+    with h5py.File(alone / "run.h5") as a, h5py.File(several / "run.h5") as b:
+        assert a.attrs["mesh"] == b.attrs["mesh"]
+        state, other = (file["checkpoints/00000003/state"][:] for file in (a, b))
+        assert abs(state - other).max() <= 1e-10 * abs(state).max()
+    series = {path.name for path in (several / "vtk").iterdir()}
+    assert {"fields_000000.pvtu", "fields_000000_p1.vtu", "fields_000000_p2.vtu", "fields.pvd"} <= series
+    assert ngvisco("scene", several).returncode == 0  # pieces are read as one
+
+
+REFUSED = {
+    "domain.periodic='x'": "identified boundaries are not distributed",
+    "solver.method='split'": "the split solver is one process's",
+    "output.passive=['F_tot']": "no passive fields on several ranks",
+    "output.integrals=[{name='m',of='density'}]": "ledger, VTK series and checkpoints only",
+    "material.G_e=-1": "expected a finite number > 0",
+    "initial.density='x - 0.1'": "density rho_0",
+    "domain.maxh=1.5": "cells for",
+}
+REFUSING = """
+import sys
+from ngvisco.cli.main import main
+from ngvisco.parallel.communicator import Communicator
+case, place, *settings = sys.argv[1:]
+for setting in settings:
+    code = main(["run", case, "-o", place, "--set", setting])
+    codes = Communicator.world().gathered(code)
+    if Communicator.world().is_first:
+        print(setting, codes, flush=True)
+"""
+
+
+def test_what_is_not_distributed_is_refused_by_name(case_file, tmp_path):
+    """On every rank with the same code; the first says why, once, and nothing is written."""
+    (tmp_path / "refusing.py").write_text(REFUSING)
+    result = run(tmp_path / "refusing.py", case_file, tmp_path / "run", *REFUSED, ranks=4)
+    assert result.returncode == 0, result.stderr
+    for setting, message in REFUSED.items():
+        assert result.stderr.count(message) == 1, result.stderr
+        assert f"{setting} [2, 2, 2, 2]" in result.stdout, result.stdout
+    assert not (tmp_path / "run").exists()
+
+
+FAILING = """
+import sys
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.parallel.communicator import Communicator
+
+class Fails:
+    def start(self, simulation): pass
+    def finish(self, simulation): pass
+    def step(self, simulation, row):
+        if simulation.ranks.rank == 1 and sys.argv[1] == "observer":
+            raise OSError(28, "No space left on device", "somewhere")
+
+steps = nv.AdaptiveSteps(dt_min=0.02, dt_max=0.02, tolerance=1e-12) if sys.argv[1] == "refused" else None
+model = nv.Model(material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1), loads=[nv.Gravity((0, -1))])
+run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, stepping=steps, observers=[Fails()])
+if sys.argv[1] == "step" and run.ranks.rank == 1:
+    def broken(*arguments): raise ZeroDivisionError("of this rank")
+    run.ledger.rates = run.integrator.meter = broken
+try:
+    run.run(until=0.1)
+except (OSError, nv.StepError) as error:
+    said = run.ranks.gathered(f"rank {run.ranks.rank} of {run.ranks.size} at step {run.number}: {error}")
+    if run.ranks.is_first:
+        print("\\n".join(said), flush=True)
+    sys.exit(7)
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("observer", "at step 1: [Errno 28] No space left on device: 'somewhere'"),
+        ("refused", "at step 1: no step of at least dt_min = 0.02 s from t = 0.02 s is accepted; tried"),
+    ],
+)
+def test_an_error_is_that_of_all_ranks(tmp_path, fault, message):
+    """A full disk on one of them, and a step that all refuse."""
+    (tmp_path / "failing.py").write_text(FAILING)
+    result = run(tmp_path / "failing.py", fault, ranks=3)
+    assert result.returncode == 7, result.stderr
+    said = [line for line in result.stdout.splitlines() if line.startswith("rank")]
+    assert [line.startswith(f"rank {rank} of 3 {message}") for rank, line in enumerate(said)] == [True] * 3
+
+
+def test_a_fault_of_one_rank_within_a_step_ends_all(tmp_path):
+    """The others wait for it in a computation: no rank is left behind."""
+    (tmp_path / "failing.py").write_text(FAILING)
+    result = run(tmp_path / "failing.py", "step", ranks=3)
+    assert result.returncode == 1 and "ZeroDivisionError: of this rank" in result.stderr
