@@ -169,6 +169,19 @@ class StateSampling:
             z = material.states(dim).tensors(lambda: self.state)
             slope = material.states(dim).components(conjugates(material, z))
             self.outputs = CF((material.energy(z), slope)).Compile()
+        self.domain = self._domain()
+
+    def _domain(self) -> CoefficientFunction | None:
+        """What is positive where the energy is asked to be convex: J, the minors of B, ..., whose domains are
+        convex, and not det F; nothing of variables for which the energy goes on."""
+        z = self.material.states(self.dim).tensors(lambda: self.state)
+        bounds = [
+            value
+            for variable in self.material.variables
+            if variable.kind != "full" and variable.name not in self.material.continued
+            for value in variable.positive(z[variable.name]).values()
+        ]
+        return CF(tuple(bounds)).Compile() if bounds else None
 
     def fitting_states(self, rng: np.random.Generator, spread: float) -> np.ndarray:
         """States of a random F: variables that fit together, as those of a motion."""
@@ -230,7 +243,7 @@ class StateSampling:
             first_order = np.einsum("ij,ij->i", slope, step)
             bregman = phi_b - phi_a - first_order
             size = np.einsum("ij,ij->i", step, step)
-            finite = np.isfinite(bregman) & (size > 0)
+            finite = np.isfinite(bregman) & (size > 0) & self.is_inside(a + step)
             samples += int(finite.sum())
             rounding = _ROUNDING * (abs(phi_a) + abs(phi_b) + abs(first_order))
             relative = np.where(finite & (bregman < -rounding), bregman / np.where(size > 0, size, 1), 0.0)
@@ -246,6 +259,14 @@ class StateSampling:
         _set(self.state, states)
         values = self._evaluate(self.outputs)
         return values[:, 0], values[:, 1:]
+
+    def is_inside(self, states: np.ndarray) -> np.ndarray:
+        """Whether states are in the energy's domain."""
+        if self.domain is None:
+            return np.ones(len(states), dtype=bool)
+        _set(self.state, states)
+        inside: np.ndarray = np.all(self._evaluate(self.domain) > 0, axis=1)
+        return inside
 
     def energies(self, states: np.ndarray) -> np.ndarray:
         """phi at states, Pa; NaN outside its domain."""

@@ -438,3 +438,16 @@ def test_table_lists_every_material_with_a_label_of_the_paper():
         if isinstance(getattr(nv, name), type) and issubclass(getattr(nv, name), nv.Material)
     }
     assert classes == exported - {"Material", "PerMass", "PerReferentialVolume", "WithQuadratic", "Yosida"}
+
+
+@pytest.mark.parametrize(
+    ("energy", "passes"),
+    [
+        (lambda J: J + 1 / J, True),  # 1/J is finite for J < 0 too, and not convex across
+        (lambda J: (J - 1) ** 2.0, True),
+        (lambda J: 1 / J - J * J, False),  # for J > 1
+    ],
+)
+def test_convexity_is_asked_for_in_the_energy_s_domain(energy, passes):
+    material = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=energy)
+    assert nv.check_convexity(material, dim=2, warn=False).passed is passes

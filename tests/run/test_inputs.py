@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from ngsolve import sqrt, x
+from ngsolve import CF, sqrt, x
 
 import ngvisco as nv
 from ngvisco.geometries import bar, box, channel, disc, load, refine_walls
@@ -163,7 +163,14 @@ WRONG = {
     ],
     "materials": [
         lambda v=v: nv.NeoHookean(**{"K_e": 10.0, "G_e": 5.0, "epsilon": 0.1, **v})
-        for v in ({"kappa": "a"}, {"J_min": "a"}, {"J_min": -1}, {"kappa": -1}, {"K_e": [1]}, {"K_e": x})
+        for v in (
+            {"kappa": "a"},
+            {"J_min": "a"},
+            {"J_min": -1},
+            {"kappa": -1},
+            {"K_e": [1]},
+            {"K_e": CF((x, x))},
+        )
     ]
     + [
         lambda: nv.BarotropicFluid(B=1, gamma=1),
