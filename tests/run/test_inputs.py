@@ -11,6 +11,7 @@ import ngvisco as nv
 from ngvisco.geometries import bar, box, channel, disc, load, refine_walls
 
 SQUARE = box((1, 1), 2.0)
+PAIR = CF((x, x))
 LINEAR = nv.LinearElastic(K_e=10.0, G_e=5.0)
 FINITE = nv.Model(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1))
 
@@ -163,7 +164,7 @@ WRONG = {
     ],
     "materials": [
         lambda v=v: nv.NeoHookean(**{"K_e": 10.0, "G_e": 5.0, "epsilon": 0.1, **v})
-        for v in (
+        for v in ({"kappa": "a"}, {"J_min": "a"}, {"J_min": -1}, {"kappa": -1}, {"K_e": [1]}, {"K_e": PAIR})
             {"kappa": "a"},
             {"J_min": "a"},
             {"J_min": -1},
