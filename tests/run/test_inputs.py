@@ -165,13 +165,6 @@ WRONG = {
     "materials": [
         lambda v=v: nv.NeoHookean(**{"K_e": 10.0, "G_e": 5.0, "epsilon": 0.1, **v})
         for v in ({"kappa": "a"}, {"J_min": "a"}, {"J_min": -1}, {"kappa": -1}, {"K_e": [1]}, {"K_e": PAIR})
-            {"kappa": "a"},
-            {"J_min": "a"},
-            {"J_min": -1},
-            {"kappa": -1},
-            {"K_e": [1]},
-            {"K_e": CF((x, x))},
-        )
     ]
     + [
         lambda: nv.BarotropicFluid(B=1, gamma=1),

@@ -10,7 +10,7 @@ from ngsolve import cos, pi, sin, x, y
 import ngvisco as nv
 from ngvisco.algebra.factorised import MANY, TwoLevelSolver, largest_eigenvalue
 from ngvisco.geometries import box
-from ngvisco.solver.split import upwind_switch
+from ngvisco.reduced import upwind_switch
 
 
 @pytest.mark.parametrize("size", [MANY // 2, 5 * MANY])

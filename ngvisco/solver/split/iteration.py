@@ -47,13 +47,11 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
             split.reset()
             since, last = 0, np.inf
             continue
-        if (
-            size > 0.5 * min(last, best)
-            and since > 3
-            and size <= options.rounding
-            and split.size(f, coarse=True) <= tolerance
-        ):
-            return Status.CONVERGED
+        if size > 0.5 * min(last, best) and since > 3 and size <= options.rounding:
+            # by rounding; or slowly, and then this and all that would follow are to be small
+            gained = max(1 - size / last, 0.0) or 1.0
+            if split.size(f, coarse=True) <= gained * tolerance:
+                return Status.CONVERGED
         if size < best:
             best, best_x, best_f = size, x, f
         last = size
@@ -122,7 +120,8 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
         if size <= wanted:
             return _ends_at(split, x - f)
         sizes.append(size)
-        if len(sizes) > options.window and size > options.stall * sizes[-1 - options.window]:
+        before = sizes[max(len(sizes) - 1 - options.window, 0)]
+        if len(sizes) > options.window and size > max(options.stall * before, options.rounding):
             return _ends_at(split, x) if size <= tolerance else Status.STALLED
         split.renew(problem, at)
         f = solved(at)
