@@ -11,7 +11,7 @@ Map = Callable[[np.ndarray], np.ndarray]
 
 
 def improved(
-    apply: Map, approximate: Map, rows: np.ndarray, tolerance: float, most: int
+    apply: Map, approximate: Map, rows: np.ndarray, tolerance: float, most: int, enough: float = 0.0
 ) -> tuple[np.ndarray, int]:
     """x with apply(x) = rows up to ``tolerance``, from what an approximate inverse gives, and its iterations.
 
@@ -27,13 +27,15 @@ def improved(
     tolerance : float
     most : int
         Iterations at most.
+    enough : float
+        What one application may leave without any.
     """
     start = approximate(rows).astype(float)  # squares of single precision's numbers may leave it
     scale = np.linalg.norm(start, axis=0)
     scale[scale == 0] = 1.0
     rest = approximate(rows - apply(start)).astype(float) / scale
     size = float(np.linalg.norm(rest))
-    if not tolerance < size < np.inf:  # good enough, or nothing that is a number
+    if not max(tolerance, enough) < size < np.inf:  # good enough, or nothing that is a number
         return start, 0
     shape, taken = start.shape, list[float]()
 

@@ -48,8 +48,9 @@ class FieldsSystem:
     def _solved(self, name: str, apply: Map, approximate: Map, rows: np.ndarray) -> np.ndarray:
         if name in self._swept_is_enough:
             return approximate(rows)
+        options = self.options
         found, iterations = improved(
-            apply, approximate, rows, self.options.tolerance, self.options.iterations
+            apply, approximate, rows, options.tolerance, options.iterations, options.enough
         )
         if not iterations:
             self._swept_is_enough.add(name)
