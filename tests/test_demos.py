@@ -135,9 +135,6 @@ MAXH = {
 }
 """Of each demo's script the run that its case file describes, on a mesh that is soon computed."""
 
-WITH_BODIES = 1e-4
-"""How near two runs of bodies come that differ by rounding: limiters decide at thresholds. 1e-5 was seen."""
-
 
 @pytest.mark.parametrize("name", sorted(p.name for p in DEMOS.iterdir() if p.is_dir()))
 def test_case_file_gives_the_numbers_of_its_script(name, tmp_path):
@@ -150,12 +147,11 @@ def test_case_file_gives_the_numbers_of_its_script(name, tmp_path):
     ours = run.ledger
     assert run.dt == script.dt and run.number == script.number == 2
     assert ours.columns == theirs.columns
-    rel = WITH_BODIES if name == "soft_disc" else 1e-7
     for column in ours.columns:
         if not column.startswith(("closure", "mass_drift", "newton")):  # rounding itself
             a, b = ours.column(column), theirs.column(column)
             assert a == pytest.approx(
-                b, rel=rel, abs=rel * np.abs(np.nan_to_num(b)).max() + 1e-13, nan_ok=True
+                b, rel=1e-7, abs=1e-7 * np.abs(np.nan_to_num(b)).max() + 1e-13, nan_ok=True
             ), column
 
 
@@ -173,7 +169,7 @@ def test_soft_disc_keeps_its_mass_and_is_carried_by_the_flow(tmp_path):
     case = nv.load_case(DEMOS / "soft_disc" / "soft_disc.toml", ["domain.maxh=0.25"])
     again = case.simulation(case.mesh())
     again.advance()
-    assert again.ledger.column("stored")[1] == pytest.approx(run.ledger.column("stored")[1], rel=WITH_BODIES)
+    assert again.ledger.column("stored")[1] == pytest.approx(run.ledger.column("stored")[1], rel=1e-9)
 
 
 @pytest.mark.parametrize("demo", sorted(p.name for p in DEMOS.iterdir() if p.is_dir()))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,7 +16,7 @@ from pydantic import ValidationError
 
 from ngvisco.case import catalogue, toml
 from ngvisco.case.errors import CaseError, Fault
-from ngvisco.case.faults import Locator, faults_of
+from ngvisco.case.faults import Locator, faults_of, key_of
 from ngvisco.case.places import copy_of, digest_of, place_of, reads_z, shapes_with_files
 from ngvisco.case.samples import samples
 from ngvisco.case.schema import CaseSections
@@ -370,7 +369,7 @@ class Case:
         except CaseError:
             raise
         except ParameterError as error:
-            key = self._key_of(error.field, path)
+            key = key_of(error.field, path, self.sections)
             given = self._given(key)
             value = error.value if given is None else given
             raise self._error(key, f"{value!r:.60}: expected {error.expected}") from error
@@ -399,29 +398,6 @@ class Case:
         initial: Any = self.sections.initial
         return initial.F is None and not initial.values
 
-    def _key_of(self, field: str, path: tuple[str, ...]) -> tuple[str, ...]:
-        """The key of a parameter that is named as in ``Gravity.g`` or ``walls['top'].f``."""
-        owner, *rest = re.sub(r"\[[\"']?(.*?)[\"']?\]", r".\1", field).split(".")
-        if owner == "walls":
-            return (owner, *rest)
-        if owner == "loads":
-            names = [str(load.name) for load in self.sections.loads]  # type: ignore[attr-defined]
-            return (owner, str(names.index(rest[0])), *rest[1:])
-        if owner == "bodies":
-            names = [body.name for body in self.sections.bodies]
-            return (owner, str(names.index(rest[0])), *rest[1:]) if rest[:1] and rest[0] in names else path
-        if owner in (*catalogue.SHAPES, "Where"):
-            return path
-        if owner == "Model" and rest[:1] == ["bodies"]:
-            return ("bodies",)
-        if owner == "Model":
-            return ("loads",) if rest == ["loads"] else ("rheology", *rest)
-        if owner in ("until", "stops"):
-            return ("time", "until")
-        if owner == "array":
-            return path
-        return (*_SECTION_OF.get(owner, path), *rest)
-
     def _given(self, key: tuple[str, ...]) -> Any:
         """What the file has under a key; None where it has nothing."""
         value: Any = self.sections
@@ -443,13 +419,3 @@ _SECTION_OF_NAME = {
     "wall": ("domain", "refine"),
 }
 _INITIAL_KEYS = {"rho_0": "density", "F_0": "F", "v_0": "velocity", "material variables": "values"}
-_SECTION_OF = {
-    "Simulation": ("time",),
-    "AdaptiveSteps": ("time", "adaptive"),
-    "Initial": ("initial",),
-    "Discretisation": ("discretisation",),
-    "NewtonOptions": ("solver",),
-    "Regularisation": ("rheology", "regularisation"),
-    "LinearViscosity": ("rheology", "linear_viscosity"),
-}
-"""Sections of the objects that the parts of a simulation name in their errors."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from ngvisco.case import catalogue
 from ngvisco.case.errors import Fault
 from ngvisco.case.toml import line_of
 from ngvisco.errors import ParameterError
@@ -133,3 +135,42 @@ def models_in(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return list(dict.fromkeys(found for part in get_args(annotation) for found in models_in(part)))
+
+
+def key_of(field: str, path: tuple[str, ...], sections: Any) -> tuple[str, ...]:
+    """The key of a parameter that is named as in ``Gravity.g`` or ``walls['top'].f``.
+
+    ``path`` is that of the section from which the object with the parameter was made.
+    """
+    owner, *rest = re.sub(r"\[[\"']?(.*?)[\"']?\]", r".\1", field).split(".")
+    if owner == "walls":
+        return (owner, *rest)
+    if owner == "loads":
+        names = [str(load.name) for load in sections.loads]
+        return (owner, str(names.index(rest[0])), *rest[1:])
+    if owner == "bodies":
+        names = [body.name for body in sections.bodies]
+        return (owner, str(names.index(rest[0])), *rest[1:]) if rest[:1] and rest[0] in names else path
+    if owner in (*catalogue.SHAPES, "Where"):
+        return path
+    if owner == "Model" and rest[:1] == ["bodies"]:
+        return ("bodies",)
+    if owner == "Model":
+        return ("loads",) if rest == ["loads"] else ("rheology", *rest)
+    if owner in ("until", "stops"):
+        return ("time", "until")
+    if owner == "array":
+        return path
+    return (*_SECTION_OF.get(owner, path), *rest)
+
+
+_SECTION_OF = {
+    "Simulation": ("time",),
+    "AdaptiveSteps": ("time", "adaptive"),
+    "Initial": ("initial",),
+    "Discretisation": ("discretisation",),
+    "NewtonOptions": ("solver",),
+    "Regularisation": ("rheology", "regularisation"),
+    "LinearViscosity": ("rheology", "linear_viscosity"),
+}
+"""Sections of the objects that the parts of a simulation name in their errors."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -29,23 +30,23 @@ from ngvisco.physics.variables import Values, Variable
 T = TypeVar("T")
 
 
-class Expression:
+class Expression(ABC):
     """A function of parameters' values: sums, products, quotients and powers of parameters and numbers."""
 
     __array_ufunc__ = None  # numpy's numbers leave the operation to this class
 
+    @abstractmethod
     def at(self, z: Values) -> CoefficientFunction:
         """Its value where the parameters have the values ``z``, coefficient functions or arrays."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
         """The parameters that it reads, each once."""
-        raise NotImplementedError
 
+    @abstractmethod
     def replaced(self, new: Mapping[str, Expression]) -> Expression:
         """The same function of other parameters, by the names of those that are replaced."""
-        raise NotImplementedError
 
     @property
     def typical(self) -> float:

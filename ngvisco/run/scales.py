@@ -7,13 +7,17 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from ngsolve import CF, Integrate
+from ngsolve import CF, Id, Integrate, Mesh
 
 from ngvisco.forms.mesh_arrays import coordinates
+from ngvisco.forms.momentum import Loading
+from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material, cauchy_stress
 from ngvisco.physics.parameters import typical_value
 from ngvisco.physics.pointwise import squares
+from ngvisco.physics.tensors import square
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler
 
 if TYPE_CHECKING:
@@ -205,3 +209,48 @@ def wave_speed(step: Step, state: np.ndarray, density: float) -> float:
 def rest_pressure(material: Material, dim: int) -> float:
     """-tr T/3 of the material at F = I, Pa."""
     return -float(np.trace(_stress(material, np.eye(3), dim))) / 3
+
+
+def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
+    """How fast a run will be, m/s, by its state at the start: the largest of what moves, of free fall and of
+    elastic release; where all is at rest a tenth of the speed of sound.
+
+    Parameters
+    ----------
+    step : Step
+        At the start values, ``ngvisco.time`` that of the start.
+    sampler : Sampler
+    dt : float
+        Length of a step, s.
+    """
+    u, model, ranks = step.now, step.model, sampler.ranks
+    speed = math.sqrt(sampler.extrema(square(u.v))[1])
+    length, fall = diameter(step.mesh, ranks), 0.0
+    for load in model.loads:
+        acceleration = square(Loading(load, step.mesh.dim).force(u) / u.rho)
+        largest = math.sqrt(sampler.extrema(acceleration)[1])
+        fall = max(fall, math.sqrt(largest * length))
+    rest = {
+        v.name: v.from_distortion(Id(3)) if v.is_strain else u.z_tensors[v.name]
+        for v in model.material.variables
+    }
+    excess = step.energy.samples(u.z_tensors, sampler) - step.energy.samples(rest, sampler)
+    least = sampler.extrema(u.rho)[0]
+    elastic = math.sqrt(2 * ranks.most(abs(excess)) / least)
+    walls = step.moving_walls.velocities().values()
+    moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
+    # the smoothed upwinding spreads jumps at its width: by 1e-4 of the domain a step, at most
+    farthest = length / dt
+    known = max(speed, moving, min(max(fall, elastic), farthest))
+    if known > 0:
+        return known
+    # at rest, and nothing says how fast it will be: strains of a tenth
+    own = np.asarray(sampler.values(u.z)).reshape(-1, step.layout.states.size)
+    state = np.concatenate(ranks.gathered(own))[0]
+    return min(0.1 * wave_speed(step, state, least), farthest) or 1.0
+
+
+def diameter(mesh: Mesh, ranks: Communicator) -> float:
+    """Diagonal of a mesh's bounding box, m, of all ranks' parts."""
+    sides = [ranks.most(along) - ranks.least(along) for along in coordinates(mesh).T]
+    return float(np.linalg.norm(sides))

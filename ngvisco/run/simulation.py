@@ -14,7 +14,7 @@ from os import PathLike
 from typing import Protocol
 
 import numpy as np
-from ngsolve import CoefficientFunction, Id, Mesh
+from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.errors import (
     InitialDataError,
@@ -29,8 +29,6 @@ from ngvisco.forms.bounds import Bounds, Violation
 from ngvisco.forms.context import time
 from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
-from ngvisco.forms.mesh_arrays import coordinates
-from ngvisco.forms.momentum import Loading
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
@@ -39,7 +37,6 @@ from ngvisco.forms.walls import Conditions
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.physics.model import Model
-from ngvisco.physics.tensors import square
 from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.failure import failure_report
@@ -57,7 +54,7 @@ from ngvisco.run.notebook import simulation_html
 from ngvisco.run.numbering import Numbering
 from ngvisco.run.passive import PassiveFields
 from ngvisco.run.ranks import abort_alone, is_to_stop, tell
-from ngvisco.run.scales import wave_speed
+from ngvisco.run.scales import diameter, typical_velocity
 from ngvisco.run.stepping import (
     HALVINGS,
     AdaptiveStepper,
@@ -203,6 +200,7 @@ class Simulation:
         self.check_data([0.0])
         self.observers = list(observers)
         self.t, self.number = 0.0, 0
+        time.Set(0.0)  # whatever ran before: start values and walls are those of the start
         try:
             F_0 = set_initial(self.rothe_step, initial or Initial(), self.sampler)
         except InitialDataError:
@@ -210,7 +208,8 @@ class Simulation:
             raise
         warn_of_own_energy(self.rothe_step, self.sampler.values(self.rothe_step.now.z))
         warn_of_normal_parts(self.rothe_step, None if initial is None else initial.velocity)
-        self.set_velocity_scale(float(velocity_scale or self._typical_velocity()))
+        typical = velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
+        self.set_velocity_scale(float(typical))
         options = newton or NewtonOptions()
         if solver is not None:
             options = replace(options, method=solver)
@@ -236,7 +235,7 @@ class Simulation:
         """Set the widths of the smoothed upwinding and of the penalty's weight, from m/s."""
         self.velocity_scale = scale
         self.rothe_step.context.eta.Set(1e-4 * scale)
-        self.rothe_step.context.curvature.Set(0.1 * scale / self._diameter() ** 2)
+        self.rothe_step.context.curvature.Set(0.1 * scale / diameter(self.rothe_step.mesh, self.ranks) ** 2)
 
     def set_time(self, t: float, number: int) -> None:
         """Say that the present state is that of step ``number`` at ``t`` (s), as a restart does.
@@ -423,39 +422,3 @@ class Simulation:
             return None
         self._refused = (violation, self.rothe_step.state.vec.FV().NumPy().copy())
         return str(violation)
-
-    def _typical_velocity(self) -> float:
-        u, model = self.rothe_step.now, self.model
-        speed = math.sqrt(self.sampler.extrema(square(u.v))[1])
-        fall = 0.0
-        for load in model.loads:
-            acceleration = square(Loading(load, self.mesh.dim).force(u) / u.rho)
-            largest = math.sqrt(self.sampler.extrema(acceleration)[1])
-            fall = max(fall, math.sqrt(largest * self._diameter()))
-        rest = {
-            v.name: v.from_distortion(Id(3)) if v.is_strain else u.z_tensors[v.name]
-            for v in model.material.variables
-        }
-        energy = self.rothe_step.energy
-        excess = energy.samples(u.z_tensors, self.sampler) - energy.samples(rest, self.sampler)
-        ranks = self.sampler.ranks
-        released = 2 * ranks.most(abs(excess))
-        least = self.sampler.extrema(u.rho)[0]
-        elastic = math.sqrt(released / least)
-        walls = self.rothe_step.moving_walls.velocities().values()
-        moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
-        # the smoothed upwinding spreads jumps at its width: by 1e-4 of the domain a step, at most
-        farthest = self._diameter() / self.dt
-        known = max(speed, moving, min(max(fall, elastic), farthest))
-        if known > 0:
-            return known
-        # at rest, and nothing says how fast it will be: strains of a tenth
-        own = np.asarray(self.sampler.values(u.z)).reshape(-1, self.rothe_step.layout.states.size)
-        state = np.concatenate(ranks.gathered(own))[0]
-        return min(0.1 * wave_speed(self.rothe_step, state, least), farthest) or 1.0
-
-    def _diameter(self) -> float:
-        """Diagonal of the mesh's bounding box, m."""
-        ranks = self.sampler.ranks
-        sides = [ranks.most(along) - ranks.least(along) for along in coordinates(self.mesh).T]
-        return float(np.linalg.norm(sides))

@@ -121,3 +121,14 @@ def test_at_rest_the_velocity_scale_is_that_of_walls_or_of_waves():
     walls = {"top": nv.PrescribedTangential((-3e-3, 0.0))}
     lid = nv.Simulation(box((1, 1), 0.6), model, dt=0.01, walls=walls)
     assert lid.velocity_scale == pytest.approx(3e-3)
+
+
+def test_a_run_does_not_depend_on_what_ran_before_it():
+    """A wall's velocity at the start is that at t = 0, whatever time another run has left."""
+    model = nv.Model(material=NEO_HOOKEAN)
+    walls = {"top": nv.PrescribedTangential((0.5 + nv.time, 0.0))}
+    found = []
+    for left in (0.0, 7.0):
+        nv.time.Set(left)
+        found.append(nv.Simulation(box((1, 1), 0.6), model, dt=0.01, walls=walls).velocity_scale)
+    assert found[0] == found[1] == pytest.approx(0.5)
