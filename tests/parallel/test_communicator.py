@@ -22,7 +22,7 @@ def test_on_one_process_everything_is_its_argument():
     assert np.isnan(ranks.least(np.array([1.0, np.nan]))) and np.isnan(ranks.most(np.array([np.nan])))
     assert ranks.agree(None) is None and ranks.settled(3) == 3 and ranks.on_first(lambda: 7) == 7
     assert distributed(mesh, ranks) is mesh
-    exchange, numbers = Exchange(H1(mesh, order=1), ranks), np.arange(mesh.nv) * 1.0
+    exchange, numbers = Exchange.of(H1(mesh, order=1), ranks), np.arange(mesh.nv) * 1.0
     assert exchange.sum(numbers) is numbers and exchange.owned.all()
 
 
