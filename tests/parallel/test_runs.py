@@ -44,6 +44,11 @@ def found(ranks, *names):
     return json.loads(result.stdout.splitlines()[-1])
 
 
+SHORT = ("midpoint", "lid", "split")
+COUPLED = ("swirl", "midpoint", "sdirk2", "adaptive", "block", "lid", "creep", "limited")
+SPLIT = ("split", "split, two levels", "split block", "split block, two levels", "split lid", "split creep")
+
+
 def assert_same_ledger(one, several):
     """Energies, dissipations and minima to 1e-10 of their size, and the same iterations."""
     energy = one[0]["kinetic"] + one[0]["stored"]
@@ -55,9 +60,9 @@ def assert_same_ledger(one, several):
             assert same or abs(other[name] - value) <= 1e-10 * size, name
 
 
-@pytest.mark.parametrize("name", ["midpoint", "lid"])
+@pytest.mark.parametrize("name", SHORT)
 def test_ledger_is_that_of_one_process(name):
-    one, several = found(1, "midpoint", "lid")[name], found(3, "midpoint", "lid")[name]
+    one, several = found(1, *SHORT)[name], found(3, *SHORT)[name]
     assert (one["cells"], one["unknowns"]) == (several["cells"], several["unknowns"])
     assert_same_ledger(one["rows"], several["rows"])
 
@@ -66,10 +71,20 @@ def test_ledger_is_that_of_one_process(name):
 @pytest.mark.ci
 @pytest.mark.parametrize("ranks", [2, 3, 4])
 def test_ledgers_of_all_cases_are_those_of_one_process(ranks):
-    names = ("swirl", "midpoint", "sdirk2", "adaptive", "block", "lid", "creep", "limited")
-    for name in names:
-        assert_same_ledger(found(1, *names)[name]["rows"], found(ranks, *names)[name]["rows"])
-    assert found(ranks, *names)["limited"]["rows"][-1]["limited_cells"] > 0
+    for name in COUPLED:
+        assert_same_ledger(found(1, *COUPLED)[name]["rows"], found(ranks, *COUPLED)[name]["rows"])
+    assert found(ranks, *COUPLED)["limited"]["rows"][-1]["limited_cells"] > 0
+
+
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize("ranks", [2, 3, 4])
+def test_ledgers_of_the_split_solver_are_those_of_one_process(ranks):
+    """With its linear systems: no more iterations of these in all than 1.1 times as many."""
+    for name in SPLIT:
+        one, several = found(1, *SPLIT)[name], found(ranks, *SPLIT)[name]
+        assert_same_ledger(one["rows"], several["rows"])
+        assert several["linear"] <= 1.1 * one["linear"], name
 
 
 @pytest.fixture
@@ -88,8 +103,12 @@ def rows(directory):
         return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
 
 
-def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path):
+@pytest.mark.parametrize(
+    "solver", ["split", pytest.param("coupled", marks=[pytest.mark.long, pytest.mark.ci])]
+)
+def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, solver):
     alone, several = tmp_path / "alone", tmp_path / "several"
+    case_file.write_text(CASE.replace("coupled", solver))
     assert ngvisco("run", case_file, "-o", alone, "--quiet").returncode == 0
     begun = ngvisco("run", case_file, "-o", several, "--set", "time.until=0.02", ranks=3)
     assert begun.returncode == 0, begun.stderr
@@ -110,7 +129,7 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path):
 
 REFUSED = {
     "domain.periodic='x'": "identified boundaries are not distributed",
-    "solver.method='split'": "the split solver is one process's",
+    "rheology.regularisation={delta_fields=0.01}; solver.method='split'": "couples cells of different ranks",
     "output.passive=['F_tot']": "no passive fields on several ranks",
     "output.integrals=[{name='m',of='density'}]": "ledger, VTK series and checkpoints only",
     "material.G_e=-1": "expected a finite number > 0",
@@ -123,7 +142,8 @@ from ngvisco.cli.main import main
 from ngvisco.parallel.communicator import Communicator
 case, place, *settings = sys.argv[1:]
 for setting in settings:
-    code = main(["run", case, "-o", place, "--set", setting])
+    options = [word for one in setting.split("; ") for word in ("--set", one)]
+    code = main(["run", case, "-o", place, *options])
     codes = Communicator.world().gathered(code)
     if Communicator.world().is_first:
         print(setting, codes, flush=True)
@@ -143,9 +163,11 @@ def test_what_is_not_distributed_is_refused_by_name(case_file, tmp_path):
 
 FAILING = """
 import sys
+import numpy
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.solver.strategies import FromStartValue
 
 class Fails:
     def start(self, simulation): pass
@@ -156,10 +178,15 @@ class Fails:
 
 steps = nv.AdaptiveSteps(dt_min=0.02, dt_max=0.02, tolerance=1e-12) if sys.argv[1] == "refused" else None
 model = nv.Model(material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1), loads=[nv.Gravity((0, -1))])
-run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, stepping=steps, observers=[Fails()])
+only = [FromStartValue(name="split", solver="split")] if sys.argv[1] == "singular" else None
+options = {"stepping": steps, "observers": [Fails()], "strategies": only, "halvings": 0}
+run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, **options)
 if sys.argv[1] == "step" and run.ranks.rank == 1:
     def broken(*arguments): raise ZeroDivisionError("of this rank")
     run.ledger.rates = run.integrator.meter = broken
+if sys.argv[1] == "singular" and run.ranks.rank == 1:
+    def singular(at): raise numpy.linalg.LinAlgError("Singular matrix")
+    run.solver.newton.preconditioner.operator.tangent.update = singular
 try:
     run.run(until=0.1)
 except (OSError, nv.StepError) as error:
@@ -174,11 +201,12 @@ except (OSError, nv.StepError) as error:
     ("fault", "message"),
     [
         ("observer", "at step 1: [Errno 28] No space left on device: 'somewhere'"),
+        ("singular", "at step 0: the split solver met a singular block: Singular matrix"),
         ("refused", "at step 1: no step of at least dt_min = 0.02 s from t = 0.02 s is accepted; tried"),
     ],
 )
 def test_an_error_is_that_of_all_ranks(tmp_path, fault, message):
-    """A full disk on one of them, and a step that all refuse."""
+    """A full disk or a singular matrix on one of them, and a step that all refuse."""
     (tmp_path / "failing.py").write_text(FAILING)
     result = run(tmp_path / "failing.py", fault, ranks=3)
     assert result.returncode == 7, result.stderr

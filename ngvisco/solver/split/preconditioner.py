@@ -161,11 +161,10 @@ class Preconditioner:
         return np.where(self._rows, self.exchange.sum(rows), 0.0)
 
     def _block(self, y: np.ndarray) -> np.ndarray:
-        """The tangent of v solved, with the normal derivatives eliminated from it."""
+        """The tangent of v solved, with the normal derivatives eliminated from it, but those between ranks."""
         rows, a = self._parts(y)
         if self.hyper_tangent is None or a is None:
             return self.solver(rows)
-        dim, size = self.dim, self.operator.nv
         tangent, dim, size = self.hyper_tangent, self.dim, self.operator.nv
         kept, others = a[:, tangent.kept], a[:, tangent.eliminated]
         rows = np.concatenate([rows, kept.ravel()])
