@@ -39,6 +39,8 @@ def gmres(
     size = float(np.sqrt(products(right[None], right)[0]))
     if size == 0:
         return np.zeros_like(right), 0
+    if not np.isfinite(size):
+        return np.full_like(right, np.nan), 0
     basis = np.empty((directions + 1, len(right)))
     basis[0] = right / size
     hessenberg, start = np.zeros((directions + 1, directions)), np.zeros(directions + 1)

@@ -68,7 +68,8 @@ class Rows:
 
     def __init__(self, free: np.ndarray, exchange: Exchange) -> None:
         module = petsc()
-        self.exchange, self.comm = exchange, exchange.communicator.mpi
+        self.exchange = exchange
+        self.comm = exchange.communicator.mpi or module.COMM_SELF
         numbers, self.count = exchange.numbers(free)
         self.free = np.flatnonzero(free)
         own = numbers[self.free].astype(module.IntType)
@@ -93,6 +94,16 @@ class Rows:
         matrix.convert(module.Mat.Type.AIJ)
         return matrix
 
+    def vector(self, matrix: Any, values: np.ndarray) -> Any:
+        """A vector of the matrix with the free ones of summed ``values``, of length one."""
+        module = petsc()
+        vector = matrix.createVecs()[0]
+        own = module.Vec().createWithArray(np.ascontiguousarray(values[self.free]), comm=module.COMM_SELF)
+        scatter = module.Scatter().create(own, None, vector, self._rows)
+        scatter.scatter(own, vector, addv=module.InsertMode.INSERT)
+        vector.normalize()
+        return vector
+
     def solve(self, solver: Any, rows: np.ndarray) -> np.ndarray:
         """The solver's solution, summed, for a right-hand side in parts; 0 where not free."""
         module = petsc()
@@ -115,25 +126,38 @@ class Rows:
 
 
 class SumInverse:
-    """The inverse of a sum of the ranks' matrices by a factorisation of MUMPS, in the free unknowns.
+    """The inverse of a sum of the ranks' matrices in the free unknowns, or an approximation of it.
 
     Parameters
     ----------
     free, exchange
-        As of ``Rows``.
+        As of ``Rows``; on one process PETSc is needed as well.
     symmetric : bool
-        Factorise the symmetric part instead.
+        Take the symmetric part instead.
+    method : str
+        ``"mumps"`` factorises; ``"gamg"`` and ``"hypre"`` are one cycle of algebraic multigrid, PETSc's own
+        and BoomerAMG, for positive definite matrices.
+    kernel : (n, unknowns) array, optional
+        Vectors that the matrix hardly changes, summed, of which GAMG makes its coarse spaces: rigid motions.
 
     Raises
     ------
     PETScError
-        If PETSc or its MUMPS is missing.
+        If PETSc or the method's package is missing.
     """
 
-    def __init__(self, free: np.ndarray, exchange: Exchange, symmetric: bool = False) -> None:
-        if not packages()["mumps"]:
-            raise PETScError("this PETSc has no MUMPS: expected one built with it")
+    def __init__(
+        self,
+        free: np.ndarray,
+        exchange: Exchange,
+        symmetric: bool = False,
+        method: str = "mumps",
+        kernel: np.ndarray | None = None,
+    ) -> None:
+        if method in PACKAGES and not packages()[method]:
+            raise PETScError(f"this PETSc has no {method}: expected one built with it")
         self.rows, self.symmetric = Rows(free, exchange), symmetric
+        self.method, self.kernel = method, kernel
         self._solver: Any = None
 
     def factorise(self, own: sp.csr_matrix) -> None:
@@ -144,12 +168,18 @@ class SumInverse:
         self._solver.setOperators(matrix)
         self._solver.setType("preonly")
         preconditioner = self._solver.getPC()
-        preconditioner.setType("lu")
-        preconditioner.setFactorSolverType("mumps")
+        if self.method == "mumps":
+            preconditioner.setType("lu")
+            preconditioner.setFactorSolverType("mumps")
+        else:
+            preconditioner.setType(self.method)
+            if self.kernel is not None:
+                vectors = [self.rows.vector(matrix, each) for each in self.kernel]
+                matrix.setNearNullSpace(module.NullSpace().create(vectors=vectors, comm=self.rows.comm))
         try:
             self._solver.setUp()
         except module.Error as error:
-            raise SingularError(f"MUMPS did not factorise the matrix ({error})") from error
+            raise SingularError(f"{self.method} did not take the matrix ({error})") from error
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """The solution for a summed right-hand side; collective."""
@@ -160,7 +190,7 @@ class SumInverse:
         try:
             return self.rows.solve(self._solver, rows)
         except PETScError as error:  # a zero pivot shows here
-            raise SingularError(f"MUMPS did not factorise the matrix ({error})") from error
+            raise SingularError(f"{self.method} did not take the matrix ({error})") from error
 
 
 class Direct(BaseMatrix):

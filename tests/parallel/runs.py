@@ -15,13 +15,15 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import TRAFFIC, Communicator
 from ngvisco.reduced.residual import Evaluation
-from ngvisco.solver.options import SplitOptions
+from ngvisco.solver.options import SplitOptions, TwoLevelOptions
 from ngvisco.solver.split.preconditioner import Preconditioner
 
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 VISCOSITY = nv.StokesViscosity(K_v=0.05, G_v=0.05)
 TWO_LEVELS = nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100)))
+KRYLOV = nv.NewtonOptions(split=SplitOptions(slow=4))
+GAMG = nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100), two_level=TwoLevelOptions(coarse="gamg")))
 REGULARISED = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1, rho_max=1.0)
 
 
@@ -93,8 +95,11 @@ CASES = {
     "limited": limited,
     "split": lambda: swirl(0.3, scheme="midpoint", solver="split"),
     "split, two levels": lambda: swirl(0.2, newton=TWO_LEVELS, solver="split"),
+    "split, Newton-Krylov": lambda: swirl(0.4, newton=KRYLOV, solver="split"),
+    "split, long steps": lambda: swirl(0.25, dt=0.15, solver="split"),
     "split block": lambda: block("split"),
     "split block, two levels": lambda: block("split", 0.5, newton=TWO_LEVELS),
+    "split block, gamg": lambda: block("split", 0.5, newton=GAMG),
     "split lid": lambda: lid("split"),
     "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
 }

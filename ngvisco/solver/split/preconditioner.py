@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import asdict
+from itertools import combinations
 
 import numpy as np
 
 from ngvisco.algebra.factorised import Direct, DirectSolver, TwoLevelSolver
 from ngvisco.algebra.krylov import gmres
 from ngvisco.algebra.sparse import together
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.mesh_arrays import coordinates, mask_of
 from ngvisco.parallel.petsc import SumInverse
 from ngvisco.reduced.hyper_derivative import HyperDerivative
 from ngvisco.reduced.hyper_tangent import HyperTangent
@@ -82,6 +83,11 @@ class Preconditioner:
                 return SumInverse(free, exchange, symmetric)
             return DirectSolver(free, inverse, symmetric)
 
+        def multigrid(free: np.ndarray, symmetric: bool) -> Direct:
+            if not symmetric:
+                return direct(free, symmetric)
+            return SumInverse(free, exchange, symmetric, coarse, self._rigid_motions(len(free)))
+
         number = np.arange(len(free))
         is_velocity = number < operator.nv
         count = self.ranks.total(int((free & exchange.owned)[: operator.size].sum()))
@@ -89,8 +95,23 @@ class Preconditioner:
             return direct(free, self.unknowns.flow == ["v"])
         others = (number >= operator.nv) & (number < operator.size)
         vertices = is_velocity & (number % operator.op.v.width < operator.residual.step.mesh.nv)
-        two_level = asdict(self.options.two_level)
-        return TwoLevelSolver(free, vertices, others, direct, exchange, **two_level)
+        options = asdict(self.options.two_level)
+        coarse = options.pop("coarse")
+        solver = direct if coarse == "direct" else multigrid
+        return TwoLevelSolver(free, vertices, others, solver, exchange, **options)
+
+    def _rigid_motions(self, count: int) -> np.ndarray:
+        """Translations and rotations as the vertices' coefficients, (n, unknowns of the tangent)."""
+        width, places = self.operator.op.v.width, coordinates(self.operator.residual.step.mesh).T
+        pairs = list(combinations(range(self.dim), 2))
+        motions = np.zeros((self.dim + len(pairs), count))
+        of_vertices = np.arange(places.shape[1])
+        for i in range(self.dim):
+            motions[i, i * width + of_vertices] = 1.0
+        for motion, (i, j) in zip(motions[self.dim :], pairs, strict=True):
+            motion[i * width + of_vertices] = -places[j]
+            motion[j * width + of_vertices] = places[i]
+        return motions
 
     def update(self, at: Evaluation, clock: Callable[[str], AbstractContextManager[None]]) -> None:
         """Form and factorise everything at an evaluation, which is that of the step's state.
@@ -161,7 +182,7 @@ class Preconditioner:
         return np.where(self._rows, self.exchange.sum(rows), 0.0)
 
     def _block(self, y: np.ndarray) -> np.ndarray:
-        """The tangent of v solved, with the normal derivatives eliminated from it, but those between ranks."""
+        """The tangent of v solved, with the normal derivatives eliminated from it but between ranks."""
         rows, a = self._parts(y)
         if self.hyper_tangent is None or a is None:
             return self.solver(rows)
