@@ -18,6 +18,7 @@ from ngvisco.errors import (
 )
 
 METHODS = ("auto", "coupled", "split")
+COARSE = ("direct", "gamg", "hypre")
 INVERSES = ("umfpack", "pardiso", "mumps")
 _ROUNDING = 1e-14
 
@@ -92,9 +93,14 @@ class TwoLevelOptions(_Checked):
     """In units of 1/(largest eigenvalue of D^{-1} A), below 2; the eigenvalue depends on the mesh."""
     dropped: float = 1e-2
     """Entries left out, relative to the diagonal: two thirds, for a hundredth more of GMRES's iterations."""
+    coarse: str = "direct"
+    """What solves for the vertices: a factorisation, or a cycle of PETSc's algebraic multigrid, ``"gamg"`` or
+    ``"hypre"``, which vertices too many to be factorised need.  Beside walls' stresses and creep rates, where
+    the matrix is not positive definite, it is factorised."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require_choice(self, COARSE, coarse=self.coarse)
         if self.damping >= 2:
             raise ParameterError("TwoLevelOptions.damping", self.damping, "a number in (0, 2)")
 

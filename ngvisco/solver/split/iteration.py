@@ -11,8 +11,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, gmres
 
+from ngvisco.algebra.krylov import gmres
 from ngvisco.reduced.residual import Evaluation
 from ngvisco.solver.solution import NewtonIteration, Problem, Status
 
@@ -83,7 +83,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
     options, tolerance = split.options.split, split.options.tolerance
     krylov, wanted = options.krylov, options.margin * tolerance
     split.renew(problem, split.residual(x))
-    scale = split.unknowns.scales(x)
+    scale = split.unknowns.scales(x, split.residual.exchange)
 
     def solved(at: Evaluation) -> np.ndarray:
         with np.errstate(all="ignore"):
@@ -103,8 +103,8 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
         def along(d: np.ndarray, derivative: Any = derivative, at: Evaluation = at) -> np.ndarray:
             return solved(replace(at, residual=derivative(scale * d))) / scale
 
-        operator = LinearOperator((len(x), len(x)), along, dtype=float)
-        d, _ = gmres(operator, f / scale, rtol=krylov.tolerance, restart=krylov.directions, maxiter=1)
+        products = split.residual.exchange.products
+        d, _ = gmres(along, f / scale, rtol=krylov.tolerance, directions=krylov.directions, products=products)
         split.note(at, scale * d, split.size(scale * d))
         damping = 1.0
         while True:
