@@ -18,10 +18,10 @@ from ngvisco.parallel.petsc import SumInverse
 from ngvisco.reduced.hyper_derivative import HyperDerivative
 from ngvisco.reduced.hyper_tangent import HyperTangent
 from ngvisco.reduced.operators import Operators
+from ngvisco.reduced.point_tangent import PointTangent
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.split.fields_system import FieldsSystem
-from ngvisco.solver.split.point_tangent import PointTangent
 from ngvisco.solver.split.schur_complement import FlowSchurComplement
 from ngvisco.solver.split.transport_sweeps import TransportSweeps
 from ngvisco.solver.split.velocity_tangent import VelocityTangent

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from ngvisco.algebra import precision
 from ngvisco.errors import MeshError
 from ngvisco.reduced.operators import Operators
-from ngvisco.solver.split.point_tangent import PointTangent
+from ngvisco.reduced.point_tangent import PointTangent
 from ngvisco.threads import product
 
 
