@@ -18,6 +18,7 @@ from ngvisco.errors import (
 )
 
 METHODS = ("auto", "coupled", "split")
+COARSE = ("direct", "gamg", "hypre")
 INVERSES = ("umfpack", "pardiso", "mumps")
 _ROUNDING = 1e-14
 
@@ -93,9 +94,14 @@ class TwoLevelOptions(_Checked):
     """In units of 1/(largest eigenvalue of D^{-1} A), below 2; the eigenvalue depends on the mesh."""
     dropped: float = 1e-2
     """Entries left out, relative to the diagonal: two thirds, for a hundredth more of GMRES's iterations."""
+    coarse: str = "direct"
+    """What solves for the vertices: a factorisation, or a cycle of PETSc's algebraic multigrid, ``"gamg"`` or
+    ``"hypre"``, which vertices too many to be factorised need.  Beside walls' stresses and creep rates, where
+    the matrix is not positive definite, it is factorised."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require_choice(self, COARSE, coarse=self.coarse)
         if self.damping >= 2:
             raise ParameterError("TwoLevelOptions.damping", self.damping, "a number in (0, 2)")
 
@@ -158,7 +164,9 @@ class SplitOptions(_Checked):
     coupled_up_to: tuple[int, int] = (20_000, 1_000)
     """Cells up to which the coupled solver is asked where this one fails: it has to fit a workstation."""
     margin: float = 0.1
-    """The increment wanted, in tolerances: a later one would be smaller by the contraction only."""
+    """What may be left, in tolerances, when the last increment, which is below one, has been added: by the
+    contraction of the last iterations.  A last increment as small as that costs an iteration in ten more, and
+    the ledger closes to rounding without."""
     slow: int = 24
     """Iterations after which Newton-Krylov takes over."""
     stall: float = 0.2

@@ -112,3 +112,22 @@ def test_without_widths_such_a_jump_is_not_solved(no_krylov):
     """Negative control."""
     found = Newton(start=2e-4, largest=1e-12)
     assert iteration.iterate(found, Jump(c=1e-4, b=3e-5, eta=1e-6), []) is Status.STALLED
+
+
+@pytest.mark.parametrize("contraction", [0.1, 0.3, 0.45])
+def test_it_ends_where_little_is_left_and_not_later(no_krylov, contraction):
+    split = Increments(lambda number: 1e-9 * contraction**number)
+    history = []
+    assert iteration.iterate(split, Posed(), history) is Status.CONVERGED
+    tolerance, margin = split.options.tolerance, split.options.split.margin
+    left = history[-1].increment * contraction
+    assert left <= margin * tolerance * (1 + 1e-9) and history[-1].increment <= tolerance
+    before = history[-2].increment
+    assert before > tolerance or before * contraction > margin * tolerance
+
+
+def test_a_first_increment_tells_no_contraction(no_krylov):
+    split = Increments(lambda number: 0.5e-10 if number == 0 else 1e-12)
+    history = []
+    assert iteration.iterate(split, Posed(), history) is Status.CONVERGED
+    assert len(history) == 2

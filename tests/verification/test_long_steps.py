@@ -45,7 +45,7 @@ def test_costs_are_those_of_whole_steps(monkeypatch):
 @pytest.mark.parametrize("dim", [2, 3])
 def test_the_grid_reaches_its_courant_numbers_and_none_above(dim):
     points = list(long_steps.points(dim))
-    assert len(set(points)) == len(points) >= 12
+    assert len(set(points)) == len(points) > 10
     fastest = max(points, key=lambda point: point[0] * point[1] * point[3] ** 2)
     elastic = long_steps.elastic_courant(long_steps.block_of("linearised", dim, fastest, long_steps.ALONE))
     assert 85 <= elastic <= 1.01 * long_steps.LARGEST_ELASTIC

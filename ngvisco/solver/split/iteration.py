@@ -11,8 +11,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, gmres
 
+from ngvisco.algebra.krylov import gmres
 from ngvisco.reduced.residual import Evaluation
 from ngvisco.solver.solution import NewtonIteration, Problem, Status
 from ngvisco.solver.split.narrowing import narrowed
@@ -36,7 +36,9 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
         _, f, size = split.increment(problem, x, last)
         history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, fresh))
         since += 1
-        if size <= wanted:
+        # when f has been added, if the contraction stays what it is
+        left = size if last == np.inf else min(size * size / last, size)
+        if size <= tolerance and left <= wanted:
             return _ends_at(split, x - f)
         diverges = not size <= 2 * max(best, wanted)
         if not diverges:
@@ -92,7 +94,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
     options, tolerance = split.options.split, split.options.tolerance
     krylov, wanted = options.krylov, options.margin * tolerance
     split.renew(problem, split.residual(x))
-    scale = split.unknowns.scales(x)
+    scale = split.unknowns.scales(x, split.residual.exchange)
 
     def solved(at: Evaluation) -> np.ndarray:
         with np.errstate(all="ignore"):
@@ -112,8 +114,8 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
         def along(d: np.ndarray, derivative: Any = derivative, at: Evaluation = at) -> np.ndarray:
             return solved(replace(at, residual=derivative(scale * d))) / scale
 
-        operator = LinearOperator((len(x), len(x)), along, dtype=float)
-        d, _ = gmres(operator, f / scale, rtol=krylov.tolerance, restart=krylov.directions, maxiter=1)
+        products = split.residual.exchange.products
+        d, _ = gmres(along, f / scale, rtol=krylov.tolerance, directions=krylov.directions, products=products)
         split.note(at, scale * d, split.size(scale * d))
         damping = 1.0
         while True:
