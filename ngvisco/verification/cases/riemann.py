@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, IfPos, Integrate, x
@@ -79,8 +80,13 @@ class Star:
     """rho J/rho_0 - 1."""
 
 
-def strip(mach: float, cells: int, scheme: str = "backward-euler") -> Simulation:
-    """A periodic strip of two rows whose left half runs into its right half, which parts from it behind."""
+def strip(
+    mach: float, cells: int, scheme: str = "backward-euler", courant: float = COURANT, **options: Any
+) -> Simulation:
+    """A periodic strip of two rows whose left half runs into its right half, which parts from it behind.
+
+    ``courant`` is c dt/h, ``options`` are the simulation's.
+    """
     h, U = 1 / cells, mach * SOUND
     nu = VISCOSITY[scheme] * U * h
     material = CustomMaterial(transported=(Distortion(), Cofactor(), Jacobian()), stored_energy=energy)
@@ -88,7 +94,7 @@ def strip(mach: float, cells: int, scheme: str = "backward-euler") -> Simulation
     mesh = structured_box((1, 2 * h), (cells, 2), periodic="xy")
     velocity = CF((IfPos(x - 0.5, -U, U), 0.0))
     initial = Initial(density=1.0, velocity=velocity)
-    return Simulation(mesh, model, dt=COURANT * h / SOUND, scheme=scheme, initial=initial)
+    return Simulation(mesh, model, dt=courant * h / SOUND, scheme=scheme, initial=initial, **options)
 
 
 def stars(run: Simulation, mach: float) -> list[Star]:
