@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import asdict
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 
-from ngvisco.algebra.factorised import Direct, DirectSolver, TwoLevelSolver
+from ngvisco.algebra.factorised import Direct, DirectSolver, MakesDirect, TwoLevelSolver
 from ngvisco.algebra.krylov import gmres
 from ngvisco.algebra.sparse import together
 from ngvisco.forms.mesh_arrays import coordinates, mask_of
@@ -76,29 +77,23 @@ class Preconditioner:
 
     def _solver(self, free: np.ndarray) -> Direct:
         """A solver for the velocity tangent with these free unknowns."""
-        exchange, operator, inverse = self._of_tangent, self.operator, self._inverse
-
-        def direct(free: np.ndarray, symmetric: bool) -> Direct:
-            if exchange.is_distributed:
-                return SumInverse(free, exchange, symmetric)
-            return DirectSolver(free, inverse, symmetric)
-
-        def multigrid(free: np.ndarray, symmetric: bool) -> Direct:
-            if not symmetric:
-                return direct(free, symmetric)
-            return SumInverse(free, exchange, symmetric, coarse, self._rigid_motions(len(free)))
-
+        exchange, operator = self._of_tangent, self.operator
+        direct: MakesDirect = partial(DirectSolver, inverse=self._inverse)
+        if exchange.is_distributed:
+            direct = partial(SumInverse, exchange=exchange)
         number = np.arange(len(free))
         is_velocity = number < operator.nv
         count = self.ranks.total(int((free & exchange.owned)[: operator.size].sum()))
         if count <= self.options.direct_up_to[self.dim - 2]:
-            return direct(free, self.unknowns.flow == ["v"])
+            return direct(free, symmetric=self.unknowns.flow == ["v"])
         others = (number >= operator.nv) & (number < operator.size)
         vertices = is_velocity & (number % operator.op.v.width < operator.residual.step.mesh.nv)
         options = asdict(self.options.two_level)
         coarse = options.pop("coarse")
-        solver = direct if coarse == "direct" else multigrid
-        return TwoLevelSolver(free, vertices, others, solver, exchange, **options)
+        if coarse != "direct" and not self.ranks.any(others.any()):
+            kernel = self._rigid_motions(len(free))
+            direct = partial(SumInverse, exchange=exchange, method=coarse, kernel=kernel)
+        return TwoLevelSolver(free, vertices, others, direct, exchange, **options)
 
     def _rigid_motions(self, count: int) -> np.ndarray:
         """Translations and rotations as the vertices' coefficients, (n, unknowns of the tangent)."""
