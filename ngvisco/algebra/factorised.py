@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -25,6 +24,12 @@ class Direct(Protocol):
         """Raises StepError if the matrix is singular."""
 
     def __call__(self, r: np.ndarray) -> np.ndarray: ...
+
+
+class MakesDirect(Protocol):
+    """Makes a solver for the free unknowns; of the matrix's symmetric part where that is said."""
+
+    def __call__(self, free: np.ndarray, *, symmetric: bool) -> Direct: ...
 
 
 class DirectSolver:
@@ -80,7 +85,7 @@ class TwoLevelSolver:
         free: np.ndarray,
         vertices: np.ndarray,
         others: np.ndarray,
-        direct: Callable[[np.ndarray, bool], Direct],
+        direct: MakesDirect,
         exchange: Exchange,
         *,
         sweeps: int,
@@ -107,7 +112,7 @@ class TwoLevelSolver:
         if beside:
             is_coarse[matrix[self.others].indices] = True
             is_coarse = exchange.sum(is_coarse.astype(float)) > 0
-        self.coarse = self.direct(self.free & is_coarse, not beside)
+        self.coarse = self.direct(self.free & is_coarse, symmetric=not beside)
         self.coarse.factorise(matrix)
         own_diagonal = matrix.diagonal()
         diagonal = exchange.sum(own_diagonal)

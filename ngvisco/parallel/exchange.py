@@ -114,11 +114,15 @@ class Exchange:
         """
         result = np.zeros_like(values)
         if self.shared:
-            place = {rank: np.searchsorted(self.places, own) for rank, own in self.shared.items()}
-            got = self._got({rank: values[..., where] for rank, where in place.items()})
-            for rank, where in place.items():
+            got = self._got({rank: values[..., where] for rank, where in self._among_places.items()})
+            for rank, where in self._among_places.items():
                 result[..., where] += got[rank]
         return result
+
+    @cached_property
+    def _among_places(self) -> dict[int, np.ndarray]:
+        """Where among ``places`` those of each neighbour stand."""
+        return {rank: np.searchsorted(self.places, own) for rank, own in self.shared.items()}
 
     def _got(self, values: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
         """What neighbours sent for what was sent to them."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import asdict
-from itertools import combinations
+from functools import partial
 
 import numpy as np
 
-from ngvisco.algebra.factorised import Direct, DirectSolver, TwoLevelSolver
+from ngvisco.algebra.factorised import Direct, DirectSolver, MakesDirect, TwoLevelSolver
 from ngvisco.algebra.krylov import gmres
 from ngvisco.algebra.sparse import together
-from ngvisco.forms.mesh_arrays import coordinates, mask_of
+from ngvisco.forms.mesh_arrays import mask_of, rigid_motions
 from ngvisco.parallel.petsc import SumInverse
 from ngvisco.reduced.hyper_derivative import HyperDerivative
 from ngvisco.reduced.hyper_tangent import HyperTangent
@@ -76,42 +76,23 @@ class Preconditioner:
 
     def _solver(self, free: np.ndarray) -> Direct:
         """A solver for the velocity tangent with these free unknowns."""
-        exchange, operator, inverse = self._of_tangent, self.operator, self._inverse
-
-        def direct(free: np.ndarray, symmetric: bool) -> Direct:
-            if exchange.is_distributed:
-                return SumInverse(free, exchange, symmetric)
-            return DirectSolver(free, inverse, symmetric)
-
-        def multigrid(free: np.ndarray, symmetric: bool) -> Direct:
-            if not symmetric:
-                return direct(free, symmetric)
-            return SumInverse(free, exchange, symmetric, coarse, self._rigid_motions(len(free)))
-
+        exchange, operator = self._of_tangent, self.operator
+        direct: MakesDirect = partial(DirectSolver, inverse=self._inverse)
+        if exchange.is_distributed:
+            direct = partial(SumInverse, exchange=exchange)
         number = np.arange(len(free))
         is_velocity = number < operator.nv
         count = self.ranks.total(int((free & exchange.owned)[: operator.size].sum()))
         if count <= self.options.direct_up_to[self.dim - 2]:
-            return direct(free, self.unknowns.flow == ["v"])
+            return direct(free, symmetric=self.unknowns.flow == ["v"])
         others = (number >= operator.nv) & (number < operator.size)
         vertices = is_velocity & (number % operator.op.v.width < operator.residual.step.mesh.nv)
         options = asdict(self.options.two_level)
         coarse = options.pop("coarse")
-        solver = direct if coarse == "direct" else multigrid
-        return TwoLevelSolver(free, vertices, others, solver, exchange, **options)
-
-    def _rigid_motions(self, count: int) -> np.ndarray:
-        """Translations and rotations as the vertices' coefficients, (n, unknowns of the tangent)."""
-        width, places = self.operator.op.v.width, coordinates(self.operator.residual.step.mesh).T
-        pairs = list(combinations(range(self.dim), 2))
-        motions = np.zeros((self.dim + len(pairs), count))
-        of_vertices = np.arange(places.shape[1])
-        for i in range(self.dim):
-            motions[i, i * width + of_vertices] = 1.0
-        for motion, (i, j) in zip(motions[self.dim :], pairs, strict=True):
-            motion[i * width + of_vertices] = -places[j]
-            motion[j * width + of_vertices] = places[i]
-        return motions
+        if coarse != "direct" and not self.ranks.any(others.any()):
+            kernel = rigid_motions(operator.residual.step.mesh, operator.op.v.width, len(free))
+            direct = partial(SumInverse, exchange=exchange, method=coarse, kernel=kernel)
+        return TwoLevelSolver(free, vertices, others, direct, exchange, **options)
 
     def update(self, at: Evaluation, clock: Callable[[str], AbstractContextManager[None]]) -> None:
         """Form and factorise everything at an evaluation, which is that of the step's state.
