@@ -34,7 +34,8 @@ CELLS, END = 200, 0.15
 VISCOSITY, COURANT = {"backward-euler": 1.0, "midpoint": 2.0}, 0.5
 """K_v + 4/3 G_v in units of rho U h, and c dt/h: what ngvisco/timestepping/README.md advises.  The midpoint
 rule damps nothing: in the body at rest between two waves v . n turns round on facets by what rounding leaves,
-with jumps of F across them, and a few of its steps are taken in halves."""
+with jumps of F across them: such steps take up to 50 iterations, by upwinding that is made wide and narrowed
+again."""
 
 HALF_WIDTH = 0.03
 """Of the piece of a star region over which is averaged, m: at the end it is 0.25 m wide at least."""
@@ -191,9 +192,9 @@ CASES = (
             Bound("largest error of a star state", "<=", 0.01, "asked for"),
             Bound("|rho J/rho_0 - 1| by backward Euler", "<=", 0.01, "of order dt"),
             Bound("|rho J/rho_0 - 1| by midpoint", "<=", 5e-4, "of order dt^2"),
-            Bound("most iterations", "<=", 40.0, "no step is hard"),
+            Bound("most iterations", "<=", 60.0, "one attempt for each step"),
             Bound("rejected steps of backward Euler", "<=", 0.0, "nor halved"),
-            Bound("rejected steps of the midpoint rule", "<=", 3.0, "of 60: the flow turns round at rest"),
+            Bound("rejected steps of the midpoint rule", "<=", 0.0, "nor where the flow turns round at rest"),
             Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
         ),
         run=_measure,
