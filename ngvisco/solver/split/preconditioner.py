@@ -6,14 +6,13 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from functools import partial
-from itertools import combinations
 
 import numpy as np
 
 from ngvisco.algebra.factorised import Direct, DirectSolver, MakesDirect, TwoLevelSolver
 from ngvisco.algebra.krylov import gmres
 from ngvisco.algebra.sparse import together
-from ngvisco.forms.mesh_arrays import coordinates, mask_of
+from ngvisco.forms.mesh_arrays import mask_of, rigid_motions
 from ngvisco.parallel.petsc import SumInverse
 from ngvisco.reduced.hyper_derivative import HyperDerivative
 from ngvisco.reduced.hyper_tangent import HyperTangent
@@ -91,22 +90,9 @@ class Preconditioner:
         options = asdict(self.options.two_level)
         coarse = options.pop("coarse")
         if coarse != "direct" and not self.ranks.any(others.any()):
-            kernel = self._rigid_motions(len(free))
+            kernel = rigid_motions(operator.residual.step.mesh, operator.op.v.width, len(free))
             direct = partial(SumInverse, exchange=exchange, method=coarse, kernel=kernel)
         return TwoLevelSolver(free, vertices, others, direct, exchange, **options)
-
-    def _rigid_motions(self, count: int) -> np.ndarray:
-        """Translations and rotations as the vertices' coefficients, (n, unknowns of the tangent)."""
-        width, places = self.operator.op.v.width, coordinates(self.operator.residual.step.mesh).T
-        pairs = list(combinations(range(self.dim), 2))
-        motions = np.zeros((self.dim + len(pairs), count))
-        of_vertices = np.arange(places.shape[1])
-        for i in range(self.dim):
-            motions[i, i * width + of_vertices] = 1.0
-        for motion, (i, j) in zip(motions[self.dim :], pairs, strict=True):
-            motion[i * width + of_vertices] = -places[j]
-            motion[j * width + of_vertices] = places[i]
-        return motions
 
     def update(self, at: Evaluation, clock: Callable[[str], AbstractContextManager[None]]) -> None:
         """Form and factorise everything at an evaluation, which is that of the step's state.

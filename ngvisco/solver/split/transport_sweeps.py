@@ -12,10 +12,10 @@ a Jacobian of its own.
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 
 from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import DirectSolver
+from ngvisco.algebra.sparse import of_blocks
 from ngvisco.reduced.facet_coupling import FacetCoupling
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import SweepOptions
@@ -48,7 +48,7 @@ class TransportSweeps:
         own, across = self.coupling.blocks(-carried, f.share.value, carried, r.trace_mass)
         own += storage + convection
         if self._whole is not None:
-            self._whole.factorise((self._sparse(own, across) + self._laplacian).tocsr())
+            self._whole.factorise((of_blocks(own, across, self._neighbours) + self._laplacian).tocsr())
         with r.ranks.together(np.linalg.LinAlgError):
             self._cells, self._carried = _sweep(own, across)
         self._blocks = _rows_of(own, across)
@@ -81,17 +81,6 @@ class TransportSweeps:
         v, shape = at.cells.v.value, (self.coupling.cells, self.residual.op.z.per_cell, 1)
         along = sum(v_j.reshape(shape) * D.blocks for v_j, D in zip(v, self.residual.op.dz, strict=True))
         return product(self._tests, along)
-
-    def _sparse(self, own: np.ndarray, across: np.ndarray) -> sp.csr_matrix:
-        """The blocks as a matrix."""
-        cells, sides, q, _ = across.shape
-        row = np.repeat(np.arange(cells), 1 + sides)
-        column = np.concatenate([np.arange(cells)[:, None], self._neighbours], axis=1).ravel()
-        blocks = np.concatenate([own[:, None], across], axis=1).reshape(len(row), q, q)
-        inside = np.arange(q)
-        rows = np.broadcast_to((q * row[:, None, None] + inside[:, None]), blocks.shape)
-        columns = np.broadcast_to((q * column[:, None, None] + inside[None, :]), blocks.shape)
-        return sp.csr_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(q * cells,) * 2)
 
     def linearise(self) -> None:
         """Let a density equation that is not linear follow the present state."""

@@ -9,9 +9,9 @@ between ranks, which come last.
 
 from __future__ import annotations
 
-import numpy as np
 import scipy.sparse as sp
 
+from ngvisco.algebra.sparse import ElementAssembly
 from ngvisco.reduced.hyper_tangent import HyperTangent
 from ngvisco.solver.split.schur_complement import FlowSchurComplement
 
@@ -23,9 +23,7 @@ class VelocityTangent:
         self.flow, self.hyper = flow, hyper
         e = flow.elements
         self.width, self.dim = flow.op.v.width, flow.dim
-        flat = e.dofs[:, :, None].astype(np.int64) * self.width + e.dofs[:, None, :]
-        keys, self.position = np.unique(flat.ravel(), return_inverse=True)
-        self.rows, self.columns = keys // self.width, keys % self.width
+        self._assembled = ElementAssembly(e.dofs, self.width)
 
     def matrix(self) -> sp.csr_matrix:
         """Of the flow's unknowns and the kept a, where the operator and HyperTangent were last updated.
@@ -57,7 +55,3 @@ class VelocityTangent:
         right = sp.vstack([sp.kron(each, own[:n, n:]), sp.csr_matrix((others, count))])
         below = sp.hstack([sp.kron(each, own[n:, :n]), sp.csr_matrix((count, others))])
         return sp.bmat([[matrix, right], [below, sp.kron(each, own[n:, n:])]], format="csr")
-
-    def _assembled(self, cells: np.ndarray) -> sp.csr_matrix:
-        values = np.bincount(self.position, weights=cells.ravel(), minlength=len(self.rows))
-        return sp.csr_matrix((values, (self.rows, self.columns)), shape=(self.width, self.width))
