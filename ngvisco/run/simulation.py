@@ -29,6 +29,7 @@ from ngvisco.forms.bounds import Bounds, Violation
 from ngvisco.forms.context import time
 from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
+from ngvisco.forms.rest_stresses import warn_of_rest_stresses
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
@@ -207,6 +208,7 @@ class Simulation:
             warn_of_own_energy(self.rothe_step, None)  # it may be the reason
             raise
         warn_of_own_energy(self.rothe_step, self.sampler.values(self.rothe_step.now.z))
+        warn_of_rest_stresses(self.rothe_step, self.sampler, initial or Initial())
         warn_of_normal_parts(self.rothe_step, None if initial is None else initial.velocity)
         typical = velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
         self.set_velocity_scale(float(typical))
