@@ -29,7 +29,6 @@ from ngvisco.forms.bounds import Bounds, Violation
 from ngvisco.forms.context import time
 from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
-from ngvisco.forms.rest_stresses import warn_of_rest_stresses
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.system import Step
@@ -55,6 +54,7 @@ from ngvisco.run.notebook import simulation_html
 from ngvisco.run.numbering import Numbering
 from ngvisco.run.passive import PassiveFields
 from ngvisco.run.ranks import abort_alone, is_to_stop, tell
+from ngvisco.run.rest_stresses import warn_of_rest_stresses
 from ngvisco.run.scales import diameter, typical_velocity
 from ngvisco.run.stepping import (
     HALVINGS,
