@@ -1,6 +1,8 @@
 """The cases, one module a theme, in the report's order."""
 
 from ngvisco.verification.cases import (
+    cantilever,
+    collision,
     comparison,
     conformation,
     couette,
@@ -27,6 +29,7 @@ from ngvisco.verification.cases import (
     schemes_exact,
     sequence,
     shear,
+    slab,
     sphere_modes,
     stability,
     waves,
@@ -56,6 +59,9 @@ MODULES = (
     flows,
     couette,
     interfaces,
+    collision,
+    cantilever,
+    slab,
     rayleigh_taylor,
     manufactured,
     manufactured_space,
