@@ -29,16 +29,14 @@ def simulation(cells: tuple[int, int] = (5, 20), dt: float = 2.5 * KYR, **option
     )
     weak = nv.StokesViscosity(K_v=0.0, G_v=1e18)
     medium = nv.Body(name="medium", material=fluid, viscosity=weak, density=2800.0)
-    g = -10 * IfPos(20 * KYR - nv.time, 1.0, 0.0)
-    options = {"dt": dt, "walls": {"left": nv.NoSlip()}, "solver": "coupled"} | options
-    model = nv.Model(bodies=[slab, medium], loads=[nv.Gravity((0.0, g))])
-    mesh = structured_box((7500.0, 5000.0), cells)
-    return nv.Simulation(mesh, model, velocity_scale=1e-9, **options)
+    gravity = nv.Gravity((0.0, -10 * IfPos(20 * KYR - nv.time, 1.0, 0.0)))
+    options = {"walls": {"left": nv.NoSlip()}, "solver": "coupled", "velocity_scale": 1e-9} | options
+    model = nv.Model(bodies=[slab, medium], loads=[gravity])
+    return nv.Simulation(structured_box((7500.0, 5000.0), cells), model, dt=dt, **options)
 
 
 def main(directory: str = "results/slab", until: float = 50 * KYR, **options) -> nv.Simulation:
-    table = nv.Bodies(Path(directory) / "bodies.csv")
-    run = simulation(**options, observers=[table])
+    run = simulation(**options, observers=[table := nv.Bodies(Path(directory) / "bodies.csv")])
     nv.record(run, directory, until, every=2)
     draw(Path(directory), table)
     return run
@@ -49,8 +47,7 @@ def draw(out: Path, table: nv.Bodies) -> None:
     files = read_series_files(out / "vtk")
     bent = min(range(len(files)), key=lambda i: abs(files[i][0] - 20 * KYR))
     for axis, (time, file) in zip(axes[0], (files[bent], files[-1]), strict=False):
-        frame = read_frame(file)
-        mesh = (frame.points[:, 0] / 1e3, frame.points[:, 1] / 1e3, frame.cells)
+        mesh = (*(frame := read_frame(file)).points.T[:2] / 1e3, frame.cells)
         axis.tripcolor(*mesh, frame.scalar("von_mises"), shading="gouraud")
         outline(axis, *mesh, averaged(frame.points, frame.scalar("medium_fraction")))
         axis.set(title=f"von Mises stress, t = {time / KYR:.0f} kyr; km", aspect="equal")

@@ -47,8 +47,8 @@ GRAVITY = WEIGHT / (HEIGHT * (1 - LIGHT))
 BEAM = WEIGHT * LENGTH**4 / (20 * FLEXURE) + WEIGHT * LENGTH**2 / (3 * KAPPA * SHEAR * HEIGHT)
 """m."""
 OMEGA = 3.516 * math.sqrt(FLEXURE / (HEIGHT * LENGTH**4))
-TAU, STEPS = 0.25, 44
-MODULI = (0.0, 1e-4, 1e-3, 1e-2)
+TAU, STEPS = 0.25, 40
+MODULI = (0.0, 1e-2)
 """Shear moduli of the medium over the bar's; 0 is a fluid."""
 
 
@@ -100,14 +100,12 @@ def _cantilever() -> Outcome:
     fluid, times = found[0.0], found[0.0][0].ledger.column("time")
     fitted = float(np.abs(_released(times, *fluid[2]) - fluid[1]).max()) / static[0.0]
     drift = max(float(np.abs(run.ledger.column("mass_drift")).max()) for run in runs)
-    stiffer = [static[0.0] / static[modulus] - 1 for modulus in MODULI]
     return Outcome(
         values={
             "static deflection over the beam's, less one": abs(static[0.0] / BEAM - 1),
             "frequency over the beam's": float(fluid[2][2]) / OMEGA,
             "distance of the swing from an oscillator's": fitted,
-            "stiffness that a medium of 1e-4 G adds": abs(stiffer[1]),
-            "least growth of stiffness with the medium's modulus": float(np.diff(stiffer)[1:].min()),
+            "stiffness that a medium of 1e-2 G adds": static[0.0] / static[MODULI[1]] - 1,
             "drift of the mass": drift,
             "largest |closure|": closure(*runs),
         },
@@ -144,8 +142,8 @@ CASES = (
     Case(
         name="cantilever-in-soft-medium",
         theme="Bodies and their interfaces",
-        statement="In a fluid or a medium 1e-4 times as stiff a clamped bar bends as in empty space, as beam "
-        "theory says; one that is 1e-2 times as stiff carries a part of the weight.",
+        statement="In a light fluid a clamped bar bends under its weight as beam theory says of empty space; "
+        "an elastic medium that is 1e-2 times as stiff carries a part of the weight.",
         label="Euler-Bernoulli, Timoshenko",
         setting=f"Bar {LENGTH:g} m x {HEIGHT:g} m, G = {SHEAR:g} Pa, nu = {NU:.3f}, clamped at the left wall "
         f"of a box of {SIZE[0]:g} m x {SIZE[1]:g} m; medium of {LIGHT:g} times its density, K_e = {SOFT:g} "
@@ -160,10 +158,7 @@ CASES = (
             ),
             Bound("frequency over the beam's", "<=", 1.05, "the medium adds mass"),
             Bound("distance of the swing from an oscillator's", "<=", 0.1, "one mode carries 99 %"),
-            Bound("stiffness that a medium of 1e-4 G adds", "<=", 0.1, "of the order (L/a)^3 1e-4"),
-            Bound(
-                "least growth of stiffness with the medium's modulus", ">=", 0.0, "it grows with the modulus"
-            ),
+            Bound("stiffness that a medium of 1e-2 G adds", ">=", 0.3, "of the order (L/a)^3 1e-2"),
             Bound("drift of the mass", "<=", 1e-10, "conserved"),
             Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
         ),

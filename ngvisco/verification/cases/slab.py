@@ -52,8 +52,8 @@ AT_REST = WEIGHT * LENGTH**4 / (20 * FLEXURE) + WEIGHT * LENGTH**2 / (3 * 5 / 6 
 
 
 @cache
-def _slab(loaded: float) -> tuple[Simulation, Bodies]:
-    """Until ``END``, with gravity until ``loaded``, kyr."""
+def _slab(loaded: float, end: float) -> tuple[Simulation, Bodies]:
+    """Until ``end``, with gravity until ``loaded``, kyr."""
     fluid = CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: BULK / 2 * (J + 1 / J - 2))
     middle = SIZE[1] / 2
     slab = Body(
@@ -77,17 +77,17 @@ def _slab(loaded: float) -> tuple[Simulation, Bodies]:
         velocity_scale=1e-9,
         observers=[table],
     )
-    run.run(END * KYR)
+    run.run(end * KYR)
     return run, table
 
 
 def _bending() -> Outcome:
-    (released, of_released), (held, of_held) = _slab(LOADED), _slab(2 * END)
+    (released, of_released), (held, of_held) = _slab(LOADED, END), _slab(END, 2 * LOADED)
     times = np.round(of_released.column("time") / KYR, 6)
     one, other = (table.column("slab_y")[0] - table.column("slab_y") for table in (of_released, of_held))
-    n = int(np.searchsorted(times, LOADED))
+    n, both = round(LOADED / TAU), len(other)
     expected = other.copy()
-    expected[n:] -= other[: len(other) - n]
+    expected[n:] -= other[: both - n]
     bent, last = float(one[n]), float(one[-1])
     at_end = float(
         other[n] ** 2 / (2 * other[n] - other[2 * n])
@@ -99,7 +99,7 @@ def _bending() -> Outcome:
         values={
             "mean deflection when gravity ends, m": bent,
             "what is left of it at the end": last / bent,
-            "distance from superposition": float(np.abs(one - expected).max()) / bent,
+            "distance from superposition": float(np.abs(one[:both] - expected).max()) / bent,
             "extrapolated elastic end over the beam's, less one": abs(at_end / AT_REST - 1),
             "kinetic over stored energy": kinetic,
             "drift of the mass": drift,
@@ -109,7 +109,7 @@ def _bending() -> Outcome:
             Table(
                 "mean deflection, m",
                 ["t, kyr", "released", "superposed", "held"],
-                [[float(v) for v in row] for row in zip(times, one, expected, other, strict=True)],
+                [[float(v) for v in row] for row in zip(times, one, expected, other, strict=False)],
             )
         ],
         remarks=[f"The beam's mean deflection at rest is {AT_REST:.1f} m, that extrapolated {at_end:.1f} m."],
@@ -120,8 +120,8 @@ def _bending() -> Outcome:
                 "mean deflection, m",
                 [
                     Curve("gravity until 20 kyr", list(times), list(one), "o-"),
-                    Curve("gravity all the time", list(times), list(other), "s-"),
-                    Curve("superposed from it", list(times), list(expected), "k--"),
+                    Curve("gravity all the time", list(times[:both]), list(other), "s-"),
+                    Curve("superposed from it", list(times[:both]), list(expected), "k--"),
                 ],
             )
         ],
