@@ -17,7 +17,7 @@ from ngvisco.run.vtu import read_frame, read_series_files
 KYR = 3.15576e10  # s
 
 
-def simulation(cells: tuple[int, int] = (5, 20), dt: float = 2.5 * KYR, **options) -> nv.Simulation:
+def simulation(cells: tuple[int, int] = (5, 20), dt: float = 5 * KYR, **options) -> nv.Simulation:
     """7.5 km x 5 km, a slab of 4.5 km x 0.5 km held at the left; g = 10 m/s^2 for 20 kyr."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5e11 * (J + 1 / J - 2))
     slab = nv.Body(
