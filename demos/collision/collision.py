@@ -1,6 +1,5 @@
 """Two elastic discs are thrown at each other in a soft light medium, meet and part again.
-Run with ``python demos/collision/collision.py [output directory]``; needs the extra ``plots``.
-"""
+Run with ``python demos/collision/collision.py [output directory]``; needs the extra ``plots``."""
 
 import sys
 from pathlib import Path

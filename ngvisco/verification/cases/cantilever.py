@@ -47,14 +47,14 @@ GRAVITY = WEIGHT / (HEIGHT * (1 - LIGHT))
 BEAM = WEIGHT * LENGTH**4 / (20 * FLEXURE) + WEIGHT * LENGTH**2 / (3 * KAPPA * SHEAR * HEIGHT)
 """m."""
 OMEGA = 3.516 * math.sqrt(FLEXURE / (HEIGHT * LENGTH**4))
-TAU, STEPS = 0.25, 40
-MODULI = (0.0, 1e-2)
-"""Shear moduli of the medium over the bar's; 0 is a fluid."""
+TAU = 0.25
+STEPS = {0.0: 40, 1e-2: 40}
+"""By the shear modulus of the medium over the bar's; 0 is a fluid."""
 
 
 @cache
-def _swing(modulus: float) -> tuple[Simulation, np.ndarray, np.ndarray]:
-    """The run, its mean deflections in m, and static deflection, damping and frequency fitted to them."""
+def _swing(modulus: float) -> tuple[Simulation, np.ndarray, np.ndarray, np.ndarray]:
+    """The run, times, mean deflections in m, and static deflection, damping and frequency fitted to them."""
     fluid = CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: SOFT / 2 * (J + 1 / J - 2))
     medium = OldroydB(K_e=SOFT, G_e=modulus * SHEAR / 2) if modulus else fluid
     middle, table = SIZE[1] / 2, Bodies()
@@ -81,10 +81,10 @@ def _swing(modulus: float) -> tuple[Simulation, np.ndarray, np.ndarray]:
         velocity_scale=1.0,
         observers=[table],
     )
-    run.run(TAU * STEPS)
-    deflection = table.column("bar_y")[0] - table.column("bar_y")
-    fit, _ = curve_fit(_released, table.column("time"), deflection, p0=(BEAM, 0.05, OMEGA))
-    return run, deflection, fit
+    run.run(TAU * STEPS[modulus])
+    times, deflection = table.column("time"), table.column("bar_y")[0] - table.column("bar_y")
+    fit, _ = curve_fit(_released, times, deflection, p0=(BEAM, 0.05, OMEGA))
+    return run, times, deflection, fit
 
 
 def _released(t: np.ndarray, static: float, damping: float, omega: float) -> np.ndarray:
@@ -94,18 +94,18 @@ def _released(t: np.ndarray, static: float, damping: float, omega: float) -> np.
 
 
 def _cantilever() -> Outcome:
-    found = {modulus: _swing(modulus) for modulus in MODULI}
-    static = {modulus: float(fit[0]) for modulus, (_, _, fit) in found.items()}
-    runs = [run for run, _, _ in found.values()]
-    fluid, times = found[0.0], found[0.0][0].ledger.column("time")
-    fitted = float(np.abs(_released(times, *fluid[2]) - fluid[1]).max()) / static[0.0]
+    found = {modulus: _swing(modulus) for modulus in STEPS}
+    static = {modulus: float(fit[0]) for modulus, (*_, fit) in found.items()}
+    runs = [run for run, *_ in found.values()]
+    _, times, deflection, fit = found[0.0]
+    fitted = float(np.abs(_released(times, *fit) - deflection).max()) / static[0.0]
     drift = max(float(np.abs(run.ledger.column("mass_drift")).max()) for run in runs)
     return Outcome(
         values={
             "static deflection over the beam's, less one": abs(static[0.0] / BEAM - 1),
-            "frequency over the beam's": float(fluid[2][2]) / OMEGA,
+            "frequency over the beam's": float(fit[2]) / OMEGA,
             "distance of the swing from an oscillator's": fitted,
-            "stiffness that a medium of 1e-2 G adds": static[0.0] / static[MODULI[1]] - 1,
+            "stiffness that a medium of 1e-2 G adds": static[0.0] / static[1e-2] - 1,
             "drift of the mass": drift,
             "largest |closure|": closure(*runs),
         },
@@ -114,8 +114,8 @@ def _cantilever() -> Outcome:
                 "the medium's stiffness",
                 ["G of the medium over the bar's", "mean deflection, m", "over the beam's", "omega over it"],
                 [
-                    [modulus, static[modulus], static[modulus] / BEAM, float(found[modulus][2][2]) / OMEGA]
-                    for modulus in MODULI
+                    [modulus, static[modulus], static[modulus] / BEAM, float(found[modulus][3][2]) / OMEGA]
+                    for modulus in STEPS
                 ],
             )
         ],
@@ -127,11 +127,11 @@ def _cantilever() -> Outcome:
                 [
                     Curve(
                         f"medium of {m:g} G" if m else "fluid",
-                        list(times),
+                        [float(v) for v in t],
                         [float(v) / BEAM for v in w],
                         "o-",
                     )
-                    for m, (_, w, _) in found.items()
+                    for m, (_, t, w, _) in found.items()
                 ],
             )
         ],
@@ -148,7 +148,7 @@ CASES = (
         setting=f"Bar {LENGTH:g} m x {HEIGHT:g} m, G = {SHEAR:g} Pa, nu = {NU:.3f}, clamped at the left wall "
         f"of a box of {SIZE[0]:g} m x {SIZE[1]:g} m; medium of {LIGHT:g} times its density, K_e = {SOFT:g} "
         f"Pa, {VISCOSITY:g} Pa s; tip bent by 2 % of the length; {2 * CELLS[0] * CELLS[1]} triangles, two "
-        f"rows through the bar, midpoint, tau = {TAU:g} s, {STEPS} steps.",
+        f"rows through the bar, midpoint, tau = {TAU:g} s, {STEPS[0.0]} steps.",
         bounds=(
             Bound(
                 "static deflection over the beam's, less one",
@@ -162,6 +162,8 @@ CASES = (
             Bound("drift of the mass", "<=", 1e-10, "conserved"),
             Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
         ),
+        explanation="The static deflection does not hold: with two rows of cells the bar is a fifth softer "
+        "than the beam (1.21 measured).  The interface takes up to a cell on either side, and is a mixture.",
         run=_cantilever,
     ),
 )
