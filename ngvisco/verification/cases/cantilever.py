@@ -74,7 +74,7 @@ def _swing(modulus: float) -> tuple[Simulation, np.ndarray, np.ndarray, np.ndarr
     ]
     run = Simulation(
         structured_box(SIZE, CELLS),
-        Model(bodies=bodies, loads=[Gravity((0.0, -GRAVITY))]),
+        Model(bodies=tuple(bodies), loads=(Gravity((0.0, -GRAVITY)),)),
         dt=TAU,
         scheme="midpoint",
         walls={"left": NoSlip()},

@@ -65,7 +65,7 @@ def discs() -> tuple[Simulation, Bodies]:
     table = Bodies()
     run = Simulation(
         structured_box(SIZE, CELLS),
-        Model(bodies=bodies),
+        Model(bodies=tuple(bodies)),
         dt=TAU,
         scheme="midpoint",
         initial=Initial(velocity=thrown(PLACES["left"]) - thrown(PLACES["right"])),

@@ -78,7 +78,7 @@ def layer(ratio: float) -> Simulation:
     velocity = SPEED * CF((-slope / k * sin(k * x), s * s * (3 - 2 * s) * cos(k * x)))
     return Simulation(
         structured_box((WIDTH, 2 * DEPTH), CELLS, periodic="x"),
-        Model(bodies=bodies, loads=[Gravity((0.0, -GRAVITY))]),
+        Model(bodies=tuple(bodies), loads=(Gravity((0.0, -GRAVITY)),)),
         dt=TAU,
         scheme="midpoint",
         initial=Initial(F=J ** (1 / 3) * Id(3), velocity=velocity),
