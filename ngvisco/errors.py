@@ -91,7 +91,7 @@ class CheckpointError(NgviscoError, RuntimeError):
 
 
 class InputWarning(UserWarning):
-    """Input of which the model can use a part only; the message says what was done with the rest."""
+    """Input that the model takes otherwise than it may be meant; the message says how, and what to change."""
 
 
 def as_number(value: object) -> float | None:

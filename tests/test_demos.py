@@ -108,6 +108,7 @@ def test_cavity_goes_on_where_the_body_is_torn(tmp_path):
 SCRIPTS = {
     "barotropic": lambda demo: demo.simulation(),
     "cavity": lambda demo: demo.simulation(maxh=0.35),
+    "collision": lambda demo: demo.simulation(cells=(7, 4)),
     "creep_finite": lambda demo: demo.simulation(maxh=0.6),
     "mooney_rivlin": lambda demo: demo.simulation(maxh=0.6),
     "couette": lambda demo: demo.simulation(maxh=0.7),
@@ -134,6 +135,8 @@ MAXH = {
     "wave": 0.4,
 }
 """Of each demo's script the run that its case file describes, on a mesh that is soon computed."""
+CELLS = {"collision": [7, 4]}
+"""The same of boxes of rows of cells."""
 
 
 @pytest.mark.parametrize("name", sorted(p.name for p in DEMOS.iterdir() if p.is_dir()))
@@ -141,7 +144,8 @@ def test_case_file_gives_the_numbers_of_its_script(name, tmp_path):
     """Through the run directory, whose mesh file keeps coordinates to rounding and curvature to 1e-9."""
     script = SCRIPTS[name](load(name))
     until = 2 * script.dt
-    settings = [f"time.until={until!r}", f"domain.maxh={MAXH.get(name, 0.5)}"]
+    size = f"cells={CELLS[name]}" if name in CELLS else f"maxh={MAXH.get(name, 0.5)}"
+    settings = [f"time.until={until!r}", f"domain.{size}"]
     run = nv.case.run(nv.load_case(DEMOS / name / f"{name}.toml", settings), tmp_path)
     theirs = script.ledger if script.number else script.run(until)
     ours = run.ledger

@@ -84,7 +84,8 @@ class Body:
         run = nv.Simulation(box((1, 1), maxh=0.3), nv.Model(bodies=[disc, rest]), dt=0.02)
         print(run.advance()["mass_drift"])
 
-    Energies whose stress at rest, F = I, differs from body to body push each other from the start.
+    Energies whose stress at rest, F = I, differs from body to body push each other from the start, which an
+    ``InputWarning`` says of bodies that meet.
 
     Parameters
     ----------

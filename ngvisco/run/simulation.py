@@ -54,6 +54,7 @@ from ngvisco.run.notebook import simulation_html
 from ngvisco.run.numbering import Numbering
 from ngvisco.run.passive import PassiveFields
 from ngvisco.run.ranks import abort_alone, is_to_stop, tell
+from ngvisco.run.rest_stresses import warn_of_rest_stresses
 from ngvisco.run.scales import diameter, typical_velocity
 from ngvisco.run.stepping import (
     HALVINGS,
@@ -207,6 +208,7 @@ class Simulation:
             warn_of_own_energy(self.rothe_step, None)  # it may be the reason
             raise
         warn_of_own_energy(self.rothe_step, self.sampler.values(self.rothe_step.now.z))
+        warn_of_rest_stresses(self.rothe_step, self.sampler, initial or Initial())
         warn_of_normal_parts(self.rothe_step, None if initial is None else initial.velocity)
         typical = velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
         self.set_velocity_scale(float(typical))

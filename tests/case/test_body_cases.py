@@ -15,6 +15,8 @@ from ngvisco.case.places import place_of
 from ngvisco.geometries import box
 from ngvisco.shapes.fractions import volumes
 
+pytestmark = pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses")
+
 HEAD = """
 [domain]
 geometry = "box"

@@ -15,6 +15,8 @@ from ngvisco.run.outlines import averaged, outlined
 from ngvisco.run.plots import plot_fields
 from ngvisco.run.scene import write_scene, write_scene_of_series
 
+pytestmark = pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses")
+
 STOKES = nv.StokesViscosity(K_v=0.02, G_v=0.01)
 
 

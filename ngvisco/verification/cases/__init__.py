@@ -1,6 +1,8 @@
 """The cases, one module a theme, in the report's order."""
 
 from ngvisco.verification.cases import (
+    cantilever,
+    collision,
     comparison,
     conformation,
     couette,
@@ -20,6 +22,7 @@ from ngvisco.verification.cases import (
     maxwell,
     positivity,
     pulse,
+    rayleigh_taylor,
     rheology,
     riemann,
     robustness,
@@ -56,6 +59,9 @@ MODULES = (
     flows,
     couette,
     interfaces,
+    collision,
+    cantilever,
+    rayleigh_taylor,
     manufactured,
     manufactured_space,
     creep_gradient,

@@ -1,0 +1,79 @@
+"""Bodies that meet with different stresses at rest are warned of once, by name, with both stresses."""
+
+import warnings
+
+import pytest
+from ngsolve import Id, x
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.physics.variables import Jacobian
+
+MESH = box((1, 1), 0.5)
+FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J + 1 / J - 2))
+TENSE = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+"""Its stress at rest is 3 G_e + epsilon^2/(2 K_e) = 15.0005 Pa."""
+
+
+def warned(drop, rest=FLUID, where=None, others=(), mesh=MESH, **options):
+    """Messages at the start of a drop in the rest."""
+    bodies = [
+        nv.Body(
+            name="drop",
+            where=nv.Ball((0.5, 0.5), 0.25) if where is None else where,
+            material=drop,
+            density=1.0,
+        ),
+        *others,
+        nv.Body(name="rest", material=rest, density=1.0),
+    ]
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        nv.Simulation(mesh, nv.Model(bodies=bodies), dt=0.1, **options)
+    return [str(warning.message) for warning in found if warning.category is nv.InputWarning]
+
+
+def test_both_bodies_both_stresses_and_the_remedy_are_named():
+    (message,) = warned(TENSE)
+    for part in ("'drop'", "'rest'", "15 Pa", "0 Pa", "ReferentialNeoHookean", "Initial.F"):
+        assert part in message
+
+
+def test_the_stress_is_that_of_the_run():
+    """In a box of its own a body under the tension T(I) has the pressure -T(I) everywhere."""
+    run = nv.Simulation(MESH, nv.Model(material=TENSE), dt=0.1)
+    pressure = run.sampler.values(run.fields["pressure"])
+    assert pressure == pytest.approx(-15.0005, rel=1e-12)
+    assert "15 Pa" in warned(TENSE)[0]
+
+
+@pytest.mark.parametrize(
+    "drop",
+    [
+        nv.ReferentialNeoHookean(K_e=1e9, G_e=5e8),
+        nv.OldroydB(K_e=1e9, G_e=1.0),
+        nv.LinearElastic(K_e=1e9, G_e=3.0),
+        nv.LogarithmicNeoHookean(K_e=1.0, G_e=1.0, epsilon=0.3),
+        nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0 + x),
+    ],
+    ids=lambda m: type(m).__name__,
+)
+def test_bodies_without_stress_at_rest_are_not_warned_of(drop):
+    assert warned(drop) == []
+
+
+def test_bodies_of_one_material_are_not_warned_of():
+    assert warned(TENSE, TENSE) == []
+
+
+def test_bodies_that_do_not_meet_are_not_named():
+    """Two strips with a third between: each pair of neighbours is named, the far pair is not."""
+    middle = nv.Body(name="middle", where=(x - 0.2) * (0.8 - x), material=TENSE, density=1.0)
+    found = warned(
+        nv.NeoHookean(K_e=10.0, G_e=2.0, epsilon=0.1), where=0.2 - x, others=[middle], mesh=box((1, 1), 0.2)
+    )
+    assert len(found) == 2 and not any("'drop'" in text and "'rest'" in text for text in found)
+
+
+def test_a_start_of_the_user_s_own_is_not_warned_of():
+    assert warned(TENSE, initial=nv.Initial(F=1.01 * Id(3))) == []
