@@ -99,6 +99,16 @@ class Claims:
             if "grad v" in self.rows[id(term)] and not isinstance(term, ElasticForce)
         ]
 
+    def of_inertia(self) -> list[PointTerm]:
+        """Terms of dv/dt, whose matrix is that of the whole rule: a coarse one makes it singular."""
+        return [term for term in self.at_points if type(term) is Inertia]
+
+    def of_fields(self) -> list[PointTerm]:
+        """Terms with rows of z of their own, beside its transport, rates and creep."""
+        return [
+            term for term in self.at_points if "z" in self.rows[id(term)] and type(term) is not Kinematics
+        ]
+
     def _claim(self, step: Step, term: Term) -> None:
         kind = type(term)
         if term is step.sources:

@@ -275,10 +275,10 @@ def with_parts(u: Fields, **given: np.ndarray) -> Fields:
     return other
 
 
-def with_velocity(u: Fields, v: np.ndarray | None = None, grad_v: np.ndarray | None = None) -> Fields:
-    """The same fields with other values of v or of grad v in cells."""
-    parts = u.parts if v is None else ChainMap({"v": Array(v, None)}, u.parts)  # type: ignore[arg-type]
-    other = Fields(u.layout, parts, u.context, u.gradient)
+def with_values(u: Fields, grad_v: np.ndarray | None = None, **given: np.ndarray) -> Fields:
+    """The same fields with other values of some unknowns, or of grad v, in cells."""
+    parts = {name: Array(values, None) for name, values in given.items()}
+    other = Fields(u.layout, ChainMap(parts, u.parts), u.context, u.gradient)  # type: ignore[arg-type]
     if grad_v is not None:
         other.__dict__["grad_v"] = Array(grad_v, None)
     return other

@@ -15,6 +15,10 @@ from ngvisco.forms.upwinding import Upwinding, mean_share
 from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 
+_TURNS = 1e-6
+"""n^- (1 - n^-) below which n^- is 0 or 1: |v . n| is 500 times the width of sigma there, and the slope of
+n^- 1e-8 of its largest."""
+
 
 class UpwindSwitchJacobian:
     """The derivative by v of the elastic force and of the fields' rows, on the facets that count."""
@@ -30,9 +34,12 @@ class UpwindSwitchJacobian:
         op, weights, upwinding = self.op, self.op.points.weights, at.facets.upwinding
         z, zeta = at.coefficients["z"], at.coefficients["zeta"]
 
-        known, through = at.facets.context, Array(upwinding.through.value)
-        inflow = Upwinding(through, known.inner, known.eta).inflow
-        (slope,) = derivatives(inflow, [through])  # of n^- by v . n
+        through, inflow = upwinding.through.value, upwinding.inflow.value
+        slope = np.zeros(through.shape)  # of n^- by v . n
+        (turning,) = np.nonzero(inflow * (1 - inflow) > _TURNS)
+        if turning.size:
+            a, eta = Array(through[turning]), at.facets.context.eta
+            (slope[turning],) = derivatives(Upwinding(a, Array(op.inner[turning]), eta).inflow, [a])
         jump = at.facets.z_jump.value
         facet = self.mass.facet
         # the jump of z is what both sides together are away from its trace
@@ -59,9 +66,9 @@ class UpwindSwitchJacobian:
         self._v_t, self._z_t = self._v.T.tocsr(), self._z.T.tocsr()
         self._trace = (hat @ self.mass.inverse @ hat.T @ sp.diags(self._weights)).tocsr()
         self._values, self._zeta = together(self._z, z), together(self._z, zeta)
-        self._jump, self._inflow = jump[:, where], upwinding.inflow.value[where]
+        self._jump, self._inflow = jump[:, where], inflow[where]
         self._carried = upwinding.carried.value[where]
-        self._carried_slope = self._inflow + through.value[where] * self._slope
+        self._carried_slope = self._inflow + through[where] * self._slope
         self._normal_velocity = upwinding.normal_velocity.value[where]
         self._conserved = self.residual.step.layout.states.conserved
 

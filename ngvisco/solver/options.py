@@ -135,7 +135,9 @@ class SplitOptions(_Checked):
     coupled_up_to: tuple[int, int] = (20_000, 1_000)
     """Cells up to which the coupled solver is asked where this one fails: it has to fit a workstation."""
     margin: float = 0.1
-    """The increment wanted, in tolerances: a later one would be smaller by the contraction only."""
+    """What may be left, in tolerances, when the last increment, which is below one, has been added: by the
+    contraction of the last iterations.  A last increment as small as that costs an iteration in ten more, and
+    the ledger closes to rounding without."""
     slow: int = 24
     """Iterations after which Newton-Krylov takes over."""
     stall: float = 0.3

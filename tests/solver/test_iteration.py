@@ -45,3 +45,22 @@ def test_slow_convergence_is_not_taken_for_rounding(no_krylov):
     tolerance = NewtonOptions().tolerance
     found = Increments(lambda n: 10.0 ** (-3 * n - 1) if n < 3 else 2 * tolerance * 0.93**n)
     assert iteration.iterate(found, None, []) is Status.STALLED
+
+
+@pytest.mark.parametrize("contraction", [0.1, 0.3, 0.45])
+def test_it_ends_where_little_is_left_and_not_later(no_krylov, contraction):
+    split = Increments(lambda number: 1e-9 * contraction**number)
+    history = []
+    assert iteration.iterate(split, None, history) is Status.CONVERGED
+    tolerance, margin = split.options.tolerance, split.options.split.margin
+    left = history[-1].increment * contraction
+    assert left <= margin * tolerance * (1 + 1e-9) and history[-1].increment <= tolerance
+    before = history[-2].increment
+    assert before > tolerance or before * contraction > margin * tolerance
+
+
+def test_a_first_increment_tells_no_contraction(no_krylov):
+    split = Increments(lambda number: 0.5e-10 if number == 0 else 1e-12)
+    history = []
+    assert iteration.iterate(split, None, history) is Status.CONVERGED
+    assert len(history) == 2

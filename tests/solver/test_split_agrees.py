@@ -47,7 +47,7 @@ def residual(run):
     return {name: values[where] for name, where in step.layout.ranges.items()}
 
 
-def assert_both_agree(mesh, physics, steps=2, dt=0.02, rows_within=1e-11, **options):
+def assert_both_agree(mesh, physics, steps=2, dt=0.02, rows_within=2e-11, **options):
     """Run both: rho, v and z agree to 1e-9, the split one solves the coupled residual, its ledger closes.
 
     Traces and normal derivatives are held to the residual: where diffusion or hyperviscosity hardly acts they
@@ -92,7 +92,7 @@ BY_B = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B")
 
 
 def test_by_left_cauchy_green_in_three_dimensions():
-    assert_both_agree(box((1, 1, 1), maxh=1), model(BY_B, dim=3), rows_within=2e-11)
+    assert_both_agree(box((1, 1, 1), maxh=1), model(BY_B, dim=3), rows_within=4e-11)
 
 
 def test_by_left_cauchy_green_with_a_creep_rate_field():

@@ -34,7 +34,9 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
         _, f, size = split.increment(problem, x, last)
         history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, fresh))
         since += 1
-        if size <= wanted:
+        # when f has been added, if the contraction stays what it is
+        left = size if last == np.inf else min(size * size / last, size)
+        if size <= tolerance and left <= wanted:
             return _ends_at(split, x - f)
         if not size <= 2 * max(best, wanted):
             restarts += 1

@@ -3,7 +3,7 @@
 For an increment X = (grad dv, dPi) the fields follow at every point, neither convected nor carried through
 facets, as
 
-    dz = tau (1 - tau K)^{-1} (d rate/dX) X,    K = d(rate + creep + fading)/dz,
+    dz = tau (1 - tau K)^{-1} (d rate/dX) X,    K = d(rate + creep + terms of z)/dz,
 
 and with the elastic force zeta : rate(z; X) that makes the point's stiffness
 C = tau (zeta : T + (d rate/dX)^T phi'') (1 - tau K)^{-1} (d rate/dX), not symmetric where there is stress or
@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ngvisco.forms.fading import Fading
-from ngvisco.reduced.evaluation import CellTerms
+from ngvisco.physics.increments import TINY
+from ngvisco.reduced.evaluation import CellTerms, with_values
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.slope import PointwiseSlope
@@ -27,6 +27,7 @@ class PointTangent:
     def __init__(self, residual: ReducedResidual, operators: Operators) -> None:
         self.residual, self.op, self.components = residual, operators, residual.step.layout.states.size
         self.terms = CellTerms(residual.step, operators, residual.rates)
+        self.others = residual.claims.of_fields()
         self.slope = PointwiseSlope(residual.step, operators.points)
 
     def update(self, at: Evaluation) -> None:
@@ -55,10 +56,11 @@ class PointTangent:
             K -= of_mandel[:, None, None] * (by_Pi @ force[:, g:])
             if of_conjugates is not None:
                 K += by_Pi @ (of_conjugates @ slopes)
-        for term in self.residual.claims.at_points:
-            if isinstance(term, Fading):
-                own = np.arange(self.components)[step.layout.states.slices[term.variable.name]]
-                K[:, own, own] -= step.context.rate(term.weight(u).value)[:, None]
+        for m in range(self.components if self.others else 0):
+            changed = self.z.astype(complex)
+            changed[m] += 1j * TINY
+            slots = self.terms.slots(self.others, with_values(u, z=changed))
+            K[:, :, m] -= slots["z"].imag.T / TINY
         self.rate_slope = K
         self.resolvent = np.linalg.inv(np.eye(self.components)[None] - self.tau * K)
         self.force, self.columns = force, columns

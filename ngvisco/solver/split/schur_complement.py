@@ -11,9 +11,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ngvisco.forms.momentum import Inertia
 from ngvisco.physics.increments import TINY
-from ngvisco.reduced.evaluation import with_velocity
+from ngvisco.reduced.evaluation import with_values
 from ngvisco.reduced.hyper_derivative import HyperDerivative
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.restricted import RestrictedForm
@@ -46,7 +45,7 @@ class FlowSchurComplement:
         others = claims.beside_the_points()
         self.others = RestrictedForm(step, u.flow, others) if others else None
         self.leading = claims.of_gradients()
-        self.inertial = [term for term in claims.at_points if type(term) is Inertia]
+        self.inertial = claims.of_inertia()
 
     def update(self, at: Evaluation, everything: bool = True) -> None:
         """Linearise at an evaluation.
@@ -70,7 +69,7 @@ class FlowSchurComplement:
         u, terms = at.cells, self.residual.cell_terms
         v = u.v.value.astype(complex)
         v[0] += 1j * TINY
-        slots = terms.slots(self.inertial, with_velocity(u, v=v))
+        slots = terms.slots(self.inertial, with_values(u, v=v))
         return slots["v"][0].imag / TINY
 
     def _base(self) -> np.ndarray:
@@ -84,11 +83,11 @@ class FlowSchurComplement:
                 if column == 0:
                     changed = v.astype(complex)
                     changed[k] += 1j * TINY
-                    at = with_velocity(u, v=changed)
+                    at = with_values(u, v=changed)
                 else:
                     changed = L.astype(complex)
                     changed[k, column - 1] += 1j * TINY
-                    at = with_velocity(u, grad_v=changed)
+                    at = with_values(u, grad_v=changed)
                 slots = self.tangent.terms.slots(varying, at)
                 A[:, 0, :, k, column] = slots["v"].imag.T
                 A[:, 1:, :, k, column] = slots["grad v"].imag.transpose(2, 1, 0)
