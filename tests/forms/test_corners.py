@@ -54,7 +54,6 @@ def test_corners_of_tetrahedra_are_reported():
         warn_of_corners(run.rothe_step, [0.0, 1.0])
 
 
-@pytest.mark.filterwarnings("ignore:walls. their velocities:ngvisco.InputWarning")
 def test_a_divided_corner_is_held_by_the_pressure():
     """In the corner cell under the lid, of 0.33 m, the density rises e-fold in 0.33 s."""
     change = {}
