@@ -29,7 +29,7 @@ class BlockInverse:
         order = np.argsort(label, kind="stable")
         order = order[label[order] < count]
         _, sizes = np.unique(label[order], return_counts=True)
-        starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+        starts = np.cumsum(sizes) - sizes
         self.groups = [
             order[starts[sizes == size][:, None] + np.arange(size)[None]] for size in np.unique(sizes)
         ]
@@ -53,8 +53,9 @@ class BlockInverse:
 
     def matrix(self) -> sp.csr_matrix:
         """The inverse as a sparse matrix."""
-        values = np.concatenate([inverse.ravel() for inverse in self._inverses])
-        rows, columns = (np.concatenate([entry[i] for entry in self._entries]) for i in range(2))
+        none = np.zeros(0, dtype=np.int64)  # as on a rank without cells
+        values = np.concatenate([np.zeros(0), *(inverse.ravel() for inverse in self._inverses)])
+        rows, columns = (np.concatenate([none, *(entry[i] for entry in self._entries)]) for i in range(2))
         return sp.csr_matrix((values, (rows, columns)), shape=(self.size, self.size))
 
     def __call__(self, r: np.ndarray) -> np.ndarray:

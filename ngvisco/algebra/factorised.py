@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -11,9 +11,25 @@ from scipy.sparse.linalg import eigsh
 
 from ngvisco.algebra import precision
 from ngvisco.errors import StepError
+from ngvisco.parallel.exchange import Exchange
 
 MANY = 100
 """Unknowns from which an eigenvalue is found by iteration."""
+
+
+class Direct(Protocol):
+    """What solves with a matrix on some of its unknowns, and gives others 0."""
+
+    def factorise(self, matrix: sp.csr_matrix) -> None:
+        """Raises StepError if the matrix is singular."""
+
+    def __call__(self, r: np.ndarray) -> np.ndarray: ...
+
+
+class MakesDirect(Protocol):
+    """Makes a solver for the free unknowns; of the matrix's symmetric part where that is said."""
+
+    def __call__(self, free: np.ndarray, *, symmetric: bool) -> Direct: ...
 
 
 class DirectSolver:
@@ -69,7 +85,8 @@ class TwoLevelSolver:
         free: np.ndarray,
         vertices: np.ndarray,
         others: np.ndarray,
-        inverse: str,
+        direct: MakesDirect,
+        exchange: Exchange,
         *,
         sweeps: int,
         damping: float,
@@ -77,39 +94,48 @@ class TwoLevelSolver:
     ) -> None:
         """Masks of unknowns: ``free`` ones, velocities at ``vertices``, and ``others`` than velocities.
 
+        ``direct`` makes the solver of the coarse problem from a mask and whether the matrix is to be made
+        symmetric; ``exchange`` is that of the unknowns: over ranks matrices are in parts.
         ``sweeps`` of Jacobi before and after the coarse problem, damped by ``damping`` in units of
         1/(largest eigenvalue of D^{-1} A), without entries smaller than ``dropped`` of the diagonal.
         """
-        self.free, self.vertices, self.others, self.inverse_type = free, vertices, others, inverse
+        self.free, self.vertices, self.others = free, vertices, others
+        self.direct, self.exchange = direct, exchange
         self.sweeps, self.damping, self.dropped = sweeps, damping, dropped
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
         """Raises StepError if the coarse block is singular."""
         matrix = matrix.tocsr()
         is_coarse = self.vertices | self.others
-        beside = self.others.any()
+        exchange = self.exchange
+        beside = exchange.communicator.any(self.others.any())
         if beside:
             is_coarse[matrix[self.others].indices] = True
-        self.coarse = DirectSolver(self.free & is_coarse, self.inverse_type, symmetric=not beside)
+            is_coarse = exchange.sum(is_coarse.astype(float)) > 0
+        self.coarse = self.direct(self.free & is_coarse, symmetric=not beside)
         self.coarse.factorise(matrix)
-        diagonal = matrix.diagonal()
+        own_diagonal = matrix.diagonal()
+        diagonal = exchange.sum(own_diagonal)
         self._fine = np.flatnonzero(self.free & ~is_coarse & (diagonal != 0))
         self._coarse = np.flatnonzero(self.free & is_coarse)
         rows, columns = matrix[self._fine], matrix[:, self._fine].tocsr()
+        self._of_fine, self._of_coarse = (exchange.part(own) for own in (self._fine, self._coarse))
         own = _without_small(rows[:, self._fine], diagonal[self._fine], self.dropped)
         between = rows[:, self._coarse].tocsr(), columns[self._coarse].tocsr()
         self._own, self._from_coarse, self._to_coarse = (m.astype(precision.SINGLE) for m in (own, *between))
-        smoother = self.damping / (largest_eigenvalue(own) * diagonal[self._fine])
+        # a sum of matrices has no larger one than the largest of these, each in its own diagonal's units
+        largest = exchange.communicator.most(largest_eigenvalue(own))
+        smoother = self.damping / (largest * diagonal[self._fine])
         self._smoother = smoother.astype(precision.SINGLE)
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         r_fine = r[self._fine].astype(precision.SINGLE)
         x = self._smoothed(r_fine)
-        r_fine -= self._own @ x
         r_coarse = r.copy()
-        r_coarse[self._coarse] -= self._to_coarse @ x
+        r_coarse[self._coarse] -= self._of_coarse.sum(self._to_coarse @ x)
         result = self.coarse(r_coarse)
-        r_fine -= self._from_coarse @ result[self._coarse].astype(precision.SINGLE)
+        change = self._own @ x + self._from_coarse @ result[self._coarse].astype(precision.SINGLE)
+        r_fine -= self._of_fine.sum(change)
         result[self._fine] = x + self._smoothed(r_fine)
         return result
 
@@ -117,7 +143,7 @@ class TwoLevelSolver:
         """Sweeps from zero with the fine functions' residual ``r``."""
         x = self._smoother * r
         for _ in range(self.sweeps - 1):
-            x += self._smoother * (r - self._own @ x)
+            x += self._smoother * (r - self._of_fine.sum(self._own @ x))
         return x
 
 

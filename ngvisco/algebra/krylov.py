@@ -1,17 +1,80 @@
-"""GMRES where one application of an approximate inverse is not enough."""
+"""GMRES with inner products of the caller's, as those over ranks, and where one application is not enough."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, gmres
 
 Map = Callable[[np.ndarray], np.ndarray]
+Products = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Inner products of vectors (n, unknowns) with one, (n,)."""
+
+_BREAKDOWN = 1e-14
+"""A new direction's share outside of the old ones, relative to its length, that is rounding."""
+
+
+def gmres(
+    operator: Map,
+    right: np.ndarray,
+    *,
+    rtol: float,
+    directions: int,
+    products: Products = np.matmul,
+) -> tuple[np.ndarray, int]:
+    """x with |right - operator(x)| <= ``rtol`` |right|, or the least in ``directions``, and how many it took.
+
+    Directions are made orthogonal by the classical Gram-Schmidt method, twice, so that a direction takes
+    two reductions over ranks, however many there are (SciPy's GMRES has one process's products only).
+
+    Parameters
+    ----------
+    operator : callable
+        Linear, of vectors (unknowns,).
+    right : array, (unknowns,)
+        Where it or a product is not finite, x is NaN.
+    products : callable
+        Inner products, see ``Products``; collective over ranks.
+    """
+    size = float(np.sqrt(products(right[None], right)[0]))
+    if size == 0:
+        return np.zeros_like(right), 0
+    if not np.isfinite(size):
+        return np.full_like(right, np.nan), 0
+    basis = np.empty((directions + 1, len(right)))
+    basis[0] = right / size
+    hessenberg, start = np.zeros((directions + 1, directions)), np.zeros(directions + 1)
+    start[0] = size
+    for k in range(directions):
+        new = basis[k + 1]
+        new[:] = operator(basis[k])
+        column = products(basis[: k + 2], new)
+        length = float(np.sqrt(column[-1]))
+        if not np.isfinite(length):
+            return np.full_like(right, np.nan), k + 1
+        new -= column[:-1] @ basis[: k + 1]
+        again = products(basis[: k + 2], new)
+        new -= again[:-1] @ basis[: k + 1]
+        rest = float(np.sqrt(max(again[-1] - again[:-1] @ again[:-1], 0.0)))
+        hessenberg[: k + 1, k] = column[:-1] + again[:-1]
+        hessenberg[k + 1, k] = rest
+        system, wanted = hessenberg[: k + 2, : k + 1], start[: k + 2]
+        shares = np.linalg.lstsq(system, wanted, rcond=None)[0]
+        left = float(np.linalg.norm(wanted - system @ shares))
+        if left <= rtol * size or rest <= _BREAKDOWN * length:
+            break
+        new /= rest
+    return shares @ basis[: k + 1], k + 1
 
 
 def improved(
-    apply: Map, approximate: Map, rows: np.ndarray, tolerance: float, most: int, enough: float = 0.0
+    apply: Map,
+    approximate: Map,
+    rows: np.ndarray,
+    tolerance: float,
+    most: int,
+    enough: float = 0.0,
+    products: Products = np.matmul,
 ) -> tuple[np.ndarray, int]:
     """x with apply(x) = rows up to ``tolerance``, from what an approximate inverse gives, and its iterations.
 
@@ -29,27 +92,24 @@ def improved(
         Iterations at most.
     enough : float
         What one application may leave without any.
+    products : callable
+        Inner products, see ``Products``, of values that are each on one rank.
     """
+
+    def squares(columns: np.ndarray) -> np.ndarray:
+        return products((columns * columns).T, np.ones(len(columns)))
+
     start = approximate(rows).astype(float)  # squares of single precision's numbers may leave it
-    scale = np.linalg.norm(start, axis=0)
+    scale = np.sqrt(squares(start))
     scale[scale == 0] = 1.0
     rest = approximate(rows - apply(start)).astype(float) / scale
-    size = float(np.linalg.norm(rest))
+    size = float(np.sqrt(squares(rest).sum()))
     if not max(tolerance, enough) < size < np.inf:  # good enough, or nothing that is a number
         return start, 0
-    shape, taken = start.shape, list[float]()
+    shape = start.shape
 
     def mapped(x: np.ndarray) -> np.ndarray:
         return (approximate(apply(scale * x.reshape(shape))) / scale).ravel()
 
-    operator = LinearOperator((start.size, start.size), mapped, dtype=float)
-    x, _ = gmres(
-        operator,
-        rest.ravel(),
-        rtol=tolerance / size,
-        restart=most,
-        maxiter=1,
-        callback=taken.append,
-        callback_type="pr_norm",
-    )
-    return start + scale * x.reshape(shape), len(taken)
+    x, taken = gmres(mapped, rest.ravel(), rtol=tolerance / size, directions=most, products=products)
+    return start + scale * x.reshape(shape), taken

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from math import prod
 
 import numpy as np
 import scipy.sparse as sp
@@ -43,19 +44,20 @@ class LocalMatrix:
             self.matrix = matrix
         self.cells, self.weights = cells, weights
         self.height, self.width = matrix.shape
-        self.per_cell = self.height // cells
+        self.per_cell = self.height // cells if cells else 0  # as on a rank without cells
         entries = matrix.tocoo()
-        cell = entries.row // self.per_cell
+        cell, row = np.divmod(entries.row, max(self.per_cell, 1))
         keys, position = np.unique(cell.astype(np.int64) * self.width + entries.col, return_inverse=True)
-        counts = np.bincount(keys // self.width, minlength=cells)
+        of_cell, unknown = np.divmod(keys, max(self.width, 1))
+        counts = np.bincount(of_cell, minlength=cells)
         self.local = int(counts.max(initial=1))
-        first = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        place = np.arange(len(keys)) - first[keys // self.width]
+        first = np.cumsum(counts) - counts
+        place = np.arange(len(keys)) - first[of_cell]
         # cells with fewer unknowns are filled up with the first one and with zeros
         self.unknowns = np.zeros((cells, self.local), dtype=np.int64)
-        self.unknowns[keys // self.width, place] = keys % self.width
+        self.unknowns[of_cell, place] = unknown
         self._blocks = np.zeros((cells, self.local, self.per_cell), dtype)
-        self._blocks[cell, place[position], entries.row % self.per_cell] = entries.data
+        self._blocks[cell, place[position], row] = entries.data
         # coefficients of a discontinuous space stand cell by cell
         self._in_order = self.width == cells * self.local and bool(
             (self.unknowns.ravel() == np.arange(self.width)).all()
@@ -86,7 +88,7 @@ class LocalMatrix:
             if out is not None:
                 out[...] = result
             return result
-        parts = rows.reshape(-1, self.width)
+        parts = rows.reshape(prod(rows.shape[:-1]), self.width)
         result = np.empty((len(parts), self.height)) if out is None else out
         shape = (len(parts), self.cells, self.local)
         by_cells = result.reshape(len(parts), self.cells, self.per_cell).transpose(1, 0, 2)
@@ -102,11 +104,11 @@ class LocalMatrix:
         """matrix^T @ (weights * each of ``values``), (..., height) -> (..., width)."""
         if np.iscomplexobj(values):
             return by_parts(self.test, values)
-        parts = values.reshape(-1, self.height)
+        parts = values.reshape(prod(values.shape[:-1]), self.height)
         local = np.empty((len(parts), self.cells, self.local))
         by_cells = parts.reshape(len(parts), self.cells, self.per_cell).transpose(1, 0, 2)
         product(by_cells, self._tests, out=local.transpose(1, 0, 2))
-        flat = local.reshape(len(parts), -1)
+        flat = local.reshape(len(parts), self.unknowns.size)
         if not self._in_order:
             flat = (self._scatter @ np.ascontiguousarray(flat.T)).T
         return flat.reshape(*values.shape[:-1], self.width)
@@ -124,4 +126,4 @@ class LocalMatrix:
 
     def tested(self, values: np.ndarray) -> np.ndarray:
         """matrix^T @ ``values``, (cells, rows of a cell, n), without weights: (width, n)."""
-        return self._scatter @ product(self._blocks, values).reshape(-1, values.shape[2])
+        return self._scatter @ product(self._blocks, values).reshape(self.unknowns.size, values.shape[2])

@@ -26,3 +26,34 @@ def pruned(matrix: sp.csr_matrix) -> sp.csr_matrix:
     matrix.data[abs(matrix.data) <= 1e-14 * abs(matrix.data).max(initial=0.0)] = 0.0
     matrix.eliminate_zeros()
     return matrix
+
+
+def of_blocks(own: np.ndarray, across: np.ndarray, neighbours: np.ndarray) -> sp.csr_matrix:
+    """A matrix of cells' blocks: their ``own`` (cells, q, q), and ``across`` each side, (cells, sides, q, q).
+
+    ``neighbours`` (cells, sides) are the cells there.
+    """
+    cells, sides, q, _ = across.shape
+    row = np.repeat(np.arange(cells), 1 + sides)
+    column = np.concatenate([np.arange(cells)[:, None], neighbours], axis=1).ravel()
+    blocks = np.concatenate([own[:, None], across], axis=1).reshape(-1, q, q)
+    inside = np.arange(q)
+    rows = np.broadcast_to((q * row[:, None, None] + inside[:, None]), blocks.shape)
+    columns = np.broadcast_to((q * column[:, None, None] + inside[None, :]), blocks.shape)
+    return sp.csr_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(q * cells,) * 2)
+
+
+class ElementAssembly:
+    """Square matrices as sums of element matrices, in one pass."""
+
+    def __init__(self, unknowns: np.ndarray, width: int) -> None:
+        """``unknowns`` (cells, local) are those of the cells, ``width`` is the number of all."""
+        self.width = width
+        flat = unknowns[:, :, None].astype(np.int64) * width + unknowns[:, None, :]
+        keys, self._position = np.unique(flat.ravel(), return_inverse=True)
+        self._rows, self._columns = keys // width, keys % width
+
+    def __call__(self, elements: np.ndarray) -> sp.csr_matrix:
+        """The matrix of element matrices (cells, local, local)."""
+        values = np.bincount(self._position, weights=elements.ravel(), minlength=len(self._rows))
+        return sp.csr_matrix((values, (self._rows, self._columns)), shape=(self.width, self.width))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 from ngsolve import ET, VOL, BitArray, Mesh, Projector
 from ngsolve.la import CreateVVector
@@ -50,3 +52,19 @@ def vertices(mesh: Mesh) -> np.ndarray:
 def coordinates(mesh: Mesh) -> np.ndarray:
     """Of the vertices, (vertices, dim), m."""
     return mesh.ngmesh.Coordinates()[: mesh.nv]
+
+
+def rigid_motions(mesh: Mesh, width: int, count: int) -> np.ndarray:
+    """Translations and rotations by the values at the vertices, (n, count).
+
+    Components of v follow each other with ``width`` coefficients each, those of the vertices first.
+    """
+    dim, places = mesh.dim, coordinates(mesh).T
+    pairs, at = list(combinations(range(dim), 2)), np.arange(mesh.nv)
+    motions = np.zeros((dim + len(pairs), count))
+    for i in range(dim):
+        motions[i, i * width + at] = 1.0
+    for motion, (i, j) in zip(motions[dim:], pairs, strict=True):
+        motion[i * width + at] = -places[j]
+        motion[j * width + at] = places[i]
+    return motions

@@ -93,4 +93,4 @@ class CellPoints:
 
     def read(self, function: GridFunction, components: int) -> np.ndarray:
         """The values of such a function, (components, points), as a view."""
-        return function.vec.FV().NumPy().reshape(-1, self.count)[:components]
+        return function.vec.FV().NumPy().reshape(function.dim, self.count)[:components]

@@ -66,7 +66,7 @@ class VelocityOfMomentum:
         self._load = LinearForm(space)
         self._load += inner(momentum, space.TestFunction()) * quadrature.cells
         self.free = mask_of(space.FreeDofs())
-        self._exchange = Exchange(space, Communicator.of(layout.mesh))
+        self._exchange = Exchange.of(space, Communicator.of(layout.mesh))
         # what ranks share counts once in products
         several = self._exchange.communicator.is_distributed
         self._own = self._exchange.owned if several else slice(None)

@@ -104,6 +104,10 @@ class Communicator:
         """The sum over the ranks."""
         return value if self.size == 1 else self._reduced(value, "SUM")
 
+    def totals(self, values: np.ndarray) -> np.ndarray:
+        """The sums over the ranks of each of some values."""
+        return values if self.size == 1 else self._reduced(np.ascontiguousarray(values), "SUM")
+
     def most(self, values: np.ndarray | float) -> float:
         """The largest of all ranks' values; a rank may have none.  NaN counts as larger than any number."""
         own = np.asarray(values, dtype=float)
@@ -125,6 +129,10 @@ class Communicator:
     def all(self, value: bool | np.bool_) -> bool:
         """Whether it is so on every rank."""
         return not self.any(not value)
+
+    def products(self, several: np.ndarray, one: np.ndarray) -> np.ndarray:
+        """Inner products of vectors (n, entries) with one, (n,), each entry on one of the ranks."""
+        return self.totals(several @ one)
 
     def dot(self, a: np.ndarray, b: np.ndarray) -> float:
         """The inner product of what the ranks hold together, each entry on one of them."""
@@ -148,6 +156,18 @@ class Communicator:
     def gathered(self, value: Any) -> list[Any]:
         """All ranks' objects, in their order."""
         return [value] if self.size == 1 else self.mpi.allgather(value)
+
+    @contextlib.contextmanager
+    def together(self, *kinds: type[Exception]) -> Iterator[None]:
+        """Within: work of each rank for itself; an error of these kinds on one rank is raised on all."""
+        error: Exception | None = None
+        try:
+            yield
+        except kinds as raised:
+            error = raised
+        together = self.agree(error)
+        if together is not None:
+            raise together
 
     def agree(self, error: BaseException | None) -> BaseException | None:
         """What all ranks fail with where some do: the error of the lowest rank that has one."""

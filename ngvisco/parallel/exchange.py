@@ -1,13 +1,18 @@
-"""The one primitive of distributed vectors: what ranks share of a space's unknowns is summed up.
+"""The one primitive of distributed vectors: what ranks share of a vector's unknowns is summed up.
 
 ``ParallelDofs().Proc2Dof(r)`` lists the unknowns shared with rank r in the same order on both sides.  Each
 rank sends its own values of them and adds what it gets, so that all ranks which share an unknown have the
 same sum up to its order, which is that of the ranks: bit for bit the same.
+
+A vector is *summed* where all ranks that share an unknown have the same value of it, that of one process, and
+*in parts* where their sum is that value, as what each rank's cells make of a residual.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from ngsolve import FESpace
@@ -16,25 +21,48 @@ from ngvisco.parallel.communicator import TRAFFIC, Communicator
 
 
 class Exchange:
-    """Sums of a space's unknowns over the ranks that share them; on one process nothing is done.
+    """Sums of unknowns over the ranks that share them; on one process nothing is done.
 
     Parameters
     ----------
-    space : FESpace
-        Of a distributed mesh, or any.
+    count : int
+        Unknowns of this rank.
+    shared : mapping of ranks to arrays of int
+        Unknowns shared with each neighbour, in the same order on both.
     communicator : Communicator
-        That of the mesh.
     """
 
-    def __init__(self, space: FESpace, communicator: Communicator) -> None:
-        self.communicator, self.count = communicator, space.ndof
-        self.shared: dict[int, np.ndarray] = {}
-        """Unknowns shared with each neighbour."""
-        if communicator.is_distributed:
-            dofs = space.ParallelDofs()
-            for rank in range(communicator.size):
-                if rank != communicator.rank and len(own := dofs.Proc2Dof(rank)):
-                    self.shared[rank] = np.array(own, dtype=np.int64)
+    def __init__(self, count: int, shared: Mapping[int, np.ndarray], communicator: Communicator) -> None:
+        self.count, self.communicator = count, communicator
+        self.shared = {rank: numbers for rank, numbers in shared.items() if len(numbers)}
+        self.is_distributed = communicator.is_distributed
+
+    @classmethod
+    def of(cls, space: FESpace, communicator: Communicator) -> Exchange:
+        """Of a space's unknowns; the communicator is that of its mesh."""
+        if not communicator.is_distributed:
+            return cls(space.ndof, {}, communicator)
+        return cls.of_dofs(space.ParallelDofs(), space.ndof, communicator)
+
+    @classmethod
+    def of_dofs(cls, dofs: Any, count: int, communicator: Communicator) -> Exchange:
+        """Of NGSolve's ``ParallelDofs``."""
+        others = [rank for rank in range(communicator.size) if rank != communicator.rank]
+        shared = {rank: np.array(dofs.Proc2Dof(rank), dtype=np.int64) for rank in others}
+        return cls(count, shared, communicator)
+
+    def part(self, numbers: np.ndarray) -> Exchange:
+        """Of some of the unknowns, as a vector of these alone.
+
+        What is shared of them has to be chosen, in the same order, on all ranks that share it.
+        """
+        if not self.shared:
+            return Exchange(len(numbers), {}, self.communicator)
+        place = np.full(self.count, -1, dtype=np.int64)
+        place[numbers] = np.arange(len(numbers))
+        shared = {rank: place[own] for rank, own in self.shared.items()}
+        chosen = {rank: own[own >= 0] for rank, own in shared.items()}
+        return Exchange(len(numbers), chosen, self.communicator)
 
     @cached_property
     def owned(self) -> np.ndarray:
@@ -45,6 +73,22 @@ class Exchange:
                 mine[numbers] = False
         return mine
 
+    @cached_property
+    def places(self) -> np.ndarray:
+        """The unknowns that other ranks hold too, (shared unknowns,)."""
+        return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *self.shared.values()]))
+
+    def numbers(self, chosen: np.ndarray) -> tuple[np.ndarray, int]:
+        """Numbers of the unknowns that are ``chosen`` among these of all ranks, and how many they are.
+
+        Those that a rank owns follow each other, rank after rank; others have no number.  Collective.
+        """
+        own = chosen & self.owned
+        counts = self.communicator.gathered(int(np.count_nonzero(own)))
+        numbers = np.zeros(self.count)
+        numbers[own] = sum(counts[: self.communicator.rank]) + np.arange(np.count_nonzero(own))
+        return self.of_owners(numbers).astype(np.int64), sum(counts)
+
     def of_owners(self, values: np.ndarray) -> np.ndarray:
         """Of every unknown the value of the rank that owns it; collective between neighbours."""
         return self.sum(np.where(self.owned, values, 0.0)) if self.shared else values
@@ -53,8 +97,37 @@ class Exchange:
         """The sums of all ranks' values, (..., unknowns); collective between neighbours."""
         if not self.shared:
             return values
+        got = self._got({rank: values[..., own] for rank, own in self.shared.items()})
+        result = np.array(values)
+        result[..., self.places] = 0.0
+        for rank in sorted([*got, self.communicator.rank]):  # the same order on every rank
+            if rank == self.communicator.rank:
+                result[..., self.places] += values[..., self.places]
+            else:
+                result[..., self.shared[rank]] += got[rank]
+        return result
+
+    def others(self, values: np.ndarray) -> np.ndarray:
+        """What the other ranks have of the shared unknowns in place of ``values``, (..., shared unknowns).
+
+        For unknowns that two ranks share, as those of facets.
+        """
+        result = np.zeros_like(values)
+        if self.shared:
+            got = self._got({rank: values[..., where] for rank, where in self._among_places.items()})
+            for rank, where in self._among_places.items():
+                result[..., where] += got[rank]
+        return result
+
+    @cached_property
+    def _among_places(self) -> dict[int, np.ndarray]:
+        """Where among ``places`` those of each neighbour stand."""
+        return {rank: np.searchsorted(self.places, own) for rank, own in self.shared.items()}
+
+    def _got(self, values: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
+        """What neighbours sent for what was sent to them."""
         mpi = self.communicator.mpi
-        sent = {rank: np.ascontiguousarray(values[..., own]) for rank, own in self.shared.items()}
+        sent = {rank: np.ascontiguousarray(part) for rank, part in values.items()}
         got = {rank: np.empty_like(part) for rank, part in sent.items()}
         requests = [mpi.Irecv(part, rank) for rank, part in got.items()]
         requests += [mpi.Isend(part, rank) for rank, part in sent.items()]
@@ -62,15 +135,19 @@ class Exchange:
             request.Wait()
         TRAFFIC.messages += len(sent)
         TRAFFIC.bytes += sum(part.nbytes for part in sent.values())
-        result = np.array(values)
-        result[..., self._all_shared] = 0.0
-        for rank in sorted([*got, self.communicator.rank]):  # the same order on every rank
-            if rank == self.communicator.rank:
-                result[..., self._all_shared] += values[..., self._all_shared]
-            else:
-                result[..., self.shared[rank]] += got[rank]
-        return result
+        return got
 
-    @cached_property
-    def _all_shared(self) -> np.ndarray:
-        return np.unique(np.concatenate(list(self.shared.values())))
+    def products(self, several: np.ndarray, one: np.ndarray) -> np.ndarray:
+        """Inner products of summed vectors ``several`` (n, unknowns) with ``one``, (n,); collective."""
+        if not self.is_distributed:
+            return several @ one
+        return self.communicator.totals(several @ np.where(self.owned, one, 0.0))
+
+    def norm(self, values: np.ndarray, where: slice = slice(None)) -> float:
+        """The Euclidean norm of a summed vector, or of a part of it; collective."""
+        own = values[where]
+        return self.communicator.norm(own[self.owned[where]] if self.is_distributed else own)
+
+    def length(self, where: slice = slice(None)) -> int:
+        """The number of unknowns on all ranks, or of a part of them; collective."""
+        return int(self.communicator.total(int(np.count_nonzero(self.owned[where]))))

@@ -1,7 +1,7 @@
 """PETSc for the linear systems: matrices of rows over the ranks, a direct solver and multigrid.
 
-Which unknown is which row: ``ParallelDofs.EnumerateGlobally`` of the free unknowns.  A matrix that NGSolve
-assembled is the sum of the ranks' local ones; PETSc has that as a type (IS) and converts it to rows (AIJ).
+Which unknown is which row: ``Exchange.numbers`` of the free unknowns.  A matrix is the sum of the ranks' own
+ones; PETSc has that as a type (IS) and converts it to rows (AIJ).
 """
 
 from __future__ import annotations
@@ -9,11 +9,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from ngsolve import BaseMatrix, BaseVector, BitArray
 from ngsolve.la import PARALLEL_STATUS
 
-from ngvisco.errors import NgviscoError
+from ngvisco.errors import NgviscoError, StepError
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 
 PACKAGES = ("mumps", "superlu_dist", "hypre", "ml", "ptscotch", "parmetis")
 """External packages that are of use here; GAMG is a part of PETSc."""
@@ -23,6 +25,10 @@ MISSING = "petsc4py is missing or does not load: see 'Several processes' in the 
 
 class PETScError(NgviscoError, RuntimeError):
     """PETSc is missing, or did not solve a system."""
+
+
+class SingularError(PETScError, StepError):
+    """A matrix has no factorisation."""
 
 
 def petsc() -> Any:
@@ -43,52 +49,68 @@ def packages() -> dict[str, bool]:
     return {name: bool(has(name)) for name in PACKAGES}
 
 
+def own_part(matrix: BaseMatrix) -> sp.csr_matrix:
+    """What a rank's cells make of a distributed matrix of NGSolve's."""
+    values, columns, starts = (np.array(part) for part in matrix.local_mat.CSR())
+    return sp.csr_matrix((values, columns, starts), shape=(matrix.local_mat.height, matrix.local_mat.width))
+
+
 class Rows:
-    """The free unknowns of a distributed space as rows of PETSc's matrices and vectors.
+    """The free unknowns of a distributed vector as rows of PETSc's matrices and vectors.
 
     Parameters
     ----------
-    dofs : ParallelDofs
-        Of the space, whose unknowns are scalars.
-    free : BitArray
-    communicator : Communicator
+    free : (unknowns,) array of bool
+        The same on all ranks that share an unknown.
+    exchange : Exchange
+        Of the unknowns.
     """
 
-    def __init__(self, dofs: Any, free: BitArray, communicator: Communicator) -> None:
+    def __init__(self, free: np.ndarray, exchange: Exchange) -> None:
         module = petsc()
-        self.comm = communicator.mpi
-        self.free = np.flatnonzero(np.array(list(free), dtype=bool)).astype(module.IntType)
-        numbers, self.count = dofs.EnumerateGlobally(free)
-        own = np.array(numbers, dtype=module.IntType)[self.free]
+        self.exchange = exchange
+        self.comm = exchange.communicator.mpi or module.COMM_SELF
+        numbers, self.count = exchange.numbers(free)
+        self.free = np.flatnonzero(free)
+        own = numbers[self.free].astype(module.IntType)
         self._map = module.LGMap().create(indices=own, comm=self.comm)
         self._rows = module.IS().createGeneral(own, comm=self.comm)
         self._values = np.zeros(len(own))
         self._own = module.Vec().createWithArray(self._values, comm=module.COMM_SELF)
         self._scatter: Any = None
 
-    def matrix(self, local: BaseMatrix) -> Any:
+    def matrix(self, own: sp.csr_matrix) -> Any:
         """The sum of the ranks' matrices, (unknowns, unknowns), in free rows and columns, as AIJ."""
         module = petsc()
-        values, columns, starts = local.CSR()
-        csr = (np.array(starts, module.IntType), np.array(columns, module.IntType), np.array(values))
-        own = module.Mat().createAIJ(size=(local.height, local.width), csr=csr, comm=module.COMM_SELF)
+        free = own[self.free][:, self.free].tocsr()
+        csr = (free.indptr.astype(module.IntType), free.indices.astype(module.IntType), free.data)
+        local = module.Mat().createAIJ(size=free.shape, csr=csr, comm=module.COMM_SELF)
         matrix = module.Mat().create(comm=self.comm)
         matrix.setSizes(self.count)
         matrix.setType(module.Mat.Type.IS)
         matrix.setLGMap(self._map)
-        matrix.setISLocalMat(own.createSubMatrices(module.IS().createGeneral(self.free))[0])
+        matrix.setISLocalMat(local)
         matrix.assemble()
         matrix.convert(module.Mat.Type.AIJ)
         return matrix
 
-    def solve(self, solver: Any, rows: BaseVector, unknowns: BaseVector) -> None:
-        """unknowns = the solver's solution for the right-hand side ``rows``; 0 where not free."""
+    def vector(self, matrix: Any, values: np.ndarray) -> Any:
+        """A vector of the matrix with the free ones of summed ``values``, of length one."""
+        module = petsc()
+        vector = matrix.createVecs()[0]
+        own = module.Vec().createWithArray(np.ascontiguousarray(values[self.free]), comm=module.COMM_SELF)
+        scatter = module.Scatter().create(own, None, vector, self._rows)
+        scatter.scatter(own, vector, addv=module.InsertMode.INSERT)
+        vector.normalize()
+        return vector
+
+    def solve(self, solver: Any, rows: np.ndarray) -> np.ndarray:
+        """The solver's solution, summed, for a right-hand side in parts; 0 where not free."""
         module = petsc()
         if self._scatter is None:
             self._solution, self._right = solver.getOperators()[0].createVecs()
             self._scatter = module.Scatter().create(self._own, None, self._right, self._rows)
-        rows.Distribute()
-        self._values[:] = rows.FV().NumPy()[self.free]
+        self._values[:] = rows[self.free]
         self._right.set(0.0)
         self._scatter.scatter(self._own, self._right, addv=module.InsertMode.ADD)
         solver.solve(self._right, self._solution)
@@ -98,46 +120,99 @@ class Rows:
         self._scatter.scatter(
             self._solution, self._own, addv=module.InsertMode.INSERT, mode=module.ScatterMode.REVERSE
         )
-        unknowns.SetParallelStatus(PARALLEL_STATUS.CUMULATED)
-        unknowns.FV().NumPy()[:] = 0.0
-        unknowns.FV().NumPy()[self.free] = self._values
+        result = np.zeros(len(rows))
+        result[self.free] = self._values
+        return result
 
 
-class Direct(BaseMatrix):
-    """The inverse of a distributed matrix by a factorisation of MUMPS, in the free unknowns.
+class SumInverse:
+    """The inverse of a sum of the ranks' matrices in the free unknowns, or an approximation of it.
+
+    Parameters
+    ----------
+    free, exchange
+        As of ``Rows``; on one process PETSc is needed as well.
+    symmetric : bool
+        Take the symmetric part instead.
+    method : str
+        ``"mumps"`` factorises; ``"gamg"`` and ``"hypre"`` are one cycle of algebraic multigrid, PETSc's own
+        and BoomerAMG, for positive definite matrices.
+    kernel : (n, unknowns) array, optional
+        Vectors that the matrix hardly changes, summed, of which GAMG makes its coarse spaces: rigid motions.
 
     Raises
     ------
     PETScError
-        If PETSc or its MUMPS is missing, or the matrix is singular.
+        If PETSc or the method's package is missing.
     """
+
+    def __init__(
+        self,
+        free: np.ndarray,
+        exchange: Exchange,
+        symmetric: bool = False,
+        method: str = "mumps",
+        kernel: np.ndarray | None = None,
+    ) -> None:
+        if method in PACKAGES and not packages()[method]:
+            raise PETScError(f"this PETSc has no {method}: expected one built with it")
+        self.rows, self.symmetric = Rows(free, exchange), symmetric
+        self.method, self.kernel = method, kernel
+        self._solver: Any = None
+
+    def factorise(self, own: sp.csr_matrix) -> None:
+        """Of the sum of the ranks' matrices; raises SingularError on every rank if it is singular."""
+        module = petsc()
+        matrix = self.rows.matrix(0.5 * (own + own.T) if self.symmetric else own)
+        self._solver = module.KSP().create(comm=self.rows.comm)
+        self._solver.setOperators(matrix)
+        self._solver.setType("preonly")
+        preconditioner = self._solver.getPC()
+        if self.method == "mumps":
+            preconditioner.setType("lu")
+            preconditioner.setFactorSolverType("mumps")
+        else:
+            preconditioner.setType(self.method)
+            if self.kernel is not None:
+                vectors = [self.rows.vector(matrix, each) for each in self.kernel]
+                matrix.setNearNullSpace(module.NullSpace().create(vectors=vectors, comm=self.rows.comm))
+        try:
+            self._solver.setUp()
+        except module.Error as error:
+            raise SingularError(f"{self.method} did not take the matrix ({error})") from error
+
+    def __call__(self, r: np.ndarray) -> np.ndarray:
+        """The solution for a summed right-hand side; collective."""
+        return self.of_parts(np.where(self.rows.exchange.owned, r, 0.0))
+
+    def of_parts(self, rows: np.ndarray) -> np.ndarray:
+        """The same for a right-hand side in parts."""
+        try:
+            return self.rows.solve(self._solver, rows)
+        except PETScError as error:  # a zero pivot shows here
+            raise SingularError(f"{self.method} did not take the matrix ({error})") from error
+
+
+class Direct(BaseMatrix):
+    """``SumInverse`` of a matrix that NGSolve assembled, as one of its own."""
 
     def __init__(self, matrix: BaseMatrix, free: BitArray, communicator: Communicator) -> None:
         super().__init__()
-        if not packages()["mumps"]:
-            raise PETScError("this PETSc has no MUMPS: expected one built with it")
         self.matrix = matrix
-        self.rows = Rows(matrix.row_pardofs, free, communicator)
+        exchange = Exchange.of_dofs(matrix.row_pardofs, matrix.local_mat.height, communicator)
+        self._inverse = SumInverse(np.array(list(free), dtype=bool), exchange)
         self.Update()
 
     def Update(self) -> None:
         """Factorise again, as NGSolve's inverses do, where the matrix has changed."""
-        module = petsc()
-        own = self.rows.matrix(self.matrix.local_mat)
-        self._solver = module.KSP().create(comm=self.rows.comm)
-        self._solver.setOperators(own)
-        self._solver.setType("preonly")
-        preconditioner = self._solver.getPC()
-        preconditioner.setType("lu")
-        preconditioner.setFactorSolverType("mumps")
-        try:
-            self._solver.setUp()
-        except module.Error as error:
-            raise PETScError(f"MUMPS did not factorise the matrix ({error})") from error
+        self._inverse.factorise(own_part(self.matrix))
 
     def Mult(self, rows: BaseVector, unknowns: BaseVector) -> None:
         """unknowns = matrix^{-1} rows, 0 where not free; collective."""
-        self.rows.solve(self._solver, rows, unknowns)
+        rows.Distribute()
+        found = self._inverse.of_parts(rows.FV().NumPy())
+        unknowns.SetParallelStatus(PARALLEL_STATUS.CUMULATED)
+        unknowns.FV().NumPy()[:] = found
 
     def Shape(self) -> Any:
         return self.matrix.shape

@@ -22,12 +22,13 @@ from ngsolve import (
     x,
     y,
 )
+from ngsolve.la import PARALLEL_STATUS
 
 from ngvisco.errors import NgviscoError
 from ngvisco.parallel.communicator import TRAFFIC, Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.mesh import distributed
-from ngvisco.parallel.petsc import Direct, Rows, packages, petsc
+from ngvisco.parallel.petsc import Direct, Rows, own_part, packages, petsc
 
 _ROUNDING, _REDUCTION = 1e-9, 1e-8
 
@@ -51,7 +52,7 @@ def _exchanged(mesh: Mesh, communicator: Communicator) -> str:
     """Compare our exchange with NGSolve's."""
     space = H1(mesh, order=2)
     vector = LinearForm((1 + x * y) * space.TestFunction() * dx).Assemble().vec
-    ours = Exchange(space, communicator).sum(vector.FV().NumPy().copy())
+    ours = Exchange.of(space, communicator).sum(vector.FV().NumPy().copy())
     vector.Cumulate()
     difference = communicator.most(np.abs(ours - vector.FV().NumPy()))
     if difference > _ROUNDING:
@@ -68,13 +69,14 @@ def _solved(mesh: Mesh, communicator: Communicator) -> Iterator[tuple[str, str]]
     form += InnerProduct(Grad(u) + Grad(u).trans, Grad(w)) * dx
     form.Assemble()
     load = LinearForm((1 + x) * w[0] * dx).Assemble().vec
-    free = space.FreeDofs()
+    free, exchange = space.FreeDofs(), Exchange.of(space, communicator)
+    mask = np.array(list(free), dtype=bool)
     found, residual = load.CreateVector(), load.CreateVector()
 
     def left() -> float:
         residual.data = load - form.mat * found
         residual.Cumulate()
-        own = np.array(list(free), dtype=bool) & Exchange(space, communicator).owned
+        own = mask & exchange.owned
         load.Cumulate()
         return communicator.norm(residual.FV().NumPy()[own]) / communicator.norm(load.FV().NumPy()[own])
 
@@ -83,15 +85,18 @@ def _solved(mesh: Mesh, communicator: Communicator) -> Iterator[tuple[str, str]]
         if (rest := left()) > _ROUNDING:
             raise NgviscoError(f"MUMPS leaves a residual of {rest:.1e}")
         yield "MUMPS", f"{space.ndofglobal} unknowns, residual {rest:.0e}"
-    rows = Rows(form.mat.row_pardofs, free, communicator)
-    matrix = rows.matrix(form.mat.local_mat)
+    rows = Rows(mask, exchange)
+    matrix = rows.matrix(own_part(form.mat))
+    load.Distribute()
+    parts = load.FV().NumPy().copy()
     for name in ("gamg", *(["hypre"] if packages()["hypre"] else [])):
         solver = petsc().KSP().create(comm=communicator.mpi)
         solver.setOperators(matrix)
         solver.setType("cg")
         solver.getPC().setType(name)
         solver.setTolerances(rtol=_REDUCTION)
-        rows.solve(solver, load, found)
+        found.SetParallelStatus(PARALLEL_STATUS.CUMULATED)
+        found.FV().NumPy()[:] = rows.solve(solver, parts)
         yield name, f"{solver.getIterationNumber()} iterations, residual {left():.0e}"
 
 

@@ -2,7 +2,8 @@
 
 A flux through a facet sees its own cell's values and the facet's trace, which is a mean of both sides'
 values with weights of its own (``UpwindTrace``, ``Continuity``).  With the trace eliminated each side has a
-block of its own cell and one of the cell across.
+block of its own cell and one of the cell across.  Cells of other ranks across shared facets are counted after
+the rank's own, in the order of these facets.
 """
 
 from __future__ import annotations
@@ -21,14 +22,20 @@ class FacetCoupling:
         z, per = sides.z, sides.points.per_side
         self.cells, self.functions = z.cells, z.local
         self.sides = z.per_cell // per
-        self._weights = sides.points.weights.reshape(-1, per, 1)
-        self._z = z.blocks.reshape(-1, per, self.functions)
+        count = self.cells * self.sides
+        self._weights = sides.points.weights.reshape(count, per, 1)
+        self._z = z.blocks.reshape(count, per, self.functions)
         self._z_t = np.ascontiguousarray(self._z.transpose(0, 2, 1))
-        self._hat = np.ascontiguousarray(mass.shapes.T).reshape(len(self._z), per, -1)
+        self._hat = np.ascontiguousarray(mass.shapes.T).reshape(count, per, len(mass.shapes))
         self._hat_t = np.ascontiguousarray(self._hat.transpose(0, 2, 1))
         self._facet = mass.facet[::per]
         self.across = self._other_sides()
-        """The side of the other cell, (sides,); itself on the boundary."""
+        """The side of the other cell, (sides,); itself on the boundary; beyond all sides on another rank."""
+        self._facets = mass.of_facets
+        side_of = np.zeros(len(mass.unknowns), dtype=np.int64)
+        side_of[self._facet] = np.arange(count)
+        self._border = side_of[self._facets.places]
+        self.across[self._border] = count + np.arange(len(self._border))
         self._inner = (self.across != np.arange(len(self._z)))[:, None, None]
 
     def _other_sides(self) -> np.ndarray:
@@ -40,7 +47,19 @@ class FacetCoupling:
 
     def neighbours(self) -> np.ndarray:
         """The cell across each side, (cells, sides)."""
-        return (self.across // self.sides).reshape(self.cells, self.sides)
+        beyond = self.across - self.cells * self.sides
+        cell = np.where(beyond < 0, self.across // max(self.sides, 1), self.cells + beyond)
+        return cell.reshape(self.cells, self.sides)
+
+    def with_others(self, values: np.ndarray) -> np.ndarray:
+        """Values of cells, (cells, ., .), and after them those of other ranks' across shared facets."""
+        return self._with_others(values, self._border // max(self.sides, 1))
+
+    def _with_others(self, values: np.ndarray, sent: np.ndarray) -> np.ndarray:
+        if not len(sent):
+            return values
+        got = self._facets.others(values[sent].transpose(1, 2, 0))
+        return np.concatenate([values, got.transpose(2, 0, 1)])
 
     def blocks(
         self, own: np.ndarray, to_trace: np.ndarray, from_trace: np.ndarray, mass: FacetMass
@@ -62,6 +81,6 @@ class FacetCoupling:
         from_hat = product(self._z_t, (w * from_trace.reshape(shape)) * self._hat)
         from_hat = product(from_hat, mass.inverses[self._facet])
         here = product(self._z_t, (w * own.reshape(shape)) * self._z) + product(from_hat, to_hat)
-        there = product(from_hat, to_hat[self.across]) * self._inner
+        there = product(from_hat, self._with_others(to_hat, self._border)[self.across]) * self._inner
         by_cells = (self.cells, self.sides, self.functions, self.functions)
         return here.reshape(by_cells).sum(axis=1), there.reshape(by_cells)

@@ -1,4 +1,7 @@
-"""Mass matrices of functions of facets, with weights at the sides' points."""
+"""Mass matrices of functions of facets, with weights at the sides' points.
+
+The sides of a facet between two ranks are one on each: what both make of it is summed up (``Exchange``).
+"""
 
 from __future__ import annotations
 
@@ -9,23 +12,26 @@ import scipy.sparse as sp
 
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
+from ngvisco.parallel.exchange import Exchange
 
 
 class FacetMass:
     """sum over sides of int weight u t for functions of facets: small blocks, one a facet."""
 
-    def __init__(self, values: LocalMatrix) -> None:
-        matrix = values.matrix
+    def __init__(self, values: LocalMatrix, exchange: Exchange) -> None:
+        """``values`` at the sides' points of functions of facets, whose unknowns ``exchange`` shares."""
+        matrix, self.exchange = values.matrix, exchange
         self._pattern = BlockInverse((abs(matrix).T @ abs(matrix)).tocsr())
-        (self.unknowns,) = self._pattern.groups
-        facet_of = np.zeros(matrix.shape[1], dtype=np.int64)
-        facet_of[self.unknowns.ravel()] = np.repeat(np.arange(len(self.unknowns)), self.unknowns.shape[1])
-        first = matrix.indices[matrix.indptr[:-1]]
-        self.facet = facet_of[first]
-        columns = self.unknowns[self.facet]
-        rows = np.repeat(np.arange(matrix.shape[0]), columns.shape[1])
-        shapes = np.asarray(matrix[rows, columns.ravel()]).reshape(columns.shape)
-        self.shapes = np.ascontiguousarray(shapes.T)  # (unknowns, points)
+        (self.unknowns,) = self._pattern.groups or [np.zeros((0, 1), dtype=np.int64)]
+        self.of_facets = exchange.part(self.unknowns[:, 0])
+        """The exchange of one value a facet."""
+        facet_of, place = np.zeros((2, matrix.shape[1]), dtype=np.int64)
+        count, size = self.unknowns.shape
+        facet_of[self.unknowns], place[self.unknowns] = np.arange(count)[:, None], np.arange(size)
+        self.facet = facet_of[matrix.indices[matrix.indptr[:-1]]]
+        entries = matrix.tocoo()
+        self.shapes = np.zeros((size, matrix.shape[0]))  # (unknowns, points)
+        self.shapes[place[entries.col], entries.row] = entries.data
 
     def update(self, weights: np.ndarray) -> None:
         """Invert the blocks for the weights (points,)."""
@@ -36,14 +42,26 @@ class FacetMass:
             for j in range(i + 1):
                 blocks[:, i, j] = np.bincount(self.facet, weighted * self.shapes[j], count)
                 blocks[:, j, i] = blocks[:, i, j]
-        self.inverses = np.linalg.inv(blocks)
+        with self.exchange.communicator.together(np.linalg.LinAlgError):
+            # with what the other rank has of a shared facet
+            self.inverses = np.linalg.inv(self.of_facets.sum(blocks.transpose(1, 2, 0)).transpose(2, 0, 1))
         """(facets, functions of a facet, the same)."""
         self.__dict__.pop("inverse", None)
+
+    def summed(self, values: np.ndarray, where: np.ndarray | None = None) -> np.ndarray:
+        """At the sides' points the sum of ``values`` (points,) at both sides' points of the facet.
+
+        ``where`` are the points of these values if not all, of the same facets on all ranks.
+        """
+        if where is None:
+            return self.of_facets.sum(np.bincount(self.facet, values, len(self.unknowns)))[self.facet]
+        facets, facet = np.unique(self.facet[where], return_inverse=True)
+        return self.of_facets.part(facets).sum(np.bincount(facet, values, len(facets)))[facet]
 
     def fitted(self, values: np.ndarray, weights: np.ndarray, where: np.ndarray) -> np.ndarray:
         """The facets' functions fitted to ``values`` (n, points), by blocks of the last ``update``.
 
-        ``where`` are the sides' points, all of some facets, ``weights`` theirs.
+        ``where`` are the sides' points, all of some facets, the same on all ranks, ``weights`` theirs.
         """
         facets, facet = np.unique(self.facet[where], return_inverse=True)
         shapes = self.shapes[:, where]
@@ -51,6 +69,7 @@ class FacetMass:
         for i, shape in enumerate(weights * shapes):
             for j, value in enumerate(values):
                 loads[:, i, j] = np.bincount(facet, shape * value, len(facets))
+        loads = self.of_facets.part(facets).sum(loads.transpose(1, 2, 0)).transpose(2, 0, 1)
         fit = self.inverses[facets] @ loads  # (facets, functions, n)
         return np.einsum("ip,pin->np", shapes, fit[facet])
 

@@ -29,9 +29,9 @@ class HyperDerivative:
         self.cells = step.mesh.ne
         coarse = step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
         self.sides = SideJumps(hyper, SidePoints(step.mesh, penalty_degree)) if coarse else hyper.sides
-        self._weights = hyper.points.weights.reshape(self.cells, 1, -1, 1)
-        self._volume = hyper.points.weights.max()
-        self._side_weights = self.sides.weights.reshape(self.cells, -1)
+        self._weights = hyper.points.weights.reshape(self.cells, 1, hyper.h_values.per_cell, 1)
+        self._volume = hyper.points.weights.max(initial=0.0) or 1.0
+        self._side_weights = self.sides.weights.reshape(self.cells, self.sides.jump.per_cell)
         self.dtype = precision.SINGLE
         self._values = self._together()
         self._at_points = hyper.h_values.blocks.astype(self.dtype)
@@ -43,8 +43,9 @@ class HyperDerivative:
     def _together(self) -> LocalMatrix:
         """B: a cell's coefficients of Hs, components after each other, then its jumps."""
         lift, jump, cells = self.hyper.lift.matrix, self.sides.matrix, self.cells
-        jumps = lift.shape[0] + np.arange(jump.shape[0]).reshape(cells, -1)
-        rows = np.concatenate([np.arange(lift.shape[0]).reshape(cells, -1), jumps], axis=1)
+        per_cell = self.hyper.lift.per_cell, self.sides.jump.per_cell
+        jumps = lift.shape[0] + np.arange(jump.shape[0]).reshape(cells, per_cell[1])
+        rows = np.concatenate([np.arange(lift.shape[0]).reshape(cells, per_cell[0]), jumps], axis=1)
         both = sp.vstack([lift, jump], format="csr")
         return LocalMatrix(both[rows.ravel()], cells, keep=False, dtype=self.dtype)
 
@@ -61,7 +62,7 @@ class HyperDerivative:
             self._penalty = self._side_weights * value_of(penalty).reshape(shape)
             self._normalise()
             return
-        hessian = h.h_values(at.hess).reshape(h.dim, h.size, cells, -1)
+        hessian = h.h_values(at.hess).reshape(h.dim, h.size, cells, h.h_values.per_cell)
         self._hessian, self._j = (
             hessian.transpose(2, 1, 3, 0),
             jumps.reshape(h.dim, *shape).transpose(1, 2, 0),
@@ -75,7 +76,7 @@ class HyperDerivative:
         self._penalty = self._side_weights * h.term.stiffness(self._on_sides).value.reshape(shape)
         # second derivatives by s = P |Hs|^2 and q = |j|^2, tested with these: the same both ways
         s_slope = law.slope(Array(h.s_values(at.square), None), tensors).value
-        self._s_slope = self._weights[:, 0] * s_slope.reshape(cells, -1, 1)
+        self._s_slope = self._weights[:, 0] * s_slope.reshape(cells, h.h_values.per_cell, 1)
         self._ss = self._side_weights * bend.reshape(shape)
         self._sq = self._side_weights * (slope + bend / squared).reshape(shape)
         self._qq = self._side_weights * ((2 * slope + bend / squared) / squared).reshape(shape)
@@ -94,7 +95,8 @@ class HyperDerivative:
 
     def _parts(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of B x: Hs at the points, (cells, components, points, dim), and jumps, (cells, points, dim)."""
-        split, shape = self._of_hessian, (self.cells, self.hyper.size, -1, values.shape[2])
+        split, h = self._of_hessian, self.hyper
+        shape = (self.cells, h.size, h.h_values.local, values.shape[2])
         return _at_each(self._at_points, values[:, :split].reshape(shape)), values[:, split:]
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
@@ -107,7 +109,7 @@ class HyperDerivative:
             self._bend(dH, dj, of_H, of_j)
         loads, split = np.empty_like(values), self._of_hessian
         tested = _at_each(self._at_points.transpose(0, 2, 1), of_H)
-        loads[:, :split] = tested.reshape(self.cells, split, -1)
+        loads[:, :split] = tested.reshape(self.cells, split, values.shape[2])
         loads[:, split:] = of_j
         return np.float64(self._unit * length) * self._values.tested(loads).T
 
@@ -133,7 +135,7 @@ class HyperDerivative:
     def tangent_coefficients(self) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``."""
         h, law, at, sides = self.hyper, self.hyper.law, self._at, self.sides
-        weights = h.points.weights.reshape(self.cells, -1)
+        weights = h.points.weights.reshape(self.cells, h.h_values.per_cell)
 
         def mean(values: Any) -> np.ndarray:
             return (np.broadcast_to(value_of(values), h.points.count).reshape(weights.shape) * weights).sum(

@@ -52,7 +52,7 @@ class SideJumps:
         self.points, self.weights, self._layout = points, points.weights, hyper.step.layout
         self.matrix = points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
         self.of_v, self.of_a = hyper.of_v_and_a(self.matrix)
-        self.h = np.repeat(hyper.step.context.h.vec.FV().NumPy(), points.count // mesh.ne)
+        self.h = np.repeat(hyper.step.context.h.vec.FV().NumPy(), points.count // max(mesh.ne, 1))
         self._context = hyper.step.context
         if not hyper.law.is_linear:
             self.scalar = LocalMatrix(points.values(hyper.squares), mesh.ne, self.weights)
@@ -167,17 +167,17 @@ class MatrixHyperviscosity:
         self.size, self.h_count = size, scalar.ndof
         # rows cell by cell, the components of Hs after each other in a cell
         inverse = sp.block_diag([self.h_inverse_matrix] * size, format="csr")
-        order = np.arange(size * self.h_count).reshape(size, mesh.ne, -1).transpose(1, 0, 2).ravel()
-        self.lift = LocalMatrix((inverse @ loads).tocsr()[order], mesh.ne)
+        order = np.arange(size * self.h_count).reshape(size, mesh.ne, self.h_values.local)
+        self.lift = LocalMatrix((inverse @ loads).tocsr()[order.transpose(1, 0, 2).ravel()], mesh.ne)
 
     def lifted(self, x: np.ndarray) -> np.ndarray:
         """Hs of x = (v, a) side by side, (dim, .): coefficients (dim size, h_count)."""
-        by_cells = self.lift(x).reshape(self.dim, self.step.mesh.ne, self.size, -1)
-        return by_cells.swapaxes(1, 2).reshape(-1, self.h_count)
+        by_cells = self.lift(x).reshape(self.dim, self.step.mesh.ne, self.size, self.h_values.local)
+        return by_cells.swapaxes(1, 2).reshape(self.dim * self.size, self.h_count)
 
     def tested(self, loads: np.ndarray) -> np.ndarray:
         """Rows of (v, a) side by side of a stress's integrals against the functions of Hs."""
-        by_components = loads.reshape(self.dim, self.size, self.step.mesh.ne, -1)
+        by_components = loads.reshape(self.dim, self.size, self.step.mesh.ne, self.h_values.local)
         return self.lift.test(by_components.swapaxes(1, 2).reshape(self.dim, -1))
 
     def __call__(self, v: np.ndarray, a: np.ndarray, z: np.ndarray) -> HyperValues:

@@ -51,7 +51,7 @@ class Operators:
 
     def velocity_gradient(self, v: np.ndarray) -> np.ndarray:
         """L_ij = d_j v_i row by row at the points, (dim^2, points)."""
-        return self.gradients(self.dv, v).reshape(-1, self.points.count)
+        return self.gradients(self.dv, v).reshape(len(v) * len(self.dv), self.points.count)
 
 
 class SideOperators:

@@ -5,6 +5,9 @@ local creep rate, the hyperviscosity's local unknowns and those of the delta-reg
 of the iterated unknowns: they are evaluated, never iterated.  All rows follow from the terms themselves
 (``ngvisco.reduced.evaluation``); with an infinitesimal imaginary part in the unknowns they are Newton's whole
 matrix times a direction.
+
+Over ranks each evaluates on its own cells: loads of traces are summed up before these are solved for, rows
+of the flow and of the normal derivatives at the end; all others are of cells alone.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from ngvisco.algebra.sparse import mass_matrix
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.upwinding import mean_share
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.increments import TINY
 from ngvisco.reduced.claims import Claims
 from ngvisco.reduced.diffusion import FieldDiffusionRows
@@ -56,6 +60,7 @@ class Residual:
 
     @property
     def is_finite(self) -> bool:
+        """On this rank."""
         return all(bool(np.isfinite(part).all()) for part in self.parts())
 
 
@@ -86,8 +91,8 @@ class Evaluation:
 class ReducedResidual:
     """R of one step at packed unknowns x, and its derivative."""
 
-    def __init__(self, step: Step, clock: Clock = lambda name: nullcontext()) -> None:
-        """``clock(name)`` measures the time of a part."""
+    def __init__(self, step: Step, exchange: Exchange, clock: Clock = lambda name: nullcontext()) -> None:
+        """``clock(name)`` measures the time of a part; ``exchange`` is that of the step's space."""
         self.step, self.unknowns, self._clock = step, Unknowns(step), clock
         self.op = Operators(step, step.quadrature.volume_degree // 2)
         self.side_op = SideOperators(step, self.op)
@@ -113,7 +118,13 @@ class ReducedResidual:
         self.right_hand_side: RightHandSide | None = None
         if step.sources is not None:
             self.right_hand_side = RightHandSide(step, self.unknowns)
-        self.trace_mass, self.density_mass = FacetMass(self.side_op.hat), FacetMass(self.side_op.hat)
+        u = self.unknowns
+        self.ranks, self.exchange = exchange.communicator, exchange.part(u.places(u.names))
+        """Of the packed unknowns."""
+        self.shared_rows = exchange.part(u.places([*u.flow, *u.normals]))
+        """Of the flow's unknowns and the normal derivatives."""
+        self._traces = exchange.part(u.places(["rho_hat"]))
+        self.trace_mass, self.density_mass = (FacetMass(self.side_op.hat, self._traces) for _ in range(2))
         self.trace_mass.update(self.side_op.points.weights * mean_share(self.side_op.inner))
         self._at_points = [*claims.at_points, *claims.continuity]
         self._of_traces = [*claims.traces, *claims.continuity]
@@ -200,19 +211,19 @@ class ReducedResidual:
         at_zero = with_parts(s, **self._zeros)
         terms = self.claims.traces if self.density is not None else self._of_traces
         found = self.facet_terms.slots(terms, at_zero)
-        c["z_hat"] = -self.trace_mass.solve(op.hat.test(found["z_hat"]))
+        c["z_hat"] = -self.trace_mass.solve(self._traces.sum(op.hat.test(found["z_hat"])))
         if self.density is not None:
             return
         # the rows of rho_hat are linear in it: what multiplies it is their value for rho = 0, rho_hat = 1
         unit = with_parts(s, rho=np.zeros(1), rho_hat=np.ones(1))
         factor = self.facet_terms.slots(self.claims.continuity, unit)["rho_hat"]
-        load = -op.hat.test(found["rho_hat"])
+        load = -self._traces.sum(op.hat.test(found["rho_hat"]))
         if not np.iscomplexobj(factor):
             self.density_mass.update(weights * factor)
             c["rho_hat"] = self.density_mass.solve(load)
             return
         real = self.density_mass.solve(np.ascontiguousarray(load.real))
-        change = load.imag - op.hat.test(factor.imag * op.hat(real))
+        change = load.imag - self._traces.sum(op.hat.test(factor.imag * op.hat(real)))
         c["rho_hat"] = real + 1j * self.density_mass.solve(change)
 
     def _joined(self, x: np.ndarray, rows: dict[str, np.ndarray]) -> Residual:
@@ -242,4 +253,13 @@ class ReducedResidual:
             for part, of in zip(vars(residual).values(), names, strict=True):
                 if part is not None:
                     part += self.right_hand_side.of(of).reshape(part.shape)
+        return self._summed(residual)
+
+    def _summed(self, residual: Residual) -> Residual:
+        """With the rows that other ranks' cells have of the flow and the normal derivatives."""
+        flow, normals = residual.flow, residual.normals
+        rows = self.shared_rows.sum(np.concatenate([flow, *([] if normals is None else [normals.ravel()])]))
+        residual.flow = rows[: flow.size]
+        if normals is not None:
+            residual.normals = rows[flow.size :].reshape(normals.shape)
         return residual

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from ngsolve import CF, BilinearForm, FESpace, Grad, GridFunction
+from ngsolve.la import PARALLEL_STATUS
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh_arrays import mask_of
@@ -45,10 +46,11 @@ class RestrictedForm:
 
     def _load(self) -> None:
         state, ranges = self.step.state.vec.FV().NumPy(), self.step.layout.ranges
+        self.at.vec.SetParallelStatus(PARALLEL_STATUS.CUMULATED)
         self.at.vec.FV().NumPy()[:] = np.concatenate([state[ranges[name]] for name in self.names])
 
     def residual(self) -> np.ndarray:
-        """The rows at the present state, block after block."""
+        """The rows at the present state, block after block; over ranks in parts."""
         self._load()
         self.form.Apply(self.at.vec, self._rows)
         return self._rows.FV().NumPy().copy()

@@ -33,6 +33,7 @@ def by_terms(residual: ReducedResidual, at: Evaluation) -> dict[str, np.ndarray]
         count = at.coefficients["v"].shape[1]
         rows = {"v": at.hyper.rows[:, :count], "a": at.hyper.rows[:, count:]}
         add(_named(residual.claims.hyperviscosity[0]), rows)
+    found = {name: residual.exchange.sum(vector) for name, vector in found.items()}
     found[REST] = np.concatenate(at.residual.parts()) - sum(found.values())
     return found
 

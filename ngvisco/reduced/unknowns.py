@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from ngvisco.forms.system import Step
+from ngvisco.parallel.exchange import Exchange
 
 
 class Unknowns:
@@ -63,6 +64,10 @@ class Unknowns:
             if name in self.ranges and name not in self.slices:
                 self.state[self.ranges[name]] = values.ravel()
 
+    def places(self, names: Iterable[str]) -> np.ndarray:
+        """Where the unknowns ``names`` stand in the state, one after the other."""
+        return np.concatenate([np.arange(self.ranges[n].start, self.ranges[n].stop) for n in names])
+
     def coefficients(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """The iterated unknowns by name, (components, functions); the normal derivatives together as a."""
         result = {name: x[self.slices[name]] for name in self.names if name not in self.normals}
@@ -72,12 +77,15 @@ class Unknowns:
             result["a"] = x[self.normal_slice].reshape(len(self.normals), -1)
         return result
 
-    def scales(self, x: np.ndarray) -> np.ndarray:
-        """The size of each one's block, for lengths; a thousand times that for what v determines."""
+    def scales(self, x: np.ndarray, exchange: Exchange) -> np.ndarray:
+        """The size of each one's block, for lengths; a thousand times that for what v determines.
+
+        ``exchange`` is that of the packed unknowns.
+        """
         scale = np.ones_like(x)
         for name in self.names:
             where = self.slices[name]
-            size = np.linalg.norm(x[where])
+            size = exchange.norm(x, where)
             determined = name not in ("v", "rho", "z")
             scale[where] = (1e3 if determined else 1.0) * size if size > 0 else 1.0
         return scale

@@ -27,7 +27,8 @@ class UpwindSwitchJacobian:
         """``share`` of a cell's inertia rho h/tau, in the force by v . n, from which a facet counts."""
         self.residual, self.op, self.mass = residual, residual.side_op, residual.trace_mass
         self.share = share
-        self._shapes = abs(self.op.z.blocks).max(axis=(0, 1))  # of each function at the sides' points
+        self._shapes = abs(self.op.z.blocks).max(axis=(0, 1), initial=0.0)  # of each function there
+        self._area = self.mass.summed(self.op.points.weights)
 
     def update(self, at: Evaluation) -> None:
         """Linearise at an evaluation."""
@@ -41,30 +42,31 @@ class UpwindSwitchJacobian:
             a, eta = Array(through[turning]), at.facets.context.eta
             (slope[turning],) = derivatives(Upwinding(a, Array(op.inner[turning]), eta).inflow, [a])
         jump = at.facets.z_jump.value
-        facet = self.mass.facet
         # the jump of z is what both sides together are away from its trace
-        z_jump = np.bincount(facet, weights * np.linalg.norm(jump, axis=0))
-        area = np.bincount(facet, weights)
-        inertia = self.residual.step.context.rate(
-            np.bincount(facet, weights * abs(at.facets.rho.value) * op.h)
-        )
+        summed = self.mass.summed
+        z_jump = summed(weights * np.linalg.norm(jump, axis=0))
+        inertia = self.residual.step.context.rate(summed(weights * abs(at.facets.rho.value) * op.h))
         # of the force, slope * z_jump * the jump of zeta, the last is formed only where the others are large
-        force = abs(slope) * z_jump[facet]
-        possible = force * self._largest(zeta) > self.share * inertia[facet]
-        (near,) = np.nonzero(np.bincount(facet, possible)[facet])
+        force = abs(slope) * z_jump
+        possible = force * self._largest(zeta) > self.share * inertia
+        (near,) = np.nonzero(summed(possible))
         self.exists = near.size > 0
         if not self.exists:
             return
         force = force[near] * np.linalg.norm(self._from_mean(zeta, near), axis=0)
-        force = np.bincount(facet[near], weights[near] * force / area[facet[near]], len(area))
-        (where,) = np.nonzero((force > self.share * inertia)[facet])
+        force = summed(weights[near] * force, near) / self._area[near]
+        where = near[force > self.share * inertia[near]]
         self.exists = where.size > 0
         if not self.exists:
             return
         self._slope, self._weights, self._normals = slope[where], weights[where], op.points.normals[:, where]
         self._v, self._z, hat = op.v.matrix[where], op.z.matrix[where], op.hat.matrix[where]
         self._v_t, self._z_t = self._v.T.tocsr(), self._z.T.tocsr()
-        self._trace = (hat @ self.mass.inverse @ hat.T @ sp.diags(self._weights)).tocsr()
+        # of both sides, and of both ranks' at a shared facet
+        unknowns = self.mass.unknowns[np.unique(self.mass.facet[where])].ravel()
+        self._from_trace = (hat @ self.mass.inverse[:, unknowns]).tocsr()
+        self._to_trace = (hat[:, unknowns].T @ sp.diags(self._weights)).tocsr()
+        self._traces = self.mass.exchange.part(unknowns)
         self._values, self._zeta = together(self._z, z), together(self._z, zeta)
         self._jump, self._inflow = jump[:, where], inflow[where]
         self._carried = upwinding.carried.value[where]
@@ -84,14 +86,15 @@ class UpwindSwitchJacobian:
     def _largest(self, zeta: np.ndarray) -> float:
         """A bound of |zeta - its mean| on facets, from coefficients."""
         z = self.op.z
-        sizes = abs(zeta).reshape(len(zeta), z.cells, -1) @ self._shapes
-        return 2 * float(np.linalg.norm(sizes, axis=0).max())
+        sizes = abs(zeta).reshape(len(zeta), z.cells, z.local) @ self._shapes
+        return 2 * float(np.linalg.norm(sizes, axis=0).max(initial=0.0))
 
     def __call__(self, dv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rows of v (dim, .) and of z (n, .), the latter with the sign that they have in the residual."""
         through = (self._normals * together(self._v, dv)).sum(axis=0)
         inflow = self._slope * through
-        trace = -together(self._trace, inflow * self._values)
+        loads = self._traces.sum(together(self._to_trace, inflow * self._values))
+        trace = -together(self._from_trace, loads)
         carried = inflow * self._jump + self._inflow * trace
         fields = self._carried_slope * through * self._jump + self._carried * trace
         of_flux = self._conserved  # which is v . n times the trace

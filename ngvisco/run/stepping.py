@@ -249,7 +249,7 @@ def _powers_of_two(number: int) -> int:
 def coupled_solver(simulation: Simulation) -> str:
     """That the coupled solver is asked next, or why it is not, in words."""
     largest = simulation.solver.options.split.coupled_up_to[simulation.mesh.dim - 2]
-    if simulation.mesh.ne > largest:
+    if simulation.cells > largest:
         return f"the coupled solver is for meshes up to {largest} cells (NewtonOptions.split.coupled_up_to)"
     return "the coupled solver is asked"
 

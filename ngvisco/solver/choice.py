@@ -12,8 +12,10 @@ from scipy.sparse.csgraph import connected_components
 from ngvisco.errors import ParameterError
 from ngvisco.forms.mesh_arrays import is_simplicial, vertices
 from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.reduced.claims import term_obstacle
 from ngvisco.reduced.right_hand_side import source_obstacle
+from ngvisco.reduced.unknowns import density_by_forms
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.strategies import (
     WIDTHS,
@@ -59,20 +61,29 @@ def chosen_method(step: Step, options: NewtonOptions) -> str:
     if options.method == "split" and obstacle is not None:
         raise ParameterError("NewtonOptions.method", options.method, f"'coupled': {obstacle}")
     if options.method == "auto":
-        large = step.mesh.ne >= options.split.chosen_from[step.mesh.dim - 2]
+        large = Communicator.of(step.mesh).total(step.mesh.ne) >= options.split.chosen_from[step.mesh.dim - 2]
         return "split" if large and obstacle is None else "coupled"
     return options.method
 
 
 def split_obstacle(step: Step) -> str | None:
     """Why the split solver cannot take this step, or None."""
-    if step.mesh.comm.size > 1:
-        return "the split solver is one process's: a distributed mesh is for the coupled one"
-    if not is_simplicial(step.mesh):
+    ranks = Communicator.of(step.mesh)
+    if not ranks.all(is_simplicial(step.mesh)):
         return "the split solver needs a mesh of triangles or tetrahedra only"
     if meets_itself(step.mesh):
         return "a cell of the periodic mesh meets its own image: two cells or more are needed"
+    if ranks.is_distributed and (regularised := _factorised_fields(step)):
+        return f"{regularised} couples cells of different ranks in a system that the split solver factorises"
     return source_obstacle(step) or term_obstacle(step)
+
+
+def _factorised_fields(step: Step) -> str | None:
+    """The regularisation by which a field has an equation that sweeps do not solve, or None."""
+    law = step.model.regularisation
+    if law is not None and law.delta_fields > 0:
+        return "Regularisation.delta_fields"
+    return "Regularisation of the density" if density_by_forms(step) else None
 
 
 def meets_itself(mesh: Mesh) -> bool:

@@ -6,8 +6,10 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 from functools import cached_property
+from itertools import islice
 
 from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
 
 _ASSEMBLY = (1.0e-7, 2.3e-7)
 """Seconds in 2D and 3D over the square of a cell's unknowns: measured on 24 to 654 triangles and 28 to 250
@@ -22,25 +24,26 @@ solver has given up, and a continuation."""
 
 
 class CoupledCost:
-    """Seconds of an iteration of the coupled solver with a Jacobian of its own."""
+    """Seconds of an iteration of the coupled solver with a Jacobian of its own; over ranks of the slowest."""
 
     def __init__(self, step: Step) -> None:
-        self.step = step
+        self.step, self.ranks = step, Communicator.of(step.mesh)
         self.measured: float | None = None
         """That of the last one in this run, s; None before."""
 
     @cached_property
     def unknowns(self) -> int:
-        """Of the condensed system."""
-        return int(sum(self.step.layout.space.FreeDofs(True)))
+        """Of the condensed system; what ranks share counts on each."""
+        return int(self.ranks.total(sum(self.step.layout.space.FreeDofs(True))))
 
     @cached_property
     def estimate(self) -> float:
         """From the numbers of cells and unknowns, s."""
         space, mesh = self.step.layout.space, self.step.mesh
-        of_cell = len(next(iter(space.Elements())).dofs)
+        of_cell = max((len(cell.dofs) for cell in islice(space.Elements(), 1)), default=0)
         size, seconds, power = _FACTORISATION[mesh.dim - 2]
-        return _ASSEMBLY[mesh.dim - 2] * mesh.ne * of_cell**2 + seconds * (self.unknowns / size) ** power
+        assembly = _ASSEMBLY[mesh.dim - 2] * self.ranks.most(mesh.ne * of_cell**2)
+        return assembly + seconds * (self.unknowns / size) ** power
 
     @property
     def seconds(self) -> float:
@@ -70,8 +73,8 @@ class Allowance:
         return clock.perf_counter() - self._began
 
     def refusal(self, iterations: int = 1) -> str | None:
-        """Why no more iterations are begun, or None."""
-        if self.spent + iterations * self.cost.seconds <= self.bound:
+        """Why no more iterations are begun, or None; of all ranks together."""
+        if not self.cost.ranks.any(self.spent + iterations * self.cost.seconds > self.bound):
             return None
         spent = f"{self.spent:.2g} s are spent, " if self.spent > 0.01 * self.bound else ""
         return (
@@ -81,6 +84,7 @@ class Allowance:
 
     def measured(self, seconds: float) -> None:
         """Note what an iteration took; the first one is told of."""
+        seconds = self.cost.ranks.most(seconds)
         if self.cost.measured is None:
             estimate = self.cost.estimate
             self._announce(

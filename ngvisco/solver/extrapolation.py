@@ -6,13 +6,14 @@ import numpy as np
 from ngsolve import BaseVector
 
 from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
 
 
 class Extrapolation:
     """Keeps the last two solutions; part of what a restart has to know."""
 
     def __init__(self, step: Step) -> None:
-        self.step = step
+        self.step, self._ranks = step, Communicator.of(step.mesh)
         self._times: list[float] = []
         self._states = [np.empty(len(step.state.vec)) for _ in range(2)]
 
@@ -50,8 +51,10 @@ class Extrapolation:
         change = reach * (self._states[1] - self._states[0])
         for name in ("rho", "z"):
             where = self.step.layout.ranges[name]
-            size = abs(self._states[1][where]).max(initial=0.0)
-            if not abs(change[where]).max(initial=0.0) < largest_change * size:
+            size, change_of = (
+                self._ranks.most(abs(values[where]).max(initial=0.0)) for values in (self._states[1], change)
+            )
+            if not change_of < largest_change * size:
                 return None
         guess = self.step.state.vec.CreateVector()
         guess.FV().NumPy()[:] = self._states[1] + change

@@ -130,7 +130,7 @@ class Newton:
         ``refresh`` is called before the form is used at a state that ``eliminate`` was not just called at.
         ``exchange`` is that of the form's space, where it may be distributed.
         """
-        self.exchange = exchange or Exchange(form.space, Communicator())
+        self.exchange = exchange or Exchange.of(form.space, Communicator())
         self.form, self.state, self.norm, self.options = form, state, norm, options
         self.eliminate, self.refresh, self.allowance = eliminate, refresh, allowance
         self.jacobian = CondensedJacobian(

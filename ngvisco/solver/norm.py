@@ -50,15 +50,15 @@ class BlockNorm:
 
     def __call__(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> float:
         """|increment| with the scales of the largest of ``states`` in each block."""
-        d = increment.FV().NumPy()
         floor = self.options.coarse_floor if coarse else self.options.floor
         sizes = []
         with np.errstate(over="ignore", invalid="ignore"):  # a diverging iterate is inf or NaN here
-            for name, size in self.units.items():
-                own, norm = self._own[name], self._ranks.norm
-                largest = max(norm(u.FV().NumPy()[own]) for u in states)
-                scale = largest + floor * size * np.sqrt(self._counts[name])
-                sizes.append(norm(d[own]) / scale if scale > 0 else 0.0)
+            parts = [[u.FV().NumPy()[self._own[name]] for u in (increment, *states)] for name in self.units]
+            squares = np.array([[part @ part for part in of_block] for of_block in parts])
+            norms = np.sqrt(self._ranks.totals(squares))  # of all blocks in one reduction
+            for (name, size), (own, *of_states) in zip(self.units.items(), norms, strict=True):
+                scale = max(of_states) + floor * size * np.sqrt(self._counts[name])
+                sizes.append(own / scale if scale > 0 else 0.0)
         # numpy's maximum passes NaN on, Python's may drop it
         return float(np.max(sizes))
 

@@ -18,6 +18,7 @@ from ngvisco.errors import (
 )
 
 METHODS = ("auto", "coupled", "split")
+COARSE = ("direct", "gamg", "hypre")
 INVERSES = ("umfpack", "pardiso", "mumps")
 _ROUNDING = 1e-14
 
@@ -75,9 +76,10 @@ class KrylovOptions(_Checked):
     """Of an increment's linear system; with 0.1 one of six long steps failed."""
     directions: int = 40
     """Derivatives taken for one increment at most."""
-    largest: float = 0.3
+    largest: float = 0.05
     """Increment up to which it takes over: farther from the solution it fails all the same, fifty times as
-    slowly, where half of the step is solved at once (Courant number 5)."""
+    slowly, where half of the step is solved at once (Courant number 3; with 0.3 such a step took 24 times the
+    median)."""
     min_damping: float = 0.05
     """Smallest step length tried."""
 
@@ -92,9 +94,14 @@ class TwoLevelOptions(_Checked):
     """In units of 1/(largest eigenvalue of D^{-1} A), below 2; the eigenvalue depends on the mesh."""
     dropped: float = 1e-2
     """Entries left out, relative to the diagonal: two thirds, for a hundredth more of GMRES's iterations."""
+    coarse: str = "direct"
+    """What solves for the vertices: a factorisation, or a cycle of PETSc's algebraic multigrid, ``"gamg"`` or
+    ``"hypre"``, which vertices too many to be factorised need.  Beside walls' stresses and creep rates, where
+    the matrix is not positive definite, it is factorised."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require_choice(self, COARSE, coarse=self.coarse)
         if self.damping >= 2:
             raise ParameterError("TwoLevelOptions.damping", self.damping, "a number in (0, 2)")
 
@@ -127,6 +134,28 @@ class FieldOptions(_Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
+class NarrowingOptions(_Checked):
+    """Widths of the upwinding, from wide to the scheme's, where an iteration jumps to and fro
+    (``ngvisco.solver.split.narrowing``)."""
+
+    largest: float = 0.1
+    """Increment of the best iterate up to which they are tried."""
+    least: float = 1e-6
+    """And from which: smaller ones, where the body is at rest, are for Newton-Krylov."""
+    widest: tuple[int, int] = (64, 1024)
+    """In units of the scheme's; the second one is tried where the first is not solved."""
+    ratio: float = 4.0
+    """Of a width to the next one, which is taken nearer after a failure."""
+    smallest: float = 0.25
+    """Power of ``ratio`` below which no nearer width is tried."""
+    tolerance: float = 1e-3
+    """Increment to which a width is solved, the last one of a contraction below ``contraction``."""
+    contraction: float = 0.5
+    window: int = 3
+    """Iterations that shorten the increment by half, or the width is given up."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SplitOptions(_Checked):
     """The split solver's choice, iteration and linear systems."""
 
@@ -140,13 +169,17 @@ class SplitOptions(_Checked):
     the ledger closes to rounding without."""
     slow: int = 24
     """Iterations after which Newton-Krylov takes over."""
-    stall: float = 0.3
+    stall: float = 0.2
     """So it does where ``window`` iterations shorten an increment below ``linearised_above`` by less; and
     there it gives up itself.  Larger increments need not fall: those of p = 4 in an impulsive start do
     not."""
     window: int = 4
     restarts: int = 4
     """New starts from the best iterate within a step, after which Newton-Krylov takes over."""
+    afar: float = 0.5
+    """Increment of the best iterate above which only ``restarts_afar`` are made: further ones fail all the
+    same, and half of the step is solved at once."""
+    restarts_afar: int = 1
     renewed_after: tuple[int, int] = (8, 12)
     """Iterations for the flow's linear system after which its preconditioner is made anew."""
     renewed_above: float = 0.5
@@ -168,6 +201,7 @@ class SplitOptions(_Checked):
     two_level: TwoLevelOptions = TwoLevelOptions()
     fields: FieldOptions = FieldOptions()
     sweeps: SweepOptions = SweepOptions()
+    narrowing: NarrowingOptions = NarrowingOptions()
     switch_share: float = 2e-4
     """Share of a cell's inertia rho h/tau, in the force by v . n, from which a facet where the flow turns
     round counts in the linearisation."""

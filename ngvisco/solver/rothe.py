@@ -63,7 +63,7 @@ class RotheSolver:
         self.strategies = tuple(default_strategies(step, options) if strategies is None else strategies)
         if strategies is not None:
             _check(self.strategies, step)
-        self.exchange = Exchange(step.layout.space, Communicator.of(step.mesh))
+        self.exchange = Exchange.of(step.layout.space, Communicator.of(step.mesh))
         self.h_min = self.exchange.communicator.least(step.context.h.vec.FV().NumPy())
         units = {"v": 0.0, "rho": 0.0, "z": 1.0}
         if "rho_delta_hat" in step.layout.ranges:
@@ -87,7 +87,7 @@ class RotheSolver:
         ``"split"``."""
         step, norm, options = self.step, self.norm, self.options
         if solver == "split":
-            return Split(step, norm, options)
+            return Split(step, norm, options, self.exchange)
         eliminate = step.eliminate
         exchange, refresh = self.exchange, eliminate.refresh
         return Newton(step.residual, step.state.vec, norm, eliminate, options, refresh, allowance, exchange)

@@ -83,6 +83,15 @@ def iterations(attempts: Iterable[Attempt]) -> list[NewtonIteration]:
 class Problem(Protocol):
     """A choice of the parameters of the equations that a solver was made for."""
 
+    @property
+    def width(self) -> float:
+        """Of the smoothed upwinding, in units of the scheme's; 1 by default."""
+        return 1.0
+
+    def widened(self, width: float) -> Problem:
+        """The same with such a width; by default, where there is no upwinding, itself."""
+        return self
+
     def pose(self) -> None:
         """Give the equations these parameters, and the state the values that they prescribe."""
 

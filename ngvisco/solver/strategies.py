@@ -15,6 +15,7 @@ from typing import ClassVar, Protocol
 from ngsolve import BaseVector, Mesh
 
 from ngvisco.errors import ParameterError, require_choice, require_count, require_positive
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.solver.problem import RotheProblem
 from ngvisco.solver.solution import Solution, Status
 
@@ -67,9 +68,9 @@ class Strategy(ABC):
     def obstacle(self, mesh: Mesh) -> str | None:
         """Why it is not tried on this mesh, or None."""
         largest = None if self.largest_mesh is None else self.largest_mesh[mesh.dim - 2]
-        if largest is None or mesh.ne <= largest:
+        if largest is None or (cells := int(Communicator.of(mesh).total(mesh.ne))) <= largest:
             return None
-        return f"the mesh has {mesh.ne} cells, more than {largest}"
+        return f"the mesh has {cells} cells, more than {largest}"
 
     @abstractmethod
     def solve(self, task: Task) -> Solution | None:

@@ -8,15 +8,22 @@ from __future__ import annotations
 import json
 import sys
 
+import numpy as np
 from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import TRAFFIC, Communicator
+from ngvisco.reduced.residual import Evaluation
+from ngvisco.solver.options import SplitOptions, TwoLevelOptions
+from ngvisco.solver.split.preconditioner import Preconditioner
 
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 VISCOSITY = nv.StokesViscosity(K_v=0.05, G_v=0.05)
+TWO_LEVELS = nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100)))
+KRYLOV = nv.NewtonOptions(split=SplitOptions(slow=4))
+GAMG = nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100), two_level=TwoLevelOptions(coarse="gamg")))
 REGULARISED = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1, rho_max=1.0)
 
 
@@ -31,17 +38,19 @@ def swirl(maxh: float, **options) -> nv.Simulation:
         hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
         loads=[gravity(2)],
     )
-    options = {"dt": 0.02, "initial": nv.Initial(velocity=SWIRL)} | options
-    return nv.Simulation(box((1, 1), maxh=maxh), model, solver="coupled", **options)
+    options = {"dt": 0.02, "initial": nv.Initial(velocity=SWIRL), "solver": "coupled"} | options
+    return nv.Simulation(box((1, 1), maxh=maxh), model, **options)
 
 
-def block() -> nv.Simulation:
-    model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY, loads=[gravity(3)])
+def block(solver: str = "coupled", maxh: float = 0.9, **options) -> nv.Simulation:
+    hyper = None if solver == "coupled" else nv.HyperViscosity(mu=1e-4, p=4)
+    model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY, hyperviscosity=hyper, loads=[gravity(3)])
     initial = nv.Initial(velocity=(*SWIRL, 0.0))
-    return nv.Simulation(box((1, 1, 1), maxh=0.9), model, dt=0.02, initial=initial, solver="coupled")
+    mesh = box((1, 1, 1), maxh=maxh)
+    return nv.Simulation(mesh, model, dt=0.02, initial=initial, solver=solver, **options)
 
 
-def lid() -> nv.Simulation:
+def lid(solver: str = "coupled") -> nv.Simulation:
     walls = {
         "top": nv.PrescribedTangential((x * (1 - x), 0.0)),
         "bottom": nv.NoSlip(),
@@ -49,18 +58,18 @@ def lid() -> nv.Simulation:
     }
     model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY)
     mesh = box((1, 1), maxh=0.3)
-    return nv.Simulation(mesh, model, dt=0.05, walls=walls, scheme="midpoint", solver="coupled")
+    return nv.Simulation(mesh, model, dt=0.05, walls=walls, scheme="midpoint", solver=solver)
 
 
-def creep() -> nv.Simulation:
+def creep(solver: str = "coupled", regularisation: nv.Regularisation | None = REGULARISED) -> nv.Simulation:
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
         viscosity=VISCOSITY,
         creep=nv.Creep(G_m=2.0, nu=1e-3, q=4),
-        regularisation=REGULARISED,
+        regularisation=regularisation,
     )
     initial = nv.Initial(velocity=SWIRL)
-    return nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=initial, solver="coupled")
+    return nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=initial, solver=solver)
 
 
 def limited() -> nv.Simulation:
@@ -84,19 +93,41 @@ CASES = {
     "lid": lid,
     "creep": creep,
     "limited": limited,
+    "split": lambda: swirl(0.3, scheme="midpoint", solver="split"),
+    "split, two levels": lambda: swirl(0.2, newton=TWO_LEVELS, solver="split"),
+    "split, Newton-Krylov": lambda: swirl(0.4, newton=KRYLOV, solver="split"),
+    "split, long steps": lambda: swirl(0.25, dt=0.15, solver="split"),
+    "split block": lambda: block("split"),
+    "split block, two levels": lambda: block("split", 0.5, newton=TWO_LEVELS),
+    "split block, gamg": lambda: block("split", 0.5, newton=GAMG),
+    "split lid": lambda: lid("split"),
+    "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
 }
 STEPS = {"limited": 9}
 """Where there are more than three."""
+
+LINEAR: list[int] = []
+"""Iterations of the split solver's linear systems of the flow."""
+
+
+def counted(self: Preconditioner, at: Evaluation, tolerance: float) -> np.ndarray:
+    increment = solved(self, at, tolerance)
+    LINEAR.append(self.iterations)
+    return increment
+
+
+solved, Preconditioner.__call__ = Preconditioner.__call__, counted
 
 if __name__ == "__main__":
     found = {}
     for name in sys.argv[1:]:
         before = TRAFFIC.messages, TRAFFIC.bytes, TRAFFIC.reductions
+        LINEAR.clear()
         run = CASES[name]()
         for _ in range(STEPS.get(name, 3)):
             run.advance()
         rows = [{key: float(value) for key, value in row.items()} for row in run.ledger.rows]
-        found[name] = {"cells": run.cells, "unknowns": run.unknowns, "rows": rows}
+        found[name] = {"cells": run.cells, "unknowns": run.unknowns, "rows": rows, "linear": sum(LINEAR)}
         after = TRAFFIC.messages, TRAFFIC.bytes, TRAFFIC.reductions
         found[name]["traffic"] = [b - a for a, b in zip(before, after, strict=True)]
     if Communicator.world().is_first:

@@ -22,8 +22,15 @@ def test_on_one_process_everything_is_its_argument():
     assert np.isnan(ranks.least(np.array([1.0, np.nan]))) and np.isnan(ranks.most(np.array([np.nan])))
     assert ranks.agree(None) is None and ranks.settled(3) == 3 and ranks.on_first(lambda: 7) == 7
     assert distributed(mesh, ranks) is mesh
-    exchange, numbers = Exchange(H1(mesh, order=1), ranks), np.arange(mesh.nv) * 1.0
-    assert exchange.sum(numbers) is numbers and exchange.owned.all()
+    exchange, numbers = Exchange.of(H1(mesh, order=1), ranks), np.arange(mesh.nv) * 1.0
+    assert exchange.sum(numbers) is numbers and exchange.owned.all() and not len(exchange.places)
+    assert exchange.norm(numbers, slice(0, 3)) == np.linalg.norm(numbers[:3])
+    assert (exchange.products(numbers[None], numbers) == [numbers @ numbers]).all()
+    assert exchange.length() == mesh.nv and exchange.part(np.array([2, 0])).count == 2
+    chosen, count = exchange.numbers(numbers > 0)
+    assert count == mesh.nv - 1 and (chosen[1:] == np.arange(count)).all()
+    with pytest.raises(ValueError, match="alone"), ranks.together(ValueError):
+        raise ValueError("alone")
 
 
 @pytest.mark.parametrize(

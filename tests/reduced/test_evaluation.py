@@ -55,7 +55,7 @@ def noisy(residual, size=1e-2):
     rng = np.random.default_rng(3)
     at = residual.unknowns.pack()
     free = np.concatenate([_free(residual, name) for name in residual.unknowns.names])
-    scale = size * residual.unknowns.scales(at) / np.sqrt(len(at)) * free
+    scale = size * residual.unknowns.scales(at, residual.exchange) / np.sqrt(len(at)) * free
     return at + scale * rng.standard_normal(len(at)), scale * rng.standard_normal(len(at))
 
 

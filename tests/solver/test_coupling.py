@@ -7,6 +7,7 @@ import pytest
 from ngsolve import CF, x, y, z
 
 import ngvisco as nv
+from ngvisco.algebra.sparse import of_blocks
 from ngvisco.forms.transport import Kinematics
 from ngvisco.geometries import box, disc
 
@@ -48,7 +49,7 @@ def split(request):
 
 
 def rows(sweep, own, across, values):
-    return sweep._sparse(own, across) @ values
+    return of_blocks(own, across, sweep.coupling.neighbours()) @ values
 
 
 def blocks_of_fields(split, at):
@@ -94,7 +95,7 @@ def test_sweeps_approach_the_solution(split):
     sweep, tau = split.preconditioner.sweep, split.step.context.tau.Get()
     own, across = blocks_of_fields(split, at)
     own += sweep._mass / tau + sweep._convection(at)
-    T, r = sweep._sparse(own, across), np.ascontiguousarray(at.coefficients["z"].T)
+    T, r = of_blocks(own, across, sweep.coupling.neighbours()), np.ascontiguousarray(at.coefficients["z"].T)
     found = sweep.fields(r)
     once = sweep.in_cells(r)
     exact = np.linalg.solve(T.toarray(), r)
@@ -104,7 +105,7 @@ def test_sweeps_approach_the_solution(split):
     assert found == pytest.approx(thrice, abs=1e-12 * np.abs(found).max())
     own, across = blocks_of_density(split, at)
     own += sweep._mass / tau - sweep._convection(at).transpose(0, 2, 1)
-    T, r = sweep._sparse(own, across), at.coefficients["rho"] - 1.1
+    T, r = of_blocks(own, across, sweep.coupling.neighbours()), at.coefficients["rho"] - 1.1
     x = np.zeros_like(r)
     for _ in range(sweep.sweeps):
         x += np.linalg.solve(own, (r - T @ x).reshape(*own.shape[:2], 1)).ravel()

@@ -1,12 +1,13 @@
 """The split solver's iteration on increments of a known kind: what it takes for a solution."""
 
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.solution import Status
+from ngvisco.solver.options import NarrowingOptions, NewtonOptions, SplitOptions
+from ngvisco.solver.solution import Problem, Status
 from ngvisco.solver.split import iteration
 
 
@@ -18,7 +19,7 @@ class Increments:
         self.step = SimpleNamespace(mesh=SimpleNamespace(dim=2))
         self.unknowns = SimpleNamespace(pack=lambda: np.zeros(1))
         self.preconditioner = SimpleNamespace(iterations=1)
-        self.residual = SimpleNamespace(put=lambda x: None)
+        self.residual = SimpleNamespace(put=lambda x: None, start=lambda: None)
         self.number = -1
 
     def increment(self, problem, x, last):
@@ -29,6 +30,54 @@ class Increments:
         return self.sizes(self.number)
 
 
+class Posed(Problem):
+    """Equations without parameters."""
+
+    def pose(self):
+        pass
+
+
+@dataclass(frozen=True)
+class Jump(Problem):
+    """x + c x/sqrt(x^2 + eta^2) + b = 0: an elastic force that jumps by 2 c where the flow turns round."""
+
+    c: float
+    b: float
+    eta: float
+    width: float = 1.0
+
+    def widened(self, width):
+        return replace(self, width=width)
+
+    def pose(self):
+        pass
+
+    def increment(self, x):
+        root = np.sqrt(x * x + (self.width * self.eta) ** 2)
+        return (x + self.c * x / root + self.b) / (1 + self.c * (1 - (x / root) ** 2) / root)
+
+
+class Newton(Increments):
+    """Newton's increments of a ``Jump`` from x = ``start``, their sizes relative to 1."""
+
+    def __init__(self, start, **narrowing):
+        options = SplitOptions(narrowing=NarrowingOptions(**narrowing))
+        super().__init__(None)
+        self.options, self.x = NewtonOptions(split=options), None
+        self.unknowns = SimpleNamespace(pack=lambda: np.array([start]))
+        self.residual = SimpleNamespace(put=lambda x: setattr(self, "x", x), start=lambda: None)
+
+    def increment(self, problem, x, last):
+        f = problem.increment(x)
+        return None, f, self.size(f)
+
+    def size(self, f, coarse=False):
+        return float(abs(f[0]))
+
+    def reset(self):
+        pass
+
+
 @pytest.fixture
 def no_krylov(monkeypatch):
     monkeypatch.setattr(iteration, "newton_krylov", lambda *arguments: Status.STALLED)
@@ -37,21 +86,39 @@ def no_krylov(monkeypatch):
 def test_a_plateau_below_the_tolerance_is_rounding(no_krylov):
     tolerance = NewtonOptions().tolerance
     found = Increments(lambda n: max(10.0 ** (-3 * n - 1), 0.5 * tolerance))
-    assert iteration.iterate(found, None, []) is Status.CONVERGED
+    assert iteration.iterate(found, Posed(), []) is Status.CONVERGED
 
 
 def test_slow_convergence_is_not_taken_for_rounding(no_krylov):
     """Increments that fall by 7 % each leave fourteen of them before the solution."""
     tolerance = NewtonOptions().tolerance
     found = Increments(lambda n: 10.0 ** (-3 * n - 1) if n < 3 else 2 * tolerance * 0.93**n)
-    assert iteration.iterate(found, None, []) is Status.STALLED
+    assert iteration.iterate(found, Posed(), []) is Status.STALLED
+
+
+@pytest.mark.parametrize("c", [1e-4, 1e-3])
+def test_a_jump_that_increments_step_over_is_solved_by_widths(no_krylov, c):
+    """Of 100 and 1000 widths: Newton's own increments go to and fro between its sides."""
+    problem = Jump(c=c, b=0.3 * c, eta=1e-6)
+    found = Newton(start=2 * c)
+    history = []
+    assert iteration.iterate(found, problem, history) is Status.CONVERGED
+    assert len(history) <= 40
+    root = np.sqrt(found.x[0] ** 2 + problem.eta**2)
+    assert found.x[0] + c * found.x[0] / root + problem.b == pytest.approx(0, abs=1e-12)
+
+
+def test_without_widths_such_a_jump_is_not_solved(no_krylov):
+    """Negative control."""
+    found = Newton(start=2e-4, largest=1e-12)
+    assert iteration.iterate(found, Jump(c=1e-4, b=3e-5, eta=1e-6), []) is Status.STALLED
 
 
 @pytest.mark.parametrize("contraction", [0.1, 0.3, 0.45])
 def test_it_ends_where_little_is_left_and_not_later(no_krylov, contraction):
     split = Increments(lambda number: 1e-9 * contraction**number)
     history = []
-    assert iteration.iterate(split, None, history) is Status.CONVERGED
+    assert iteration.iterate(split, Posed(), history) is Status.CONVERGED
     tolerance, margin = split.options.tolerance, split.options.split.margin
     left = history[-1].increment * contraction
     assert left <= margin * tolerance * (1 + 1e-9) and history[-1].increment <= tolerance
@@ -62,5 +129,5 @@ def test_it_ends_where_little_is_left_and_not_later(no_krylov, contraction):
 def test_a_first_increment_tells_no_contraction(no_krylov):
     split = Increments(lambda number: 0.5e-10 if number == 0 else 1e-12)
     history = []
-    assert iteration.iterate(split, None, history) is Status.CONVERGED
+    assert iteration.iterate(split, Posed(), history) is Status.CONVERGED
     assert len(history) == 2

@@ -52,7 +52,7 @@ def assert_is_the_derivative(run, bound=1e-9):
     run.rothe_step.context.set_step(0.02, 0.04, 0.02, 0.02)
     u, rng = split.unknowns, np.random.default_rng(2)
     at = u.pack()
-    size = 1e-2 * u.scales(at) / np.sqrt(len(at))
+    size = 1e-2 * u.scales(at, split.residual.exchange) / np.sqrt(len(at))
     at = at + size * rng.standard_normal(len(at))
     d = size * rng.standard_normal(len(at))
     split.residual.start()

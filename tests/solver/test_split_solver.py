@@ -219,7 +219,7 @@ def test_two_increments_take_away_a_perturbation():
     x = split.unknowns.pack()
     at = split.residual(x)
     split.preconditioner.update(at, split._clock)
-    scale = split.unknowns.scales(x)
+    scale = split.unknowns.scales(x, split.residual.exchange)
     noise = np.random.default_rng(3).standard_normal(x.size) * scale * (x != 0)
     rounding = split.preconditioner(at, 1e-8)
     d = 1e-6 * noise

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
-from ngvisco.algebra.factorised import MANY, TwoLevelSolver, largest_eigenvalue
+from ngvisco.algebra.factorised import MANY, DirectSolver, TwoLevelSolver, largest_eigenvalue
 from ngvisco.geometries import box
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.reduced import upwind_switch
 
 
@@ -64,7 +68,10 @@ def test_two_levels_are_sweeps_around_a_coarse_solution():
     A = B @ B.T + n * np.eye(n)
     free, vertices, others = np.ones(n, dtype=bool), np.arange(n) < 10, np.zeros(n, dtype=bool)
     free[[3, 20]] = False
-    solver = TwoLevelSolver(free, vertices, others, "umfpack", sweeps=2, damping=1.65, dropped=1e-300)
+    direct = partial(DirectSolver, inverse="umfpack")
+    exchange = Exchange(n, {}, Communicator())
+    options = {"sweeps": 2, "damping": 1.65, "dropped": 1e-300}
+    solver = TwoLevelSolver(free, vertices, others, direct, exchange, **options)
     solver.factorise(sp.csr_matrix(A))
     coarse, fine = np.flatnonzero(free & vertices), np.flatnonzero(free & ~vertices)
     own, r = A[np.ix_(fine, fine)], rng.standard_normal(n)

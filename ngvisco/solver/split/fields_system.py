@@ -50,7 +50,13 @@ class FieldsSystem:
             return approximate(rows)
         options = self.options
         found, iterations = improved(
-            apply, approximate, rows, options.tolerance, options.iterations, options.enough
+            apply,
+            approximate,
+            rows,
+            options.tolerance,
+            options.iterations,
+            options.enough,
+            self.operator.residual.ranks.products,
         )
         if not iterations:
             self._swept_is_enough.add(name)

@@ -11,10 +11,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, gmres
 
+from ngvisco.algebra.krylov import gmres
 from ngvisco.reduced.residual import Evaluation
 from ngvisco.solver.solution import NewtonIteration, Problem, Status
+from ngvisco.solver.split.narrowing import narrowed
 
 if TYPE_CHECKING:
     from ngvisco.solver.split.solver import Split
@@ -24,6 +25,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
     """Iterate from the present state, which becomes the solution, or some iterate; ``history`` grows."""
     options, tolerance = split.options.split, split.options.tolerance
     wanted, dim = options.margin * tolerance, split.step.mesh.dim
+    may_narrow = problem.width == 1.0
     last = best = np.inf
     best_x, best_f = None, None
     since, restarts = 0, 0  # iterations since the start or a restart, and restarts
@@ -38,29 +40,38 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
         left = size if last == np.inf else min(size * size / last, size)
         if size <= tolerance and left <= wanted:
             return _ends_at(split, x - f)
-        if not size <= 2 * max(best, wanted):
+        diverges = not size <= 2 * max(best, wanted)
+        if not diverges:
+            if size > 0.5 * min(last, best) and since > 3 and size <= options.rounding:
+                # by rounding; or slowly, and then this and all that would follow are to be small
+                gained = max(1 - size / last, 0.0) or 1.0
+                if split.size(f, coarse=True) <= gained * tolerance:
+                    return Status.CONVERGED
+            if size < best:
+                best, best_x, best_f = size, x, f
+            sizes.append(size)
+        if best_x is None or best_f is None:
+            return Status.NOT_FINITE
+        stalled = since > 2 * options.window and options.linearised_above > size > (
+            options.stall * sizes[-1 - options.window]
+        )
+        narrows = options.narrowing.least <= best <= options.narrowing.largest
+        if may_narrow and narrows and (diverges or stalled):
+            may_narrow = False
+            near = narrowed(split, problem, best_x, history)
+            if near is not None:
+                x, since, restarts, last, best, sizes = near, 0, 0, np.inf, np.inf, []
+                continue
+        if diverges:
             restarts += 1
-            if best_x is None or best_f is None:
-                return Status.NOT_FINITE
-            if restarts > options.restarts:
+            if restarts > (options.restarts if best <= options.afar else options.restarts_afar):
                 return _by_krylov(split, problem, best_x, best, history)
             # from half the step of the best iterate, with a preconditioner of its own
             x = best_x - 0.5**restarts * best_f
             split.reset()
             since, last = 0, np.inf
             continue
-        if size > 0.5 * min(last, best) and since > 3 and size <= options.rounding:
-            # by rounding; or slowly, and then this and all that would follow are to be small
-            gained = max(1 - size / last, 0.0) or 1.0
-            if split.size(f, coarse=True) <= gained * tolerance:
-                return Status.CONVERGED
-        if size < best:
-            best, best_x, best_f = size, x, f
         last = size
-        sizes.append(size)
-        stalled = since > 2 * options.window and options.linearised_above > size > max(
-            options.stall * sizes[-1 - options.window], options.rounding
-        )
         if since > options.slow or stalled:
             return _by_krylov(split, problem, x, size, history)
         worn = split.preconditioner.iterations > options.renewed_after[dim - 2] and size > 1e3 * wanted
@@ -83,7 +94,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
     options, tolerance = split.options.split, split.options.tolerance
     krylov, wanted = options.krylov, options.margin * tolerance
     split.renew(problem, split.residual(x))
-    scale = split.unknowns.scales(x)
+    scale = split.unknowns.scales(x, split.residual.exchange)
 
     def solved(at: Evaluation) -> np.ndarray:
         with np.errstate(all="ignore"):
@@ -103,8 +114,8 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
         def along(d: np.ndarray, derivative: Any = derivative, at: Evaluation = at) -> np.ndarray:
             return solved(replace(at, residual=derivative(scale * d))) / scale
 
-        operator = LinearOperator((len(x), len(x)), along, dtype=float)
-        d, _ = gmres(operator, f / scale, rtol=krylov.tolerance, restart=krylov.directions, maxiter=1)
+        products = split.residual.exchange.products
+        d, _ = gmres(along, f / scale, rtol=krylov.tolerance, directions=krylov.directions, products=products)
         split.note(at, scale * d, split.size(scale * d))
         damping = 1.0
         while True:

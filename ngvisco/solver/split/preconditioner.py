@@ -5,20 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import asdict
+from functools import partial
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, gmres
 
-from ngvisco.algebra.factorised import DirectSolver, TwoLevelSolver
+from ngvisco.algebra.factorised import Direct, DirectSolver, MakesDirect, TwoLevelSolver
+from ngvisco.algebra.krylov import gmres
 from ngvisco.algebra.sparse import together
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.mesh_arrays import mask_of, rigid_motions
+from ngvisco.parallel.petsc import SumInverse
 from ngvisco.reduced.hyper_derivative import HyperDerivative
 from ngvisco.reduced.hyper_tangent import HyperTangent
 from ngvisco.reduced.operators import Operators
+from ngvisco.reduced.point_tangent import PointTangent
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.split.fields_system import FieldsSystem
-from ngvisco.solver.split.point_tangent import PointTangent
 from ngvisco.solver.split.schur_complement import FlowSchurComplement
 from ngvisco.solver.split.transport_sweeps import TransportSweeps
 from ngvisco.solver.split.velocity_tangent import VelocityTangent
@@ -33,6 +35,7 @@ class Preconditioner:
     def __init__(self, residual: ReducedResidual, options: NewtonOptions) -> None:
         step, unknowns = residual.step, residual.unknowns
         self.unknowns, self.options, self.dim = unknowns, options.split, step.mesh.dim
+        self._inverse = options.inverse
         k, m = step.discretisation.k, step.discretisation.m
         self.op = Operators(step, max(k - 1, m))
         self.sweep = TransportSweeps(residual, options.inverse, self.options.sweeps)
@@ -43,19 +46,21 @@ class Preconditioner:
         self.operator = FlowSchurComplement(
             residual, tangent, self.sweep, derivative, self.options.switch_share
         )
-        self.hyper_tangent = None if derivative is None else HyperTangent(derivative)
+        self.ranks, self.exchange = residual.ranks, residual.shared_rows
+        places, kept = np.arange(unknowns.flow_slice.stop), np.zeros(0, dtype=np.int64)
+        self.hyper_tangent: HyperTangent | None = None
+        if derivative is not None:
+            width = derivative.sides.of_a.shape[1]
+            of_a = places.size + np.arange(self.dim * width).reshape(self.dim, width)
+            kept = self.exchange.part(of_a[0]).places
+            places = np.concatenate([places, of_a[:, kept].ravel()])
+            self.hyper_tangent = HyperTangent(derivative, kept)
+        self._of_tangent = self.exchange.part(places)
+        """The exchange of the tangent's unknowns: the flow's and, between ranks, the normal derivatives."""
         self.tangent = VelocityTangent(self.operator, self.hyper_tangent)
         free = [mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.flow]
         self.free = np.concatenate(free)
-        self.solver: DirectSolver | TwoLevelSolver
-        if self.free.sum() > self.options.direct_up_to[self.dim - 2]:
-            number = np.arange(len(self.free))
-            others = number >= self.operator.nv
-            vertices = ~others & (number % residual.op.v.width < step.mesh.nv)
-            two_level = asdict(self.options.two_level)
-            self.solver = TwoLevelSolver(self.free, vertices, others, options.inverse, **two_level)
-        else:
-            self.solver = DirectSolver(self.free, options.inverse, symmetric=unknowns.flow == ["v"])
+        self.solver = self._solver(np.concatenate([self.free, np.ones(self.dim * len(kept), dtype=bool)]))
         self._blocks = [unknowns.slices[name] for name in unknowns.flow]
         self._rows = self.free
         if residual.hyper is not None:
@@ -63,9 +68,31 @@ class Preconditioner:
             self._blocks.append(normals)
             free_normals = np.ones(normals.stop - normals.start, dtype=bool)
             self._rows = np.concatenate([self.free, free_normals])
+        self._lengths = [self.exchange.length(where) for where in self._blocks]
+        self._of_velocity = self.exchange.part(np.arange(residual.op.v.width))
         self.fields = FieldsSystem(self.operator, self.options.fields)
         self.iterations = 0
         """What the last linear system of the flow took."""
+
+    def _solver(self, free: np.ndarray) -> Direct:
+        """A solver for the velocity tangent with these free unknowns."""
+        exchange, operator = self._of_tangent, self.operator
+        direct: MakesDirect = partial(DirectSolver, inverse=self._inverse)
+        if exchange.is_distributed:
+            direct = partial(SumInverse, exchange=exchange)
+        number = np.arange(len(free))
+        is_velocity = number < operator.nv
+        count = self.ranks.total(int((free & exchange.owned)[: operator.size].sum()))
+        if count <= self.options.direct_up_to[self.dim - 2]:
+            return direct(free, symmetric=self.unknowns.flow == ["v"])
+        others = (number >= operator.nv) & (number < operator.size)
+        vertices = is_velocity & (number % operator.op.v.width < operator.residual.step.mesh.nv)
+        options = asdict(self.options.two_level)
+        coarse = options.pop("coarse")
+        if coarse != "direct" and not self.ranks.any(others.any()):
+            kernel = rigid_motions(operator.residual.step.mesh, operator.op.v.width, len(free))
+            direct = partial(SumInverse, exchange=exchange, method=coarse, kernel=kernel)
+        return TwoLevelSolver(free, vertices, others, direct, exchange, **options)
 
     def update(self, at: Evaluation, clock: Callable[[str], AbstractContextManager[None]]) -> None:
         """Form and factorise everything at an evaluation, which is that of the step's state.
@@ -75,7 +102,8 @@ class Preconditioner:
         with clock("assembly"):
             self.linearise(at, everything=True)
             if self.hyper_tangent is not None:
-                self.hyper_tangent.update()
+                with self.ranks.together(np.linalg.LinAlgError):
+                    self.hyper_tangent.update()
             matrix = self.tangent.matrix()
         with clock("factorisation"):
             self.solver.factorise(matrix)
@@ -92,9 +120,9 @@ class Preconditioner:
         r, rho, u = at.residual, at.coefficients["rho"], self.unknowns
         dz = self.sweep.fields(np.ascontiguousarray(r.z.T))
         right = np.concatenate([r.flow, *([] if r.normals is None else [r.normals.ravel()])])
-        right[:size] -= operator.force(dz).ravel()
+        right[:size] -= self._of_velocity.sum(operator.force(dz)).ravel()
         dflow = self._flow(right, tolerance)
-        dv = dflow[:size].reshape(dim, -1)
+        dv = dflow[:size].reshape(dim, size // dim)
         dPi = None
         if "Pi" in u.slices:
             dPi = op.creep_values(dflow[u.slices["Pi"]].reshape(u.components["Pi"], -1))
@@ -111,21 +139,15 @@ class Preconditioner:
         start = self._block(np.where(self._rows, right, 0.0))
         # lengths in units of each block's first increment, so that stresses do not drown velocities
         scale = np.ones_like(start)
-        for where in self._blocks:
-            scale[where] = np.linalg.norm(start[where]) / np.sqrt(where.stop - where.start) or 1.0
-        residuals: list[float] = []
-        y, _ = gmres(
-            LinearOperator(
-                (len(start), len(start)), lambda y: self._block(self._applied(scale * y)) / scale, dtype=float
-            ),
+        for where, length in zip(self._blocks, self._lengths, strict=True):
+            scale[where] = self.exchange.norm(start, where) / np.sqrt(length) or 1.0
+        y, self.iterations = gmres(
+            lambda y: self._block(self._applied(scale * y)) / scale,
             start / scale,
             rtol=tolerance,
-            restart=self.options.flow_iterations,
-            maxiter=1,
-            callback=residuals.append,
-            callback_type="pr_norm",
+            directions=self.options.flow_iterations,
+            products=self.exchange.products,
         )
-        self.iterations = len(residuals)
         return y * scale
 
     def _parts(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -136,17 +158,24 @@ class Preconditioner:
 
     def _applied(self, y: np.ndarray) -> np.ndarray:
         rows, of_a = self.operator(*self._parts(y))
-        return np.where(self._rows, rows if of_a is None else np.concatenate([rows, of_a.ravel()]), 0.0)
+        if of_a is not None:
+            rows = np.concatenate([rows, of_a.ravel()])
+        return np.where(self._rows, self.exchange.sum(rows), 0.0)
 
     def _block(self, y: np.ndarray) -> np.ndarray:
-        """The tangent of v solved, with the normal derivatives eliminated from it."""
+        """The tangent of v solved, with the normal derivatives eliminated from it but between ranks."""
         rows, a = self._parts(y)
         if self.hyper_tangent is None or a is None:
             return self.solver(rows)
-        dim, size = self.dim, self.operator.nv
-        rows = rows.copy()
-        rows[:size] += together(self.hyper_tangent.E_t, a).ravel()
+        tangent, dim, size = self.hyper_tangent, self.dim, self.operator.nv
+        kept, others = a[:, tangent.kept], a[:, tangent.eliminated]
+        rows = np.concatenate([rows, kept.ravel()])
+        of_others = together(tangent.E_t, others)[:, : size // dim]
+        rows[:size] += self._of_velocity.sum(of_others).ravel()
         increment = self.solver(rows)
-        dv = increment[:size].reshape(dim, -1)
-        da = together(self.hyper_tangent.solved, np.concatenate([dv, a], axis=1))
-        return np.concatenate([increment, da.ravel()])
+        flow, kept = increment[: len(self.free)], increment[len(self.free) :].reshape(kept.shape)
+        da = np.empty_like(a)
+        da[:, tangent.kept] = kept
+        beside = np.concatenate([flow[:size].reshape(dim, size // dim), kept, others], axis=1)
+        da[:, tangent.eliminated] = together(tangent.solved, beside)
+        return np.concatenate([flow, da.ravel()])

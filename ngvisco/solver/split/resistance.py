@@ -60,9 +60,10 @@ def in_words(sizes: dict[str, float], before: float) -> str:
 
 def _size(split: Split, at: Evaluation, part: np.ndarray) -> float:
     """Of the increment that some rows make, in the iteration's norm."""
-    if not np.isfinite(part).all():
+    ranks = split.residual.ranks
+    if not ranks.all(np.isfinite(part).all()):
         return np.inf
-    if not part.any():
+    if not ranks.any(part.any()):
         return 0.0
     u = split.unknowns
     normals = None

@@ -13,12 +13,12 @@ import scipy.sparse as sp
 
 from ngvisco.physics.increments import TINY
 from ngvisco.reduced.evaluation import with_values
+from ngvisco.reduced.flow_elements import FlowElements
 from ngvisco.reduced.hyper_derivative import HyperDerivative
+from ngvisco.reduced.point_tangent import PointTangent
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.restricted import RestrictedForm
 from ngvisco.reduced.upwind_switch import UpwindSwitchJacobian
-from ngvisco.solver.split.elements import FlowElements
-from ngvisco.solver.split.point_tangent import PointTangent
 from ngvisco.solver.split.transport_sweeps import TransportSweeps
 from ngvisco.threads import concurrently, product
 
@@ -60,7 +60,9 @@ class FlowSchurComplement:
             return
         self.tangent.terms.context.start()
         count = self.op.points.count * self.tangent.components**2
-        concurrently(lambda: self.tangent.update(at), lambda: self.sweep.update(at), count)
+        with self.residual.ranks.together(np.linalg.LinAlgError):
+            # the sweep first, in this thread: it exchanges with other ranks
+            concurrently(lambda: self.sweep.update(at), lambda: self.tangent.update(at), count)
         self.elements.update(self._base(), self._inertia(at))
         self.rest = self._rest()
 
@@ -118,7 +120,7 @@ class FlowSchurComplement:
         return sp.bmat(blocks, format="csr")
 
     def __call__(self, flow: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
-        """Rows of the flow's unknowns and of a, of an increment of these."""
+        """Rows of the flow's unknowns and of a, of an increment of these; over ranks in parts."""
         dv, of_a = flow[: self.nv].reshape(self.dim, -1), None
         if self.derivative is None or normals is None:
             rows = self._with_fields(dv)
@@ -137,9 +139,9 @@ class FlowSchurComplement:
         e = self.elements
         rows, own = product(e.of_velocity, e.gathered(dv)), self.dim * e.local
         force, through = self.switch(dv) if self.switch.exists else (0.0, None)
-        carried = self._carried(rows[:, own:].reshape(-1, e.components), through)
+        carried = self._carried(rows[:, own:].reshape(e.cells * e.functions, e.components), through)
         of_cells = np.ascontiguousarray(rows[:, :own])
-        of_cells += product(e.from_fields, carried.reshape(e.cells, -1, 1))
+        of_cells += product(e.from_fields, carried.reshape(e.cells, e.functions * e.components, 1))
         return e.scattered(of_cells) + force
 
     def _carried(self, rows: np.ndarray, through: np.ndarray | None) -> np.ndarray:
@@ -152,14 +154,14 @@ class FlowSchurComplement:
         return self.sweep.fields(-rows)
 
     def force(self, dz: np.ndarray) -> np.ndarray:
-        """Rows of v, (dim, .), of what the sweeps make of the fields' rows, (cells' unknowns, n)."""
+        """Rows of v in parts, (dim, .), of what sweeps make of the fields' rows, (cells' unknowns, n)."""
         e = self.elements
-        return e.scattered(product(e.from_fields, dz.reshape(e.cells, -1, 1)))
+        return e.scattered(product(e.from_fields, dz.reshape(e.cells, e.functions * e.components, 1)))
 
     def fields_rows(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
         """What the rows of z, (cells' unknowns, n), take from an increment of v (dim, .) and Pi."""
         e = self.elements
-        rows = product(e.to_fields, e.gathered(dv)).reshape(-1, e.components)
+        rows = product(e.to_fields, e.gathered(dv)).reshape(e.cells * e.functions, e.components)
         if dPi is not None:
             values = at_points(self.tangent.columns[:, :, self.dim**2 :], dPi)
             rows -= self.op.z.test(values).T

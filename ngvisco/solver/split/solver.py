@@ -23,6 +23,7 @@ from ngsolve import BaseVector
 
 from ngvisco.errors import StepError
 from ngvisco.forms.system import Step
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
@@ -36,12 +37,13 @@ from ngvisco.threads import on_arrays
 class Split:
     """Solves R(u; .) = 0 for the state of a step; keeps its tangent between solves."""
 
-    def __init__(self, step: Step, norm: BlockNorm, options: NewtonOptions) -> None:
+    def __init__(self, step: Step, norm: BlockNorm, options: NewtonOptions, exchange: Exchange) -> None:
+        """``exchange`` is that of the step's space."""
         self.step, self.norm, self.options = step, norm, options
         self.is_factorised = False
         self.seconds: dict[str, float] = defaultdict(float)
         """Wall time by parts of the work, s, since the solver was made."""
-        self.residual = ReducedResidual(step, self._clock)
+        self.residual = ReducedResidual(step, exchange, self._clock)
         self.unknowns = self.residual.unknowns
         self.preconditioner = Preconditioner(self.residual, options)
         self._full = step.state.vec.CreateVector()
@@ -115,7 +117,7 @@ class Split:
         """
         with np.errstate(all="ignore"):  # a diverging iterate is inf or NaN here
             at = self.residual(x)
-        if not at.residual.is_finite:
+        if not self.residual.ranks.all(at.residual.is_finite):
             return at, np.zeros_like(x), np.inf
         options, fresh = self.options.split, not self.is_factorised
         if fresh:

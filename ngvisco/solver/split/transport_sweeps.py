@@ -12,10 +12,10 @@ a Jacobian of its own.
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 
 from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import DirectSolver
+from ngvisco.algebra.sparse import of_blocks
 from ngvisco.reduced.facet_coupling import FacetCoupling
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import SweepOptions
@@ -48,8 +48,9 @@ class TransportSweeps:
         own, across = self.coupling.blocks(-carried, f.share.value, carried, r.trace_mass)
         own += storage + convection
         if self._whole is not None:
-            self._whole.factorise((self._sparse(own, across) + self._laplacian).tocsr())
-        self._cells, self._carried = _sweep(own, across)
+            self._whole.factorise((of_blocks(own, across, self._neighbours) + self._laplacian).tocsr())
+        with r.ranks.together(np.linalg.LinAlgError):
+            self._cells, self._carried = _sweep(own, across)
         self._blocks = _rows_of(own, across)
         self._count_sweeps()
         if self._own is None:
@@ -58,7 +59,8 @@ class TransportSweeps:
                 of_facets = np.zeros_like(carried), f.share.value, f.normal_velocity.value
             own, across = self.coupling.blocks(*of_facets, r.density_mass)
             own += storage - convection.transpose(0, 2, 1)
-            self._rho_cells, self._rho_carried = _sweep(own, across)
+            with r.ranks.together(np.linalg.LinAlgError):
+                self._rho_cells, self._rho_carried = _sweep(own, across)
             self._rho_blocks = _rows_of(own, across)
 
     def _count_sweeps(self) -> None:
@@ -66,29 +68,19 @@ class TransportSweeps:
         options = self.options
         count, q = self._cells.shape[:2]
         x = np.random.default_rng(0).standard_normal((count, q, 1)).astype(precision.SINGLE)
-        size, number = options.share * np.linalg.norm(x), 0
+        norm = self.residual.ranks.norm
+        size, number = options.share * norm(x.ravel()), 0
         # the error of n sweeps is the n-th power of what carries from cell to cell
-        while number < options.most and (number < options.least or np.linalg.norm(x) > size):
-            x = product(self._carried, x[self._neighbours].reshape(count, -1, 1))
+        while number < options.most and (number < options.least or norm(x.ravel()) > size):
+            x = product(self._carried, self._beside(x))
             number += 1
         self.sweeps = number
 
     def _convection(self, at: Evaluation) -> np.ndarray:
         """int (v . grad z) q in cells, (cells, q, q)."""
-        v, shape = at.cells.v.value, (self.coupling.cells, -1, 1)
+        v, shape = at.cells.v.value, (self.coupling.cells, self.residual.op.z.per_cell, 1)
         along = sum(v_j.reshape(shape) * D.blocks for v_j, D in zip(v, self.residual.op.dz, strict=True))
         return product(self._tests, along)
-
-    def _sparse(self, own: np.ndarray, across: np.ndarray) -> sp.csr_matrix:
-        """The blocks as a matrix."""
-        cells, sides, q, _ = across.shape
-        row = np.repeat(np.arange(cells), 1 + sides)
-        column = np.concatenate([np.arange(cells)[:, None], self._neighbours], axis=1).ravel()
-        blocks = np.concatenate([own[:, None], across], axis=1).reshape(-1, q, q)
-        inside = np.arange(q)
-        rows = np.broadcast_to((q * row[:, None, None] + inside[:, None]), blocks.shape)
-        columns = np.broadcast_to((q * column[:, None, None] + inside[None, :]), blocks.shape)
-        return sp.csr_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(q * cells,) * 2)
 
     def linearise(self) -> None:
         """Let a density equation that is not linear follow the present state."""
@@ -107,7 +99,7 @@ class TransportSweeps:
 
     def in_cells(self, rows: np.ndarray) -> np.ndarray:
         """The cells' own inverses times ``rows``, (cells' unknowns, .): no sweep, no diffusion."""
-        return product(self._cells, rows.reshape(*self._cells.shape[:2], -1)).reshape(rows.shape)
+        return product(self._cells, rows.reshape(*self._cells.shape[:2], rows.shape[1])).reshape(rows.shape)
 
     @property
     def density_is_factorised(self) -> bool:
@@ -133,16 +125,19 @@ class TransportSweeps:
         return self._applied(self._rho_blocks, x)
 
     def _applied(self, blocks: np.ndarray, x: np.ndarray) -> np.ndarray:
-        count = len(blocks)
-        values = x.astype(precision.SINGLE, copy=False).reshape(count, -1, x.shape[1])
-        beside = values[self._neighbours].reshape(count, -1, x.shape[1])
-        return product(blocks, np.concatenate([values, beside], axis=1)).reshape(x.shape)
+        values = x.astype(precision.SINGLE, copy=False).reshape(*blocks.shape[:2], x.shape[1])
+        return product(blocks, np.concatenate([values, self._beside(values)], axis=1)).reshape(x.shape)
+
+    def _beside(self, x: np.ndarray) -> np.ndarray:
+        """The neighbours' values side by side, (cells, sides q, .), of values (cells, q, .)."""
+        cells, sides = self._neighbours.shape
+        return self.coupling.with_others(x)[self._neighbours].reshape(cells, sides * x.shape[1], x.shape[2])
 
     def _swept(self, cells: np.ndarray, carried: np.ndarray, r: np.ndarray) -> np.ndarray:
-        count, q = cells.shape[:2]
-        x = start = product(cells, r.astype(precision.SINGLE, copy=False).reshape(count, q, -1))
+        shape = (*cells.shape[:2], r.shape[1] if r.ndim == 2 else 1)
+        x = start = product(cells, r.astype(precision.SINGLE, copy=False).reshape(shape))
         for _ in range(self.sweeps - 1):
-            x = start + product(carried, x[self._neighbours].reshape(count, -1, start.shape[2]))
+            x = start + product(carried, self._beside(x))
         return x.reshape(r.shape)
 
 
@@ -156,6 +151,6 @@ def _sweep(own: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 def _rows_of(own: np.ndarray, across: np.ndarray) -> np.ndarray:
     """A cell's rows by its own values and its neighbours' side by side, (cells, q, (1 + sides) q)."""
-    count, _, q, _ = across.shape
-    beside = across.transpose(0, 2, 1, 3).reshape(count, q, -1)
+    count, sides, q, _ = across.shape
+    beside = across.transpose(0, 2, 1, 3).reshape(count, q, sides * q)
     return np.concatenate([own, beside], axis=2).astype(precision.SINGLE)

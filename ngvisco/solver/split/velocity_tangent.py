@@ -3,14 +3,15 @@
 What a cell's increments change its fields by takes the inverse of the transport's own block, without what
 neighbours carry over, so that the matrix is a sum over the cells of ``FlowElements``' products; the normal
 derivatives a are taken as a = E v with the mean of both sides' d_n v, weighted by the
-hyperviscosity's coefficient, which leaves a matrix of v alone (``HyperTangent``).
+hyperviscosity's coefficient, which leaves a matrix of v alone (``HyperTangent``); but for those of facets
+between ranks, which come last.
 """
 
 from __future__ import annotations
 
-import numpy as np
 import scipy.sparse as sp
 
+from ngvisco.algebra.sparse import ElementAssembly
 from ngvisco.reduced.hyper_tangent import HyperTangent
 from ngvisco.solver.split.schur_complement import FlowSchurComplement
 
@@ -22,27 +23,35 @@ class VelocityTangent:
         self.flow, self.hyper = flow, hyper
         e = flow.elements
         self.width, self.dim = flow.op.v.width, flow.dim
-        flat = e.dofs[:, :, None].astype(np.int64) * self.width + e.dofs[:, None, :]
-        keys, self.position = np.unique(flat.ravel(), return_inverse=True)
-        self.rows, self.columns = keys // self.width, keys % self.width
+        self._assembled = ElementAssembly(e.dofs, self.width)
 
     def matrix(self) -> sp.csr_matrix:
-        """The matrix of the flow's unknowns where FlowSchurComplement and HyperTangent were last updated."""
+        """Of the flow's unknowns and the kept a, where the operator and HyperTangent were last updated.
+
+        Over ranks in parts.
+        """
         d, n, flow, e = self.dim, self.width, self.flow, self.flow.elements
-        fields = flow.sweep.in_cells(e.to_fields.reshape(e.cells * e.functions, -1)).reshape(
-            e.to_fields.shape
-        )
+        rows = e.to_fields.reshape(e.cells * e.functions, e.components * e.dim * e.local)
+        fields = flow.sweep.in_cells(rows).reshape(e.to_fields.shape)
         cells = (e.own - e.from_fields @ fields).reshape(e.cells, e.local, d, d, e.local)
         blocks = [[self._assembled(cells[:, :, i, k]) for k in range(d)] for i in range(d)]
         if self.hyper is not None:
             for i in range(d):
-                blocks[i][i] = blocks[i][i] + self.hyper.matrix
+                blocks[i][i] = blocks[i][i] + self.hyper.matrix[:n, :n]
         matrix = sp.bmat(blocks, format="csr")
         others = flow.size - d * n
         if others:
             matrix = sp.block_diag([matrix, sp.csr_matrix((others, others))], format="csr")
-        return matrix if flow.rest is None else (matrix + flow.rest).tocsr()
+        if flow.rest is not None:
+            matrix = (matrix + flow.rest).tocsr()
+        return matrix if self.hyper is None or not len(self.hyper.kept) else self._with_kept(matrix)
 
-    def _assembled(self, cells: np.ndarray) -> sp.csr_matrix:
-        values = np.bincount(self.position, weights=cells.ravel(), minlength=len(self.rows))
-        return sp.csr_matrix((values, (self.rows, self.columns)), shape=(self.width, self.width))
+    def _with_kept(self, matrix: sp.csr_matrix) -> sp.csr_matrix:
+        """The matrix with rows and columns of the kept a."""
+        assert self.hyper is not None
+        n, each = self.width, sp.identity(self.dim)
+        own, others = self.hyper.matrix, matrix.shape[0] - self.dim * n
+        count = self.dim * len(self.hyper.kept)
+        right = sp.vstack([sp.kron(each, own[:n, n:]), sp.csr_matrix((others, count))])
+        below = sp.hstack([sp.kron(each, own[n:, :n]), sp.csr_matrix((count, others))])
+        return sp.bmat([[matrix, right], [below, sp.kron(each, own[n:, n:])]], format="csr")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, IfPos, Integrate, x
@@ -33,7 +34,8 @@ CELLS, END = 200, 0.15
 VISCOSITY, COURANT = {"backward-euler": 1.0, "midpoint": 2.0}, 0.5
 """K_v + 4/3 G_v in units of rho U h, and c dt/h: what ngvisco/timestepping/README.md advises.  The midpoint
 rule damps nothing: in the body at rest between two waves v . n turns round on facets by what rounding leaves,
-with jumps of F across them, and a few of its steps are taken in halves."""
+with jumps of F across them: such steps take up to 50 iterations, by upwinding that is made wide and narrowed
+again."""
 
 HALF_WIDTH = 0.03
 """Of the piece of a star region over which is averaged, m: at the end it is 0.25 m wide at least."""
@@ -79,8 +81,13 @@ class Star:
     """rho J/rho_0 - 1."""
 
 
-def strip(mach: float, cells: int, scheme: str = "backward-euler") -> Simulation:
-    """A periodic strip of two rows whose left half runs into its right half, which parts from it behind."""
+def strip(
+    mach: float, cells: int, scheme: str = "backward-euler", courant: float = COURANT, **options: Any
+) -> Simulation:
+    """A periodic strip of two rows whose left half runs into its right half, which parts from it behind.
+
+    ``courant`` is c dt/h, ``options`` are the simulation's.
+    """
     h, U = 1 / cells, mach * SOUND
     nu = VISCOSITY[scheme] * U * h
     material = CustomMaterial(transported=(Distortion(), Cofactor(), Jacobian()), stored_energy=energy)
@@ -88,7 +95,7 @@ def strip(mach: float, cells: int, scheme: str = "backward-euler") -> Simulation
     mesh = structured_box((1, 2 * h), (cells, 2), periodic="xy")
     velocity = CF((IfPos(x - 0.5, -U, U), 0.0))
     initial = Initial(density=1.0, velocity=velocity)
-    return Simulation(mesh, model, dt=COURANT * h / SOUND, scheme=scheme, initial=initial)
+    return Simulation(mesh, model, dt=courant * h / SOUND, scheme=scheme, initial=initial, **options)
 
 
 def stars(run: Simulation, mach: float) -> list[Star]:
@@ -185,9 +192,9 @@ CASES = (
             Bound("largest error of a star state", "<=", 0.01, "asked for"),
             Bound("|rho J/rho_0 - 1| by backward Euler", "<=", 0.01, "of order dt"),
             Bound("|rho J/rho_0 - 1| by midpoint", "<=", 5e-4, "of order dt^2"),
-            Bound("most iterations", "<=", 40.0, "no step is hard"),
+            Bound("most iterations", "<=", 60.0, "one attempt for each step"),
             Bound("rejected steps of backward Euler", "<=", 0.0, "nor halved"),
-            Bound("rejected steps of the midpoint rule", "<=", 3.0, "of 60: the flow turns round at rest"),
+            Bound("rejected steps of the midpoint rule", "<=", 0.0, "nor where the flow turns round at rest"),
             Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
         ),
         run=_measure,

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from ngvisco.algebra import precision
 from ngvisco.errors import MeshError
 from ngvisco.reduced.operators import Operators
-from ngvisco.solver.split.point_tangent import PointTangent
+from ngvisco.reduced.point_tangent import PointTangent
 from ngvisco.threads import product
 
 
@@ -26,16 +26,21 @@ class FlowElements:
         self.tangent, self.fine = points, fine
         op = points.op
         v, z = op.v.matrix, op.z.matrix
-        self.cells, self.per, self.local, self.functions = op.v.cells, op.v.per_cell, v.indptr[1], z.indptr[1]
+        self.cells, self.per, self.local, self.functions = op.v.cells, op.v.per_cell, op.v.local, op.z.local
         self.dim, self.components = len(op.dv), points.components
         if not (np.diff(v.indptr) == self.local).all():
             raise MeshError("a cell of a periodic mesh meets its own image: expected two cells or more")
-        self.dofs = v.indices.reshape(self.cells, self.per, self.local)[:, 0]
-        shapes = np.stack([each.matrix.data.reshape(-1, self.local) for each in (op.v, *op.dv)], axis=1)
+        self.dofs = v.indices.reshape(self.cells, self.per * self.local)[:, : self.local]
+        count = self.cells * self.per
+        shapes = np.stack([each.matrix.data.reshape(count, self.local) for each in (op.v, *op.dv)], axis=1)
         self.shapes = shapes.astype(precision.SINGLE)  # (points, 1 + d, local)
-        tests = (shapes * op.weights[:, None, None]).reshape(self.cells, -1, self.local)
+        tests = (shapes * op.weights[:, None, None]).reshape(
+            self.cells, self.per * (1 + self.dim), self.local
+        )
         self._tests = _single(tests.transpose(0, 2, 1))  # (cells, local, points (1 + d))
-        z_tests = z.data.reshape(self.cells, self.per, self.functions) * op.weights.reshape(self.cells, -1, 1)
+        z_tests = z.data.reshape(self.cells, self.per, self.functions) * op.weights.reshape(
+            self.cells, self.per, 1
+        )
         self._z_tests = _single(z_tests.transpose(0, 2, 1))  # (cells, q, points)
         places = np.arange(self.dofs.size)
         ones = np.ones(places.size)
@@ -56,10 +61,10 @@ class FlowElements:
             self.functions,
             self.tangent,
         )
-        right = product(_single(base).reshape(len(base), -1, 1 + d), self.shapes)
+        right = product(_single(base).reshape(len(base), (1 + d) * d**2, 1 + d), self.shapes)
         # rows of v and of the fields, one matrix a cell: what an increment of v makes is one product
         self.of_velocity = np.empty((cells, local * d + q * n, d * local), precision.SINGLE)
-        own = product(self._tests, right.reshape(cells, -1, d * d * local))
+        own = product(self._tests, right.reshape(cells, self.per * (1 + d), d * d * local))
         own = own.reshape(cells, local, d, d, local)
         mass = self._inertia(inertia)
         for i in range(d):
@@ -68,21 +73,21 @@ class FlowElements:
         # z's rows from (v, grad v): - rate(z; grad dv) + (dv . grad) z
         to_z = np.empty((len(base), n, d, 1 + d), precision.SINGLE)
         to_z[..., 0] = p.dz.transpose(2, 0, 1)
-        to_z[..., 1:] = -p.columns[:, :, : d * d].reshape(-1, n, d, d)
-        right = product(to_z.reshape(len(base), -1, 1 + d), self.shapes)
-        to_fields = product(self._z_tests, right.reshape(cells, self.per, -1))
+        to_z[..., 1:] = -p.columns[:, :, : d * d].reshape(len(base), n, d, d)
+        right = product(to_z.reshape(len(base), n * d, 1 + d), self.shapes)
+        to_fields = product(self._z_tests, right.reshape(cells, self.per, n * d * local))
         self.to_fields[...] = to_fields.reshape(cells, q * n, d * local)
         # v's rows from z: the elastic force of (1 - tau K)^{-1} dz
         force = product(_single(p.force[:, : d * d]), _single(p.resolvent))
-        force = force.reshape(-1, d, d, n).swapaxes(1, 2)  # (points, j, i, n)
+        force = force.reshape(len(base), d, d, n).swapaxes(1, 2)  # (points, j, i, n)
         left = product(self.shapes[:, 1:].transpose(0, 2, 1), force.reshape(len(base), d, d * n))
-        back = product(self._z_tests, left.reshape(cells, self.per, -1))
+        back = product(self._z_tests, left.reshape(cells, self.per, local * d * n))
         back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3)
         self.from_fields = _single(back).reshape(cells, local * d, q * n)
 
     def _inertia(self, density: np.ndarray) -> np.ndarray:
         op = self.fine
-        weighted = (density * op.weights).reshape(self.cells, -1, 1)
+        weighted = (density * op.weights).reshape(self.cells, op.v.per_cell, 1)
         shapes = op.v.matrix.data.reshape(*weighted.shape[:2], self.local)
         return product(shapes.transpose(0, 2, 1), weighted * shapes)
 
@@ -99,11 +104,11 @@ class FlowElements:
     def gathered(self, dv: np.ndarray) -> np.ndarray:
         """The cells' unknowns of dv (dim, .), (cells, dim local, 1)."""
         local = np.take(_single(dv.T), self.dofs, axis=0)
-        return np.ascontiguousarray(local.swapaxes(1, 2)).reshape(self.cells, -1, 1)
+        return np.ascontiguousarray(local.swapaxes(1, 2)).reshape(self.cells, self.dim * self.local, 1)
 
     def scattered(self, rows: np.ndarray) -> np.ndarray:
         """Sums over the cells of their rows (cells, local dim, 1), (dim, .)."""
-        return (self._scatter @ rows.reshape(-1, self.dim)).T
+        return (self._scatter @ rows.reshape(self.cells * self.local, self.dim)).T
 
 
 def _single(array: np.ndarray) -> np.ndarray:

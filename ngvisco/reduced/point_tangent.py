@@ -36,7 +36,7 @@ class PointTangent:
         self.tau, g = step.context.tau.Get(), rates.gradients
         self.values = u = self.terms.fields(at.coefficients)
         self.z, self.zeta = u.z.value, u.zeta.value
-        self.L = u.grad_v.value.reshape(g, -1)
+        self.L = u.grad_v.value.reshape(g, self.op.points.count)
         slopes = self._second_derivative()  # (points, n, n)
         columns = rates.columns(self.z)  # (points, n, X)
         K = np.einsum("xnm,xp->pnm", rates.linear[:g], self.L, optimize=True)
@@ -76,7 +76,7 @@ class PointTangent:
         result = np.empty((self.op.points.count, n, n))
         slope, shifted = self.slope(self.z), self.z.copy()
         for m in range(n):
-            size = step * (1 + abs(self.z[m]).max())
+            size = step * (1 + abs(self.z[m]).max(initial=0.0))
             shifted[m] += size
             result[:, :, m] = ((self.slope(shifted) - slope) / size).T
             shifted[m] = self.z[m]

@@ -1,0 +1,56 @@
+"""GMRES by inner products of the caller's, against SciPy's."""
+
+import numpy as np
+import pytest
+from scipy.sparse.linalg import gmres as scipy_gmres
+
+from ngvisco.algebra.krylov import gmres
+
+
+def system(size=80):
+    random = np.random.default_rng(0)
+    matrix = np.diag(np.linspace(1, 3, size)) + 0.05 * random.standard_normal((size, size))
+    return matrix, random.standard_normal(size)
+
+
+@pytest.mark.parametrize(("rtol", "most"), [(1e-2, 40), (1e-8, 40), (1e-8, 5)])
+def test_it_is_the_gmres_of_scipy(rtol, most):
+    matrix, right = system()
+    found, taken = gmres(matrix.__matmul__, right, rtol=rtol, directions=most)
+    steps = []
+    options = {"callback": steps.append, "callback_type": "pr_norm"}
+    expected, _ = scipy_gmres(matrix, right, rtol=rtol, restart=most, maxiter=1, **options)
+    assert taken == len(steps)
+    assert np.linalg.norm(found - expected) <= 1e-10 * np.linalg.norm(expected)
+
+
+def test_inner_products_are_those_of_the_caller():
+    """Unknowns that stand twice, as those that ranks share, count once."""
+    matrix, right = system()
+    twice = np.concatenate([np.arange(len(right)), np.arange(10)])
+    first = np.arange(len(twice)) < len(right)
+
+    def products(several, one):
+        return several[:, first] @ one[first]
+
+    def operator(x):
+        return (matrix @ x[first])[twice]
+
+    found, taken = gmres(operator, right[twice], rtol=1e-8, directions=40, products=products)
+    expected, alone = gmres(matrix.__matmul__, right, rtol=1e-8, directions=40)
+    assert taken == alone and np.linalg.norm(found - expected[twice]) <= 1e-12 * np.linalg.norm(expected)
+
+
+def test_what_has_no_further_direction_is_solved():
+    right = np.array([1.0, 2.0, 0.0])
+    found, taken = gmres(lambda x: 2 * x, right, rtol=1e-12, directions=3)
+    assert taken == 1 and np.allclose(found, right / 2)
+    assert not gmres(lambda x: 2 * x, 0 * right, rtol=1e-12, directions=3)[0].any()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_no_number_gives_none(bad):
+    """In the right-hand side and in a product."""
+    right = np.ones(3)
+    assert np.isnan(gmres(lambda x: x, bad * right, rtol=1e-2, directions=3)[0]).all()
+    assert np.isnan(gmres(lambda x: bad * x, right, rtol=1e-2, directions=3)[0]).all()

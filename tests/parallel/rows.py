@@ -1,0 +1,87 @@
+"""Rows of the split solver's residual and of its derivative, by one process or several.
+
+Run by ``test_reduced``: the first rank writes them into a file, in the numbering of one process.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from ngsolve import CF, cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.parallel.exchange import Exchange
+from ngvisco.reduced.residual import ReducedResidual
+
+SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), CF(0))
+SLIP = {"top": nv.Traction(f=(1.0, 0.0), friction=0.2), "left": nv.NavierFriction(0.3)}
+CREEP = {"creep": nv.Creep(G_m=2.0)}
+CREEP_FIELD = {"creep": nv.Creep(G_m=2.0, nu=1e-3, q=4)}
+
+
+def simulation(dim=2, maxh=0.4, k=2, p=4.0, walls=None, **parts) -> nv.Simulation:
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
+        viscosity=nv.StokesViscosity(K_v=0.05, G_v=0.05),
+        hyperviscosity=None if p is None else nv.HyperViscosity(mu=1e-4, p=p),
+        loads=[nv.Gravity((0.0,) * (dim - 1) + (-1.0,))],
+        **parts,
+    )
+    return nv.Simulation(
+        box((1,) * dim, maxh=maxh),
+        model,
+        dt=0.02,
+        initial=nv.Initial(velocity=SWIRL[:dim]),
+        walls=walls,
+        discretisation=nv.Discretisation(k=k),
+        solver="coupled",
+    )
+
+
+CASES = {
+    "creep and walls with slip": lambda: simulation(walls=SLIP, **CREEP),
+    "a creep rate field": lambda: simulation(p=2.0, **CREEP_FIELD),
+    "k = 3": lambda: simulation(k=3, maxh=0.6),
+    "no hyperviscosity": lambda: simulation(p=None),
+    "3D": lambda: simulation(dim=3, maxh=0.9),
+}
+
+
+def rows(run: nv.Simulation) -> dict[str, np.ndarray]:
+    """By residual or derivative and unknown, on the first rank; at a state away from a solution."""
+    step, numbering, ranks = run.rothe_step, run.numbering, run.ranks
+    reduced = ReducedResidual(step, Exchange.of(step.layout.space, ranks))
+    unknowns = reduced.unknowns
+    state, direction = numbering.whole(step.state.vec.FV().NumPy()).copy(), None
+    if ranks.is_first:
+        random = np.random.default_rng(1)
+        direction = random.standard_normal(len(state))
+        for name in unknowns.names:
+            where = numbering.layout.ranges[name]
+            state[where] += 1e-2 * random.standard_normal(where.stop - where.start)
+    step.state.vec.FV().NumPy()[:] = numbering.own(state if ranks.is_first else None)
+    d = numbering.own(direction)[unknowns.places(unknowns.names)]
+    step.context.set_step(0.02, 0.04, 0.02, 0.02)
+    reduced.start()
+    at = reduced(unknowns.pack())
+    found = {}
+    for kind, of in (("residual", at.residual), ("derivative", reduced.derivative(at)(d))):
+        values = np.zeros(step.layout.space.ndof)
+        values[unknowns.places(unknowns.names)] = np.concatenate(of.parts())
+        whole = numbering.whole(values)
+        if ranks.is_first:
+            for name in unknowns.names:
+                found[f"{kind} of {name}"] = whole[numbering.layout.ranges[name]]
+    return found
+
+
+if __name__ == "__main__":
+    path, *names = sys.argv[1:]
+    result = {}
+    for name in names:
+        run = CASES[name]()
+        result |= {f"{name}: {key}": value for key, value in rows(run).items()}
+    if run.ranks.is_first:
+        np.savez(path, **result)

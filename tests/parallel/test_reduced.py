@@ -1,0 +1,40 @@
+"""The split solver's residual over ranks is that of one process, row by row, and so is its derivative."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from launch import has_petsc, run
+
+HERE = Path(__file__).parent
+pytestmark = pytest.mark.skipif(
+    not has_petsc(), reason="no MPI or PETSc: see the README's 'Several processes'"
+)
+CASES = ("creep and walls with slip", "a creep rate field", "k = 3", "no hyperviscosity", "3D")
+
+
+def found(folder, ranks, names):
+    path = folder / f"{ranks}.npz"
+    result = run(HERE / "rows.py", path, *names, ranks=ranks)
+    assert result.returncode == 0, result.stderr[-2000:]
+    return np.load(path)
+
+
+def assert_same_rows(folder, ranks, names):
+    """To 1e-12 of the largest of an unknown's rows."""
+    one, several = found(folder, 1, names), found(folder, ranks, names)
+    assert {name.split(":")[0] for name in one.files} == set(names) and one.files == several.files
+    for name in one.files:
+        expected = one[name]
+        assert abs(several[name] - expected).max() <= 1e-12 * abs(expected).max(), name
+
+
+def test_rows_are_those_of_one_process(tmp_path):
+    assert_same_rows(tmp_path, 3, CASES[:1])
+
+
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize("ranks", [2, 3, 4])
+def test_rows_of_all_cases_are_those_of_one_process(ranks, tmp_path):
+    assert_same_rows(tmp_path, ranks, CASES)
