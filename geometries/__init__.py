@@ -1,6 +1,7 @@
 """Domains with named walls, meshed by Netgen; sizes in the user's length unit."""
 
 from ngvisco.geometries.boxes import bar, block_with_hole, box, channel
+from ngvisco.geometries.corners import split_corner_cells
 from ngvisco.geometries.files import load
 from ngvisco.geometries.meshing import refine_walls
 from ngvisco.geometries.round import annulus, cylinder, disc, sphere, spherical_shell
@@ -18,5 +19,6 @@ __all__ = [
     "refine_walls",
     "sphere",
     "spherical_shell",
+    "split_corner_cells",
     "structured_box",
 ]

@@ -36,6 +36,7 @@ def box(
     *,
     periodic: str | Sequence[str] = (),
     refine: Mapping[str, float] | None = None,
+    split_corners: bool = False,
 ) -> Mesh:
     """A box [0, size_1] x [0, size_2] (x [0, size_3]).
 
@@ -51,13 +52,17 @@ def box(
         Directions in which the two walls are identified.
     refine : mapping of walls to cell sizes, optional
         Smaller cell sizes on walls, m.
+    split_corners : bool
+        Divide the cells in corners, so that walls with different velocities may meet there
+        (``split_corner_cells``).
 
     Raises
     ------
     ParameterError
         If a length is not a finite positive number, or their number is not 2 or 3.
     """
-    return _box("box", [("size", length) for length in box_lengths("box", size)], maxh, periodic, refine)
+    lengths = [("size", length) for length in box_lengths("box", size)]
+    return _box("box", lengths, maxh, periodic, refine, split_corners)
 
 
 def channel(
@@ -67,6 +72,7 @@ def channel(
     *,
     width: float | None = None,
     refine: Mapping[str, float] | None = None,
+    split_corners: bool = False,
 ) -> Mesh:
     """A channel along x between the walls ``bottom`` and ``top``, periodic in x (and in y in 3D).
 
@@ -79,12 +85,14 @@ def channel(
     width : float, optional
         Makes it three-dimensional, m.
     refine : mapping of walls to cell sizes, optional
+    split_corners : bool
+        As for ``box``.
     """
     sizes = [("length", length), ("height", height)]
     if width is not None:
         sizes.insert(1, ("width", width))
     sizes = [(name, as_length(f"channel.{name}", value)) for name, value in sizes]
-    return _box("channel", sizes, maxh, "x" if width is None else "xy", refine)
+    return _box("channel", sizes, maxh, "x" if width is None else "xy", refine, split_corners)
 
 
 def bar(
@@ -94,6 +102,7 @@ def bar(
     *,
     dim: int = 2,
     refine: Mapping[str, float] | None = None,
+    split_corners: bool = False,
 ) -> Mesh:
     """A bar along x of square cross-section, with the walls of a box.
 
@@ -102,11 +111,14 @@ def bar(
     length, thickness, maxh : float
         m.
     dim : 2 or 3
+    refine, split_corners
+        As for ``box``.
     """
     if isinstance(dim, bool) or dim not in (2, 3):
         raise ParameterError("bar.dim", dim, "2 or 3")
     across = [("thickness", as_length("bar.thickness", thickness))] * (int(dim) - 1)
-    return _box("bar", [("length", as_length("bar.length", length)), *across], maxh, refine=refine)
+    sizes = [("length", as_length("bar.length", length)), *across]
+    return _box("bar", sizes, maxh, (), refine, split_corners)
 
 
 def block_with_hole(
@@ -117,6 +129,7 @@ def block_with_hole(
     fillet: float = 0.0,
     order: int = CURVE_ORDER,
     refine: Mapping[str, float] | None = None,
+    split_corners: bool = False,
 ) -> Mesh:
     """A box with a circular hole in its middle, in 3D along y; walls of the box, ``hole`` and ``fillet``.
 
@@ -134,6 +147,8 @@ def block_with_hole(
     order : int
         Of the curved cells.
     refine : mapping of walls to cell sizes, optional
+    split_corners : bool
+        As for ``box``.
     """
     lengths = box_lengths("block_with_hole", size)
     dim, radius = len(lengths), as_length("block_with_hole.radius", radius)
@@ -159,15 +174,26 @@ def block_with_hole(
         hole = Cylinder(Pnt(scaled[0] / 2, 0, scaled[2] / 2), Y, r=r, h=scaled[1])
         hole.faces.name = "hole"
     delicate = is_delicate(length for _, length in parts)
-    return mesh_of("block_with_hole", shape - hole, dim, maxh, order, refine, unit=unit, is_delicate=delicate)
+    return mesh_of(
+        "block_with_hole",
+        shape - hole,
+        dim,
+        maxh,
+        order,
+        refine,
+        unit=unit,
+        is_delicate=delicate,
+        split_corners=split_corners,
+    )
 
 
 def _box(
     owner: str,
     lengths: Sequence[tuple[str, float]],
     maxh: float,
-    periodic: str | Sequence[str] = (),
-    refine: Mapping[str, float] | None = None,
+    periodic: str | Sequence[str],
+    refine: Mapping[str, float] | None,
+    split_corners: bool,
 ) -> Mesh:
     """A box from the names and values of its edges' lengths, m."""
     dim, unit = len(lengths), unit_of(owner, len(lengths), lengths)
@@ -175,7 +201,18 @@ def _box(
     shape = _block(scaled)
     _identify(shape, dim, scaled, periodic)
     delicate = is_delicate(scaled)
-    return mesh_of(owner, shape, dim, maxh, 1, refine, unit=unit, is_round=False, is_delicate=delicate)
+    return mesh_of(
+        owner,
+        shape,
+        dim,
+        maxh,
+        1,
+        refine,
+        unit=unit,
+        is_round=False,
+        is_delicate=delicate,
+        split_corners=split_corners,
+    )
 
 
 def _block(lengths: Sequence[float]) -> Any:

@@ -19,9 +19,11 @@ from netgen.read_gmsh import ReadGmsh
 from ngsolve import Mesh
 
 from ngvisco.errors import MeshError, ParameterError, require_path
+from ngvisco.geometries.corners import split_corner_cells
 from ngvisco.geometries.meshing import (
     CURVE_ORDER,
     as_length,
+    check_flag,
     check_order,
     is_delicate,
     mesh_of,
@@ -39,7 +41,13 @@ _ENDS = {
 }
 
 
-def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = CURVE_ORDER) -> Mesh:
+def load(
+    path: str | PathLike[str],
+    *,
+    maxh: float | None = None,
+    order: int = CURVE_ORDER,
+    split_corners: bool = False,
+) -> Mesh:
     """A mesh from a file.
 
     Parameters
@@ -52,6 +60,8 @@ def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = C
         Largest cell size, in the file's unit; for geometries only, and needed there.
     order : int
         Of the curved cells, where the geometry is known.
+    split_corners : bool
+        Divide the cells in corners (``split_corner_cells``).
 
     Raises
     ------
@@ -64,6 +74,7 @@ def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = C
     if maxh is not None:
         maxh = as_length("load.maxh", maxh)
     check_order("load", order)
+    check_flag("load.split_corners", split_corners)
     _check_file(path)
     kind = path.suffix.lower()
     _try_apart(path, maxh)
@@ -75,6 +86,7 @@ def load(path: str | PathLike[str], *, maxh: float | None = None, order: int = C
         raise MeshError(f"{path}: not readable: {error}") from error
     if mesh.dim not in (2, 3) or mesh.ne == 0:
         raise MeshError(f"{path}: the mesh has no volume elements")
+    mesh = split_corner_cells(mesh) if split_corners else mesh
     return mesh.Curve(order) if order > 1 and kind not in (".vol", ".msh") else mesh
 
 

@@ -28,6 +28,7 @@ from ngvisco.errors import (
     as_number,
     require_names,
 )
+from ngvisco.geometries.corners import split_corner_cells
 
 CURVE_ORDER = 3
 """Order of curved cells: one above the default velocity, so that the geometry's error is not the largest."""
@@ -81,6 +82,12 @@ def check_order(owner: str, order: int) -> None:
         raise ParameterError(f"{owner}.order", order, "an integer from 1 to 10")
 
 
+def check_flag(field: str, value: object) -> None:
+    """Raise ParameterError unless the value is True or False."""
+    if not isinstance(value, bool):
+        raise ParameterError(field, value, "True or False")
+
+
 def unit_of(
     owner: str, dim: int, lengths: Sequence[tuple[str, float]], round_ones: Iterable[str] = ()
 ) -> float:
@@ -126,6 +133,7 @@ def mesh_of(
     unit: float = 1.0,
     is_round: bool = True,
     is_delicate: bool = False,
+    split_corners: bool = False,
 ) -> Mesh:
     """Mesh an OCC shape, with a smaller cell size on the walls named in ``refine``, and curve it.
 
@@ -141,6 +149,8 @@ def mesh_of(
         Whether the shape has curved walls: a mesh that is refined or curved later asks for them.
     is_delicate : bool
         Try Netgen in a process of its own first, since it may crash.
+    split_corners : bool
+        Divide the cells with all edges at a vertex on walls (``corners``).
 
     Raises
     ------
@@ -153,6 +163,7 @@ def mesh_of(
     """
     size = as_length(f"{owner}.maxh", maxh) / unit
     check_order(owner, order)
+    check_flag(f"{owner}.split_corners", split_corners)
     walls = shape.edges if dim == 2 else shape.faces
     known = {str(wall.name) for wall in walls if wall.name}
     cells = {f"{owner}.maxh": (maxh, sum(part.mass for part in _interior(shape, dim)), size, dim)}
@@ -179,6 +190,7 @@ def mesh_of(
         whole = OCCGeometry(shape.Scale(Pnt(0, 0, 0), unit), dim=dim) if is_round else NetgenGeometry()
         mesh.ngmesh.SetGeometry(whole)
         mesh = Mesh(mesh.ngmesh)
+    mesh = split_corner_cells(mesh) if split_corners else mesh
     return mesh.Curve(int(order)) if order > 1 else mesh
 
 

@@ -53,8 +53,12 @@ def cylinder(
     *,
     order: int = CURVE_ORDER,
     refine: Mapping[str, float] | None = None,
+    split_corners: bool = False,
 ) -> Mesh:
-    """The cylinder r < radius, 0 < z < height; walls ``side``, ``bottom``, ``top``.  Lengths in m."""
+    """The cylinder r < radius, 0 < z < height; walls ``side``, ``bottom``, ``top``.  Lengths in m.
+
+    ``split_corners`` as for ``box``.
+    """
     sizes = [
         ("radius", as_length("cylinder.radius", radius)),
         ("height", as_length("cylinder.height", height)),
@@ -65,7 +69,8 @@ def cylinder(
     solid.faces.name = "side"
     solid.faces.Min(Z).name, solid.faces.Max(Z).name = "bottom", "top"
     delicate = is_delicate((radius, height))
-    return mesh_of("cylinder", solid, 3, maxh, order, refine, unit=unit, is_delicate=delicate)
+    options = {"unit": unit, "is_delicate": delicate, "split_corners": split_corners}
+    return mesh_of("cylinder", solid, 3, maxh, order, refine, **options)
 
 
 def sphere(

@@ -8,7 +8,8 @@ from ngsolve import Mesh
 from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
 from ngvisco.errors import ParameterError, as_integer, as_number, require_names
-from ngvisco.geometries.meshing import box_lengths
+from ngvisco.geometries.corners import split_corner_cells
+from ngvisco.geometries.meshing import box_lengths, check_flag
 
 _NAMES = {"back": "left", "front": "right", "left": "front", "right": "back"}
 """NGSolve's names of the walls of a structured box in 3D, and those of ``box``."""
@@ -20,6 +21,7 @@ def structured_box(
     *,
     periodic: str | Sequence[str] = (),
     grading: Mapping[str, float] | None = None,
+    split_corners: bool = False,
 ) -> Mesh:
     """A box [0, size_1] x [0, size_2] (x [0, size_3]) of rows of cells, with the walls of ``box``.
 
@@ -36,6 +38,8 @@ def structured_box(
         Directions in which the two walls are identified.
     grading : mapping of directions to numbers > 0, optional
         Length of the last row over that of the first one, which between them is geometric; default 1.
+    split_corners : bool
+        As for ``box``.
 
     Raises
     ------
@@ -48,6 +52,7 @@ def structured_box(
     if len(counts) != dim or any(n is None or n < 1 for n in counts):
         raise ParameterError("structured_box.cells", cells, f"{dim} whole numbers >= 1")
     axes = "xyz"[:dim]
+    check_flag("structured_box.split_corners", split_corners)
     directions = list(periodic) if isinstance(periodic, str) else require_names(_FIELD, periodic)
     for name in directions:
         if name not in axes:
@@ -63,11 +68,13 @@ def structured_box(
     options = {f"n{axis}": n for axis, n in zip(axes, counts, strict=True)}
     options |= {f"periodic_{axis}": axis in directions for axis in axes}
     if dim == 2:
-        return MakeStructured2DMesh(quads=False, mapping=place, **options)
+        mesh = MakeStructured2DMesh(quads=False, mapping=place, **options)
+        return split_corner_cells(mesh) if split_corners else mesh
     mesh = MakeStructured3DMesh(hexes=False, mapping=place, **options)
     for number, name in enumerate(mesh.GetBoundaries()):
         mesh.ngmesh.SetBCName(number, _NAMES.get(name, name))
-    return Mesh(mesh.ngmesh)
+    mesh = Mesh(mesh.ngmesh)
+    return split_corner_cells(mesh) if split_corners else mesh
 
 
 _FIELD = "structured_box.periodic"

@@ -86,6 +86,9 @@ KEYS: dict[str, Key] = {
     "cylinder.refine": Key("m", "smaller cell sizes at walls, by the wall's name", {"side": 0.05}),
     "disc.refine": Key("m", "smaller cell sizes at walls, by the wall's name", {"wall": 0.05}),
     "sphere.refine": Key("m", "smaller cell sizes at walls, by the wall's name", {"wall": 0.05}),
+    "split_corners": Key(
+        "", "divide cells whose edges at a vertex all lie on walls: for walls that move", True
+    ),
     "order": Key("1", "polynomial order of curved cells", 3),
     "inner": Key("m", "inner radius", 1.0),
     "outer": Key("m", "outer radius, above the inner one", 2.0),

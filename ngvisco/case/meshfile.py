@@ -14,9 +14,10 @@ from ngvisco.errors import MeshError
 from ngvisco.forms.mesh_arrays import coordinates
 
 
-def read_mesh(path: str, maxh: float | None = None, order: int = 3) -> Mesh:
+def read_mesh(path: str, maxh: float | None = None, order: int = 3, split_corners: bool = False) -> Mesh:
     """``ngvisco.geometries.load``, with a path as case files have it."""
-    return importlib.import_module("ngvisco.geometries").load(path, maxh=maxh, order=order)
+    load = importlib.import_module("ngvisco.geometries").load
+    return load(path, maxh=maxh, order=order, split_corners=split_corners)
 
 
 def require_whole(path: Path) -> None:

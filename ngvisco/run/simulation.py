@@ -27,6 +27,7 @@ from ngvisco.errors import (
 )
 from ngvisco.forms.bounds import Bounds, Violation
 from ngvisco.forms.context import time
+from ngvisco.forms.corners import warn_of_corners
 from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.initial import Initial, set_initial
 from ngvisco.forms.sampling import Sampler
@@ -355,7 +356,9 @@ class Simulation:
         until, stops = end, as_times("stops", stops)
         for observer in self.observers:
             check_observer(observer)
-        self.check_data(times_of(self.t, until))
+        times = times_of(self.t, until)
+        self.check_data(times)
+        warn_of_corners(self.rothe_step, times)
         for name, value in [("until", until), *(("stops", stop) for stop in stops)]:
             self.stepper.check(name, value)
         targets = sorted({*(stop for stop in stops if self.t < stop < until), until})

@@ -1,0 +1,98 @@
+"""Cells in corners: found, divided, and nothing else changed."""
+
+import numpy as np
+import pytest
+from netgen.occ import Circle, Glue, OCCGeometry, Rectangle
+from ngsolve import CF, VERTEX, Integrate, Mesh
+from ngsolve.meshes import MakeStructured2DMesh
+
+from ngvisco import ParameterError
+from ngvisco import geometries as g
+from ngvisco.geometries.corners import corner_cells
+
+
+def of_two_parts():
+    face = Rectangle(1, 1).Face()
+    face.edges.name = "wall"
+    inner = Circle((0.5, 0.5), 0.3).Face()
+    inner.faces.name, rest = "inner", face - inner
+    rest.faces.name = "outer"
+    return Mesh(OCCGeometry(Glue([inner, rest]), dim=2).GenerateMesh(maxh=0.2)).Curve(3)
+
+
+MESHES = {
+    "box": lambda: g.box((1, 1), 0.3),
+    "box3d": lambda: g.box((1, 1, 1), 0.5),
+    "rows": lambda: g.structured_box((1, 1), (3, 3)),
+    "rows3d": lambda: g.structured_box((1, 1, 1), (2, 2, 2), periodic="x"),
+    "hole": lambda: g.block_with_hole((2, 1), 0.25, 0.4),
+    "cylinder": lambda: g.cylinder(1, 1, 0.8),
+    "parts": of_two_parts,
+}
+
+
+def walls_of(mesh):
+    return {name: Integrate(CF(1.0), mesh.Boundaries(name)) for name in set(mesh.GetBoundaries())}
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_division_leaves_no_cell_in_a_corner_and_the_domain_as_it_is(name):
+    mesh = MESHES[name]()
+    cells, count, order = corner_cells(mesh), mesh.ne, mesh.GetCurveOrder()
+    parts = {part: Integrate(CF(1.0), mesh.Materials(part)) for part in mesh.GetMaterials()}
+    walls, pairs = walls_of(mesh), len(mesh.GetPeriodicNodePairs(VERTEX))
+    assert cells
+    divided = g.split_corner_cells(mesh)
+    assert not corner_cells(divided)
+    assert divided.ne == count + mesh.dim * len(cells)
+    assert divided.GetCurveOrder() == order
+    assert len(divided.GetPeriodicNodePairs(VERTEX)) == pairs
+    assert walls_of(divided) == pytest.approx(walls)
+    now = {part: Integrate(CF(1.0), divided.Materials(part)) for part in divided.GetMaterials()}
+    assert now == pytest.approx(parts)
+
+
+def test_identified_boundaries_are_no_walls():
+    assert len(corner_cells(g.structured_box((1, 1), (3, 3)))) == 2
+    assert not corner_cells(g.structured_box((1, 1), (3, 3), periodic="x"))
+
+
+def test_quadrilaterals_become_triangles():
+    divided = g.split_corner_cells(MakeStructured2DMesh(quads=True, nx=3, ny=3))
+    assert divided.ne == 9 + 4 * 3
+    assert Integrate(CF(1.0), divided) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda split: g.box((1, 1), 0.3, split_corners=split),
+        lambda split: g.channel(1, 1, 0.5, split_corners=split),
+        lambda split: g.bar(1, 0.5, 0.3, split_corners=split),
+        lambda split: g.block_with_hole((2, 1), 0.25, 0.4, split_corners=split),
+        lambda split: g.cylinder(1, 1, 0.8, split_corners=split),
+        lambda split: g.structured_box((1, 1), (3, 3), split_corners=split),
+        lambda split: g.structured_box((1, 1, 1), (2, 2, 2), split_corners=split),
+    ],
+)
+def test_geometries_divide_where_they_are_asked_to(make):
+    assert not corner_cells(make(True))
+    with pytest.raises(ParameterError, match="split_corners"):
+        make("yes")
+
+
+def test_a_file_is_divided(tmp_path):
+    g.box((1, 1), 0.3).ngmesh.Save(str(tmp_path / "box.vol"))
+    assert corner_cells(g.load(tmp_path / "box.vol"))
+    assert not corner_cells(g.load(tmp_path / "box.vol", split_corners=True))
+
+
+def test_divided_cells_keep_the_orientation_of_theirs():
+    for make in MESHES.values():
+        mesh = g.split_corner_cells(make())
+        raw = mesh.ngmesh
+        cells = raw.Elements2D() if mesh.dim == 2 else raw.Elements3D()
+        corners = cells.NumPy()["nodes"][:, : mesh.dim + 1].astype(int) - 1
+        edges = raw.Coordinates()[corners][:, 1:] - raw.Coordinates()[corners][:, :1]
+        volumes = np.linalg.det(edges)
+        assert (volumes > 0).all() or (volumes < 0).all()
