@@ -146,7 +146,7 @@ def _collision() -> Outcome:
             Plot(
                 "Two discs that meet",
                 "t, s",
-                "momentum over the first; energies over the first kinetic",
+                "momentum, energies over first values",
                 [
                     Curve("left", list(times), [float(v) / first for v in momenta["left"]], "o-"),
                     Curve("right", list(times), [float(v) / first for v in momenta["right"]], "s-"),
