@@ -144,7 +144,7 @@ CASES = (
         theme="Bodies and their interfaces",
         statement="In a light fluid a clamped bar bends under its weight as beam theory says of empty space; "
         "an elastic medium that is 1e-2 times as stiff carries a part of the weight.",
-        label="Euler-Bernoulli, Timoshenko",
+        label="benchmark: beams after Euler and Bernoulli, and Timoshenko",
         setting=f"Bar {LENGTH:g} m x {HEIGHT:g} m, G = {SHEAR:g} Pa, nu = {NU:.3f}, clamped at the left wall "
         f"of a box of {SIZE[0]:g} m x {SIZE[1]:g} m; medium of {LIGHT:g} times its density, K_e = {SOFT:g} "
         f"Pa, {VISCOSITY:g} Pa s; tip bent by 2 % of the length; {2 * CELLS[0] * CELLS[1]} triangles, two "

@@ -164,7 +164,7 @@ CASES = (
         theme="Bodies and their interfaces",
         statement="Two elastic discs that are thrown at each other meet, do not overlap, and part again; "
         "what they lose is what is dissipated.",
-        label="after Sulsky, Chen and Schreyer 1994",
+        label="benchmark: after Sulsky, Chen and Schreyer (1994)",
         setting=f"Discs of {RADIUS:g} m, 1 kg/m3, K_e = {BULK:g} Pa, G = {SHEAR:g} Pa, {DAMPING:g} Pa s, at "
         f"{SPEED:g} m/s each; box of {SIZE[0]:g} m x {SIZE[1]:g} m, medium of {LIGHT:g} kg/m3, {SOFT:g} Pa "
         f"and {THIN:g} Pa s; {2 * CELLS[0] * CELLS[1]} triangles, midpoint, tau = {TAU:g} s until {END:g} s.",

@@ -155,7 +155,7 @@ CASES = (
         theme="Bodies and their interfaces",
         statement="A heavy elastic layer that hangs over a light fluid falls where it is softer than the "
         "threshold of linear theory, and oscillates where it is stiffer.",
-        label="Mora et al. 2014",
+        label="benchmark: Mora et al. (2014)",
         setting=f"Layer and fluid {DEPTH:g} m deep, one wavelength of {WIDTH:g} m, densities 1 and {LIGHT:g} "
         f"kg/m3, g = {GRAVITY:g} m/s2, G_c = {CRITICAL:.4f} Pa; both bodies K_e = {STIFF:g} Pa, the fluid "
         f"{VISCOSITY:g} Pa s; {2 * CELLS[0] * CELLS[1]} triangles, midpoint, tau = {TAU:g} s, {STEPS} steps "
