@@ -8,7 +8,8 @@ amount is negative at a point of a cell all of them are drawn towards an even mi
 
 K their means, which leaves these and N as they are (Zhang and Shu, J. Comput. Phys. 229, 2010).  A mean below
 zero is raised first: the cell swaps what it lacks of the body for as much of the others.  So the mass of each
-body is kept to rounding, and N in every cell.  The density follows, by sum rho_i dn_i.
+body is kept to rounding, and N in every cell.  Where N itself is not positive at a point all amounts are
+scaled towards their means, by one s, before.  The density follows, by sum rho_i dn_i.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from ngsolve import CF
 from scipy.sparse import csr_matrix
 
-from ngvisco.forms.cell_means import CellMeans
+from ngvisco.forms.cell_means import SHARE, CellMeans
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.physics.bodies import Amount
@@ -48,12 +49,16 @@ class Amounts:
 
     def is_exceeded(self) -> bool:
         """Whether ``limit`` would change the present state."""
-        return bool(len(self.components)) and bool((self._least() < -SLACK).any())
+        if not len(self.components):
+            return False
+        values = self._at_points()
+        return bool((values < -SLACK).any()) or bool((values.sum(axis=1) <= 0).any())
 
     def limit(self) -> np.ndarray:
         """Mend the present state; gives the numbers of the cells that were out of bounds."""
         if not self.is_exceeded():
             return np.zeros(0, dtype=int)
+        scaled = self._keep_total()
         least = self._least()
         self._means.project()
         before = self._means.array("z")[self.components]
@@ -77,13 +82,50 @@ class Amounts:
             share = np.where(lowest < 0, mixed / (mixed - lowest), 1.0).min(axis=0)
         share = np.clip(np.nan_to_num(share), 0.0, 1.0)[owner]
         values[np.ix_(self.components, dofs)] = share * moved + (1 - share) * even[:, owner] * total
-        change = self._density @ (values[self.components] - old)
-        self.step.state.vec.FV().NumPy()[self.step.layout.ranges["rho"]] += change
-        return np.flatnonzero(outside)
+        self._let_density_follow(values[self.components] - old)
+        return np.flatnonzero(outside | scaled)
+
+    def _keep_total(self) -> np.ndarray:
+        """Scale the amounts towards their means in cells where their sum N is not positive at a point.
+
+        N is then ``SHARE`` of its mean there; cells whose mean of N is not positive stay.  Gives whether a
+        cell was scaled, (cells,).
+        """
+        least = self._least_total()
+        self._means.project()
+        means = self._means.array("z")[self.components]
+        mean = means.sum(axis=0)
+        scaled = (least <= 0) & (mean > 0)
+        if scaled.any():
+            z = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]]
+            values = z.reshape(self.step.layout.states.size, -1)
+            dofs = np.flatnonzero(scaled[self._means.owner])
+            owner = self._means.owner[dofs]
+            part = ((1 - SHARE) * mean[owner] / (mean - least)[owner])[None]
+            centre = means[:, owner] * self._means.one[dofs]
+            old = values[self.components]
+            values[np.ix_(self.components, dofs)] = centre + part * (old[:, dofs] - centre)
+            self._let_density_follow(values[self.components] - old)
+        return scaled
+
+    def _let_density_follow(self, change: np.ndarray) -> None:
+        """rho = sum rho_i n_i also after a change of the amounts, (amounts, functions)."""
+        state = self.step.state.vec.FV().NumPy()
+        state[self.step.layout.ranges["rho"]] += self._density @ change
+
+    def _least_total(self) -> np.ndarray:
+        """Least values of N at the points of every cell, (cells,)."""
+        return self._least_of_cells(self._at_points().sum(axis=1, keepdims=True))[0]
 
     def _least(self) -> np.ndarray:
         """Least values at the points of every cell, (amounts, cells)."""
-        values = np.asarray(self.sampler.values(self._values)).reshape(len(self.sampler.points), -1)
+        return self._least_of_cells(self._at_points())
+
+    def _at_points(self) -> np.ndarray:
+        """(points, amounts)."""
+        return np.asarray(self.sampler.values(self._values)).reshape(len(self.sampler.points), -1)
+
+    def _least_of_cells(self, values: np.ndarray) -> np.ndarray:
         least = np.full((self.step.mesh.ne, values.shape[1]), np.inf)
         np.minimum.at(least, np.asarray(self.sampler.points["nr"]), values)
         return least.T

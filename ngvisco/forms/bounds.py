@@ -33,21 +33,11 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.forms.amounts import Amounts
-from ngvisco.forms.cell_means import CellMeans
+from ngvisco.forms.cell_means import SHARE, CellMeans
 from ngvisco.forms.locating import nearest_wall
 from ngvisco.forms.ranges import Ranges
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
-
-SHARE = 1e-2
-"""What a limited cell keeps at every point, at least, of the bounded quantities of its mean.
-
-Measured, a neo-Hookean cavity under a lid of full speed near its corners (230 triangles, dt = 0.02 s, until
-0.6 s): with 1e-6, 1e-3 and 1e-2 the same cells are limited and energies agree to 3e-3; the step after, in
-which the body is being torn at two corners, the split solver does not take with these, and does with 0.1
-(until 0.72 s).  Cells are limited where something is <= 0, not where it is below its share of the mean:
-a density that falls to zero along a line is no reason to change it.
-"""
 
 OF_CUT_OFF = "rho_max + width - rho"
 """The name of the bound of a cut-off."""

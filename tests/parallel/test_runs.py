@@ -93,7 +93,8 @@ def test_ledgers_of_the_split_solver_are_those_of_one_process(ranks):
     """With its linear systems: no more iterations of these in all than 1.1 times as many."""
     for name in SPLIT:
         one, several = found(1, *SPLIT)[name], found(ranks, *SPLIT)[name]
-        assert_same_ledger(one["rows"], several["rows"])
+        # whether the last one is wanted is decided by a contraction that linear systems leave open
+        assert_same_ledger(one["rows"], several["rows"], spare=1)
         assert several["linear"] <= 1.1 * one["linear"], name
 
 
