@@ -10,8 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from ngvisco.case.build import load_case
+from ngvisco.case.directory import RunDirectory
 from ngvisco.cli.main import main
 from ngvisco.sweep import Study, Variation
+from ngvisco.sweep.table import Outcome
 
 pytest.importorskip("distributed")
 ROOT = Path(__file__).resolve().parents[2]
@@ -124,6 +127,18 @@ def test_a_stopped_study_goes_on_where_it_was(case_file, tmp_path):
     assert first["state"] == "stopped" and second["state"] == "not started"
     study = Study(case_file, [Variation.parse(words[1])], out, settings=[words[3]])
     assert study.unfinished == [0, 1] and study.outcomes[0].last["step"] == int(first["step"]) > 2
+
+
+def test_a_run_that_ended_early_is_listed_as_stopped(case_file, tmp_path):
+    """By whatever left it there: ``ngvisco run``, or a study with an earlier end of the same run."""
+    out, words = tmp_path / "study", ["--vary", "material.G_e=1"]
+    place = out / "material.G_e=1"
+    assert main(["run", str(case_file), "-o", str(place), "--set", "material.G_e=1"]) == 0
+    outcome = Outcome("run", {})
+    outcome.read(RunDirectory(place), load_case(case_file, ["time.until=1"]))
+    assert outcome.state == "stopped" and outcome.last["time"] == 0.04 and not outcome.is_finished
+    study = Study(case_file, [Variation.parse(words[1])], out)
+    assert study.outcomes[0].state == "finished"
 
 
 @pytest.mark.parametrize(
