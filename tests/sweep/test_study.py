@@ -14,7 +14,9 @@ from ngvisco.case.build import load_case
 from ngvisco.case.directory import RunDirectory
 from ngvisco.cli.main import main
 from ngvisco.sweep import Study, Variation
+from ngvisco.sweep.processes import connected
 from ngvisco.sweep.table import Outcome
+from ngvisco.sweep.variations import SweepError
 
 pytest.importorskip("distributed")
 ROOT = Path(__file__).resolve().parents[2]
@@ -165,6 +167,16 @@ def test_without_the_extra_the_command_names_it(case_file, tmp_path, capsys, mon
     assert sweep(case_file, tmp_path / "study", "--vary", "material.G_e=1") == 2
     assert 'pip install "ngvisco[sweep]"' in capsys.readouterr().err
     assert not (tmp_path / "study").exists()
+
+
+@pytest.mark.parametrize("address", ["nowhere", "tcp://nowhere", "tls://nowhere:", "nowhere:port"])
+def test_an_address_without_a_port_is_refused_before_a_client_is_made(monkeypatch, address):
+    """A client that does not connect raises once more when it is collected."""
+    made = []
+    monkeypatch.setattr("distributed.Client", lambda *words, **options: made.append(words))
+    with pytest.raises(SweepError, match="tcp://host:8786"), connected(address, 1):
+        pass
+    assert not made
 
 
 def test_another_scheduler_does_the_runs(case_file, tmp_path):
