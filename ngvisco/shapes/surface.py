@@ -9,6 +9,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from ngvisco.errors import ParameterError, require_path, require_positive
 from ngvisco.shapes.places import Places
@@ -23,6 +25,9 @@ _DIRECTION = np.array([0.267261, 0.534522, 0.801784])
 @dataclass(frozen=True)
 class ClosedSurface(Shape):
     """The inside of a closed surface of triangles, from an STL file (text or binary).
+
+    The surface may have several parts, each written in either sense.  A part that lies within another one and
+    is written in the opposite sense is a cavity of it.
 
     Parameters
     ----------
@@ -54,12 +59,13 @@ class ClosedSurface(Shape):
         if not np.isfinite(corners).all():
             raise ParameterError("ClosedSurface.path", self.path, "corners of finite numbers")
         size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
-        _require_closed(self.path, corners, size)
+        part = _connected_parts(self.path, corners, size)
         a, b, c = corners.transpose(1, 0, 2) - corners.mean(axis=(0, 1))
-        volume = float(np.sum(a * np.cross(b, c)) / 6)
-        if not abs(volume) > 1e-12 * size**3:
+        volumes = np.bincount(part, weights=np.sum(a * np.cross(b, c), axis=1) / 6)
+        if not (abs(volumes) > 1e-12 * size**3).any():
             raise ParameterError("ClosedSurface.path", self.path, "a surface with a volume: it encloses none")
-        return corners if volume > 0 else corners[:, ::-1]
+        inward = _inward(corners, part, volumes)
+        return np.where(inward[part][:, None, None], corners[:, ::-1], corners)
 
     def level(self, at: Places) -> np.ndarray:
         if at.mesh.dim != 3:
@@ -90,8 +96,11 @@ def _read(path: Path) -> np.ndarray:
         raise ParameterError("ClosedSurface.path", str(path), f"numbers ({error})") from error
 
 
-def _require_closed(path: str | os.PathLike[str], corners: np.ndarray, size: float) -> None:
-    """Raise ParameterError unless each edge is there once in each sense."""
+def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: float) -> np.ndarray:
+    """The part of the surface that each triangle belongs to; parts have no edge in common.
+
+    Raises ParameterError unless each edge is there as often in one sense as in the other.
+    """
     if size == 0:
         raise ParameterError("ClosedSurface.path", path, "a surface with a volume: it is a point")
     places = np.round(corners.reshape(-1, 3) / (_SAME * size)).astype(np.int64)
@@ -107,6 +116,29 @@ def _require_closed(path: str | os.PathLike[str], corners: np.ndarray, size: flo
     if open_edges:
         expected = f"a closed surface: {open_edges} of its {len(sense)} edges have triangles on one side only"
         raise ParameterError("ClosedSurface.path", path, expected)
+    owner = np.tile(np.flatnonzero(whole), 3)
+    count = len(triangles) + len(sense)  # a graph of triangles and edges
+    graph = coo_matrix((np.ones(len(owner)), (owner, len(triangles) + where)), shape=(count, count))
+    part = connected_components(graph, directed=False)[1][: len(triangles)]
+    return np.unique(part, return_inverse=True)[1].reshape(-1)
+
+
+def _inward(corners: np.ndarray, part: np.ndarray, volumes: np.ndarray) -> np.ndarray:
+    """Whether each part has to be turned: those within another one turn with the outermost about them."""
+    pieces = [corners[part == number] for number in range(len(volumes))]
+    low = np.array([piece.min(axis=(0, 1)) for piece in pieces])
+    high = np.array([piece.max(axis=(0, 1)) for piece in pieces])
+    around = np.arange(len(pieces))  # the outermost part about each one, itself where there is none
+    largest_first = np.argsort(-abs(volumes), kind="stable")
+    for number, piece in enumerate(pieces):
+        within = ((low <= low[number]) & (high >= high[number])).all(axis=1)
+        for other in largest_first[within[largest_first]]:
+            if abs(volumes[other]) <= abs(volumes[number]):
+                break
+            if crossings(pieces[other], piece.mean(axis=1)).all():
+                around[number] = other
+                break
+    return volumes[around] < 0
 
 
 def crossings(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -46,6 +46,10 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
             yield client
         return
     try:
+        protocol, place = distributed.comm.parse_address(scheduler)
+        if protocol in ("tcp", "tls"):
+            # before there is a client: one that does not connect raises again when it is collected
+            distributed.comm.parse_host_port(place)
         client = distributed.Client(scheduler, timeout=_CONNECT, set_as_default=False)
     except (OSError, ValueError) as error:
         message = f"--scheduler {scheduler}: expected the address of a dask scheduler, as tcp://host:8786"

@@ -22,7 +22,7 @@ from ngvisco.case.directory import RunDirectory
 from ngvisco.errors import CheckpointError, ParameterError, as_integer, require_path
 from ngvisco.run.files import write_atomically
 from ngvisco.sweep.processes import connected, message_of, submit
-from ngvisco.sweep.table import FAILED, STOPPED, WAITING, Outcome, write_table
+from ngvisco.sweep.table import FAILED, STOPPED, Outcome, write_table
 from ngvisco.sweep.variations import Combination, SweepError, Variation, combinations
 
 _LOOK = 0.5
@@ -205,11 +205,9 @@ class Study:
         except CheckpointError as fault:
             outcome.state, outcome.message = FAILED, str(fault)
             return
-        if code is None:
-            outcome.state = WAITING
-        elif code in _STOPPED:
+        if code in _STOPPED:
             outcome.state = STOPPED
-        elif code not in (0, 4) or not outcome.is_finished:
+        elif code is not None and (code not in (0, 4) or not outcome.is_finished):  # None: not begun
             outcome.state = FAILED
             outcome.message = message_of(said) or f"ended with exit code {code}"
 

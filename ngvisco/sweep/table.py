@@ -33,7 +33,7 @@ class Outcome:
         The varied keys.
     state : str
         ``"finished"``; ``"not closed"``, finished with a ledger that does not close; ``"failed"``;
-        ``"stopped"`` by a signal, with a checkpoint; ``"not started"``.
+        ``"stopped"`` before its end, with a checkpoint; ``"not started"``.
     message : str
         Why it failed.
     last : dict of float
@@ -70,6 +70,8 @@ class Outcome:
         if self.last["time"] >= case.until * (1 - 1e-9):
             limit = closure_limit(case.sections.solver.tolerance)  # type: ignore[attr-defined]
             self.state = FINISHED if bool((closure <= limit).all()) else NOT_CLOSED
+        else:
+            self.state = STOPPED
 
 
 def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:

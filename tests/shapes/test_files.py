@@ -59,6 +59,18 @@ def test_rays_count_shells_one_within_another():
     assert crossings(both, points).tolist() == [0, 1, 0, 0, 1]
 
 
+@pytest.mark.parametrize("turned", [(), (0,), (1, 2), (0, 1, 2)])
+def test_parts_are_solid_and_shells_in_them_holes_in_whatever_sense_each_part_is_written(tmp_path, turned):
+    """A small cube, and a larger one with a cavity; the cavity's shell turns with the cube it is in."""
+    parts = [cube(0.0, 0.2), cube(0.3, 0.9), cube(0.5, 0.7)[:, ::-1]]
+    path = tmp_path / "parts.stl"
+    path.write_bytes(
+        ascii_stl(np.concatenate([p[:, ::-1] if i in turned else p for i, p in enumerate(parts)]))
+    )
+    points = np.array([[0.1, 0.12, 0.09], [0.4, 0.41, 0.42], [0.6, 0.61, 0.6], [0.25, 0.25, 0.25]])
+    assert crossings(ClosedSurface(path).triangles, points).tolist() == [1, 1, 0, 0]
+
+
 @pytest.mark.parametrize(
     ("content", "expected"),
     [

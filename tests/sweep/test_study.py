@@ -10,8 +10,13 @@ from pathlib import Path
 
 import pytest
 
+from ngvisco.case.build import load_case
+from ngvisco.case.directory import RunDirectory
 from ngvisco.cli.main import main
 from ngvisco.sweep import Study, Variation
+from ngvisco.sweep.processes import connected
+from ngvisco.sweep.table import Outcome
+from ngvisco.sweep.variations import SweepError
 
 pytest.importorskip("distributed")
 ROOT = Path(__file__).resolve().parents[2]
@@ -126,6 +131,18 @@ def test_a_stopped_study_goes_on_where_it_was(case_file, tmp_path):
     assert study.unfinished == [0, 1] and study.outcomes[0].last["step"] == int(first["step"]) > 2
 
 
+def test_a_run_that_ended_early_is_listed_as_stopped(case_file, tmp_path):
+    """By whatever left it there: ``ngvisco run``, or a study with an earlier end of the same run."""
+    out, words = tmp_path / "study", ["--vary", "material.G_e=1"]
+    place = out / "material.G_e=1"
+    assert main(["run", str(case_file), "-o", str(place), "--set", "material.G_e=1"]) == 0
+    outcome = Outcome("run", {})
+    outcome.read(RunDirectory(place), load_case(case_file, ["time.until=1"]))
+    assert outcome.state == "stopped" and outcome.last["time"] == 0.04 and not outcome.is_finished
+    study = Study(case_file, [Variation.parse(words[1])], out)
+    assert study.outcomes[0].state == "finished"
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -150,6 +167,16 @@ def test_without_the_extra_the_command_names_it(case_file, tmp_path, capsys, mon
     assert sweep(case_file, tmp_path / "study", "--vary", "material.G_e=1") == 2
     assert 'pip install "ngvisco[sweep]"' in capsys.readouterr().err
     assert not (tmp_path / "study").exists()
+
+
+@pytest.mark.parametrize("address", ["nowhere", "tcp://nowhere", "tls://nowhere:", "nowhere:port"])
+def test_an_address_without_a_port_is_refused_before_a_client_is_made(monkeypatch, address):
+    """A client that does not connect raises once more when it is collected."""
+    made = []
+    monkeypatch.setattr("distributed.Client", lambda *words, **options: made.append(words))
+    with pytest.raises(SweepError, match="tcp://host:8786"), connected(address, 1):
+        pass
+    assert not made
 
 
 def test_another_scheduler_does_the_runs(case_file, tmp_path):
