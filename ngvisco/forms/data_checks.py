@@ -129,6 +129,8 @@ def warn_of_mismatch(step: Step, sampler: Sampler, values: Mapping[str, Coeffici
         return
     distortion = next(v for v in variables if isinstance(v, Distortion))
     for variable in variables:
+        if not variable.is_strain:  # parameters and amounts: no distortion tells them
+            continue
         expected = variable.from_distortion(F)
         scale = 1 + sampler.extrema(square(expected))[1]
         worst = sampler.extrema(square(values[variable.name] - expected))[1]

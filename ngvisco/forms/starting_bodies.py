@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ngsolve import CoefficientFunction, Mesh
+import numpy as np
+from ngsolve import VOL, CoefficientFunction, Integrate, Mesh, x, y, z
 
 from ngvisco.errors import ParameterError
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.bodies import Body
 from ngvisco.shapes.fractions import fractions, volumes
 from ngvisco.shapes.shape import Shape, as_shape
@@ -15,7 +17,7 @@ _OVERLAP = 1e-3
 """Of the volume of the smaller of two bodies: less of it in both is what touching surfaces leave."""
 
 _COVERED = 1e-10
-"""Of the domain's volume: what bodies leave free where they cover all of it, by rounding."""
+"""Of the volume of the domain or of a cell: what is left of it by rounding where all of it is taken."""
 
 
 def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> dict[str, CoefficientFunction]:
@@ -47,9 +49,26 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> dict[s
     if rest is not None:
         result[rest.name] = found[-1]
     else:  # what is in no body, less than ``_OVERLAP`` of all, is of all in their shares
+        _require_some_body_in_each_cell(mesh, bodies, found[-1])
         known = sum(found[1:-1], found[0])
         result = {name: part / known for name, part in result.items()}
     return {body.name: result[body.name] for body in bodies}
+
+
+def _require_some_body_in_each_cell(mesh: Mesh, bodies: Sequence[Body], rest: CoefficientFunction) -> None:
+    """Raise ParameterError for a cell that is in no body at all: there are no shares to fill it by."""
+
+    def of_cells(f: CoefficientFunction) -> np.ndarray:
+        return np.array(Integrate(f, mesh, VOL, element_wise=True))
+
+    size, free = of_cells(CoefficientFunction(1.0)), of_cells(rest)
+    moments = [of_cells(coordinate) for coordinate in (x, y, z)[: mesh.dim]]
+    with Communicator.of(mesh).together(ParameterError):
+        if np.any(empty := free >= (1 - _COVERED) * size):
+            first = int(np.argmax(empty))
+            place = ", ".join(f"{moment[first] / size[first]:.4g}" for moment in moments)
+            expected = f"one without a place, for the rest: a cell at ({place}) is in no body"
+            raise ParameterError("Model.bodies", [body.name for body in bodies], expected)
 
 
 def _require_order(mesh: Mesh, placed: Sequence[Body], shapes: dict[str, Shape]) -> None:

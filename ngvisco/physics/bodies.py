@@ -7,28 +7,19 @@ sum theta_i = 1 at every point.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import TypeAlias
 
-from ngsolve import CoefficientFunction, Det, Mesh
+from ngsolve import CoefficientFunction, Det
 
 from ngvisco.errors import ParameterError, as_integer, as_number
 from ngvisco.physics.material import Material
 from ngvisco.physics.rheology import Creep, Viscosity
 from ngvisco.physics.tensors import tr
 from ngvisco.physics.variables import Values, Variable
+from ngvisco.shapes.shape import Shape
 
-
-@runtime_checkable
-class Region(Protocol):
-    """A place that a body has at the start: a shape, a subdomain of the mesh, ..."""
-
-    def inside(self, mesh: Mesh) -> CoefficientFunction:
-        """The share of a point's surroundings that is inside, in [0, 1]."""
-        ...
-
-
-Where: TypeAlias = CoefficientFunction | Region
-"""A function of x, y, z that is > 0 inside, or a region."""
+Where: TypeAlias = CoefficientFunction | Shape
+"""A function of x, y, z that is > 0 inside, or a shape."""
 
 
 @dataclass(frozen=True)
@@ -91,10 +82,10 @@ class Body:
     ----------
     name : str
         An identifier, other than those of the other bodies; columns and fields of the body begin with it.
-    where : CoefficientFunction or Region, optional
-        Where the body is at the start: where a function of x, y, z is > 0, or an object with
-        ``inside(mesh)``, which gives the share of a point's surroundings that is inside, in [0, 1].  None
-        (default) is the rest, what no other body of the model covers; one body at most is the rest.
+    where : CoefficientFunction or Shape, optional
+        Where the body is at the start: where a function of x, y, z is > 0, or a shape, of one's own with a
+        ``level`` that is positive inside.  None (default) is the rest, what no other body of the model
+        covers; one body at most is the rest.
     material : Material
     viscosity : StokesViscosity or LinearViscosity, optional
     creep : Creep, optional
@@ -103,7 +94,7 @@ class Body:
         is a number.
     order : int
         Where two bodies overlap at the start, there is the one of higher order; bodies of the same order
-        must not overlap.  The rest is below all others.
+        must not overlap.  The rest is below all others, and has none.
 
     Raises
     ------
@@ -123,8 +114,8 @@ class Body:
         if not (isinstance(self.name, str) and self.name.isidentifier()):
             raise ParameterError("Body.name", self.name, "an identifier of letters, digits and _")
         owner = f"bodies[{self.name!r}]"
-        if not (self.where is None or isinstance(self.where, (CoefficientFunction, Region))):
-            expected = "a function of x, y, z that is > 0 inside, a shape with inside(mesh), or None"
+        if not (self.where is None or isinstance(self.where, (CoefficientFunction, Shape))):
+            expected = "a function of x, y, z that is > 0 inside, a shape, or None"
             raise ParameterError(f"{owner}.where", self.where, expected)
         if isinstance(self.where, CoefficientFunction) and (self.where.dim != 1 or self.where.is_complex):
             raise ParameterError(f"{owner}.where", self.where, "a real scalar function of x, y, z")
@@ -139,4 +130,7 @@ class Body:
         object.__setattr__(self, "density", density)
         if (order := as_integer(self.order)) is None:
             raise ParameterError(f"{owner}.order", self.order, "an integer")
+        if self.where is None and order != 0:
+            expected = "0 without a place: the rest is below all others"
+            raise ParameterError(f"{owner}.order", self.order, expected)
         object.__setattr__(self, "order", order)

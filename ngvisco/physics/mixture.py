@@ -22,7 +22,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import ParameterError
 from ngvisco.physics.bodies import Amount, Body
 from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.parameters import Parameter, parameters_in, renamed, substituted, typical_value
+from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, substituted, typical_value
 from ngvisco.physics.rheology import Creep, ValueOfModulus, Viscosity
 from ngvisco.physics.variables import Values, Variable
 
@@ -55,7 +55,7 @@ class Mixture(Material):
     Raises
     ------
     ParameterError
-        For two variables of one name that are not the same, and energies without an expression.
+        For two variables or parameters of one name that are not the same, and energies without an expression.
     """
 
     bodies: tuple[Body, ...]
@@ -69,6 +69,7 @@ class Mixture(Material):
                 expected = "a material whose energy is an expression; a Yosida approximation has none"
                 raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
         self._united()
+        self._parameters()
 
     def _united(self) -> dict[str, Variable]:
         found: dict[str, Variable] = {}
@@ -80,6 +81,11 @@ class Mixture(Material):
                     raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
         return found
 
+    def _parameters(self) -> tuple[Parameter, ...]:
+        """Those of moduli, of the bodies' own variables and of the model's other laws."""
+        own = (v for body in self.bodies for v in body.material.variables if isinstance(v, Parameter))
+        return distinct((*parameters_in(self.bodies), *self.carried, *own))
+
     @property
     def fractions(self) -> Fractions:
         """theta_i of the amounts."""
@@ -90,9 +96,7 @@ class Mixture(Material):
         united = self._united()
         strains = tuple(v for v in united.values() if v.is_strain)
         amounts = tuple(Amount(AMOUNT + b.name, density=b.density or 0.0) for b in self.bodies)
-        parameters = {p.name: p for p in (*parameters_in(self.bodies), *self.carried)}
-        parameters |= {name: v for name, v in united.items() if isinstance(v, Parameter)}
-        return (*strains, *amounts, *parameters.values())
+        return (*strains, *amounts, *self._parameters())
 
     def readers(self, variable: str) -> tuple[str, ...]:
         """Names of the bodies whose energy reads a variable."""
@@ -117,8 +121,8 @@ class Mixture(Material):
 
     def with_carried(self, parameters: Sequence[Parameter]) -> Mixture:
         """The same with parameters of the model's other laws, those that it does not have yet."""
-        names = {v.name for v in self.variables}
-        more = tuple(p for p in parameters if p.name not in names)
+        own = self._parameters()
+        more = distinct((*own, *parameters))[len(own) :]
         return replace(self, carried=(*self.carried, *more)) if more else self
 
     def energy(self, z: Values) -> CoefficientFunction:

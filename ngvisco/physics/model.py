@@ -188,6 +188,10 @@ class Model:
         names = [body.name for body in self.bodies]
         if len(set(names)) < len(names):
             raise ParameterError("Model.bodies", names, "distinct names")
+        for name in names:
+            if (other := name.removesuffix("_momentum")) != name and other in names:
+                expected = f"distinct columns of bodies; those of {name!r} would be the momentum of {other!r}"
+                raise ParameterError("Model.bodies", names, expected)
         if sum(body.where is None for body in self.bodies) > 1:
             without = [body.name for body in self.bodies if body.where is None]
             raise ParameterError("Model.bodies", without, "one body at most without a place, the rest")

@@ -87,6 +87,9 @@ class Expression(ABC):
             raise ParameterError("exponent", exponent, "a finite number")
         return _Operation(_Power(number), (self,))
 
+    def __rpow__(self, base: object) -> Expression:
+        raise ParameterError("exponent", self, f"a finite number, of the power of {base!r}")
+
 
 @dataclass(frozen=True)
 class _Power:
@@ -277,16 +280,27 @@ def parameters_in(values: Iterable[object]) -> tuple[Parameter, ...]:
     ParameterError
         If two that are not the same have one name.
     """
-    found: dict[str, Parameter] = {}
+    read: list[Parameter] = []
     for value in values:
-        own = (value,) if isinstance(value, Parameter) else expressions_in(value)
-        for expression in own:
-            for parameter in expression.parameters:
-                known = found.setdefault(parameter.name, parameter)
-                if known is not parameter and not (known == parameter and known.start is parameter.start):
-                    raise ParameterError(
-                        "Parameter.name", parameter.name, "one parameter, or names of their own for two"
-                    )
+        for expression in (value,) if isinstance(value, Parameter) else expressions_in(value):
+            read += expression.parameters
+    return distinct(read)
+
+
+def distinct(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
+    """The parameters, each once.
+
+    Raises
+    ------
+    ParameterError
+        If two that are not the same have one name; a start value makes them different, too.
+    """
+    found: dict[str, Parameter] = {}
+    for parameter in parameters:
+        known = found.setdefault(parameter.name, parameter)
+        if known is not parameter and not (known == parameter and known.start is parameter.start):
+            expected = "one parameter, or names of their own for two"
+            raise ParameterError("Parameter.name", parameter.name, expected)
     return tuple(found.values())
 
 
@@ -331,9 +345,8 @@ def renamed(law: T, prefix: str) -> T:
         if not (isinstance(expression, _Modulus) and expression.is_own):
             return expression
         (own,) = expression.parameters
-        if own.name.startswith(prefix):
-            return expression
-        return expression.replaced({own.name: replace(own, name=prefix + own.name)})
+        named = replace(own, name=prefix + own.name)
+        return replace(expression, expression=named, is_own=False)  # what has a prefix keeps it
 
     return law if law is None else substituted(law, with_prefix)
 

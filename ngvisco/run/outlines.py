@@ -7,6 +7,7 @@ the lines are those of the fraction that is averaged at points where cells meet.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,9 @@ def has_outline(fraction: np.ndarray) -> bool:
 def outlined(names: Sequence[str]) -> list[str]:
     """Of the names of a run's fields the fractions that outline its bodies.
 
-    All but the last, whose surface is that of the others.
+    They stand together before ``body``: a passive field may be named like them.  All but the last, whose
+    surface is that of the others.
     """
-    return [name for name in names if name.endswith("_fraction")][:-1]
+    before = list(names)[: list(names).index("body")] if "body" in names else []
+    backwards = takewhile(lambda name: name.endswith("_fraction"), reversed(before))
+    return list(backwards)[:0:-1]

@@ -34,6 +34,7 @@ def test_expressions_are_those_of_the_values():
         (lambda: nv.Parameter("theta", start=CF((x, y))), "Parameter.start"),
         (lambda: nv.Parameter("theta", start=float("nan")), "Parameter.start"),
         (lambda: theta * x, "a function of the place is one with nv.Parameter"),
+        (lambda: 2**theta, "exponent = .*expected a finite number"),
         (lambda: nv.StokesViscosity(K_v=CF((x, y)), G_v=1.0), "StokesViscosity.K_v"),
         (lambda: nv.StokesViscosity(K_v=-1.0, G_v=theta), "StokesViscosity.K_v"),
         (lambda: nv.NeoHookean(K_e=theta, G_e="5", epsilon=0.1), "NeoHookean.G_e"),
@@ -67,11 +68,53 @@ def test_two_parameters_of_one_name_are_refused():
         nv.Model(material=nv.NeoHookean(K_e=1.0, G_e=1 + G_e, epsilon=0.1))
 
 
+def test_two_parameters_of_one_name_are_refused_wherever_they_stand():
+    """Also among a material's own variables; one that is the same may stand in many places."""
+    one, five = nv.Parameter("chi", start=1 + x), nv.Parameter("chi", start=5 + x)
+
+    def material(parameter):
+        def energy(J, chi):
+            return chi * (J - 1) * (J - 1)
+
+        return nv.CustomMaterial(transported=(Jacobian(), parameter), stored_energy=energy)
+
+    def bodies(first, second, G_v=1.0):
+        viscosity = nv.StokesViscosity(K_v=1.0, G_v=G_v)
+        disc = nv.Body(name="disc", where=x, material=material(first), density=1.0, viscosity=viscosity)
+        return [disc, nv.Body(name="rest", material=material(second), density=1.0)]
+
+    def of_one_material(parameter):
+        viscosity = nv.StokesViscosity(K_v=0.1, G_v=parameter)
+        return nv.Model(material=material(one), viscosity=viscosity)
+
+    with pytest.raises(nv.ParameterError, match="'chi': expected one parameter, or names"):
+        nv.Model(bodies=bodies(one, five))
+    with pytest.raises(nv.ParameterError, match="'chi': expected one parameter, or names"):
+        nv.Model(bodies=bodies(one, one, G_v=five))
+    with pytest.raises(nv.ParameterError, match="'chi': expected one parameter, or names"):
+        of_one_material(five)
+    assert [v.name for v in of_one_material(one).material.variables] == ["J", "chi"]
+    carried = [v for v in nv.Model(bodies=bodies(one, one, G_v=one)).material.variables if v.name == "chi"]
+    assert carried == [one] and carried[0].start is one.start
+
+
 def test_a_function_of_the_place_becomes_a_parameter_of_its_name():
     material = nv.NeoHookean(K_e=2 + x, G_e=1.0, epsilon=0.1)
     model = nv.Model(material=material, creep=nv.Creep(G_m=1 + y))
     assert [v.name for v in model.material.variables] == ["B", "J", "K_e", "G_m"]
     assert [v.is_strain for v in model.material.variables] == [True, True, False, False]
+
+
+@pytest.mark.parametrize("name", ["disc", "G", "G_e"])
+def test_a_body_s_own_parameters_have_its_name_once(name):
+    """Also where a modulus' name begins as the body's does, and where a model is made of another's bodies."""
+    material = nv.ReferentialNeoHookean(K_e=1.0, G_e=1 + x)
+    body = nv.Body(name=name, where=0.5 - x, material=material, density=1.0)
+    rest = nv.Body(name="rest", material=material, density=1.0)
+    model = nv.Model(bodies=[body, rest])
+    for same in (model, nv.Model(bodies=model.bodies)):
+        parameters = [v.name for v in same.material.variables if isinstance(v, nv.Parameter)]
+        assert parameters == [f"{name}_G_e", "rest_G_e"]
 
 
 def test_an_energy_that_reads_the_place_is_still_refused():

@@ -191,11 +191,19 @@ def test_energies_of_bodies_sum_up():
     assert sum(stored) == pytest.approx(run.ledger.rows[-1]["stored"], rel=1e-12)
 
 
+class SharesOnly:
+    """Tells shares of cells, but not where its surface is: that does not lie over other shapes."""
+
+    def inside(self, mesh):
+        return CF(1.0)
+
+
 @pytest.mark.parametrize(
     ("make", "match"),
     [
         (lambda: [disc(name="a b")], "Body.name"),
         (lambda: [disc(), disc()], "distinct names"),
+        (lambda: [disc(), rest(name="disc_momentum")], "distinct columns.*'disc_momentum'"),
         (lambda: [rest(), rest(name="other")], "one body at most without a place"),
         (lambda: [disc(where="here"), rest()], r"bodies\['disc'\].where"),
         (lambda: [disc(where=CF((x, y))), rest()], r"bodies\['disc'\].where"),
@@ -206,6 +214,7 @@ def test_energies_of_bodies_sum_up():
         (lambda: [disc(where=nv.Ball((3.0, 3.0), 0.2)), rest()], r"disc'\].where.*within the domain"),
         (lambda: [disc(), disc(name="over", where=nv.Ball((0.5, 0.5), 0.2)), rest()], r"'over'\].order"),
         (lambda: [disc()], "in no body"),
+        (lambda: [rest(order=1), disc()], r"bodies\['rest'\].order.*below all others"),
         (lambda: [disc(where=CF(1.0) + 0 * x), rest()], r"bodies\['rest'\].where"),
         (lambda: [disc(), rest(material=nv.NeoHookean(K_e=1.0, G_e=1.0, epsilon=0.1))], "the same 'B'"),
         (lambda: [disc(material=nv.Yosida(material=SOLID, eps=0.01)), rest()], "Yosida approximation"),
@@ -220,6 +229,31 @@ def test_energies_of_bodies_sum_up():
 def test_bad_bodies_are_refused_by_name(make, match):
     with pytest.raises(nv.NgviscoError, match=match):
         nv.Simulation(box((1, 1), maxh=0.5), nv.Model(bodies=make()), dt=0.1)
+
+
+def test_a_place_that_no_run_would_take_is_refused_by_the_body():
+    """Before a mesh is known: shares of cells alone do not say what lies over what."""
+    with pytest.raises(nv.ParameterError, match=r"bodies\['disc'\].where.*a shape"):
+        disc(where=SharesOnly())
+
+
+def refined_at_the_origin():
+    """A square whose cells at one corner are smaller than 1 % of it."""
+    mesh = box((1, 1), maxh=0.5)
+    for _ in range(8):
+        for cell in mesh.Elements():
+            corners = [mesh[v].point for v in cell.vertices]
+            mesh.SetRefinementFlag(cell, min(abs(a) + abs(b) for a, b in corners) < 1e-9)
+        mesh.Refine()
+    return mesh
+
+
+def test_a_cell_in_no_body_is_refused_however_small_it_is():
+    """Less of the domain than touching surfaces may leave, but there are no shares to fill it by."""
+    mesh = refined_at_the_origin()
+    place = ~nv.Ball((0.0, 0.0), 0.03)
+    with pytest.raises(nv.ParameterError, match=r"Model.bodies.*a cell at \(.*\) is in no body"):
+        nv.Simulation(mesh, nv.Model(bodies=[disc(where=place)]), dt=0.1)
 
 
 def test_a_body_s_own_energy_that_is_not_convex_is_warned_of():

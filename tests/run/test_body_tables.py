@@ -177,6 +177,13 @@ def test_surfaces_are_drawn_in_pictures_and_scenes(whole, tmp_path):
         assert len(data["outlines"][0]["values"]) == len(data["fields"][0]["values"])
 
 
+def test_a_passive_field_is_no_body():
+    """It may be named as fractions of bodies are; those stand before the number of the body."""
+    passive, of_bodies = ["density", "dye_fraction", "pressure"], ["fluid_fraction", "disc_fraction", "body"]
+    assert outlined([*passive, *of_bodies, "salt_fraction"]) == ["fluid_fraction"]
+    assert outlined(passive) == []
+
+
 def test_fractions_are_averaged_where_cells_meet():
     points = np.array([[0, 0], [1, 0], [0, 1e-12], [1, 1]])
     values = np.array([[0.0, 2.0, 1.0, 3.0], [1.0, 1.0, 0.0, 0.0]])

@@ -176,3 +176,13 @@ def test_density_follows_from_a_referential_density_that_differs_from_place_to_p
     mesh = box((1, 1), maxh=0.5)
     run = nv.Simulation(mesh, nv.Model(material=material), dt=0.1, initial=nv.Initial(values={"J": CF(1.25)}))
     assert run.fields["density"](mesh(0.3, 0.4)) == pytest.approx(2.3 / 1.25)
+
+
+@pytest.mark.filterwarnings("error::ngvisco.errors.InputWarning")
+def test_a_parameter_is_not_warned_of_where_it_is_not_told_by_the_distortion():
+    """F tells nothing of a parameter, which may have any value."""
+    material = nv.NeoHookean(K_e=5 + x, G_e=1.0, epsilon=0.1)
+    initial = nv.Initial(F=CF((1.1, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3)))
+    mesh = box((1, 1), maxh=0.5)
+    run = nv.Simulation(mesh, nv.Model(material=material), dt=0.1, initial=initial)
+    assert run.fields["K_e"](mesh(0.3, 0.4)) == pytest.approx(5.3)

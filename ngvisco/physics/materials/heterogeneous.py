@@ -11,7 +11,7 @@ from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.materials.yosida import Yosida
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.parameters import Modulus, Parameter, substituted
+from ngvisco.physics.parameters import Modulus, Parameter, distinct, substituted
 from ngvisco.physics.variables import Values, Variable
 
 
@@ -58,11 +58,17 @@ class Heterogeneous(Material):
 
 
 def carrying(material: Material, parameters: Sequence[Parameter]) -> Material:
-    """The material with these among its variables; what wraps a material as regularised wraps that one."""
+    """The material with these among its variables; what wraps a material as regularised wraps that one.
+
+    Raises
+    ------
+    ParameterError
+        For a parameter of the name of another one that the material has.
+    """
     if isinstance(material, Mixture):
         return material.with_carried(parameters)
     if isinstance(material, (WithQuadratic, Yosida)):
         return replace(material, material=carrying(material.material, parameters))
-    names = {v.name for v in material.variables if not v.is_strain}
-    carried = tuple(p for p in parameters if p.name not in names)
+    own = tuple(v for v in material.variables if isinstance(v, Parameter))
+    carried = distinct((*own, *parameters))[len(own) :]
     return Heterogeneous(material=material, carried=carried) if parameters else material
