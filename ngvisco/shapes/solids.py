@@ -78,13 +78,15 @@ class HalfSpace(Shape):
 
     def __post_init__(self) -> None:
         point, normal = as_place("HalfSpace.point", self.point), as_place("HalfSpace.normal", self.normal)
-        length = float(np.linalg.norm(normal))
-        if len(normal) != len(point) or length == 0:
+        largest = max(map(abs, normal))
+        if len(normal) != len(point) or largest == 0:
             raise ParameterError(
                 "HalfSpace.normal", self.normal, f"a vector of length {len(point)}, not zero"
             )
         object.__setattr__(self, "point", point)
-        object.__setattr__(self, "normal", tuple(n / length for n in normal))
+        scaled = [n / largest for n in normal]  # squares of the numbers given may leave the range of floats
+        length = float(np.linalg.norm(scaled))
+        object.__setattr__(self, "normal", tuple(n / length for n in scaled))
 
     def level(self, at: Places) -> np.ndarray:
         require_dim("HalfSpace.point", self.point, at.mesh)
@@ -119,6 +121,10 @@ class Polygon(Shape):
         if crossing is not None:
             i, j = (k + 1 for k in crossing)
             raise ParameterError("Polygon.points", self.points, f"edges that do not cross: {i} and {j} do")
+        overlap = _overlap(a, b)
+        if overlap is not None:
+            i, j = (k + 1 for k in overlap)
+            raise ParameterError("Polygon.points", self.points, f"edges apart: {i} and {j} lie on each other")
 
     @property
     def _edges(self) -> tuple[np.ndarray, np.ndarray]:
@@ -153,4 +159,19 @@ def _crossing(a: np.ndarray, b: np.ndarray) -> tuple[int, int] | None:
     A, B = a[:, None], b[:, None]
     apart = side(A, B, a[None]) * side(A, B, b[None]), side(a[None], b[None], A) * side(a[None], b[None], B)
     found = np.argwhere((apart[0] < 0) & (apart[1] < 0))
+    return None if not len(found) else (int(found[0, 0]), int(found[0, 1]))
+
+
+def _overlap(a: np.ndarray, b: np.ndarray) -> tuple[int, int] | None:
+    """Two edges a_i b_i on one line that have a piece of it in common, or None."""
+    along = b - a
+    length = np.linalg.norm(along, axis=1)
+    along = along / length[:, None]
+    ends = np.stack([a, b])[:, None] - a[None, :, None]  # (end, i, j): of edge j, from the start of edge i
+    off = ends[..., 1] * along[:, None, 0] - ends[..., 0] * along[:, None, 1]
+    on = ends[..., 0] * along[:, None, 0] + ends[..., 1] * along[:, None, 1]
+    rounding = 1e-12 * np.ptp(a, axis=0).max()
+    is_collinear = (abs(off) <= rounding).all(axis=0)
+    common = np.minimum(on.max(axis=0), length[:, None]) - np.maximum(on.min(axis=0), 0)
+    found = np.argwhere(is_collinear & (common > rounding) & ~np.eye(len(a), dtype=bool))
     return None if not len(found) else (int(found[0, 0]), int(found[0, 1]))

@@ -70,7 +70,8 @@ class ClosedSurface(Shape):
     def level(self, at: Places) -> np.ndarray:
         if at.mesh.dim != 3:
             raise ParameterError("ClosedSurface.path", self.path, "a mesh in space: it is a surface of space")
-        return crossings(self.triangles, at.coordinates) - 0.5
+        # of one size: where parts overlap, or the surface is there twice, the number would move the surface
+        return np.where(crossings(self.triangles, at.coordinates) > 0, 0.5, -0.5)
 
 
 def _read(path: Path) -> np.ndarray:

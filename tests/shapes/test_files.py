@@ -52,6 +52,16 @@ def test_closed_surface_holds_its_volume(tmp_path, write, inward):
     assert volumes(mesh, [ClosedSurface(path, scale=0.5)])[0] == pytest.approx(0.027, rel=0.05)
 
 
+def test_surface_that_is_there_twice_holds_the_volume_once(tmp_path):
+    """The same of parts that overlap: a level of two shells would move the surface outwards."""
+    mesh, found = box((1, 1, 1), maxh=0.5), []
+    for count in (1, 2):
+        path = tmp_path / f"{count}.stl"
+        path.write_bytes(binary_stl(np.concatenate([cube()] * count)))
+        found += volumes(mesh, [ClosedSurface(path)])[:1]
+    assert found[0] == pytest.approx(found[1], rel=1e-12)
+
+
 def test_rays_count_shells_one_within_another():
     """A shell that is turned inwards is a hole."""
     both = np.concatenate([cube(), cube(0.4, 0.6)[:, ::-1]])

@@ -100,6 +100,12 @@ def test_polygon_that_is_not_convex_has_its_area_in_either_sense():
         assert volumes(mesh, [Polygon(given)])[0] == pytest.approx(area, rel=1e-3)
 
 
+@pytest.mark.parametrize("length", [1e-200, 1e200, 5e-324, 1.7e308])
+def test_half_space_takes_a_normal_of_any_length(length):
+    normal = HalfSpace((0, 0), (length, length)).normal
+    assert normal == pytest.approx((0.5**0.5, 0.5**0.5), rel=1e-14)
+
+
 @pytest.mark.parametrize(
     ("make", "field"),
     [
@@ -110,6 +116,8 @@ def test_polygon_that_is_not_convex_has_its_area_in_either_sense():
         (lambda: Block((0, 0), (1, 1, 1)), "Block.high"),
         (lambda: HalfSpace((0, 0), (0, 0)), "HalfSpace.normal"),
         (lambda: Polygon(((0, 0), (1, 1))), "Polygon.points"),
+        (lambda: Polygon(((0, 0), (2, 0), (2, 1), (3, 0), (1, 0), (1, -1))), "Polygon.points"),  # overlap
+        (lambda: Polygon(((0, 0), (2, 0), (1, 0), (1, 1))), "Polygon.points"),  # back on itself
         (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1))), "Polygon.points"),
         (lambda: Polygon(((0, 0), (0, 0), (1, 0), (0, 1))), "Polygon.points"),
         (lambda: Union(()), "Union.shapes"),
