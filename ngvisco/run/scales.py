@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,8 @@ from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material, cauchy_stress
-from ngvisco.physics.parameters import typical_value
+from ngvisco.physics.model import Model
+from ngvisco.physics.parameters import Parameter, value_at
 from ngvisco.physics.pointwise import squares
 from ngvisco.physics.tensors import square
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler
@@ -31,7 +33,9 @@ _FOLLOWED, _RELAXED, _ACROSS = 20, 5, 4
 
 @dataclass(frozen=True)
 class Scales:
-    """Scales in SI units; what does not exist is inf (times) or 0 (moduli, speeds).
+    """Scales in SI units; what does not exist is inf (times) or 0 (speeds, viscosities).
+
+    Of moduli that differ from place to place those are taken that ask most of dt and maxh.
 
     Attributes
     ----------
@@ -39,14 +43,12 @@ class Scales:
         Shortest edge of the body's bounding box, and median cell size, m.
     velocity : float
         The run's typical velocity, m/s: the largest of the initial one, of free fall, of elastic release.
-    density : float
-        Mean, kg/m^3.
-    longitudinal, shear : float
-        Moduli of longitudinal and shear waves at rest, Pa.
-    viscosity : float
-        Shear viscosity G_v, Pa s.
+    speeds : tuple of float
+        Of the fastest longitudinal and the fastest shear waves at rest, m/s.
+    kinematic_viscosity : float
+        The least G_v/rho that is not zero, m^2/s.
     maxwell : float
-        Relaxation time of shear by creep, G_m/(2 G), s.
+        The shortest relaxation time of shear by creep, G_m/(2 G), s.
     dt : float
         s.
     scheme : TimeScheme
@@ -55,21 +57,11 @@ class Scales:
     length: float
     cell: float
     velocity: float
-    density: float
-    longitudinal: float
-    shear: float
-    viscosity: float
+    speeds: tuple[float, float]
+    kinematic_viscosity: float
     maxwell: float
     dt: float
     scheme: TimeScheme = field(default_factory=backward_euler)
-
-    @property
-    def speeds(self) -> tuple[float, float]:
-        """Of longitudinal and of shear waves, m/s."""
-        fast, slow = (
-            math.sqrt(max(modulus, 0.0) / self.density) for modulus in (self.longitudinal, self.shear)
-        )
-        return fast, slow
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -81,8 +73,8 @@ class Scales:
             found["Courant of longitudinal waves, c dt/h"] = fast * self.dt / self.cell
         if slow > 0:
             found["Mach of shear waves"] = self.velocity / slow
-        if self.viscosity > 0:
-            found["Reynolds, rho v L/G_v"] = self.density * self.velocity * self.length / self.viscosity
+        if self.kinematic_viscosity > 0:
+            found["Reynolds, rho v L/G_v"] = self.velocity * self.length / self.kinematic_viscosity
         if math.isfinite(self.maxwell):
             found["Deborah, Maxwell time v/L"] = self.maxwell * self.velocity / self.length
             found["Maxwell time/dt"] = self.maxwell / self.dt
@@ -111,7 +103,7 @@ class Scales:
                 f"stress relaxes in {self.maxwell:.2g} s, {self.maxwell / self.dt:.2g} steps: only the end "
                 f"of its relaxation is seen; to follow it take dt <= {self.maxwell / _RELAXED:.2g} s"
             )
-        layer = math.sqrt(self.viscosity * self.length / (self.density * self.velocity))
+        layer = math.sqrt(self.kinematic_viscosity * self.length / self.velocity)
         if self.cell * _ACROSS > self.length:
             across, enough = self.length / self.cell, self.length / _ACROSS
             said.append(f"{across:.1f} cells across the body: take maxh <= {enough:.2g} m")
@@ -124,45 +116,110 @@ class Scales:
 
 
 def scales(simulation: Simulation) -> Scales:
-    """The scales of a simulation at its initial state, of parameters with their typical values."""
-    mesh, model = simulation.mesh, simulation.model
-    u = simulation.rothe_step.now
-    volume = Integrate(CF(1.0), mesh)
-    longitudinal, shear = moduli(model.material, mesh.dim)
-    maxwell = math.inf
-    if model.creep is not None and shear > 0 and model.creep.R > 0:
-        maxwell = 1 / (2 * shear * model.creep.R)
+    """The scales of a simulation at its present state, the initial one of a run that has not begun."""
+    mesh, step = simulation.mesh, simulation.rothe_step
+    places = extreme_places(step, simulation.sampler)
+    if not places:
+        mass = float(step.quadrature.integrate_cells(step.now.rho))
+        places = [Place(step.model, {}, mass / Integrate(CF(1.0), mesh), np.empty(0))]
+    found = [place.scales(mesh.dim) for place in places]
     return Scales(
         length=float(np.ptp(coordinates(mesh), axis=0).min()),
-        cell=float(np.median(simulation.rothe_step.context.h.vec.FV().NumPy())),
+        cell=float(np.median(step.context.h.vec.FV().NumPy())),
         velocity=simulation.velocity_scale,
-        density=float(simulation.rothe_step.quadrature.integrate_cells(u.rho)) / volume,
-        longitudinal=longitudinal,
-        shear=shear,
-        viscosity=0.0 if model.viscosity is None else typical_value(model.viscosity.G_v),
-        maxwell=maxwell,
+        speeds=(max(each.fast for each in found), max(each.slow for each in found)),
+        kinematic_viscosity=min((each.viscosity for each in found if each.viscosity > 0), default=0.0),
+        maxwell=min(each.maxwell for each in found),
         dt=simulation.dt,
         scheme=simulation.scheme,
     )
 
 
-def moduli(material: Material, dim: int) -> tuple[float, float]:
-    """dT_11/dF_11 and dT_12/dF_12 at F = I, Pa: moduli of longitudinal and of shear waves."""
+@dataclass(frozen=True)
+class LocalScales:
+    """Speeds of longitudinal and shear waves, m/s, G_v/rho, m^2/s, and the Maxwell time, s, of one place."""
+
+    fast: float
+    slow: float
+    viscosity: float
+    maxwell: float
+
+
+@dataclass(frozen=True)
+class Place:
+    """Laws at a point, with the values that parameters have there."""
+
+    laws: Model
+    parameters: dict[str, float]
+    density: float
+    """kg/m^3."""
+    state: np.ndarray
+    """Components of the material's variables, (n,)."""
+
+    def scales(self, dim: int) -> LocalScales:
+        """Those of the laws at rest, F = I."""
+        viscosity, creep, z = self.laws.viscosity, self.laws.creep, self.parameters
+        longitudinal, shear = moduli(self.laws.material, dim, z)
+        mobility = 0.0 if creep is None else float(creep.mobility(z))  # type: ignore[arg-type]
+        return LocalScales(
+            math.sqrt(max(longitudinal, 0.0) / self.density),
+            math.sqrt(max(shear, 0.0) / self.density),
+            0.0 if viscosity is None else float(value_at(viscosity.G_v, z)) / self.density,  # type: ignore[arg-type]
+            1 / (2 * shear * mobility) if shear > 0 and mobility > 0 else math.inf,
+        )
+
+
+def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
+    """Where each parameter is least and where it is largest; none where there are no parameters."""
+    u, model = step.now, step.model
+    parameters = [v.name for v in model.material.variables if isinstance(v, Parameter)]
+    if not parameters:
+        return []
+    values = {name: np.asarray(sampler.values(u.z_tensors[name])).ravel() for name in parameters}
+    rho = np.asarray(sampler.values(u.rho)).ravel()
+    states = np.asarray(sampler.values(u.z)).reshape(len(rho), -1)
+    at = sorted({int(i) for each in values.values() for i in (each.argmin(), each.argmax())})
+    found: list[Place] = []
+    for i in at:
+        here = {name: float(value[i]) for name, value in values.items()}
+        if not any(_same(here, known.parameters) for known in found):
+            found.append(Place(model, here, float(rho[i]), states[i]))
+    return found
+
+
+def _same(these: dict[str, float], those: dict[str, float]) -> bool:
+    """Whether values at two points differ by rounding: an end is often taken along a line."""
+    return all(math.isclose(value, those[name], rel_tol=1e-6) for name, value in these.items())
+
+
+def moduli(
+    material: Material, dim: int, parameters: Mapping[str, float] | None = None
+) -> tuple[float, float]:
+    """dT_11/dF_11 and dT_12/dF_12 at F = I, Pa: moduli of longitudinal and of shear waves.
+
+    Parameters
+    ----------
+    material : Material
+    dim : int
+    parameters : mapping, optional
+        Values of carried parameters by name; default their typical ones.
+    """
     found = []
     for i, j in ((0, 0), (0, 1)):
         ends = []
         for sign in (1, -1):
             F = np.eye(3)
             F[i, j] += sign * _STEP
-            ends.append(_stress(material, F, dim)[i, j])
+            ends.append(_stress(material, F, dim, parameters or {})[i, j])
         found.append(float(ends[0] - ends[1]) / (2 * _STEP))
     return found[0], found[1]
 
 
-def _stress(material: Material, F: np.ndarray, dim: int) -> np.ndarray:
+def _stress(material: Material, F: np.ndarray, dim: int, parameters: Mapping[str, float]) -> np.ndarray:
     """The Cauchy stress of a homogeneous F, 3x3, Pa."""
     at = squares(1)[1]
     values = {v.name: v.from_distortion(CF(tuple(F.ravel()), dims=(3, 3))) for v in material.variables}
+    values |= {name: CF(value) for name, value in parameters.items() if name in values}
     return stress_of(material, np.asarray(CF(material.states(dim).components(values))(at)).ravel(), dim)
 
 
@@ -208,7 +265,7 @@ def wave_speed(step: Step, state: np.ndarray, density: float) -> float:
 
 def rest_pressure(material: Material, dim: int) -> float:
     """-tr T/3 of the material at F = I, Pa."""
-    return -float(np.trace(_stress(material, np.eye(3), dim))) / 3
+    return -float(np.trace(_stress(material, np.eye(3), dim, {}))) / 3
 
 
 def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
@@ -236,7 +293,10 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     }
     excess = step.energy.samples(u.z_tensors, sampler) - step.energy.samples(rest, sampler)
     least = sampler.extrema(u.rho)[0]
-    elastic = math.sqrt(2 * ranks.most(abs(excess)) / least)
+    places = extreme_places(step, sampler)
+    # energy that a place has stored moves the mass of that place
+    inertia = np.asarray(sampler.values(u.rho)).reshape(excess.shape) if places else least
+    elastic = math.sqrt(2 * ranks.most(abs(excess) / inertia))
     walls = step.moving_walls.velocities().values()
     moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
     # the smoothed upwinding spreads jumps at its width: by 1e-4 of the domain a step, at most
@@ -245,6 +305,8 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     if known > 0:
         return known
     # at rest, and nothing says how fast it will be: strains of a tenth
+    if places:
+        return min(0.1 * max(wave_speed(step, p.state, p.density) for p in places), farthest) or 1.0
     own = np.asarray(sampler.values(u.z)).reshape(-1, step.layout.states.size)
     state = np.concatenate(ranks.gathered(own))[0]
     return min(0.1 * wave_speed(step, state, least), farthest) or 1.0

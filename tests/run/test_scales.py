@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from ngsolve import CF
+from ngsolve import CF, x
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -48,7 +48,7 @@ def found(material=NEO_HOOKEAN, dt=0.01, maxh=0.2, G_m=math.inf, velocity_scale=
 
 def test_numbers_are_those_of_their_definitions():
     s = found(G_m=4.0)
-    assert (s.length, s.density, s.velocity) == pytest.approx((1, 4, 0.5))
+    assert (s.length, s.kinematic_viscosity, s.velocity) == pytest.approx((1, 0.05, 0.5))
     assert s.maxwell == pytest.approx(4 / 20)
     fast, slow = s.speeds
     assert slow == pytest.approx(math.sqrt(10 / 4)) and fast == pytest.approx(math.sqrt((10.1 + 40 / 3) / 4))
@@ -85,11 +85,9 @@ def test_advice_names_the_scheme_and_is_not_given_for_the_step_that_it_advises()
         "length": 1.0,
         "cell": 0.1,
         "velocity": 0.1,
-        "density": 1.0,
-        "longitudinal": 20.0,
-        "shear": 10.0,
+        "speeds": (math.sqrt(20.0), math.sqrt(10.0)),
     }
-    values |= {"viscosity": 0.0, "maxwell": 0.1 * (1 - 1e-9), "dt": 0.02}
+    values |= {"kinematic_viscosity": 0.0, "maxwell": 0.1 * (1 - 1e-9), "dt": 0.02}
     (said,) = Scales(**values).advice
     assert "the scheme backward-euler damps them" in said
     (said,) = Scales(**values, scheme=midpoint()).advice
@@ -132,3 +130,27 @@ def test_a_run_does_not_depend_on_what_ran_before_it():
         nv.time.Set(left)
         found.append(nv.Simulation(box((1, 1), 0.6), model, dt=0.01, walls=walls).velocity_scale)
     assert found[0] == found[1] == pytest.approx(0.5)
+
+
+def graded(factor=lambda place: place, dt=0.01):
+    """Moduli that grow from left to right by half of their mean about it."""
+    s = factor(0.5 + x)
+    laws = {
+        "material": nv.NeoHookean(K_e=1e6 * s, G_e=1e5 * s, epsilon=0.1),
+        "viscosity": nv.StokesViscosity(K_v=20.0, G_v=10 * s),
+        "creep": nv.Creep(G_m=1e3 * s),
+    }
+    return nv.Simulation(box((1, 1), 0.5), nv.Model(**laws), dt=dt)
+
+
+def test_scales_of_moduli_that_are_functions_of_the_place_are_those_of_its_extremes():
+    """The fastest waves, the thinnest layers, the shortest relaxation of the same laws with numbers."""
+    run = graded()
+    here = scales(run)
+    values = [scales(graded(lambda _, c=c: c)) for c in run.rothe_step.ranges["K_e"] / np.float64(1e6)]
+    assert here.speeds == pytest.approx(values[1].speeds, rel=1e-6)
+    assert here.kinematic_viscosity == pytest.approx(values[0].kinematic_viscosity, rel=1e-6)
+    assert here.maxwell == pytest.approx(values[1].maxwell, rel=1e-6)
+    assert run.velocity_scale == pytest.approx(0.1 * here.speeds[0], rel=1e-5)
+    assert any("waves cross the body" in line for line in here.advice)
+    assert any("stress relaxes" in line for line in here.advice)
