@@ -160,11 +160,11 @@ class Place:
         """Those of the laws at rest, F = I."""
         viscosity, creep, z = self.laws.viscosity, self.laws.creep, self.parameters
         longitudinal, shear = moduli(self.laws.material, dim, z)
-        mobility = 0.0 if creep is None else float(creep.mobility(z))  # type: ignore[arg-type]
+        mobility = 0.0 if creep is None else float(creep.mobility(z))
         return LocalScales(
             math.sqrt(max(longitudinal, 0.0) / self.density),
             math.sqrt(max(shear, 0.0) / self.density),
-            0.0 if viscosity is None else float(value_at(viscosity.G_v, z)) / self.density,  # type: ignore[arg-type]
+            0.0 if viscosity is None else float(value_at(viscosity.G_v, z)) / self.density,
             1 / (2 * shear * mobility) if shear > 0 and mobility > 0 else math.inf,
         )
 
