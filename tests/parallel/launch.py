@@ -34,5 +34,5 @@ def run(*words: str | Path, ranks: int = 1) -> subprocess.CompletedProcess[str]:
     environment |= {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}
     start = [str(MPIRUN), "-n", str(ranks)] if ranks > 1 else []
     return subprocess.run(
-        [*start, PYTHON, *map(str, words)], env=environment, capture_output=True, text=True, timeout=300
+        [*start, PYTHON, *map(str, words)], env=environment, capture_output=True, text=True, timeout=900
     )

@@ -34,7 +34,6 @@ def test_rows_are_those_of_one_process(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.ci
-@pytest.mark.parametrize("ranks", [2, 3, 4])
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.ci), 4])
 def test_rows_of_all_cases_are_those_of_one_process(ranks, tmp_path):
     assert_same_rows(tmp_path, ranks, CASES)
