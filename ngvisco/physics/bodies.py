@@ -7,7 +7,7 @@ sum theta_i = 1 at every point.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from ngsolve import CoefficientFunction, Det
 
@@ -16,9 +16,20 @@ from ngvisco.physics.material import Material
 from ngvisco.physics.rheology import Creep, Viscosity
 from ngvisco.physics.tensors import tr
 from ngvisco.physics.variables import Values, Variable
-from ngvisco.shapes.shape import Shape
 
-Where: TypeAlias = CoefficientFunction | Shape
+
+@runtime_checkable
+class Region(Protocol):
+    """What the run knows as a shape (``ngvisco.shapes``); physics knows no mesh."""
+
+    def level(self, at: Any) -> Any:
+        """A number at each place, > 0 inside."""
+
+    def inside(self, mesh: Any) -> Any:
+        """The share of a point's surroundings that is inside, in [0, 1]."""
+
+
+Where: TypeAlias = CoefficientFunction | Region
 """A function of x, y, z that is > 0 inside, or a shape."""
 
 
@@ -82,7 +93,7 @@ class Body:
     ----------
     name : str
         An identifier, other than those of the other bodies; columns and fields of the body begin with it.
-    where : CoefficientFunction or Shape, optional
+    where : CoefficientFunction or ngvisco.shapes.Shape, optional
         Where the body is at the start: where a function of x, y, z is > 0, or a shape, of one's own with a
         ``level`` that is positive inside.  None (default) is the rest, what no other body of the model
         covers; one body at most is the rest.
@@ -114,7 +125,7 @@ class Body:
         if not (isinstance(self.name, str) and self.name.isidentifier()):
             raise ParameterError("Body.name", self.name, "an identifier of letters, digits and _")
         owner = f"bodies[{self.name!r}]"
-        if not (self.where is None or isinstance(self.where, (CoefficientFunction, Shape))):
+        if not (self.where is None or isinstance(self.where, (CoefficientFunction, Region))):
             expected = "a function of x, y, z that is > 0 inside, a shape, or None"
             raise ParameterError(f"{owner}.where", self.where, expected)
         if isinstance(self.where, CoefficientFunction) and (self.where.dim != 1 or self.where.is_complex):
