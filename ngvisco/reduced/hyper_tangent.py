@@ -66,6 +66,15 @@ class HyperTangent:
         of_a = sp.hstack([E - solved @ cross, solved], format="csr")
         self.solved = of_a.astype(precision.SINGLE)
 
+    def bordered(self, matrix: sp.csr_matrix, dim: int) -> sp.csr_matrix:
+        """A matrix of the flow's unknowns, v's components first, with rows and columns of the kept a."""
+        own, each = self.matrix, sp.identity(dim)
+        width = own.shape[0] - len(self.kept)
+        others, count = matrix.shape[0] - dim * width, dim * len(self.kept)
+        right = sp.vstack([sp.kron(each, own[:width, width:]), sp.csr_matrix((others, count))])
+        below = sp.hstack([sp.kron(each, own[width:, :width]), sp.csr_matrix((count, others))])
+        return sp.bmat([[matrix, right], [below, sp.kron(each, own[width:, width:])]], format="csr")
+
 
 def _scaled(matrix: sp.csr_matrix, rows: np.ndarray) -> sp.csr_matrix:
     scaled = matrix.copy()

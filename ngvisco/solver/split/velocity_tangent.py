@@ -44,14 +44,4 @@ class VelocityTangent:
             matrix = sp.block_diag([matrix, sp.csr_matrix((others, others))], format="csr")
         if flow.rest is not None:
             matrix = (matrix + flow.rest).tocsr()
-        return matrix if self.hyper is None or not len(self.hyper.kept) else self._with_kept(matrix)
-
-    def _with_kept(self, matrix: sp.csr_matrix) -> sp.csr_matrix:
-        """The matrix with rows and columns of the kept a."""
-        assert self.hyper is not None
-        n, each = self.width, sp.identity(self.dim)
-        own, others = self.hyper.matrix, matrix.shape[0] - self.dim * n
-        count = self.dim * len(self.hyper.kept)
-        right = sp.vstack([sp.kron(each, own[:n, n:]), sp.csr_matrix((others, count))])
-        below = sp.hstack([sp.kron(each, own[n:, :n]), sp.csr_matrix((count, others))])
-        return sp.bmat([[matrix, right], [below, sp.kron(each, own[n:, n:])]], format="csr")
+        return matrix if self.hyper is None or not len(self.hyper.kept) else self.hyper.bordered(matrix, d)
