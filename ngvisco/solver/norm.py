@@ -4,14 +4,15 @@
 scale_v = |v|_2 + f sqrt(n) h/tau, scale_rho = |rho|_2, scale_z = |z|_2 + f sqrt(n), where n is the
 number of the block's coefficients and h the smallest cell size: a velocity counts by the strain that
 it makes in the step.  The other unknowns are functions of these three; the trace of a density that diffuses
-by an r-Laplacian, a nonlinear one, counts like rho.  The floor f (``NormOptions``) lets
-small strains and velocities converge relatively to themselves; a stalled iteration is asked about with a
-larger one.
+by an r-Laplacian, a nonlinear one, counts like rho.  A creep rate field Pi changes z by tau Pi only, which
+leaves it open in a short step: with nu > 0 it counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau).  The
+floor f and the share s are in ``NormOptions``; the floor lets small strains and velocities converge
+relatively to themselves, and a stalled iteration is asked about with a larger one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from ngsolve import BaseVector
@@ -29,6 +30,8 @@ class BlockNorm:
     ranges : mapping of block names to slices of the coefficient vector
     units : mapping of the counted blocks' names to the size that one unit of the floor f has there
     options : NormOptions, optional
+    shared : collection of str
+        Those of them that count by ``NormOptions.share`` of their relative increment.
     exchange : Exchange, optional
         Of the vectors' space, where it may be distributed.
     """
@@ -39,8 +42,10 @@ class BlockNorm:
         units: dict[str, float],
         options: NormOptions | None = None,
         exchange: Exchange | None = None,
+        shared: Collection[str] = (),
     ) -> None:
         self.ranges, self.units, self.options = ranges, units, options or NormOptions()
+        self.shared = tuple(shared)
         self._ranks = Communicator() if exchange is None else exchange.communicator
         self._own: dict[str, slice | np.ndarray] = {name: ranges[name] for name in units}
         if exchange is not None and self._ranks.is_distributed:  # what ranks share counts once
@@ -53,11 +58,13 @@ class BlockNorm:
         floor = self.options.coarse_floor if coarse else self.options.floor
         sizes = []
         with np.errstate(over="ignore", invalid="ignore"):  # a diverging iterate is inf or NaN here
-            parts = [[u.FV().NumPy()[self._own[name]] for u in (increment, *states)] for name in self.units]
+            parts = [[u.FV().NumPy()[own] for u in (increment, *states)] for own in self._own.values()]
             squares = np.array([[part @ part for part in of_block] for of_block in parts])
             norms = np.sqrt(self._ranks.totals(squares))  # of all blocks in one reduction
             for (name, size), (own, *of_states) in zip(self.units.items(), norms, strict=True):
                 scale = max(of_states) + floor * size * np.sqrt(self._counts[name])
+                if name in self.shared:
+                    scale = (scale + own) / self.options.share
                 sizes.append(own / scale if scale > 0 else 0.0)
         # numpy's maximum passes NaN on, Python's may drop it
         return float(np.max(sizes))

@@ -67,6 +67,7 @@ class RotheProblem:
         context.eta.Set(self.width * self.eta)
         self.step.moving_walls.set_values()
         self.norm.units["v"] = self.h_min / interval.tau
+        self.norm.units |= dict.fromkeys(self.norm.shared, 1 / interval.tau)
 
     def factorised(self) -> None:
         self.on_factorise(self)

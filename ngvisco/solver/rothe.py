@@ -68,7 +68,9 @@ class RotheSolver:
         units = {"v": 0.0, "rho": 0.0, "z": 1.0}
         if "rho_delta_hat" in step.layout.ranges:
             units["rho_delta_hat"] = 0.0  # its equation is cubic where the density is flat
-        self.norm = BlockNorm(step.layout.ranges, units, options.norm, self.exchange)
+        shared = {"Pi"} & set(step.layout.ranges)
+        units |= dict.fromkeys(shared, 0.0)
+        self.norm = BlockNorm(step.layout.ranges, units, options.norm, self.exchange, shared)
         tried = [one for one in self.strategies if one.obstacle(step.mesh) is None]
         self.method = (tried or self.strategies)[0].solver
         """The first strategy's solver: it is kept, the other one made where it is needed."""
