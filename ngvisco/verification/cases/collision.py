@@ -142,6 +142,7 @@ def _collision() -> Outcome:
                 ][::4],
             )
         ],
+        remarks=["The bounds were written after a trial of the same run until 0.65 s."],
         plots=[
             Plot(
                 "Two discs that meet",

@@ -137,7 +137,10 @@ def _rayleigh_taylor() -> Outcome:
                 ],
             )
         ],
-        remarks=[f"s^2 fitted by a line in G vanishes at {float(-level / slope):.4f} of the threshold."],
+        remarks=[
+            f"s^2 fitted by a line in G vanishes at {float(-level / slope):.4f} of the threshold.",
+            "The bounds were written after trial runs at 0.5 and 1.5 of it.",
+        ],
         plots=[
             Plot(
                 "A heavy layer over a fluid",
