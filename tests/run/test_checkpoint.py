@@ -150,5 +150,5 @@ def test_bodies_with_energies_of_their_own_go_on_from_a_checkpoint(tmp_path):
     again.restore(tmp_path / "run.h5")
     assert np.array_equal(again.rothe_step.state.vec.FV().NumPy(), run.rothe_step.state.vec.FV().NumPy())
     for other in (bodies(1.1), bodies(1.0, stiffness=6.0)):
-        with pytest.raises(nv.CheckpointError, match="its (material|energies) "):
+        with pytest.raises(nv.CheckpointError, match=r"its (material|energies) "):
             other.restore(tmp_path / "run.h5")
