@@ -158,9 +158,9 @@ def _carried() -> Outcome:
             "of Zhao, Freund and Moser (2008), with whose path Sugiyama et al. compare theirs.",
             "The bounds are those that were written first; the setting is not.  Cells of 0.1 m and steps of "
             "0.05 s were 0.021 m away at 4 s, and from 5.45 s on, where the disc passes the end of the lid, "
-            "steps had to be halved after a minute of attempts.  What has smeared of the disc into the corner "
-            "there, 15 % of the matter, fades at the rate 0.27/dt and is sheared by the lid at 30/s: with dt = "
-            "0.05 s |B| reached 170.  Steps of 0.02 s pass.",
+            "steps had to be halved after a minute of attempts.  What has smeared of the disc into the "
+            "corner there, 15 % of the matter, fades at the rate 0.27/dt and is sheared by the lid at 30/s: "
+            "with dt = 0.05 s |B| reached 170.  Steps of 0.02 s pass.",
         ],
     )
 
