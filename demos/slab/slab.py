@@ -32,20 +32,19 @@ def simulation(cells: tuple[int, int] = (15, 20), dt: float = KYR, **options) ->
     gravity = nv.Gravity((0.0, -10 * IfPos(20 * KYR - nv.time, 1.0, 0.0)))
     # in SI the coupled solver takes a cell's matrix, from volume/dt to modulus times volume, for singular
     options = {"walls": {"left": nv.NoSlip()}, "solver": "split", "velocity_scale": 1e-8} | options
-    model = nv.Model(bodies=[slab, medium], loads=[gravity])
-    return nv.Simulation(structured_box((7500.0, 5000.0), cells), model, dt=dt, **options)
+    mesh = structured_box((7500.0, 5000.0), cells)
+    return nv.Simulation(mesh, nv.Model(bodies=[slab, medium], loads=[gravity]), dt=dt, **options)
 
 
 def main(directory: str = "results/slab", until: float = 50 * KYR, **options) -> nv.Simulation:
-    run = simulation(**options, observers=[table := nv.Bodies(Path(directory) / "bodies.csv")])
-    nv.record(run, directory, until, every=5)
+    table = nv.Bodies(Path(directory) / "bodies.csv")
+    nv.record(run := simulation(**options, observers=[table]), directory, until, every=5)
     draw(Path(directory), table)
     return run
 
 
 def draw(out: Path, table: nv.Bodies) -> None:
-    fig, axes = figure(1, 3, (16, 4))
-    files = read_series_files(out / "vtk")
+    (fig, axes), files = figure(1, 3, (16, 4)), read_series_files(out / "vtk")
     bent = min(range(len(files)), key=lambda i: abs(files[i][0] - 20 * KYR))
     for axis, (time, file) in zip(axes[0], (files[bent], files[-1]), strict=False):
         mesh = (*(frame := read_frame(file)).points.T[:2] / 1e3, frame.cells)
@@ -53,7 +52,7 @@ def draw(out: Path, table: nv.Bodies) -> None:
         outline(axis, *mesh, averaged(frame.points, frame.scalar("medium_fraction")))
         axis.set(title=f"von Mises stress, t = {time / KYR:.0f} kyr; km", aspect="equal")
     axes[0, 2].plot(table.column("time") / KYR, table.column("slab_y"), ".-")
-    axes[0, 2].set(title="height of the slab's centroid, m", xlabel="t, kyr")
+    axes[0, 2].set(title="height of the slab's centroid, m; t, kyr")
     fig.savefig(out / "slab.png", dpi=80)
 
 
