@@ -160,7 +160,8 @@ def _carried() -> Outcome:
             "0.021 m away at 4 s, and from 5.45 s on, where the disc passes the end of the lid, steps had "
             "to be halved after a minute of attempts.  What has smeared of the disc into the corner there, "
             "15 % of the matter, fades at the rate 0.27/dt and is sheared by the lid at 30/s: |B| reached "
-            "170.  On 342 triangles (0.09 m) with dt = 0.02 s the run ended at 6.26 s, J being 0.8 in that corner.",
+            "170.  On 342 triangles (0.09 m) with dt = 0.02 s the run ended at 6.26 s, J being 0.8 in that "
+            "corner.",
         ],
     )
 
