@@ -87,6 +87,7 @@ def _swing(modulus: float, bent: float) -> tuple[Simulation, np.ndarray, np.ndar
     times, deflection = table.column("time"), table.column("bar_y")[0] - table.column("bar_y")
     deflection /= bent * BEAM
     fit, _ = curve_fit(_released, times, deflection, p0=(1.0, 0.05, OMEGA))
+    fit[2] = abs(fit[2])  # the swing is the same with -omega
     return run, times, deflection, fit
 
 
