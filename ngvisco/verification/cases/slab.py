@@ -71,7 +71,7 @@ def _slab() -> tuple[Simulation, Bodies]:
     table = Bodies()
     run = Simulation(
         structured_box(SIZE, CELLS),
-        Model(bodies=[slab, medium], loads=[Gravity(gravity)]),
+        Model(bodies=(slab, medium), loads=(Gravity(gravity),)),
         dt=TAU * KYR,
         walls={"left": NoSlip()},
         velocity_scale=1e-8,  # twenty times that of the slab: facets turn round within 1e-12 m/s
