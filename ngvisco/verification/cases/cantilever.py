@@ -8,6 +8,11 @@ by Euler and Bernoulli with the shear of Timoshenko (E' = E/(1 - nu^2) in plane 
 10 (1 + nu)/(12 + 11 nu)).  It swings about that state with omega = 3.516 sqrt(E' I/(rho a L^4)), less by the
 medium that it moves.  A medium with a shear modulus carries a part of the weight: the bar is L^3/a^3 times
 softer than its own modulus says, and the medium has to be softer by that, too, not to be felt.
+
+Bent by 0.02 %, the static deflection over the beam's is 1.110 on two rows of cells and 1.129 on four (k = 2,
+omega 0.813 and 0.812 of the beam's): it does not tend to 1 by finer cells.  The fit sees 0.44 of a period, in
+which damping and static deflection are hard to tell apart.  With velocities of order 3 it is 1.503 (omega
+0.706, two rows): their strains of second order find no stress in fields of order 1.
 """
 
 from __future__ import annotations
