@@ -10,6 +10,11 @@ from ngvisco.errors import StepError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.petsc import Direct
 
+_UNITS = (
+    "; a cell's own unknowns are eliminated without scaling: where moduli and volume/dt are twenty orders "
+    "apart, as in SI in geodynamics, take units in which they are near one, or the split solver"
+)
+
 
 class CondensedJacobian:
     """The factorised linearisation of a condensed form; applies its inverse to full residuals."""
@@ -44,7 +49,9 @@ class CondensedJacobian:
             together = self.ranks.agree(failure)
             if together is not None:
                 self._inverse = None
-                message = f"the linearised step has no factorisation: {together}"
+                message = f"the linearised step has no factorisation: {str(together).strip()}"
+                if "CalcLU" in message:  # of a cell, whose rows and columns NGSolve does not scale
+                    message += _UNITS
                 raise StepError(message) from together
 
     def _invert(self, state: BaseVector) -> None:

@@ -51,3 +51,13 @@ def test_another_failure_is_not_tried_again(sizes):
     with pytest.raises(StepError, match="division by zero"):
         condensed.CondensedJacobian(form, "umfpack", SIZES).factorise(None)
     assert sizes == []
+
+
+def test_a_cell_s_matrix_that_units_make_singular_is_said_with_the_remedy():
+    """In SI a slab in a weak medium, 1e11 Pa and steps of 1 kyr, has such matrices; in km and kyr none."""
+    form = Form("CalcLU: matrix singularin AssembleLinearization\n")
+    with pytest.raises(StepError, match=r"matrix singular.*take units in which they are near one"):
+        condensed.CondensedJacobian(form, "umfpack").factorise(None)
+    with pytest.raises(StepError, match="no factorisation") as other:
+        condensed.CondensedJacobian(Form("something else"), "umfpack").factorise(None)
+    assert "units" not in str(other.value)

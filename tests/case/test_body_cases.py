@@ -247,10 +247,23 @@ def test_run_directory_goes_on_without_the_shape_s_file(tmp_path):
     ("where", "key", "message"),
     [
         ('{ kind = "Ball", centre = [6, 5], radius = 0.2 }', "bodies.1.where", "it is empty"),
-        ('{ kind = "Ball", centre = [6, 5, 1], radius = 0.2 }', "bodies.1.where", "2 coordinates"),
-        ('{ kind = "Subdomain", names = "inclusion" }', "bodies", "unknown subdomain 'inclusion'"),
-        ('{ kind = "ClosedSurface", path = "part.stl" }', "bodies.1.where", "closed surface"),
-        ('{ kind = "Image", path = "none.png", low = [0, 0], high = [1, 1] }', "bodies.1.where", "readable"),
+        ('{ kind = "Ball", centre = [6, 5, 1], radius = 0.2 }', "bodies.1.where.centre", "2 coordinates"),
+        (
+            '{ kind = "Subdomain", names = "inclusion" }',
+            "case.toml:18: bodies.1.where.names",
+            "unknown subdomain 'inclusion'",
+        ),
+        (
+            '[{ kind = "Ball", centre = [0, 0], radius = 1 }, { kind = "Subdomain", names = "a" }]',
+            "case.toml:18: bodies.1.where.1.names",
+            "unknown subdomain 'a'",
+        ),
+        ('{ kind = "ClosedSurface", path = "part.stl" }', "bodies.1.where.path", "closed surface"),
+        (
+            '{ kind = "Image", path = "none.png", low = [0, 0], high = [1, 1] }',
+            "bodies.1.where.path",
+            "readable",
+        ),
     ],
 )
 def test_place_that_does_not_fit_is_refused_before_anything_is_written(tmp_path, where, key, message):
@@ -264,6 +277,17 @@ def test_place_that_does_not_fit_is_refused_before_anything_is_written(tmp_path,
     assert key in str(caught.value)
     assert message in str(caught.value)
     assert not (tmp_path / "run").exists()
+
+
+def test_line_of_a_fault_is_that_of_its_shape_among_several_tables():
+    where = "".join(
+        f'\n[[bodies.where]]\nkind = "Subdomain"\nnames = "{n}"' for n in ("default", "inclusion")
+    )
+    disc = HEAD + f'[[bodies]]\nname = "disc"\ndensity = 1.0{where}\n'
+    loaded = case(disc + '[bodies.material]\nkind = "NeoHookean"\nK_e = 1\nG_e = 1\nepsilon = 0.1\n')
+    line = 1 + disc.splitlines().index('names = "inclusion"')
+    with pytest.raises(CaseError, match=rf"toml:{line}: bodies.0.where.1.names: unknown subdomain"):
+        loaded.simulation(loaded.mesh())
 
 
 def test_bodies_that_overlap_without_order_are_refused():
