@@ -75,6 +75,7 @@ def measured(n: int, steps: int, coarse: str, two_levels_from: int | None) -> li
         "coarse": coarse,
         "cells": run.cells,
         "own cells": run.mesh.ne,
+        "neighbours": len(run.solver.newton.residual.shared_rows.shared),
         "imports": imported,
     }
     row["set-up"] = time.perf_counter() - began
@@ -122,6 +123,11 @@ def started(ranks: int, words: list[str], prefix: list[str], timeout: float) -> 
     return rows
 
 
+def of_step(row: dict[str, Any], name: str) -> float:
+    """The median of the steps but the first."""
+    return float(statistics.median(row[name][1:] or row[name]))
+
+
 def by_ranks(rows: list[dict[str, Any]]) -> dict[tuple[int, str], list[dict[str, Any]]]:
     """The rows of each run, those of ranks with cells."""
     runs: dict[tuple[int, str], list[dict[str, Any]]] = {}
@@ -155,7 +161,7 @@ def markdown(rows: list[dict[str, Any]]) -> str:
         first = of[0]
 
         def most(name: str, of: list[dict[str, Any]] = of) -> float:
-            return max(statistics.median(row[name][1:] or row[name]) for row in of)
+            return max(of_step(row, name) for row in of)
 
         memory = max(row["memory"] - row["imports"] for row in of)
         cells = f"{min(row['own cells'] for row in of)} to {max(row['own cells'] for row in of)}"
