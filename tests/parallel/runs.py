@@ -23,7 +23,10 @@ NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 VISCOSITY = nv.StokesViscosity(K_v=0.05, G_v=0.05)
 TWO_LEVELS = nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100)))
 KRYLOV = nv.NewtonOptions(split=SplitOptions(slow=4))
-GAMG = nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100), two_level=TwoLevelOptions(coarse="gamg")))
+GAMG, HYPRE = (
+    nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100), two_level=TwoLevelOptions(coarse=coarse)))
+    for coarse in ("gamg", "hypre")
+)
 REGULARISED = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1, rho_max=1.0)
 
 
@@ -102,6 +105,7 @@ CASES = {
     "split block": lambda: block("split"),
     "split block, two levels": lambda: block("split", 0.5, newton=TWO_LEVELS),
     "split block, gamg": lambda: block("split", 0.5, newton=GAMG),
+    "split block, hypre": lambda: block("split", 0.5, newton=HYPRE),
     "split lid": lambda: lid("split"),
     "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
     "creep of 24": lambda: creep(maxh=0.3),
