@@ -19,7 +19,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import wraps
 from operator import add, mul, neg, sub, truediv
 from typing import Any, TypeAlias, TypeVar
 
@@ -90,24 +89,6 @@ class Expression(ABC):
 
     def __rpow__(self, base: object) -> Expression:
         raise ParameterError("exponent", self, f"a finite number, of the power of {base!r}")
-
-
-def _leaving_expressions(operation: Callable[..., Any]) -> Callable[..., Any]:
-    """An operator of coefficient functions that leaves expressions of parameters to ``Expression``.
-
-    NGSolve's own raise a TypeError for operands that they do not know, where Python's convention is to return
-    NotImplemented, so that the other operand is asked: ``x * theta`` would say nothing of what is right.
-    """
-
-    @wraps(operation)
-    def operator(self: CoefficientFunction, other: object) -> Any:
-        return NotImplemented if isinstance(other, Expression) else operation(self, other)
-
-    return operator
-
-
-for _name in ("__add__", "__sub__", "__mul__", "__truediv__", "__pow__"):
-    setattr(CoefficientFunction, _name, _leaving_expressions(getattr(CoefficientFunction, _name)))
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from ngvisco.case import directory, reference
 from ngvisco.case.build import parse_case
 from ngvisco.case.errors import CaseError
 from ngvisco.case.places import place_of
+from ngvisco.cli.main import main
 from ngvisco.geometries import box
 from ngvisco.shapes.fractions import volumes
 
@@ -241,6 +242,18 @@ def test_run_directory_goes_on_without_the_shape_s_file(tmp_path):
     results = nv.load(tmp_path / "run")
     assert abs(results.ledger["closure_relative"]).max() < 1e-10
     assert {"disc_fraction", "fluid_fraction", "body"} <= set(results.fields)
+
+
+@pytest.mark.parametrize("fields", [["density"], ["density", "fluid_fraction", "disc_fraction", "body"]])
+def test_a_scene_without_outlines_of_bodies_says_what_the_series_leaves_out(tmp_path, capsys, fields):
+    output = f"[output.vtk]\nfields = {fields}\nsubdivision = 0\n"
+    text = HEAD.replace("until = 0.04", "until = 0.02").replace("maxh = 0.3", "maxh = 0.5")
+    directory.run(case(text + BODIES + output), tmp_path / "run")
+    assert main(["scene", str(tmp_path / "run")]) == 0
+    said = "no outlines of bodies: output.vtk.fields leaves out fluid_fraction, disc_fraction, body"
+    assert (said in capsys.readouterr().err) == ("body" not in fields)
+    drawn = '"outlines": []' not in (tmp_path / "run" / "scene.html").read_text()
+    assert drawn == ("body" in fields)
 
 
 @pytest.mark.parametrize(
