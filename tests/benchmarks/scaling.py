@@ -23,6 +23,11 @@ RANKS = (1, 2, 4, 8, 16, 32, 64, 125, 250, 500, 1000)
 STRONG, WEAK = 1_000_000, 10_000
 """Tetrahedra of the mesh of strong scaling, and of a rank in weak scaling."""
 
+FACES = {1: 0.0, 2: 2 ** (2 / 3), 4: 4 ** (2 / 3), 8: 3.0}
+"""Of parts of a cube what they share, over (volume)^(2/3): halves one face, quarters two, eighths three."""
+ALL_FACES = 6.0
+"""The same for a part in the middle of many."""
+
 
 @dataclass(frozen=True)
 class Network:
@@ -49,11 +54,11 @@ class Fit:
     """Processor time that no division makes less, s."""
     of_cell: float
     surface: float
-    """Bytes of (cells)^(2/3) for all neighbours."""
-    exponent: float
-    """That of bytes by cells where it is fitted too."""
+    """Bytes of a part's face, over (cells)^(2/3)."""
+    spread: float
+    """Largest over least of these bytes among the runs: 1 where they are the surface's."""
     exchanges: float
-    """Messages to one neighbour."""
+    """Messages to one neighbour, on the finest mesh, as what follows."""
     reductions: float
     linear: float
     """Iterations of linear systems."""
@@ -64,22 +69,23 @@ def fitted(rows: list[dict[str, Any]]) -> Fit:
     of = [row for row in rows if row.get("own cells") and row["coarse"] == "direct"]
     alone = [row for row in of if row["ranks"] == 1] or [row for row in of if row["ranks"] <= 2]
     cells = np.array([row["own cells"] for row in alone], dtype=float)
-    times = np.array([of_step(row, "processor") for row in alone])
+    times = np.array([of_step(row, "busy") for row in alone])
     # relative errors count, so that small meshes say what is fixed
     matrix = np.column_stack([np.ones_like(cells), cells]) / times[:, None]
     fixed, of_cell = np.linalg.lstsq(matrix, np.ones_like(times), rcond=None)[0]
     several = [row for row in of if row["neighbours"]]
     own = np.array([row["own cells"] for row in several], dtype=float)
     sent = np.array([of_step(row, "bytes") for row in several])
-    exponent = np.polyfit(np.log(own), np.log(sent), 1)[0] if len(set(own)) > 1 else np.nan
+    of_face = sent / own ** (2 / 3) / [FACES.get(row["ranks"], ALL_FACES) for row in several]
+    finest = [row for row in several if row["n"] == max(each["n"] for each in several)]
     return Fit(
         fixed=max(float(fixed), 0.0),
         of_cell=float(of_cell),
-        surface=float(np.mean(sent / own ** (2 / 3))),
-        exponent=float(exponent),
-        exchanges=float(np.mean([of_step(row, "messages") / row["neighbours"] for row in several])),
-        reductions=float(np.mean([of_step(row, "reductions") for row in several])),
-        linear=float(np.mean([of_step(row, "linear") for row in several])),
+        surface=float(np.mean(of_face)),
+        spread=float(np.max(of_face) / np.min(of_face)),
+        exchanges=float(np.mean([of_step(row, "messages") / row["neighbours"] for row in finest])),
+        reductions=float(np.mean([of_step(row, "reductions") for row in finest])),
+        linear=float(np.mean([of_step(row, "linear") for row in finest])),
     )
 
 
@@ -92,7 +98,7 @@ def seconds(fit: Fit, network: Network, cells: float, ranks: int) -> dict[str, f
     if ranks > 1:
         neighbours, rounds = min(network.neighbours, ranks - 1), np.ceil(np.log2(ranks))
         parts["messages"] = fit.exchanges * neighbours * network.latency
-        parts["bytes"] = fit.surface * own ** (2 / 3) / network.bandwidth
+        parts["bytes"] = fit.surface * FACES.get(ranks, ALL_FACES) * own ** (2 / 3) / network.bandwidth
         parts["reductions"] = fit.reductions * 2 * rounds * network.latency
         levels = max(np.log(cells / 6) / np.log(8), 1.0)
         of_level = network.cycle * neighbours + 2 * rounds
@@ -130,8 +136,8 @@ def report(rows: list[dict[str, Any]], network: Network) -> str:
             counted(rows),
             "",
             f"Fitted: {1e3 * fit.of_cell:.2f} ms a cell and {fit.fixed:.2f} s of processor time a step; "
-            f"{fit.surface / 1e3:.1f} kB (cells)^(2/3) sent by a rank (with the exponent fitted: "
-            f"{fit.exponent:.2f}), {fit.exchanges:.0f} messages to each neighbour, "
+            f"{fit.surface / 1e3:.1f} kB (cells)^(2/3) sent for each face of a rank's part (largest over "
+            f"least of the runs {fit.spread:.1f}), {fit.exchanges:.0f} messages to each neighbour, "
             f"{fit.reductions:.0f} reductions.",
             "",
             f"A model: {network}; iterations as measured, whatever the number of ranks.",
@@ -150,7 +156,7 @@ def report(rows: list[dict[str, Any]], network: Network) -> str:
 
 def counted(rows: list[dict[str, Any]]) -> str:
     """Of a rank with cells the most that it sent in a step, by mesh and ranks."""
-    head = "| tetrahedra | ranks | of a rank | neighbours | messages | MB | bytes/cells^(2/3) | reductions |"
+    head = "| tetrahedra | ranks | of a rank | neighbours | messages | MB | of a face | reductions |"
     lines = [head, "|" + "---|" * (head.count("|") - 1)]
     meshes = sorted({row["n"] for row in rows if "n" in row})
     for n in meshes:
@@ -162,7 +168,8 @@ def counted(rows: list[dict[str, Any]]) -> str:
             lines.append(
                 f"| {most['cells']:,} | {ranks} | {own:,} | {most['neighbours']} "
                 f"| {of_step(most, 'messages'):.0f} | {sent / 1e6:.1f} "
-                f"| {sent / own ** (2 / 3) / 1e3:.1f} kB | {of_step(most, 'reductions'):.0f} |"
+                f"| {sent / own ** (2 / 3) / FACES.get(ranks, ALL_FACES) / 1e3:.1f} kB "
+                f"| {of_step(most, 'reductions'):.0f} |"
             )
     return "\n".join(lines)
 

@@ -23,7 +23,10 @@ NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 VISCOSITY = nv.StokesViscosity(K_v=0.05, G_v=0.05)
 TWO_LEVELS = nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100)))
 KRYLOV = nv.NewtonOptions(split=SplitOptions(slow=4))
-GAMG = nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100), two_level=TwoLevelOptions(coarse="gamg")))
+GAMG, HYPRE = (
+    nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100), two_level=TwoLevelOptions(coarse=coarse)))
+    for coarse in ("gamg", "hypre")
+)
 REGULARISED = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1, rho_max=1.0)
 
 
@@ -61,7 +64,9 @@ def lid(solver: str = "coupled") -> nv.Simulation:
     return nv.Simulation(mesh, model, dt=0.05, walls=walls, scheme="midpoint", solver=solver)
 
 
-def creep(solver: str = "coupled", regularisation: nv.Regularisation | None = REGULARISED) -> nv.Simulation:
+def creep(
+    solver: str = "coupled", regularisation: nv.Regularisation | None = REGULARISED, maxh: float = 0.5
+) -> nv.Simulation:
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
         viscosity=VISCOSITY,
@@ -69,7 +74,7 @@ def creep(solver: str = "coupled", regularisation: nv.Regularisation | None = RE
         regularisation=regularisation,
     )
     initial = nv.Initial(velocity=SWIRL)
-    return nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=initial, solver=solver)
+    return nv.Simulation(box((1, 1), maxh=maxh), model, dt=0.02, initial=initial, solver=solver)
 
 
 def limited() -> nv.Simulation:
@@ -100,8 +105,11 @@ CASES = {
     "split block": lambda: block("split"),
     "split block, two levels": lambda: block("split", 0.5, newton=TWO_LEVELS),
     "split block, gamg": lambda: block("split", 0.5, newton=GAMG),
+    "split block, hypre": lambda: block("split", 0.5, newton=HYPRE),
     "split lid": lambda: lid("split"),
     "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
+    "creep of 24": lambda: creep(maxh=0.3),
+    "split creep of 24": lambda: creep("split", nv.Regularisation(epsilon=0.1), maxh=0.3),
 }
 STEPS = {"limited": 9}
 """Where there are more than three."""
