@@ -1,8 +1,8 @@
 """Runs that were hard to solve: ``python -m tests.benchmarks.hard_starts [NAME ...]`` in the project's root.
 
 A row for each: iterations of the first step, their median and most, steps taken in parts, steps that the
-coupled solver was asked for, limited cells, and the dearest step over the median, of processor time.  The table of
-``ngvisco/timestepping/README.md`` is made of these.
+coupled solver was asked for, limited cells, and the dearest step over the median, of processor time.  The
+table of ``ngvisco/timestepping/README.md`` is made of these.
 """
 
 from __future__ import annotations

@@ -334,8 +334,8 @@ STATEMENT = (
     "three times the median of its run"
 )
 DEAR = (
-    "The first step of a run at v dt/h above 3 is taken in halves or quarters, after tries that fail: 4 to "
-    "6 times the median (ngvisco/timestepping/README.md)."
+    "At v dt/h = 10 in 3D, finite strain, 0.1 Pa s, a step took 4.3 times the median; all others of that grid "
+    "2.2 at most (ngvisco/timestepping/README.md)."
 )
 LABEL = "Euler-small-viscoelastodyn+disc, Euler-large-viscoelastodyn+disc"
 
