@@ -68,7 +68,8 @@ def _near(split: Split, wide: Problem, x: np.ndarray, history: list[NewtonIterat
         history.append(NewtonIteration(size, size / sizes[-1] if len(sizes) > 1 else 1.0, 1.0, fresh))
         if size <= tolerance and size <= options.contraction * sizes[-1] < np.inf:
             return x - f
-        if not size < np.inf or (len(sizes) > options.window and size > 0.5 * sizes[-options.window]):
+        late = len(sizes) > options.window  # as slow as with the scheme's width: it is not facets, then
+        if not size < np.inf or (late and (size > 0.5 * sizes[-options.window] or size <= options.last)):
             return None
         x = x - f
         sizes.append(size)

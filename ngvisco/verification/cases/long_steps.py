@@ -176,7 +176,9 @@ def grid(kind: str, dim: int) -> Iterator[LongRun]:
         yield LongRun(f"grid {dim}D, {kind}", name, partial(block_of, kind, dim, point), GRID_STEPS)
 
 
-def cavity(p: float, dim: int, creep: Creep | None, dt: float, options: NewtonOptions) -> Simulation:
+def cavity(
+    p: float, dim: int, creep: Creep | None, dt: float, options: NewtonOptions, mesh: Mesh | None = None
+) -> Simulation:
     """The body of demos/cavity under a lid of full speed; in 3D the lid of a cube of 384 tetrahedra."""
     model = Model(
         material=NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1, elastic_state="B" if creep else "F"),
@@ -184,7 +186,8 @@ def cavity(p: float, dim: int, creep: Creep | None, dt: float, options: NewtonOp
         hyperviscosity=HyperViscosity(mu=1e-5, p=p),
         creep=creep,
     )
-    mesh = box((1, 1), 0.1) if dim == 2 else structured_box((1, 1, 1), (4, 4, 4))
+    if mesh is None:
+        mesh = box((1, 1), 0.1) if dim == 2 else structured_box((1, 1, 1), (4, 4, 4))
     others = tuple(sorted(set(mesh.GetBoundaries()) - {"top"}))
     walls: Conditions = {"top": PrescribedTangential((1.0, *(0.0,) * (dim - 1))), others: NoSlip()}
     return Simulation(mesh, model, dt=dt, walls=walls, newton=options)
@@ -331,8 +334,8 @@ STATEMENT = (
     "three times the median of its run"
 )
 DEAR = (
-    "The first step of a run at v dt/h above 3 is taken in halves or quarters, after tries that fail: 4 to "
-    "6 times the median (ngvisco/timestepping/README.md)."
+    "At v dt/h = 10 in 3D, finite strain, 0.1 Pa s, a step took 4.3 times the median; all others of that grid "
+    "2.2 at most (ngvisco/timestepping/README.md)."
 )
 LABEL = "Euler-small-viscoelastodyn+disc, Euler-large-viscoelastodyn+disc"
 
