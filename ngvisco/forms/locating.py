@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from ngsolve import BND, VOL, Mesh
+from ngsolve import BND, VOL, CoefficientFunction, Mesh
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.mesh_arrays import coordinates
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import Part
+from ngvisco.shapes.places import mesh_points
 
 _PULLS = (1e-9, 1e-6, 1e-4, 1e-3)
 """Shares of the way to the nearest cell's centre tried for a point on a wall, which rounding, or the
@@ -48,6 +51,57 @@ def locate(mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> np.ndarray:
     for number in np.flatnonzero(found["nr"] < 0):
         found[number] = _on_wall(mesh, points[number], names[int(number)])
     return found
+
+
+class Located:
+    """Points of space, (count, dim), m, at which functions on a mesh are evaluated.
+
+    Over ranks each point is in the cell in which it is on one process: what jumps across facets has one value
+    there.  Making one and every evaluation are collective, and all ranks get the same.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    points : array (count, dim)
+    names : sequence of str
+        What an error calls them.
+
+    Raises
+    ------
+    ParameterError
+        For a point that is not in the domain, and for a mesh that was distributed otherwise than by
+        ``Simulation``: the whole is not known.
+    """
+
+    def __init__(self, mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> None:
+        self.ranks, self.count = Communicator.of(mesh), len(points)
+        if not self.ranks.is_distributed:
+            self._own, self._at = np.arange(len(points)), locate(mesh, points, names)
+            return
+        if not isinstance(mesh, Part):
+            expected = "a mesh that Simulation distributes itself, of which it knows the whole"
+            raise ParameterError(names[0], "a distributed mesh", expected)
+
+        def in_whole() -> tuple[np.ndarray, np.ndarray]:
+            assert mesh.whole is not None
+            found = locate(mesh.whole, points, names)
+            return found["nr"].copy(), np.stack([found[axis] for axis in "xyz"[: mesh.dim]], axis=1)
+
+        cells, reference = self.ranks.on_first(in_whole)
+        local = np.full(int(cells.max()) + 1, -1)
+        there = mesh.cells < len(local)
+        local[mesh.cells[there]] = np.flatnonzero(there)
+        self._own = np.flatnonzero(local[cells] >= 0)
+        self._at = mesh_points(mesh, local[cells[self._own]], reference[self._own])
+
+    def values(self, function: CoefficientFunction) -> np.ndarray:
+        """Of a function, (count, components)."""
+        own = np.asarray(function(self._at)).reshape(len(self._own), function.dim)
+        if not self.ranks.is_distributed:
+            return own
+        values = np.zeros((self.count, function.dim))
+        values[self._own] = own
+        return self.ranks.totals(values)
 
 
 def _on_wall(mesh: Mesh, point: np.ndarray, name: str) -> Any:

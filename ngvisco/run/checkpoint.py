@@ -216,13 +216,17 @@ def snapshot(simulation: Simulation) -> Snapshot:
     }
     solver, stepping = simulation.solver.state_dict(), simulation.stepper.state_dict()
     state, numbering = simulation.rothe_step.state.vec.FV().NumPy().copy(), simulation.numbering
+    arrays = {
+        "": {"state": state},
+        "solver": solver[1],
+        "stepping": stepping[1],
+        "passive": simulation.passive.arrays(),
+    }
     return Snapshot(
         {"": numbers, "solver": solver[0], "stepping": stepping[0], "passive": {}},
         {
-            "": {"state": numbering.whole(state)},
-            "solver": {name: numbering.whole(array) for name, array in solver[1].items()},
-            "stepping": {name: numbering.whole(array, evolved=True) for name, array in stepping[1].items()},
-            "passive": simulation.passive.arrays(),  # none on several ranks
+            part: {name: numbering.whole(array, part, name) for name, array in named.items()}
+            for part, named in arrays.items()
         },
     )
 
@@ -238,8 +242,9 @@ def _distributed(one: Snapshot | None, simulation: Simulation) -> Snapshot:
     )
     arrays = {
         part: {
-            name: numbering.own(None if one is None else one.arrays[part][name], evolved=part == "stepping")
+            name: numbering.own(None if one is None else one.arrays[part][name], part, name)
             for name in named
+            if part != "passive" or name in simulation.passive.parts
         }
         for part, named in names.items()
     }

@@ -64,9 +64,6 @@ def check_distributed(step: Step, passive: Sequence[str]) -> None:
     if step.walls.multiplied:
         expected = "walls normal to an axis, or without slip, on several ranks: multipliers are one process's"
         raise ParameterError("Simulation.walls", step.walls.multiplied, expected)
-    if carried := [v.name for v in model.material.variables if not v.is_strain]:
-        expected = "a material without parameters and bodies on several ranks: their ranges are one process's"
-        raise ParameterError("Simulation.model", carried, expected)
     if model.material.response(mesh.dim) is not None:
         expected = "a material whose energy is an expression on several ranks, not one computed at points"
         raise ParameterError("Simulation.model", type(model.material).__name__, expected)

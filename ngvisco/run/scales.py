@@ -15,6 +15,7 @@ from ngvisco.forms.momentum import Loading
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import cell_number
 from ngvisco.physics.material import Material, cauchy_stress
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter, value_at
@@ -170,20 +171,25 @@ class Place:
 
 
 def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
-    """Where each parameter is least and where it is largest; none where there are no parameters."""
+    """Where each parameter is least and where it is largest, of all ranks; none without parameters."""
     u, model = step.now, step.model
     parameters = [v.name for v in model.material.variables if isinstance(v, Parameter)]
     if not parameters:
         return []
-    values = {name: np.asarray(sampler.values(u.z_tensors[name])).ravel() for name in parameters}
-    rho = np.asarray(sampler.values(u.rho)).ravel()
-    states = np.asarray(sampler.values(u.z)).reshape(len(rho), -1)
-    at = sorted({int(i) for each in values.values() for i in (each.argmin(), each.argmax())})
+    values, ranks = np.array([sampler.values(u.z_tensors[name]) for name in parameters]), sampler.ranks
+    rho, states = sampler.rows(u.rho)[:, 0], sampler.rows(u.z)
+    own = sorted({int(i) for each in values if len(rho) for i in (each.argmin(), each.argmax())})
+    numbers = np.asarray(sampler.points["nr"])  # of cells
+    ends = [(cell_number(step.mesh, int(numbers[i])), i, values[:, i], float(rho[i]), states[i]) for i in own]
+    every = sorted((end for ends in ranks.gathered(ends) for end in ends), key=lambda end: end[:2])
+    of_all = np.array([end[2] for end in every]).T
+    at = sorted({int(i) for each in of_all for i in (each.argmin(), each.argmax())})
     found: list[Place] = []
     for i in at:
-        here = {name: float(value[i]) for name, value in values.items()}
-        if not any(_same(here, known.parameters) for known in found):
-            found.append(Place(model, here, float(rho[i]), states[i]))
+        _, _, here, density, state = every[i]
+        named = dict(zip(parameters, map(float, here), strict=True))
+        if not any(_same(named, known.parameters) for known in found):
+            found.append(Place(model, named, density, state))
     return found
 
 
