@@ -55,19 +55,26 @@ class BlockNorm:
 
     def __call__(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> float:
         """|increment| with the scales of the largest of ``states`` in each block."""
-        floor = self.options.coarse_floor if coarse else self.options.floor
-        sizes = []
+        return self.sizes(increment, *states, coarse=coarse)[0]
+
+    def sizes(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> tuple[float, float]:
+        """|increment|, and the relative increment of the shared blocks, in [0, 1]; 0 where there is none."""
+        fine, sizes, turned = self.options.floor, [], 0.0
+        floor = self.options.coarse_floor if coarse else fine
         with np.errstate(over="ignore", invalid="ignore"):  # a diverging iterate is inf or NaN here
             parts = [[u.FV().NumPy()[own] for u in (increment, *states)] for own in self._own.values()]
             squares = np.array([[part @ part for part in of_block] for of_block in parts])
             norms = np.sqrt(self._ranks.totals(squares))  # of all blocks in one reduction
-            for (name, size), (own, *of_states) in zip(self.units.items(), norms, strict=True):
-                scale = max(of_states) + floor * size * np.sqrt(self._counts[name])
+            for (name, unit), (own, *of_states) in zip(self.units.items(), norms, strict=True):
+                one = unit * np.sqrt(self._counts[name])
                 if name in self.shared:
-                    scale = (scale + own) / self.options.share
-                sizes.append(own / scale if scale > 0 else 0.0)
+                    turned = own / (max(of_states) + fine * one + own) if own > 0 else 0.0
+                    sizes.append(self.options.share * turned)
+                else:
+                    scale = max(of_states) + floor * one
+                    sizes.append(own / scale if scale > 0 else 0.0)
         # numpy's maximum passes NaN on, Python's may drop it
-        return float(np.max(sizes))
+        return float(np.max(sizes)), float(turned)
 
 
 def _length(own: slice | np.ndarray) -> int:

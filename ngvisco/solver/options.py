@@ -186,6 +186,9 @@ class SplitOptions(_Checked):
     """Iterations for the flow's linear system after which its preconditioner is made anew."""
     renewed_above: float = 0.5
     """Increment after which it is: made at rest it does not know the curvature of v."""
+    bends_above: float = 0.03
+    """Relative increment of a creep rate field after which it is, where the one before was not three times as
+    large: with its gradient's law of q = 4, made at Pi = 0, the iteration diverges."""
     renewed_at_once_above: float = 0.1
     """Increment, it or the one before, above which a worn preconditioner is made anew before the increment is
     taken: an impulsive start with p = 4 fails otherwise, while a smooth run wastes a twentieth on it."""

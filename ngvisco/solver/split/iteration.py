@@ -26,7 +26,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
     options, tolerance = split.options.split, split.options.tolerance
     wanted, dim = options.margin * tolerance, split.step.mesh.dim
     may_narrow = problem.width == 1.0
-    last = best = np.inf
+    last, best, turned = np.inf, np.inf, 0.0
     best_x, best_f = None, None
     since, restarts = 0, 0  # iterations since the start or a restart, and restarts
     sizes: list[float] = []
@@ -75,7 +75,9 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
         if since > options.slow or stalled:
             return _by_krylov(split, problem, x, size, history)
         worn = split.preconditioner.iterations > options.renewed_after[dim - 2] and size > 1e3 * wanted
-        if worn or size > options.renewed_above:
+        turned, was = split.sizes(f)[1] if split.norm.shared else 0.0, turned
+        bends = turned > max(options.bends_above, 0.3 * was)  # and the chord does not contract
+        if worn or bends or size > options.renewed_above:
             split.reset()
         x = x - f
     return Status.TOO_MANY_ITERATIONS
@@ -133,8 +135,9 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
         if size <= wanted:
             return _ends_at(split, x - f)
         sizes.append(size)
-        before = sizes[max(len(sizes) - 1 - options.window, 0)]
-        if len(sizes) > options.window and size > max(options.stall * before, options.rounding):
+        window = options.window * (3 if split.norm.shared else 1)  # increments of Pi rise in between
+        before = sizes[max(len(sizes) - 1 - window, 0)]
+        if len(sizes) > window and size > max(options.stall * before, options.rounding):
             return _ends_at(split, x) if size <= tolerance else Status.STALLED
         split.renew(problem, at)
         f = solved(at)

@@ -150,8 +150,11 @@ class Split:
         problem.factorised()
 
     def size(self, f: np.ndarray, coarse: bool = False) -> float:
+        return self.sizes(f, coarse)[0]
+
+    def sizes(self, f: np.ndarray, coarse: bool = False) -> tuple[float, float]:
         full = self._full.FV().NumPy()
         full[:] = 0.0
         for name in self.unknowns.names:
             full[self.unknowns.ranges[name]] = f[self.unknowns.slices[name]]
-        return self.norm(self._full, self.step.state.vec, coarse=coarse)
+        return self.norm.sizes(self._full, self.step.state.vec, coarse=coarse)
