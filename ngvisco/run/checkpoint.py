@@ -231,7 +231,7 @@ def snapshot(simulation: Simulation) -> Snapshot:
     )
 
 
-def _distributed(one: Snapshot | None, simulation: Simulation) -> Snapshot:
+def distributed(one: Snapshot | None, simulation: Simulation) -> Snapshot:
     """The checkpoint that the first rank has read, with each rank's coefficients; collective."""
     numbering, ranks = simulation.numbering, simulation.ranks
     if not ranks.is_distributed:
@@ -282,7 +282,7 @@ def restore(
         return names, rows
 
     names, rows = ranks.on_first(read_all)
-    one = _distributed(read[0] if read else None, simulation)
+    one = distributed(read[0] if read else None, simulation)
     vector, state = simulation.rothe_step.state.vec, one.arrays[""]["state"]
     numbers = one.numbers[""]
     number = int(numbers["step"])

@@ -16,6 +16,7 @@ from ngvisco.geometries import box
 from ngvisco.parallel.communicator import TRAFFIC, Communicator
 from ngvisco.physics.variables import Jacobian
 from ngvisco.reduced.residual import Evaluation
+from ngvisco.run.passive import NAMES
 from ngvisco.solver.options import SplitOptions, TwoLevelOptions
 from ngvisco.solver.split.preconditioner import Preconditioner
 
@@ -62,7 +63,9 @@ def lid(solver: str = "coupled") -> nv.Simulation:
     return nv.Simulation(mesh, model, dt=0.05, walls=walls, scheme="midpoint", solver=solver)
 
 
-def creep(solver: str = "coupled", regularisation: nv.Regularisation | None = REGULARISED) -> nv.Simulation:
+def creep(
+    solver: str = "coupled", regularisation: nv.Regularisation | None = REGULARISED, **options
+) -> nv.Simulation:
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
         viscosity=VISCOSITY,
@@ -70,7 +73,7 @@ def creep(solver: str = "coupled", regularisation: nv.Regularisation | None = RE
         regularisation=regularisation,
     )
     initial = nv.Initial(velocity=SWIRL)
-    return nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=initial, solver=solver)
+    return nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=initial, solver=solver, **options)
 
 
 def limited() -> nv.Simulation:
@@ -138,7 +141,25 @@ def observed(dim: int) -> nv.Simulation:
     return run
 
 
+def yosida(solver: str) -> nv.Simulation:
+    law = nv.Yosida(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"), eps=1e-3)
+    model = nv.Model(material=law, viscosity=VISCOSITY, loads=[gravity(2)])
+    initial = nv.Initial(velocity=SWIRL)
+    return nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=initial, solver=solver)
+
+
+def carried(dim: int) -> nv.Simulation:
+    """With passive fields of all kinds, looked at by a table."""
+    run = block(passive=NAMES) if dim == 3 else creep(passive=NAMES)
+    run.observers = [nv.Probes({"p": (0.3,) * dim}, fields=["F_tot", "reference_map", "creep_strain"])]
+    return run
+
+
 CASES = {
+    "carried": lambda: carried(2),
+    "carried in space": lambda: carried(3),
+    "Yosida": lambda: yosida("coupled"),
+    "split Yosida": lambda: yosida("split"),
     "observed": lambda: observed(2),
     "observed block": lambda: observed(3),
     "bodies": lambda: bodies("coupled"),

@@ -39,6 +39,8 @@ name = "centre"
 point = [0.5, 0.5]
 fields = ["velocity", "F"]
 [output.forces]
+[output]
+passive = ["reference_map"]
 """
 
 
@@ -49,8 +51,9 @@ def found(ranks, *names):
     return json.loads(result.stdout.splitlines()[-1])
 
 
-SHORT = ("midpoint", "observed", "split", "split bodies", "parameters")
+SHORT = ("midpoint", "observed", "split", "split bodies", "parameters", "carried", "Yosida")
 COUPLED = (
+    "carried in space",
     "bodies",
     "observed block",
     "swirl",
@@ -63,6 +66,7 @@ COUPLED = (
     "limited",
 )
 SPLIT = (
+    "split Yosida",
     "split bodies",
     "split parameters",
     "split",
@@ -187,10 +191,34 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, solver):
     assert ngvisco("scene", several).returncode == 0  # pieces are read as one
 
 
+@pytest.mark.long
+@pytest.mark.ci
+def test_a_run_on_ranks_goes_on_changed_and_from_another_mesh(case_file, tmp_path):
+    """As on one process: the ledger, what the change and the transfer cost, the case that is written."""
+    places = {}
+    for ranks in (1, 3):
+        first, other = tmp_path / f"first {ranks}", tmp_path / f"other {ranks}"
+        until = ("--set", "time.until=0.02")
+        change = ("--set", "material.G_e=4", "--until", "0.04")
+        finer = ("--set", "domain.maxh=0.4", "--set", "time.until=0.06", "--from", first)
+        for words in (
+            ("run", case_file, "-o", first, *until),
+            ("resume", first, *change),
+            ("run", case_file, "-o", other, *finer),
+        ):
+            done = ngvisco(*words, "--quiet", ranks=ranks)
+            assert done.returncode == 0, done.stderr
+        places[ranks] = first, other
+    for alone, several in zip(places[1], places[3], strict=True):
+        assert_same_ledger(rows(alone), rows(several))
+        assert any(abs(row["transfer"]) > 1e-6 for row in rows(several))
+        assert_same_tables(*([read(place / "samples" / "centre.csv")] for place in (alone, several)))
+        assert (alone / "case.toml").read_text() == (several / "case.toml").read_text()
+
+
 REFUSED = {
     "domain.periodic='x'": "identified boundaries are not distributed",
     "rheology.regularisation={delta_fields=0.01}; solver.method='split'": "couples cells of different ranks",
-    "output.passive=['F_tot']": "no passive fields on several ranks",
     "output.probes=[{name='p',point=[2, 0]}]": "a point of the domain, which lies in",
     "material.G_e=-1": "expected a finite number > 0",
     "initial.density='x - 0.1'": "density rho_0",
