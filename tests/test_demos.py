@@ -115,6 +115,7 @@ SCRIPTS = {
     "creep": lambda demo: demo.simulation(maxh=0.6),
     "shear": lambda demo: demo.simulation(),
     "shell": lambda demo: demo.simulation(maxh=0.7),
+    "slab": lambda demo: demo.simulation(cells=(6, 6)),
     "soft_disc": lambda demo: demo.simulation(maxh=0.3),
     "swirl": lambda demo: demo.simulation(maxh=0.35),
     "swirl3d": lambda demo: demo.simulation(maxh=0.9),
@@ -135,7 +136,7 @@ MAXH = {
     "wave": 0.4,
 }
 """Of each demo's script the run that its case file describes, on a mesh that is soon computed."""
-CELLS = {"collision": [7, 4]}
+CELLS = {"collision": [7, 4], "slab": [6, 6]}
 """The same of boxes of rows of cells."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -162,3 +163,15 @@ def largest_eigenvalue(matrix: sp.csr_matrix) -> float:
         return float(np.linalg.eigvalsh(scaled.toarray()).max(initial=1.0))
     start = np.random.default_rng(0).standard_normal(scaled.shape[0])
     return float(eigsh(scaled, k=1, which="LA", v0=start, tol=0.02, return_eigenvectors=False)[0])
+
+
+@cache
+def is_available(inverse: str) -> bool:
+    """Whether NGSolve, as it is installed, has this sparse direct solver: found by asking it for one."""
+    if inverse == "umfpack":
+        return True
+    try:
+        SparseMatrixd.CreateFromCOO([0, 1], [0, 1], [1.0, 1.0], 2, 2).Inverse(inverse=inverse)
+    except Exception:  # NGSolve raises NgException and RuntimeError
+        return False
+    return True

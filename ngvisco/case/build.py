@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from ngvisco.case import catalogue, toml
 from ngvisco.case.errors import CaseError, Fault
 from ngvisco.case.faults import Locator, faults_of, key_of
-from ngvisco.case.places import copy_of, digest_of, place_of, reads_z, shapes_with_files
+from ngvisco.case.places import copy_of, digest_of, parts_of, reads_z, shape_of, shapes_with_files, united
 from ngvisco.case.samples import samples
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import Section, field_names, made, parameters
@@ -44,6 +44,7 @@ from ngvisco.run.observers import LedgerCSV, VTKSeries
 from ngvisco.run.ranks import abort_alone
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.shapes.fractions import volumes
+from ngvisco.shapes.shape import Shape
 
 MAX_FILE_SIZE = 1_000_000
 
@@ -238,10 +239,18 @@ class Case:
             if section is not None:
                 with self.located(*path, name):
                     values[_MODEL_NAMES.get(name, name)] = made(section)
-        with self.located(*path, "where"):
-            values["where"] = place_of(part.where, self.directory)
+        values["where"] = united([shape for _, shape in self._places(number)])
         with self.located(*path):
             return Body(name=part.name, density=part.density, order=part.order, **values)
+
+    def _places(self, number: int) -> list[tuple[tuple[str, ...], Shape]]:
+        """Shapes of which a body's place is the union, with their key paths; none for the rest."""
+        found = []
+        for key, part in parts_of(self.sections.bodies[number].where):
+            path = ("bodies", str(number), "where", *key)
+            with self.located(*path):
+                found.append((path, shape_of(part, self.directory)))
+        return found
 
     def simulation(self, mesh: Mesh, observers: Sequence[Observer] = ()) -> Simulation:
         """The simulation at its initial state; raises CaseError for data that the model refuses."""
@@ -288,9 +297,12 @@ class Case:
     def _check_bodies(self, mesh: Mesh) -> None:
         """Raise CaseError for a body that is nowhere in the mesh, or whose place does not fit it."""
         for i, body in enumerate(self.sections.bodies):
+            volume = 0.0
+            for path, shape in self._places(i):
+                with self.located(*path):
+                    volume += volumes(mesh, [shape])[0]
             with self.located("bodies", str(i), "where"):
-                place = place_of(body.where, self.directory)
-                if place is not None and not volumes(mesh, [place])[0] > 0:
+                if body.where is not None and not volume > 0:
                     raise ParameterError("bodies.where", body.where, "a place within the domain: it is empty")
 
     def observers(self, directory: str | os.PathLike[str], until: float | None = None) -> list[Observer]:
@@ -371,8 +383,9 @@ class Case:
             value = error.value if given is None else given
             raise self._error(key, f"{value!r:.60}: expected {error.expected}") from error
         except UnknownNameError as error:
-            where = _SECTION_OF_NAME.get(error.kind, path)
-            raise self._error((*where, error.name), str(error)) from error
+            where = (*_SECTION_OF_NAME.get(error.kind, path), error.name)
+            key = (*path, "names") if error.kind == "subdomain" else where
+            raise self._error(key, str(error)) from error
         except InitialDataError as error:
             material: Any = self.sections.material
             if error.field == "stored energy" and self._starts_at_rest and material is not None:
@@ -411,7 +424,6 @@ _MODEL_NAMES = {"linear_viscosity": "viscosity"}
 _SECTION_OF_NAME = {
     "material variable": ("initial", "values"),
     "passive field": ("output", "passive"),
-    "subdomain": ("bodies",),
     "boundary": ("walls",),
     "wall": ("domain", "refine"),
 }

@@ -151,7 +151,9 @@ def key_of(field: str, path: tuple[str, ...], sections: Any) -> tuple[str, ...]:
     if owner == "bodies":
         names = [body.name for body in sections.bodies]
         return (owner, str(names.index(rest[0])), *rest[1:]) if rest[:1] and rest[0] in names else path
-    if owner in (*catalogue.SHAPES, "Where"):
+    if owner in catalogue.SHAPES and path[:1] == ("bodies",):
+        return (*path, *rest)
+    if owner == "Where":
         return path
     if owner == "Model" and rest[:1] == ["bodies"]:
         return ("bodies",)

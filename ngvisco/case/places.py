@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +16,25 @@ from ngvisco.shapes.shape import Shape, Union, Where
 
 def place_of(where: Any, directory: Path) -> Shape | None:
     """The shape that a body's key ``where`` describes; its file is sought from ``directory``."""
-    if where is None:
-        return None
-    if isinstance(where, str):
-        return Where(parse_region(where).coefficient())
+    return united([shape_of(part, directory) for _, part in parts_of(where)])
+
+
+def united(shapes: Sequence[Shape]) -> Shape | None:
+    """The shape of several; None of none."""
+    return shapes[0] if len(shapes) == 1 else Union(shapes) if shapes else None
+
+
+def parts_of(where: Any) -> list[tuple[tuple[str, ...], Any]]:
+    """What ``where`` is the union of, with the rest of the key paths."""
     if isinstance(where, list):
-        return Union([_shape(part, directory) for part in where])
-    return _shape(where, directory)
+        return [((str(i),), part) for i, part in enumerate(where)]
+    return [] if where is None else [((), where)]
 
 
-def _shape(part: Any, directory: Path) -> Shape:
+def shape_of(part: Any, directory: Path) -> Shape:
+    """The shape of a condition or of a table."""
+    if isinstance(part, str):
+        return Where(parse_region(part).coefficient())
     values = parameters(part)
     if "path" in values:
         values["path"] = str((directory / values["path"]).resolve())

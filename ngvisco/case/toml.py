@@ -24,6 +24,7 @@ def key_lines(text: str) -> dict[tuple[str, ...], int]:
         if header:
             table = _split(header[2])
             if header[1]:
+                table = (*_indexed(table[:-1], counts), table[-1])
                 counts[table] = counts.get(table, -1) + 1
                 lines.setdefault(table, number)
                 table = (*table, str(counts[table]))
@@ -40,10 +41,12 @@ def key_lines(text: str) -> dict[tuple[str, ...], int]:
 
 def _indexed(table: tuple[str, ...], counts: dict[tuple[str, ...], int]) -> tuple[str, ...]:
     """[loads.x] after [[loads]] belongs to the last of the loads."""
-    for length in range(len(table), 0, -1):
-        if table[:length] in counts:
-            return (*table[:length], str(counts[table[:length]]), *table[length:])
-    return table
+    path: tuple[str, ...] = ()
+    for part in table:
+        path = (*path, part)
+        if path in counts:
+            path = (*path, str(counts[path]))
+    return path
 
 
 def _split(path: str) -> tuple[str, ...]:

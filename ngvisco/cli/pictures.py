@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from ngsolve import CoefficientFunction, SetNumThreads
@@ -26,6 +27,7 @@ def plot(options: argparse.Namespace) -> int:
         path = Path(options.movie) if options.movie else out / "movie.gif"
         title = place.case().sections.title
         write_movie(place.vtk, path, names, section=section, frames_per_second=options.fps, title=title)
+        _say_without_outlines(place)
         print(path)
         return 0
     results, chosen = _load(options)
@@ -48,6 +50,7 @@ def scene(options: argparse.Namespace) -> int:
     path, names, title = place.path / "scene.html", _names(options), place.case().sections.title or "ngvisco"
     if options.step is None and read_pvd(place.vtk / "fields.pvd"):
         write_scene_of_series(place.vtk, path, names, title)
+        _say_without_outlines(place)
     else:
         results, chosen = _load(options)
         title = titled(title, results.time)
@@ -65,6 +68,15 @@ def _load(options: argparse.Namespace) -> tuple[Results, dict[str, CoefficientFu
 def _outlines(results: Results) -> list[CoefficientFunction]:
     fields = results.fields
     return [fields[name] for name in outlined(list(fields))]
+
+
+def _say_without_outlines(place: RunDirectory) -> None:
+    """Say why the pictures of a series have no outlines of bodies, where its fields leave them out."""
+    sections = place.case().sections
+    written, bodies = sections.output.vtk.fields, [body.name for body in sections.bodies]
+    if len(bodies) > 1 and written is not None and not outlined(written):
+        wanted = ", ".join([*(f"{name}_fraction" for name in bodies), "body"])
+        print(f"no outlines of bodies: output.vtk.fields leaves out {wanted}", file=sys.stderr)
 
 
 def _names(options: argparse.Namespace) -> list[str] | None:

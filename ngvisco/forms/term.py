@@ -17,6 +17,7 @@ out of a Parameter by ``Get()`` is that of the moment when the form was made.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias, runtime_checkable
@@ -90,6 +91,11 @@ class PointTerm:
     def entries(self, u: Fields) -> list[Entry]:
         """Columns of the energy ledger: none, of a term without power."""
         return []
+
+
+def named(term: Term) -> str:
+    """A term by the name of its class: ``elastic force``."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(term).__name__).lower()
 
 
 Integrands: TypeAlias = Callable[[CoefficientFunction], Sequence[Integrand]]

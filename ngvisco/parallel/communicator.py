@@ -16,6 +16,7 @@ import numpy as np
 from ngsolve import Mesh
 
 from ngvisco.errors import NgviscoError
+from ngvisco.parallel.working import Working, asleep
 
 Result = TypeVar("Result")
 
@@ -59,6 +60,16 @@ class Communicator:
         self.mpi = mpi
         self.size: int = 1 if mpi is None else mpi.size
         self.rank: int = 0 if mpi is None else mpi.rank
+
+    @property
+    def working(self) -> Any:
+        """mpi4py's communicator of the ranks with cells, on the first one its own; None without MPI."""
+        return None if self.mpi is None else Working.of(self.mpi).among
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether this is the rank of several that has no cells."""
+        return self.is_distributed and self.is_first
 
     @classmethod
     def of(cls, mesh: Mesh) -> Communicator:
@@ -135,27 +146,34 @@ class Communicator:
         return not self.any(not value)
 
     def products(self, several: np.ndarray, one: np.ndarray) -> np.ndarray:
-        """Inner products of vectors (n, entries) with one, (n,), each entry on one of the ranks."""
-        return self.totals(several @ one)
+        """Inner products of vectors (n, entries) with one, (n,), each entry on one rank with cells."""
+        return several @ one if self.size == 1 else self._of_cells(several @ one)
 
     def dot(self, a: np.ndarray, b: np.ndarray) -> float:
-        """The inner product of what the ranks hold together, each entry on one of them."""
-        return float(self.total(float(a @ b)))
+        """The inner product of what the ranks with cells hold together, each entry on one of them."""
+        return float(self.products(a[None], b)[0])
 
     def norm(self, values: np.ndarray) -> float:
-        """The Euclidean norm of what the ranks hold together, each entry on one of them."""
+        """The Euclidean norm of what the ranks with cells hold together, each entry on one of them."""
         return float(np.linalg.norm(values)) if self.size == 1 else float(np.sqrt(self.dot(values, values)))
+
+    def _of_cells(self, values: np.ndarray) -> np.ndarray:
+        """The sums over the ranks of values in which the first one, without cells, has no share."""
+        TRAFFIC.reductions += 1
+        return Working.of(self.mpi).sums(values)
 
     def _reduced(self, value: Any, name: str) -> Any:
         from mpi4py import MPI
 
         TRAFFIC.reductions += 1
-        operation = getattr(MPI, name)
-        if not isinstance(value, np.ndarray):
-            return self.mpi.allreduce(value, operation)
-        result = np.empty_like(value)
-        self.mpi.Allreduce(value, result, operation)
-        return result
+        values = value if isinstance(value, np.ndarray) else np.array([value], dtype=float)
+        result = np.empty_like(values)
+        request = self.mpi.Iallreduce(values, result, getattr(MPI, name))
+        if self.is_first:
+            asleep(request)
+        else:
+            request.Wait()
+        return result if isinstance(value, np.ndarray) else float(result[0])
 
     def gathered(self, value: Any) -> list[Any]:
         """All ranks' objects, in their order."""

@@ -141,7 +141,7 @@ class Exchange:
         """Inner products of summed vectors ``several`` (n, unknowns) with ``one``, (n,); collective."""
         if not self.is_distributed:
             return several @ one
-        return self.communicator.totals(several @ np.where(self.owned, one, 0.0))
+        return self.communicator.products(several, np.where(self.owned, one, 0.0))
 
     def norm(self, values: np.ndarray, where: slice = slice(None)) -> float:
         """The Euclidean norm of a summed vector, or of a part of it; collective."""

@@ -72,9 +72,9 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     return part
 
 
-def cell_number(mesh: Mesh, cell: int) -> int:
-    """The number that a cell of this rank has in the whole mesh."""
-    return int(mesh.cells[cell]) if isinstance(mesh, Part) else cell
+def cell_numbers(mesh: Mesh) -> np.ndarray:
+    """The numbers that the cells of this rank have in the whole mesh; their own on one process."""
+    return mesh.cells if isinstance(mesh, Part) else np.arange(mesh.ne)
 
 
 def _numbers(part: Part, ranks: Communicator) -> np.ndarray:

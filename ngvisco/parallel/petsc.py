@@ -1,7 +1,8 @@
 """PETSc for the linear systems: matrices of rows over the ranks, a direct solver and multigrid.
 
 Which unknown is which row: ``Exchange.numbers`` of the free unknowns.  A matrix is the sum of the ranks' own
-ones; PETSc has that as a type (IS) and converts it to rows (AIJ).
+ones; PETSc has that as a type (IS) and converts it to rows (AIJ).  The first rank of several, which has no
+cells, has no rows and takes no part: it would only keep a processor busy.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ PACKAGES = ("mumps", "superlu_dist", "hypre", "ml", "ptscotch", "parmetis")
 
 MISSING = "petsc4py is missing or does not load: see 'Several processes' in the README for what to install"
 
+_loaded: list[Any] = []
+"""The module, once it is asked for."""
+
 
 class PETScError(NgviscoError, RuntimeError):
     """PETSc is missing, or did not solve a system."""
@@ -33,6 +37,8 @@ class SingularError(PETScError, StepError):
 
 def petsc() -> Any:
     """The module ``petsc4py.PETSc``; collective at its first call.  Raises PETScError where there is none."""
+    if _loaded:
+        return _loaded[0]
     try:
         import petsc4py
 
@@ -40,6 +46,9 @@ def petsc() -> Any:
         from petsc4py import PETSc
     except ImportError as error:
         raise PETScError(f"{MISSING} ({error})") from error
+    # at its end PETSc wants a communicator of all ranks, and waits for those that have one already
+    PETSc.COMM_WORLD.duplicate()
+    _loaded.append(PETSc)
     return PETSc
 
 
@@ -56,7 +65,7 @@ def own_part(matrix: BaseMatrix) -> sp.csr_matrix:
 
 
 class Rows:
-    """The free unknowns of a distributed vector as rows of PETSc's matrices and vectors.
+    """The free unknowns of a distributed vector as rows of PETSc's matrices and vectors, on ranks with cells.
 
     Parameters
     ----------
@@ -69,8 +78,10 @@ class Rows:
     def __init__(self, free: np.ndarray, exchange: Exchange) -> None:
         module = petsc()
         self.exchange = exchange
-        self.comm = exchange.communicator.mpi or module.COMM_SELF
-        numbers, self.count = exchange.numbers(free)
+        self.comm = exchange.communicator.working or module.COMM_SELF
+        numbers, count = exchange.numbers(free)
+        self.size = int(np.count_nonzero(free & exchange.owned)), count
+        """Of this rank and in all."""
         self.free = np.flatnonzero(free)
         own = numbers[self.free].astype(module.IntType)
         self._map = module.LGMap().create(indices=own, comm=self.comm)
@@ -86,7 +97,7 @@ class Rows:
         csr = (free.indptr.astype(module.IntType), free.indices.astype(module.IntType), free.data)
         local = module.Mat().createAIJ(size=free.shape, csr=csr, comm=module.COMM_SELF)
         matrix = module.Mat().create(comm=self.comm)
-        matrix.setSizes(self.count)
+        matrix.setSizes((self.size, self.size))
         matrix.setType(module.Mat.Type.IS)
         matrix.setLGMap(self._map)
         matrix.setISLocalMat(local)
@@ -162,8 +173,14 @@ class SumInverse:
 
     def factorise(self, own: sp.csr_matrix) -> None:
         """Of the sum of the ranks' matrices; raises SingularError on every rank if it is singular."""
+        communicator = self.rows.exchange.communicator
+        with communicator.together(SingularError):
+            if not communicator.is_idle:
+                self._factorise(0.5 * (own + own.T) if self.symmetric else own)
+
+    def _factorise(self, own: sp.csr_matrix) -> None:
         module = petsc()
-        matrix = self.rows.matrix(0.5 * (own + own.T) if self.symmetric else own)
+        matrix = self.rows.matrix(own)
         self._solver = module.KSP().create(comm=self.rows.comm)
         self._solver.setOperators(matrix)
         self._solver.setType("preonly")
@@ -180,17 +197,23 @@ class SumInverse:
             self._solver.setUp()
         except module.Error as error:
             raise SingularError(f"{self.method} did not take the matrix ({error})") from error
+        try:
+            self.rows.solve(self._solver, np.zeros(len(self.rows.exchange.owned)))
+        except PETScError as error:  # a zero pivot shows here
+            raise SingularError(f"{self.method} did not take the matrix ({error})") from error
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """The solution for a summed right-hand side; collective."""
         return self.of_parts(np.where(self.rows.exchange.owned, r, 0.0))
 
     def of_parts(self, rows: np.ndarray) -> np.ndarray:
-        """The same for a right-hand side in parts."""
+        """The same for a right-hand side in parts; NaN where the solver does not give one."""
+        if self.rows.exchange.communicator.is_idle:
+            return np.zeros_like(rows)
         try:
             return self.rows.solve(self._solver, rows)
-        except PETScError as error:  # a zero pivot shows here
-            raise SingularError(f"{self.method} did not take the matrix ({error})") from error
+        except PETScError:  # on all ranks with cells; the products that it enters tell it the first one
+            return np.full_like(rows, np.nan)
 
 
 class Direct(BaseMatrix):

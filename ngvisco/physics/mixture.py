@@ -166,6 +166,10 @@ class MixedViscosity(Viscosity):
         theta = self.fractions.at(z)
         return reduce(add, (theta[name] * part.shear_dissipation(eps, z) for name, part in self.parts))
 
+    def shear_viscosity(self, z: Values) -> ValueOfModulus:
+        theta = self.fractions.at(z)
+        return reduce(add, (theta[name] * part.shear_viscosity(z) for name, part in self.parts))
+
     def require_dimension(self, dim: int) -> None:
         for _, part in self.parts:
             part.require_dimension(dim)

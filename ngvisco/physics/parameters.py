@@ -372,6 +372,10 @@ def _operand(value: object) -> Expression | float:
         return value
     number = as_number(value)
     if number is None:
-        expected = "numbers and parameters; a function of the place is one with nv.Parameter(name, start=...)"
+        value = "a function of the place" if isinstance(value, CoefficientFunction) else value
+        expected = (
+            "numbers and parameters; a function of the initial place is a parameter too, nv.Parameter(name, "
+            "start=...), and of the actual place no modulus is one"
+        )
         raise ParameterError("expression of parameters", value, expected)
     return number

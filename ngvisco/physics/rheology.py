@@ -66,6 +66,10 @@ class Viscosity(ABC):
         """D eps : dev eps, W/m^3; with ``bulk_dissipation`` this is D eps : eps >= 0."""
         return inner(self.stress(eps, z), dev(eps))
 
+    def shear_viscosity(self, z: Values) -> ValueOfModulus:
+        """G_v, Pa s, at a point with the values ``z``."""
+        return value_at(self.G_v, z)
+
     def require_dimension(self, dim: int) -> None:
         """Raise ParameterError where the stress of plane flows is none of plane strain."""
         return None

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
-from ngvisco.forms.term import Term
+from ngvisco.forms.term import named
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 
 REST = "walls and other terms"
@@ -27,17 +25,12 @@ def by_terms(residual: ReducedResidual, at: Evaluation) -> dict[str, np.ndarray]
             vector[where] += values.ravel()
 
     for term in [*residual.claims.at_points, *residual.claims.continuity]:
-        add(_named(term), residual.cell_terms.rows([term], at.cells))
-        add(f"{_named(term)} across facets", residual.facet_terms.rows([term], at.facets))
+        add(named(term), residual.cell_terms.rows([term], at.cells))
+        add(f"{named(term)} across facets", residual.facet_terms.rows([term], at.facets))
     if at.hyper is not None:
         count = at.coefficients["v"].shape[1]
         rows = {"v": at.hyper.rows[:, :count], "a": at.hyper.rows[:, count:]}
-        add(_named(residual.claims.hyperviscosity[0]), rows)
+        add(named(residual.claims.hyperviscosity[0]), rows)
     found = {name: residual.exchange.sum(vector) for name, vector in found.items()}
     found[REST] = np.concatenate(at.residual.parts()) - sum(found.values())
     return found
-
-
-def _named(term: Term) -> str:
-    """A term by the name of its class: ``elastic force``."""
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(term).__name__).lower()

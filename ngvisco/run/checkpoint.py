@@ -42,6 +42,7 @@ from ngsolve import Mesh
 
 from ngvisco.errors import CheckpointError, require_count, require_path
 from ngvisco.forms.mesh_arrays import coordinates, vertices
+from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material
 from ngvisco.physics.pointwise import sampled_energies
 from ngvisco.run.files import write_atomically
@@ -406,16 +407,21 @@ def mesh_hash(mesh: Mesh) -> str:
 
 
 def material_signature(material: object) -> str:
-    """Class and numbers of a material; functions by their names."""
-    values = []
-    for field in dataclasses.fields(material) if dataclasses.is_dataclass(material) else ():
-        value = getattr(material, field.name)
-        if isinstance(value, Material):
-            text = material_signature(value)
-        else:
-            text = getattr(value, "__qualname__", None) or repr(value)
-        values.append(f"{field.name}={text}")
+    """Class and numbers of a material, and of the bodies that it is of; functions by their names."""
+    values = [
+        f"{field.name}={_signature_of(getattr(material, field.name))}"
+        for field in (dataclasses.fields(material) if dataclasses.is_dataclass(material) else ())
+        if field.repr  # the place of a body is that of the start alone
+    ]
     return f"{type(material).__name__}({', '.join(values)})"
+
+
+def _signature_of(value: object) -> str:
+    if isinstance(value, (Material, Body)):
+        return material_signature(value)
+    if isinstance(value, tuple):
+        return f"({', '.join(_signature_of(one) for one in value)}{',' * (len(value) == 1)})"
+    return getattr(value, "__qualname__", None) or repr(value)
 
 
 def scheme_signature(simulation: Simulation) -> str:

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 from ngsolve import CF, CoefficientFunction, sqrt
 
-from ngvisco.errors import UnknownNameError
+from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.forms.system import Step
-from ngvisco.physics.material import cauchy_stress
+from ngvisco.physics.material import Material, cauchy_stress
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import dev, if_positive, square, tr
 from ngvisco.run.further_fields import further_fields, usual
@@ -16,6 +16,20 @@ from ngvisco.run.scales import rest_pressure
 
 USUAL = ("density", "J", "velocity", "pressure", "von_mises")
 """What is drawn where nothing is said, as far as a run has it."""
+
+
+_OWN = ("velocity", "density", "cauchy_stress", "pressure", "pressure_from_rest", "von_mises")
+"""Fields of every run."""
+
+
+def require_names_of_their_own(material: Material) -> None:
+    """Raise ParameterError for a variable or a parameter with the name of a field that every run has."""
+    bodies = material.bodies if isinstance(material, Mixture) else ()
+    taken = (*_OWN, *(body.name + _FRACTION for body in bodies), *(["body"] if bodies else []))
+    for variable in material.variables:
+        if variable.name in taken:
+            expected = "another name: a field of the run has this one"
+            raise ParameterError("Variable.name", variable.name, expected)
 
 
 def output_fields(step: Step) -> dict[str, CoefficientFunction]:

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from ngsolve import CF, Id, Integrate, Mesh
+from ngsolve import CF, CoefficientFunction, Id, Integrate, Mesh
 
 from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.forms.momentum import Loading
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.mesh import cell_number
+from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.material import Material, cauchy_stress
+from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.model import Model
-from ngvisco.physics.parameters import Parameter, value_at
+from ngvisco.physics.parameters import Parameter, parameters_in
 from ngvisco.physics.pointwise import squares
 from ngvisco.physics.tensors import square
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 _STEP = 1e-5
 """Strain of the differences from which moduli are taken."""
+_AT_REST = 1e-12
+"""Components of the variables that differ by less from those at rest do so by rounding."""
 _FOLLOWED, _RELAXED, _ACROSS = 20, 5, 4
 """Steps in a wave's passage or in a relaxation time, and cells across the body, that are enough."""
 
@@ -36,7 +39,8 @@ _FOLLOWED, _RELAXED, _ACROSS = 20, 5, 4
 class Scales:
     """Scales in SI units; what does not exist is inf (times) or 0 (speeds, viscosities).
 
-    Of moduli that differ from place to place those are taken that ask most of dt and maxh.
+    Of moduli that differ from place to place and from body to body, each by itself, those are taken that ask
+    most of dt and maxh.
 
     Attributes
     ----------
@@ -148,10 +152,11 @@ class LocalScales:
 
 @dataclass(frozen=True)
 class Place:
-    """Laws at a point, with the values that parameters have there."""
+    """Laws at a point, of one body alone where there are bodies, with the values that parameters have."""
 
     laws: Model
     parameters: dict[str, float]
+    """And the bodies' amounts, of which one is not zero."""
     density: float
     """kg/m^3."""
     state: np.ndarray
@@ -165,31 +170,74 @@ class Place:
         return LocalScales(
             math.sqrt(max(longitudinal, 0.0) / self.density),
             math.sqrt(max(shear, 0.0) / self.density),
-            0.0 if viscosity is None else float(value_at(viscosity.G_v, z)) / self.density,
+            0.0 if viscosity is None else float(viscosity.shear_viscosity(z)) / self.density,
             1 / (2 * shear * mobility) if shear > 0 and mobility > 0 else math.inf,
         )
 
 
 def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
-    """Where each parameter is least and where it is largest, of all ranks; none without parameters."""
+    """Where each parameter is least and where it is largest, the same places on all ranks.
+
+    With bodies those of each body, among the points where there is most of it, at which it is then alone; a
+    body without parameters has one place.  None where there are neither parameters nor bodies.
+    """
     u, model = step.now, step.model
-    parameters = [v.name for v in model.material.variables if isinstance(v, Parameter)]
-    if not parameters:
+    material = model.material
+
+    own = cell_numbers(step.mesh)[sampler.points["nr"]]
+    order = np.argsort(np.concatenate(sampler.ranks.gathered(own)), kind="stable")
+
+    def everywhere(f: CoefficientFunction) -> np.ndarray:
+        """At the points of all ranks, in the order of one process: what is equal is met there first."""
+        return np.concatenate(sampler.ranks.gathered(np.asarray(sampler.values(f))))[order]
+
+    carried = [v.name for v in material.variables if isinstance(v, Parameter)]
+    bodies = material.bodies if isinstance(material, Mixture) else ()
+    if not (carried or bodies):
         return []
-    values, ranks = np.array([sampler.values(u.z_tensors[name]) for name in parameters]), sampler.ranks
-    rho, states = sampler.rows(u.rho)[:, 0], sampler.rows(u.z)
-    own = sorted({int(i) for each in values if len(rho) for i in (each.argmin(), each.argmax())})
-    numbers = np.asarray(sampler.points["nr"])  # of cells
-    ends = [(cell_number(step.mesh, int(numbers[i])), i, values[:, i], float(rho[i]), states[i]) for i in own]
-    every = sorted((end for ends in ranks.gathered(ends) for end in ends), key=lambda end: end[:2])
-    of_all = np.array([end[2] for end in every]).T
-    at = sorted({int(i) for each in of_all for i in (each.argmin(), each.argmax())})
+    values = {name: everywhere(u.z_tensors[name]) for name in carried}
+    rho = everywhere(u.rho)
+    states = everywhere(u.z).reshape(len(rho), -1)
+    if not bodies:
+        at = _ends(values, carried, np.arange(len(rho)))
+        places = (Place(model, _picked(values, i), float(rho[i]), states[i]) for i in at)
+        return _distinct(places)
+    column = [step.layout.states.slices[AMOUNT + body.name].start for body in bodies]
+    amounts = states[:, column]
+    total, most = amounts.sum(axis=1), amounts.argmax(axis=1)
     found: list[Place] = []
-    for i in at:
-        _, _, here, density, state = every[i]
-        named = dict(zip(parameters, map(float, here), strict=True))
-        if not any(_same(named, known.parameters) for known in found):
-            found.append(Place(model, named, density, state))
+    for number, body in enumerate(bodies):
+        own = [p.name for p in parameters_in((body,))]
+        own += [v.name for v in body.material.variables if isinstance(v, Parameter)]
+        among = np.flatnonzero(most == number)
+        if not len(among):  # it is smaller than a cell
+            among = amounts[:, [number]].argmax(axis=0)
+        for i in _ends(values, own, among) or [int(among[amounts[among, number].argmax()])]:
+            alone = np.eye(len(bodies))[number] * total[i]
+            state = states[i].copy()
+            state[column] = alone
+            shares = {AMOUNT + b.name: float(n) for b, n in zip(bodies, alone, strict=True)}
+            here = _picked(values, i) | shares
+            found.append(Place(model, here, (body.density or 0.0) * float(total[i]), state))
+    return _distinct(found)
+
+
+def _ends(values: dict[str, np.ndarray], names: Sequence[str], among: np.ndarray) -> list[int]:
+    """The points among some at which one of the named values is least or largest."""
+    at = ((values[name][among].argmin(), values[name][among].argmax()) for name in names)
+    return sorted({int(among[i]) for both in at for i in both})
+
+
+def _picked(values: dict[str, np.ndarray], i: int) -> dict[str, float]:
+    return {name: float(value[i]) for name, value in values.items()}
+
+
+def _distinct(places: Iterable[Place]) -> list[Place]:
+    """Those that do not have the parameters of one before."""
+    found: list[Place] = []
+    for place in places:
+        if not any(_same(place.parameters, known.parameters) for known in found):
+            found.append(place)
     return found
 
 
@@ -297,12 +345,15 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
         v.name: v.from_distortion(Id(3)) if v.is_strain else u.z_tensors[v.name]
         for v in model.material.variables
     }
-    excess = step.energy.samples(u.z_tensors, sampler) - step.energy.samples(rest, sampler)
     least = sampler.extrema(u.rho)[0]
     places = extreme_places(step, sampler)
-    # energy that a place has stored moves the mass of that place
-    inertia = np.asarray(sampler.values(u.rho)).reshape(excess.shape) if places else least
-    elastic = math.sqrt(2 * ranks.most(abs(excess) / inertia))
+    strains = [abs(sampler.values(u.z_tensors[name] - value)).max(initial=0) for name, value in rest.items()]
+    elastic = 0.0
+    if ranks.most(np.array(strains)) > _AT_REST:  # an energy's rounding is no elastic release
+        excess = step.energy.samples(u.z_tensors, sampler) - step.energy.samples(rest, sampler)
+        # energy that a place has stored moves the mass of that place
+        inertia = np.asarray(sampler.values(u.rho)).reshape(excess.shape) if places else least
+        elastic = math.sqrt(2 * ranks.most(abs(excess) / inertia))
     walls = step.moving_walls.velocities().values()
     moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
     # the smoothed upwinding spreads jumps at its width: by 1e-4 of the domain a step, at most

@@ -41,7 +41,7 @@ from ngvisco.physics.model import Model
 from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.failure import failure_report
-from ngvisco.run.fields import output_fields
+from ngvisco.run.fields import output_fields, require_names_of_their_own
 from ngvisco.run.inputs import (
     check_arguments,
     check_distributed,
@@ -177,6 +177,7 @@ class Simulation:
     ) -> None:
         require_type("Simulation.mesh", mesh, Mesh)
         require_type("Simulation.model", model, Model)
+        require_names_of_their_own(model.material)
         for name, value, kind in (
             ("initial", initial, Initial),
             ("discretisation", discretisation, Discretisation),

@@ -50,7 +50,7 @@ LARGEST_CHANGE, UNCHANGED = 2.0, 0.1
 HALVINGS, MOST_HALVINGS = 3, 20
 """Of a step of fixed length, before the coupled solver is asked: by default, and at most."""
 
-_LAST = Effort.CONTINUATION | Effort.OTHER_SOLVER
+_LAST = Effort.CONTINUATION | Effort.OTHER_SOLVER | Effort.NAMES
 """What is asked where no part of a step is solved from start values at hand."""
 
 
@@ -212,7 +212,8 @@ class FixedStepper:
             size = self._parts >> level
             tau = self.dt * size / self._parts
             try:
-                taken = simulation.integrator.advance(t, tau, simulation.number, efforts)
+                names = Effort.NAMES if level == self.halvings else efforts
+                taken = simulation.integrator.advance(t, tau, simulation.number, efforts | names)
                 self._level = level
                 return Accepted(self._time(position + size), taken, rejections)
             except StepError as failure:
@@ -279,9 +280,10 @@ class AdaptiveStepper:
         estimate = self._estimate_of(simulation)
         while True:
             tau, new_time = self._length(t, stop)
+            names = Effort.NAMES if tau / 2 < self.options.dt_min else Effort.DIRECT
             try:
                 taken = integrator.advance(
-                    t, tau, simulation.number, efforts=Effort.DIRECT, meets=new_time == stop
+                    t, tau, simulation.number, efforts=Effort.DIRECT | names, meets=new_time == stop
                 )
             except StepError as failure:
                 # the cause, which does not say again which step it was

@@ -2,8 +2,8 @@
 
 On another mesh, density and transported variables are projected in L2 cell by cell, the velocity on the new
 mesh's velocities that the walls allow, from values at the new quadrature points.  The density is then scaled
-by one factor, so that the mass is kept to rounding.  With other parameters the state stays as it is, to the
-bit.
+by one factor, so that the mass is kept to rounding; with bodies the amount of each is, and the density is the
+sum of theirs.  With other parameters the state stays as it is, to the bit.
 
 The energy before less that after is the ledger's column ``transfer`` (J): of row 0 where a new ledger
 begins, and of the first row of a ledger that goes on, whose closure holds it.  It is positive where energy
@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from ngsolve import CF, L2, GridFunction, Integrate
 
 from ngvisco.errors import InitialDataError, MeshError, ParameterError
@@ -25,6 +26,9 @@ from ngvisco.forms.given import QuadraturePoints
 from ngvisco.forms.initial import complete
 from ngvisco.forms.locating import Located
 from ngvisco.forms.velocity import project_velocity
+from ngvisco.physics.bodies import Amount
+from ngvisco.physics.mixture import AMOUNT
+from ngvisco.physics.variables import Variable
 from ngvisco.run import checkpoint
 from ngvisco.run.ledger import TRANSFER
 
@@ -42,9 +46,9 @@ class Transfer:
     Attributes
     ----------
     mass : float
-        kg, before and after alike.
+        kg, before and after alike, of each body too.
     scaled : float
-        The factor of the density that makes it so.
+        The factor of the density that makes it so; of bodies that of all of them.
     energy_before, energy_after : float
         J.
     """
@@ -83,7 +87,8 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     MeshError
         If the domains are not the same.
     InitialDataError
-        If a projected density or Jacobian is not admissible, also with a limiter: take a finer mesh.
+        If a projected density or Jacobian is not admissible, also with a limiter, or nothing is left of a
+        body: take a finer mesh.
     """
     old, new = source.rothe_step, target.rothe_step
     _require_fit(source, target)
@@ -116,11 +121,12 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
 
 
 def _require_fit(source: Simulation, target: Simulation) -> None:
-    names = [[(v.name, repr(v)) for v in run.model.material.variables] for run in (source, target)]
-    if names[0] != names[1]:
-        had, has = (", ".join(f"{name}" for name, _ in side) for side in names)
-        expected = f"those of the source, {had}: take its material, with the same elastic_state"
-        raise ParameterError("transfer.target", f"the variables {has}", expected)
+    had, has = (run.model.material.variables for run in (source, target))
+    _require_densities(had, has)
+    if [(v.name, repr(v)) for v in had] != [(v.name, repr(v)) for v in has]:
+        names = [", ".join(v.name for v in side) for side in (had, has)]
+        expected = f"those of the source, {names[0]}: take its material, with the same elastic_state"
+        raise ParameterError("transfer.target", f"the variables {names[1]}", expected)
     if source.mesh.dim != target.mesh.dim:
         raise ParameterError("transfer.target", f"dimension {target.mesh.dim}", f"{source.mesh.dim}")
     if target.number or len(target.ledger.rows) > 1:
@@ -131,6 +137,17 @@ def _require_fit(source: Simulation, target: Simulation) -> None:
     volumes = [Integrate(CF(1.0), run.mesh) for run in (source, target)]
     if abs(volumes[1] / volumes[0] - 1) > _VOLUME:
         raise MeshError(f"the new mesh has the volume {volumes[1]:.6g}, the old one {volumes[0]:.6g}")
+
+
+def _require_densities(had: Sequence[Variable], has: Sequence[Variable]) -> None:
+    """Raise ParameterError for a body of another density: it would not keep both its mass and its volume."""
+    known = {v.name: v.density for v in had if isinstance(v, Amount)}
+    for v in has:
+        if isinstance(v, Amount) and known.get(v.name, v.density) != v.density:
+            name = f"bodies[{v.name.removeprefix(AMOUNT)!r}].density"
+            raise ParameterError(
+                name, v.density, f"{known[v.name]:.6g} kg/m^3, as in the run that it goes on"
+            )
 
 
 def _energy(run: Simulation) -> float:
@@ -153,8 +170,39 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
         float(run.rothe_step.quadrature.integrate_cells(run.rothe_step.now.rho)) for run in (source, target)
     ]
     factor = masses[0] / masses[1]
-    parts["rho"].vec.FV().NumPy()[:] *= factor
+    rho_h = parts["rho"].vec.FV().NumPy()
+    if new.model.bodies:
+        rho_h[:] = _kept_bodies(source, target, parts["z"].vec.FV().NumPy().reshape(z.shape[1], -1))
+    else:
+        rho_h[:] *= factor
     return factor
+
+
+def _kept_bodies(source: Simulation, target: Simulation, values: np.ndarray) -> np.ndarray:
+    """Scale each body's amount, among the coefficients of the variables, so that it has its mass.
+
+    Returns
+    -------
+    array (functions,)
+        Coefficients of the density sum rho_i n_i.
+    """
+    old, new = source.rothe_step, target.rothe_step
+    rho = np.zeros(values.shape[1])
+    for v in target.model.material.variables:
+        if not isinstance(v, Amount):
+            continue
+        before, after = (
+            float(step.quadrature.integrate_cells(step.now.z_tensors[v.name])) for step in (old, new)
+        )
+        if not after > 0:
+            body = f"body {v.name.removeprefix(AMOUNT)}"
+            raise InitialDataError(
+                f"transferred {body}", f"a volume of {after:.3g}", "> 0: take a finer mesh"
+            )
+        amount = values[new.layout.states.slices[v.name].start]
+        amount *= before / after
+        rho += v.density * amount
+    return rho
 
 
 def _set_velocity(source: Simulation, target: Simulation, points: QuadraturePoints, at: Located) -> None:

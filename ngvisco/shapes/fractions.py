@@ -1,9 +1,10 @@
 """How much of each cell shapes fill, as polynomials on the cells.
 
 A cell that a surface cuts is divided into sub-cells; in each of them the surface is that of the level's
-linear interpolation, whose share of a simplex is known exactly.  The shares' L2 projection is the fraction,
-and is scaled towards its mean where it leaves [0, 1] (Zhang, Shu), so that the volume is that of the shares.
-For a level that is smooth the volume's error is of second order in the sub-cells' size.
+linear interpolation, whose share of a simplex is known exactly.  It cuts off edges and what is convex by the
+square of the sub-cells' size, so the same is done with sub-cells of twice the size, and extrapolated.
+The shares' L2 projection is the fraction, and is scaled towards its mean where it leaves [0, 1] (Zhang, Shu),
+so that the volume is that of the shares.
 
 Several shapes lie over each other like sheets of paper, the last one on top: their fractions and that of the
 rest sum to one at every point.
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from ngvisco.shapes.shape import Shape
 
 _LOOKED_AT = 4  # pieces of a cell's edges, at whose ends a surface is looked for
-_PIECES = {2: 32, 3: 12}  # of the edges of cells that a surface cuts
+_PIECES = {2: 32, 3: 12}  # of the edges of cells that a surface cuts, even numbers
 _INSET = 1e-9
 """How far, of their distance to the cell's middle, levels are taken inside the cell: a surface that is a side
 of the cell then leaves no doubt on which side the cell lies."""
@@ -89,12 +90,12 @@ def _groups(mesh: Mesh) -> Iterator[tuple[np.ndarray, bool]]:
 
 def _shares(
     mesh: Mesh, cells: np.ndarray, is_quad: bool, shapes: Sequence[Shape]
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Some of the cells and the shares of their sub-cells, (shapes and rest, cells, sub-cells).
+) -> Iterator[tuple[np.ndarray, list[np.ndarray]]]:
+    """Some of the cells, and the shares of small and of large sub-cells, (shapes and rest, cells, sub-cells).
 
     Cells that no surface is seen to cut, and that have no such neighbour, are one sub-cell.
     """
-    corners, _ = subdivision(mesh.dim, _LOOKED_AT, is_quad)
+    corners, _ = subdivision(mesh.dim, _LOOKED_AT, is_quad)  # sides suffice
     levels = _levels(mesh, cells, corners, shapes)
     inside = levels > 0
     is_cut = (inside.any(axis=2) & ~inside.all(axis=2)).any(axis=0)
@@ -105,19 +106,26 @@ def _shares(
     near[0] = False
     is_cut = near[vertices].any(axis=1)
     whole = ~is_cut
-    yield cells[whole], _layered(inside[:, whole, :1].astype(float))
+    yield cells[whole], [_layered(inside[:, whole, :1].astype(float))]
     corners, pieces = subdivision(mesh.dim, _PIECES[mesh.dim], is_quad)
+    large = _larger(mesh.dim, _PIECES[mesh.dim], is_quad)
     cut = cells[is_cut]
     for some in np.array_split(cut, max(1, len(cut) * len(pieces) // _AT_ONCE)):
         if len(some):
-            levels = _levels(mesh, some, corners, shapes)
-            yield some, _layered(share_of_simplex(levels[..., pieces]))
+            levels = _levels(mesh, some, corners, shapes, np.concatenate([pieces, large]))
+            yield some, [_layered(share_of_simplex(levels[..., each])) for each in (pieces, large)]
 
 
-def _levels(mesh: Mesh, cells: np.ndarray, corners: np.ndarray, shapes: Sequence[Shape]) -> np.ndarray:
+def _levels(
+    mesh: Mesh,
+    cells: np.ndarray,
+    corners: np.ndarray,
+    shapes: Sequence[Shape],
+    pieces: np.ndarray | None = None,
+) -> np.ndarray:
     """At the reference points ``corners`` of cells, (shapes, cells, corners)."""
     middle = corners.mean(axis=0)
-    places = Places(mesh, cells, middle + (1 - _INSET) * (corners - middle))
+    places = Places(mesh, cells, middle + (1 - _INSET) * (corners - middle), pieces)
     levels = [shape.level(places) for shape in shapes]
     return np.array(levels).reshape(len(shapes), len(cells), len(corners))
 
@@ -189,6 +197,15 @@ def subdivision(dim: int, count: int, is_quad: bool = False) -> tuple[np.ndarray
     return corners / count, pieces.reshape(-1, dim + 1)
 
 
+def _larger(dim: int, count: int, is_quad: bool) -> np.ndarray:
+    """The sub-cells of twice the size, (pieces, dim + 1), by the numbers of the corners of the small ones."""
+    small, (corners, pieces) = subdivision(dim, count, is_quad)[0], subdivision(dim, count // 2, is_quad)
+    numbers = {
+        tuple(corner): i for i, corner in enumerate(small)
+    }  # quotients of whole numbers: the same ones
+    return np.array([numbers[tuple(corner)] for corner in corners])[pieces]
+
+
 def _powers(dim: int, order: int) -> list[tuple[int, ...]]:
     """Exponents of the monomials of the reference coordinates up to a degree; the constant first."""
     every = itertools.product(range(order + 1), repeat=dim)
@@ -201,32 +218,59 @@ def _monomials(points: np.ndarray, powers: Sequence[tuple[int, ...]]) -> np.ndar
 
 
 def _projected(
-    mesh: Mesh, cells: np.ndarray, is_quad: bool, shares: np.ndarray, powers: Sequence[tuple[int, ...]]
+    mesh: Mesh,
+    cells: np.ndarray,
+    is_quad: bool,
+    shares: Sequence[np.ndarray],
+    powers: Sequence[tuple[int, ...]],
 ) -> np.ndarray:
     """Coefficients of the shares' projection, within [0, 1]: (shapes and rest, monomials, cells)."""
-    parts, _, count = shares.shape
-    if count == 1:  # the same all over a cell
-        result = np.zeros((parts, len(powers), len(cells)))
-        result[:, 0] = shares[..., 0]
+    if len(shares) == 1:  # the same all over a cell
+        result = np.zeros((len(shares[0]), len(powers), len(cells)))
+        result[:, 0] = shares[0][..., 0]
         return result
-    corners, pieces = subdivision(mesh.dim, _PIECES[mesh.dim], is_quad)
+    count = _PIECES[mesh.dim]
+    polynomials, means = _projection(mesh, cells, is_quad, shares[0], powers, count)
+    others = _projection(mesh, cells, is_quad, shares[1], powers, count // 2)
+    # errors of second order: a quarter of those of twice the size
+    extrapolated = [
+        fine + (fine - coarse) / 3 for fine, coarse in zip((polynomials, means), others, strict=True)
+    ]
+    is_share = ((extrapolated[1] >= 0) & (extrapolated[1] <= 1)).all(axis=0, keepdims=True)
+    polynomials, means = (
+        np.where(is_share, better, fine)
+        for better, fine in zip(extrapolated, (polynomials, means), strict=True)
+    )
+    corners, _ = subdivision(mesh.dim, count, is_quad)
+    return np.moveaxis(_limited(polynomials, means, _monomials(corners, powers)), 2, 1)
+
+
+def _projection(
+    mesh: Mesh,
+    cells: np.ndarray,
+    is_quad: bool,
+    shares: np.ndarray,
+    powers: Sequence[tuple[int, ...]],
+    count: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients of a projection, (shapes and rest, cells, monomials), and its means, (..., cells, 1)."""
+    corners, pieces = subdivision(mesh.dim, count, is_quad)
     # a rule of degree two in each sub-cell: points between its middle and its corners
     rule = _RULES[mesh.dim]
     points = np.einsum("qv,pvd->pqd", rule, corners[pieces]).reshape(-1, mesh.dim)
-    values = _monomials(points, powers).reshape(count, len(rule), -1)
+    values = _monomials(points, powers).reshape(len(pieces), len(rule), -1)
     if mesh.GetCurveOrder() <= 1 and not is_quad:
         weighted = values.mean(axis=1)[None]  # cells of constant Jacobian, which drops out
         gram = np.einsum("pqi,pqj->ij", values, values)[None] / len(rule)
     else:
         J = Places(mesh, cells, points).values(Det(specialcf.JacobianMatrix(mesh.dim)))
-        J = np.abs(J).reshape(len(cells), count, len(rule)) / len(rule)
+        J = np.abs(J).reshape(len(cells), len(pieces), len(rule)) / len(rule)
         weighted = np.einsum("cpq,pqi->cpi", J, values)
         gram = np.einsum("cpq,pqi,pqj->cij", J, values, values, optimize=True)
     weighted = np.broadcast_to(weighted, (len(cells), *weighted.shape[1:]))
     load = np.einsum("scp,cpi->sci", shares, weighted)
     polynomials = np.linalg.solve(gram[None], load[..., None])[..., 0]
-    means = load[..., :1] / weighted[..., 0].sum(axis=1)[None, :, None]
-    return np.moveaxis(_limited(polynomials, means, _monomials(corners, powers)), 2, 1)
+    return polynomials, load[..., :1] / weighted[..., 0].sum(axis=1)[None, :, None]
 
 
 def _limited(polynomials: np.ndarray, means: np.ndarray, values: np.ndarray) -> np.ndarray:

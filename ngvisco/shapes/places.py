@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,14 @@ class Places:
         Numbers of the cells.
     reference : array (points, dim)
         In each of them, in the coordinates of the reference cell.
+    pieces : array (pieces, dim + 1), optional
+        The sub-cells whose corners the points are, by the points' numbers.
     """
 
     mesh: Mesh
     cells: np.ndarray
     reference: np.ndarray
+    pieces: np.ndarray | None = None
 
     @cached_property
     def points(self) -> np.ndarray:
@@ -47,6 +51,33 @@ class Places:
     def cell_numbers(self) -> np.ndarray:
         """The cell of each point, (cells * points,)."""
         return np.repeat(self.cells, len(self.reference))
+
+    def of_cut_pieces(self, inside: np.ndarray) -> np.ndarray:
+        """Numbers of the points in sub-cells that lie on both sides of a surface; none without sub-cells.
+
+        Parameters
+        ----------
+        inside : array of bool (cells * points,)
+        """
+        if self.pieces is None:
+            return np.zeros(0, dtype=int)
+        found = np.zeros((len(self.cells), len(self.reference)), dtype=bool)
+        sides = inside.reshape(found.shape)[:, self.pieces]
+        cell, piece = np.nonzero(sides.any(axis=2) & ~sides.all(axis=2))
+        found[cell[:, None], self.pieces[piece]] = True
+        return np.flatnonzero(found)
+
+    @cached_property
+    def spacing(self) -> np.ndarray:
+        """The longest edge of the sub-cells, or the largest distance of points, of each point's cell, m."""
+        places = self.coordinates.reshape(len(self.cells), len(self.reference), -1)
+        if self.pieces is None:
+            longest = np.linalg.norm(np.ptp(places, axis=1), axis=1)
+        else:
+            pairs = [self.pieces[:, list(ends)] for ends in combinations(range(self.mesh.dim + 1), 2)]
+            ends = np.unique(np.concatenate(pairs), axis=0)
+            longest = np.linalg.norm(places[:, ends[:, 0]] - places[:, ends[:, 1]], axis=2).max(axis=1)
+        return np.repeat(longest, len(self.reference))
 
 
 def mesh_points(mesh: Mesh, cells: np.ndarray, reference: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,8 +19,8 @@ from ngvisco.shapes.shape import Shape
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _SAME = 1e-6  # of the surface's size: corners that are this close are one, as files round them
-_DIRECTION = np.array([0.267261, 0.534522, 0.801784])
-"""Of the rays, along no axis and no diagonal, so that they meet edges of usual surfaces by accident only."""
+_RAYS = np.array([[1, 2, 3], [5, -7, 3], [27, 12, -17]]) / np.sqrt([[14], [83], [1162]])
+"""Directions normal to each other, along no axis and no diagonal: rays meet usual edges by accident only."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,12 @@ class ClosedSurface(Shape):
     def level(self, at: Places) -> np.ndarray:
         if at.mesh.dim != 3:
             raise ParameterError("ClosedSurface.path", self.path, "a mesh in space: it is a surface of space")
-        # of one size: where parts overlap, or the surface is there twice, the number would move the surface
-        return np.where(crossings(self.triangles, at.coordinates) > 0, 0.5, -0.5)
+        # by side: where parts overlap, or the surface is there twice, the number would move the surface
+        inside = crossings(self.triangles, at.coordinates) > 0
+        size = at.spacing.copy()
+        near = at.of_cut_pieces(inside)
+        size[near] = np.minimum(size[near], distances(self.triangles, at.coordinates[near]))
+        return np.where(inside, size, -size)
 
 
 def _read(path: Path) -> np.ndarray:
@@ -155,9 +160,47 @@ def crossings(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     -------
     array (points,)
     """
-    # both are sorted into squares of the plane normal to the rays: a ray is held against those triangles
+    height, heights = points @ _RAYS[0], triangles @ _RAYS[0]
+    beside = np.flatnonzero((height >= heights.min()) & (height <= heights.max()))
+    result = np.zeros(len(points))
+    for members, sense, above in _met(triangles, points[beside], _RAYS[0]):
+        result[beside[members]] = np.sum(np.where(above > 0, sense, 0.0), axis=1)
+    return result
+
+
+def distances(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """How far points are from a surface along the nearest of three lines normal to each other, m.
+
+    Beside a plane face that is a multiple of the distance from it, sqrt(3) times at most; inf where none of
+    the lines meets the surface.
+
+    Parameters
+    ----------
+    triangles : array (triangles, 3, 3)
+    points : array (points, 3)
+
+    Returns
+    -------
+    array (points,)
+    """
+    result = np.full(len(points), np.inf)
+    for ray in _RAYS:
+        for members, _, above in _met(triangles, points, ray):
+            nearest = np.nanmin(np.abs(above), axis=1, initial=np.inf)
+            result[members] = np.minimum(result[members], nearest)
+    return result
+
+
+def _met(
+    triangles: np.ndarray, points: np.ndarray, ray: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Where lines through points, of one direction, meet triangles.
+
+    Yields numbers of points, (n,), whether triangles that they may meet are left (1) or entered (-1),
+    (triangles,), and how far above the points these are met, (n, triangles), m, NaN where they are not.
+    """
+    # both are sorted into squares of the plane normal to the lines: a line is held against those triangles
     # only that it can meet
-    ray = _DIRECTION / np.linalg.norm(_DIRECTION)
     across = np.cross(ray, (1.0, 0.0, 0.0)) / np.linalg.norm(ray[1:])
     plane = np.array([across, np.cross(ray, across)])  # with the ray a right-handed frame
     along = triangles @ ray
@@ -169,10 +212,10 @@ def crossings(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     def square(where: np.ndarray) -> np.ndarray:
         return np.clip(((where - low) / step).astype(int), 0, count - 1)
 
-    result = np.zeros(len(points))
     first, last = square(flat.min(axis=1)), square(flat.max(axis=1))
-    near = ((at >= low) & (at <= high)).all(axis=1) & (height <= along.max())
-    todo = np.flatnonzero(near)
+    todo = np.flatnonzero(((at >= low) & (at <= high)).all(axis=1))
+    if not len(todo):
+        return
     own = square(at[todo]) @ np.array([count, 1])
     order = np.argsort(own, kind="stable")
     squares, starts = np.unique(own[order], return_index=True)
@@ -180,12 +223,12 @@ def crossings(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
         i, j = divmod(int(number), count)
         meets = (first[:, 0] <= i) & (last[:, 0] >= i) & (first[:, 1] <= j) & (last[:, 1] >= j)
         if meets.any():
-            result[members] = _through(flat[meets], along[meets], at[members], height[members])
-    return result
+            sense, heights = _heights(flat[meets], along[meets], at[members])
+            yield members, sense, heights - height[members, None]
 
 
-def _through(flat: np.ndarray, along: np.ndarray, at: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Signed number of triangles above each point."""
+def _heights(flat: np.ndarray, along: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sense of triangles, and where along the lines they are met, (points, triangles)."""
     a, b, c = flat.transpose(1, 0, 2)[:, None]
     p = at[:, None]
 
@@ -200,4 +243,4 @@ def _through(flat: np.ndarray, along: np.ndarray, at: np.ndarray, height: np.nda
     hit = (parts * sense > 0).all(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         met = np.einsum("ipt,ti->pt", parts, along) / whole
-    return np.sum(np.where(hit & (met > height[:, None]), sense, 0.0), axis=1)
+    return sense[0], np.where(hit, met, np.nan)

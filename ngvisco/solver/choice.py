@@ -46,7 +46,7 @@ def default_strategies(step: Step, options: NewtonOptions) -> tuple[Strategy, ..
     largest = options.split.coupled_up_to
     return (
         FromExtrapolation(name="split, extrapolated start", solver="split"),
-        FromStartValue(name="split", solver="split"),
+        FromStartValue(name="split", solver="split", courant=0.8),
         # fewer widths than the coupled solver's, which comes after it
         UpwindingContinuation(
             name="split, wide upwinding", solver="split", path=replace(WIDTHS, tries=6), lengths=None

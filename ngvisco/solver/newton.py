@@ -20,94 +20,24 @@ increment of that size, or one below the tolerance with the norm's coarse floor 
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
-from ngsolve import BaseMatrix, BaseVector, BilinearForm, BitArray, SetHeapSize
+from ngsolve import BaseVector, BilinearForm
 
+from ngvisco.algebra.condensed import CondensedJacobian
 from ngvisco.errors import StepError
+from ngvisco.forms.term_rows import TermRows
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.parallel.petsc import Direct
 from ngvisco.solver.cost import Allowance
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status
+from ngvisco.solver.solution import LINEAR, NewtonIteration, Problem, Solution, Status, in_words
 
 
 class _TooCostlyError(StepError):
     """The time that the solver may take does not suffice for another factorisation."""
-
-
-class CondensedJacobian:
-    """The factorised linearisation of a condensed form; applies its inverse to full residuals."""
-
-    def __init__(
-        self,
-        form: BilinearForm,
-        inverse: str,
-        heap_sizes: Sequence[int] = (),
-        ranks: Communicator | None = None,
-    ) -> None:
-        """``heap_sizes`` are NGSolve's memory, bytes, tried for the matrix of a cell that its own is too
-        small for.  On several ranks the inverse is that of PETSc's MUMPS."""
-        self.form, self.inverse_type, self.heap_sizes = form, inverse, heap_sizes
-        self.ranks = ranks or Communicator()
-        self.free: BitArray = form.space.FreeDofs(True)
-        self._inverse: BaseMatrix | None = None
-        self._rhs: BaseVector | None = None
-
-    @property
-    def exists(self) -> bool:
-        return self._inverse is not None
-
-    def factorise(self, state: BaseVector) -> None:
-        """Assemble and factorise at ``state``; raises StepError if the matrix is singular."""
-        for work in (self._assemble, self._invert):
-            failure = None
-            try:
-                work(state)
-            except Exception as error:  # NGSolve raises NgException and std::exception alike
-                failure = error
-            together = self.ranks.agree(failure)
-            if together is not None:
-                self._inverse = None
-                message = f"the linearised step has no factorisation: {together}"
-                raise StepError(message) from together
-
-    def _invert(self, state: BaseVector) -> None:
-        if self._inverse is None:
-            if self.ranks.is_distributed:
-                self._inverse = Direct(self.form.mat, self.free, self.ranks)
-            else:
-                self._inverse = self.form.mat.Inverse(self.free, inverse=self.inverse_type)
-            self._rhs = state.CreateVector()
-        else:
-            self._inverse.Update()
-
-    def _assemble(self, state: BaseVector) -> None:
-        for size in (*self.heap_sizes, None):
-            try:
-                self.form.AssembleLinearization(state)
-                return
-            except Exception as error:
-                if size is None or "heap overflow" not in str(error).lower():
-                    raise
-                SetHeapSize(size)
-
-    def forget(self) -> None:
-        """Drop the factorisation, so that the next solve makes a new one."""
-        self._inverse = None
-
-    def solve(self, residual: BaseVector, increment: BaseVector) -> None:
-        """increment = Jacobian^{-1} residual, all blocks."""
-        form, rhs = self.form, self._rhs
-        assert rhs is not None and self._inverse is not None
-        rhs.data = residual
-        rhs.data += form.harmonic_extension_trans * residual
-        increment.data = self._inverse * rhs
-        increment.data += form.harmonic_extension * increment
-        increment.data += form.inner_solve * rhs
 
 
 class Newton:
@@ -141,6 +71,10 @@ class Newton:
         self._increment = state.CreateVector()
         self._next = state.CreateVector()
         self._base = state.CreateVector()
+        self.rows: Callable[[], TermRows] | None = None
+        """Makes the rows by terms, where they are known."""
+        self._best: tuple[BaseVector, BaseVector, float] | None = None
+        """Of a solve, the state with the smallest increment, that increment and its size."""
 
     @property
     def is_factorised(self) -> bool:
@@ -178,6 +112,7 @@ class Newton:
             place of damped ones: they may lead to a solution that no path of smaller increments joins.
         """
         history: list[NewtonIteration] = []
+        self._best = None
         self.state.data = guess
         problem.pose()
         try:
@@ -212,6 +147,8 @@ class Newton:
             self.eliminate()
             self.form.Apply(u, self._trial_residual)
             size = self.norm(self._increment, self._base, u)
+            if 0 < size < (np.inf if self._best is None else self._best[2]):
+                self._best = self._base.Copy(), self._increment.Copy(), size
             next_size = contraction = np.inf
             if np.isfinite(self._trial_residual.Norm()):
                 jacobian.solve(self._trial_residual, self._next)
@@ -244,6 +181,25 @@ class Newton:
                 self._increment.data = self._next
             damping = min(1.0, 2 * damping)
         return Status.TOO_MANY_ITERATIONS
+
+    def against(self, problem: Problem) -> str:
+        """One more factorisation and a residual for each term, at the best iterate."""
+        if self._best is None or self.rows is None:
+            return ""
+        u, f, size = self._best
+        problem.pose()
+        self.state.data = u
+        try:
+            self._factorise(problem)
+            parts = self.rows().left_by(u, f, size, LINEAR)
+        except StepError:  # a state that has no tangent, or no time for it
+            return ""
+        sizes = {}
+        for name, part in parts.items():
+            self.jacobian.solve(part, self._next)
+            of_part = self.norm(self._next, u)
+            sizes[name] = of_part if np.isfinite(of_part) else np.inf
+        return in_words(sizes, size)
 
     def _set_increment(self, problem: Problem, fresh: bool) -> None:
         """The increment of the present residual, by a Jacobian of the present state if ``fresh``."""

@@ -6,8 +6,8 @@ Pairs are values in 2D and in 3D.  Measurements behind the defaults are in ``ngv
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from functools import cache
 
+from ngvisco.algebra.factorised import is_available
 from ngvisco.errors import (
     ParameterError,
     as_integer,
@@ -152,6 +152,8 @@ class NarrowingOptions(_Checked):
     """Power of ``ratio`` below which no nearer width is tried."""
     tolerance: float = 1e-3
     """Increment to which a width is solved, the last one of a contraction below ``contraction``."""
+    last: float = 1e-5
+    """The same for the scheme's width: an iteration that goes to and fro there wants a nearer width first."""
     contraction: float = 0.5
     window: int = 3
     """Iterations that shorten the increment by half, or the width is given up."""
@@ -207,9 +209,9 @@ class SplitOptions(_Checked):
     fields: FieldOptions = FieldOptions()
     sweeps: SweepOptions = SweepOptions()
     narrowing: NarrowingOptions = NarrowingOptions()
-    switch_share: float = 2e-4
+    switch_share: float = 1e-5
     """Share of a cell's inertia rho h/tau, in the force by v . n, from which a facet where the flow turns
-    round counts in the linearisation."""
+    round counts in the linearisation: with 2e-4 increments of 1e-6 stall near facets that are left out."""
     penalty_degree: int = 4
     """Of the rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight cells: right for
     p = 4, where it takes (P_1 jumps)^4; degree 2 leaves an eigenvalue of 0.5 of the preconditioned error on
@@ -259,17 +261,3 @@ class NewtonOptions(_Checked):
             expected = f"{have}: this installation of NGSolve has no other one ready"
             raise ParameterError("NewtonOptions.inverse", self.inverse, expected)
         require_choice(self, METHODS, method=self.method)
-
-
-@cache
-def is_available(inverse: str) -> bool:
-    """Whether NGSolve, as it is installed, has this sparse direct solver: found by asking it for one."""
-    if inverse == "umfpack":
-        return True
-    from ngsolve.la import SparseMatrixd
-
-    try:
-        SparseMatrixd.CreateFromCOO([0, 1], [0, 1], [1.0, 1.0], 2, 2).Inverse(inverse=inverse)
-    except Exception:  # NGSolve raises NgException and RuntimeError
-        return False
-    return True

@@ -11,6 +11,7 @@ from ngsolve import BaseVector
 from ngvisco.errors import ParameterError, StepError, require_type
 from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
+from ngvisco.forms.term_rows import TermRows
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.solver.choice import default_strategies, split_obstacle
@@ -92,7 +93,9 @@ class RotheSolver:
             return Split(step, norm, options, self.exchange)
         eliminate = step.eliminate
         exchange, refresh = self.exchange, eliminate.refresh
-        return Newton(step.residual, step.state.vec, norm, eliminate, options, refresh, allowance, exchange)
+        newton = Newton(step.residual, step.state.vec, norm, eliminate, options, refresh, allowance, exchange)
+        newton.rows = lambda: TermRows(step)
+        return newton
 
     def problem(self, interval: Interval) -> RotheProblem:
         """The problem of a step over the interval, with the scheme's upwinding."""
@@ -123,7 +126,7 @@ class RotheSolver:
         if interval.tau != self._last_tau:
             self.newton.reset()
             self._last_tau = interval.tau
-        run = _Run(self, self.problem(interval), self._start)
+        run = _Run(self, self.problem(interval), self._start, Effort.NAMES in efforts)
         try:
             if self._extrapolates and self.extrapolation.is_empty:
                 self.extrapolation.keep(interval.begin)
@@ -185,8 +188,8 @@ class RotheSolver:
 class _Run:
     """What one step's strategies have tried: the Task that they work on."""
 
-    def __init__(self, rothe: RotheSolver, problem: RotheProblem, start: BaseVector) -> None:
-        self.rothe, self.problem, self.start = rothe, problem, start
+    def __init__(self, rothe: RotheSolver, problem: RotheProblem, start: BaseVector, names: bool) -> None:
+        self.rothe, self.problem, self.start, self.names = rothe, problem, start, names
         self.attempts: list[Attempt] = []
         self._strategy = rothe.strategies[0]
         self._other: NonlinearSolver | None = None
@@ -242,7 +245,10 @@ class _Run:
         if self._has_tried:  # what was factorised belongs to iterates that have been given up
             newton.reset()
         self._has_tried = True
-        solution = self._judged(newton.solve(problem, guess, full_steps))
+        solution = newton.solve(problem, guess, full_steps)
+        if self.names and not solution.converged:
+            solution = replace(solution, against=newton.against(problem))
+        solution = self._judged(solution)
         self.attempts.append(Attempt(self._strategy.name, solution, problem.width, problem.length))
         return solution
 

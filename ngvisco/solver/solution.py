@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
+import numpy as np
 from ngsolve import BaseVector
 
 
@@ -80,6 +81,24 @@ def iterations(attempts: Iterable[Attempt]) -> list[NewtonIteration]:
     return [line for attempt in attempts for line in attempt.solution.history]
 
 
+LINEAR = "the linear system of the increment"
+_NAMED, _COUNTS = 3, 0.2
+"""Terms that are named, and the share of the largest from which one is."""
+
+
+def in_words(sizes: dict[str, float], before: float) -> str:
+    """What the next increment comes from, the largest parts in words, in units of the increment before."""
+    sizes = dict(sorted(sizes.items(), key=lambda item: -item[1]))
+    largest = max(sizes.values(), default=0.0)
+    if not largest > 0:
+        return ""
+    if largest == np.inf:
+        names = [name for name, size in sizes.items() if size == np.inf]
+        return f"not a number at the next iterate: {', '.join(names[:_NAMED])}"
+    named = [f"{name} ({size / before:.2g})" for name, size in sizes.items() if size >= _COUNTS * largest]
+    return f"against it stand, in units of the smallest increment: {', '.join(named[:_NAMED])}"
+
+
 class Problem(Protocol):
     """A choice of the parameters of the equations that a solver was made for."""
 
@@ -112,6 +131,10 @@ class NonlinearSolver(Protocol):
 
         ``full_steps`` asks for at most so many undamped steps, whatever the increments.
         """
+
+    def against(self, problem: Problem) -> str:
+        """The terms that stand against the solution of ``problem``, which the last solve did not find, in
+        words; empty where they are not known."""
 
     def factorise(self, problem: Problem) -> None:
         """Factorise the derivative at the present state; raises StepError if it is singular."""

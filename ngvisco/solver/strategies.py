@@ -30,7 +30,9 @@ class Effort(Flag):
     CONTINUATION = auto()
     """Along a continuation path, by the solver that was chosen."""
     OTHER_SOLVER = auto()
-    ALL = DIRECT | CONTINUATION | OTHER_SOLVER
+    NAMES = auto()
+    """Of a failure: the terms that stand against convergence are named, as the last that is tried."""
+    ALL = DIRECT | CONTINUATION | OTHER_SOLVER | NAMES
 
 
 class Task(Protocol):
@@ -81,8 +83,22 @@ class Strategy(ABC):
 class FromStartValue(Strategy):
     """Newton's method from the step's start value."""
 
+    courant: float | None = None
+    """Courant number v tau/h to which a faster start value is slowed down: where tau grad v is above one the
+    linearised rates of the variables lead away from the solution."""
+
     def solve(self, task: Task) -> Solution:
-        return task.attempt(task.problem, task.start)
+        guess, number = task.start.Copy(), _courant(task.problem, task.start)
+        if self.courant is not None and number > self.courant:
+            guess.FV().NumPy()[task.problem.step.layout.ranges["v"]] *= self.courant / number
+        return task.attempt(task.problem, guess)
+
+
+def _courant(problem: RotheProblem, values: BaseVector) -> float:
+    """|v| tau/h of the fastest coefficient and the smallest cell."""
+    v = values.FV().NumPy()[problem.step.layout.ranges["v"]]
+    fastest = Communicator.of(problem.step.mesh).most(abs(v).max(initial=0.0))
+    return fastest * problem.interval.tau / problem.h_min
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,14 +110,19 @@ class FromExtrapolation(Strategy):
     """Distance of the step's end from the last solution, in units of that between the two."""
     largest_change: float = 0.5
     """Of density and elastic variables, in units of their size: to stay in the energy's domain."""
+    courant: float = 0.5
+    """Largest change of the velocity, |dv| tau/h: after the first of some long steps it leads too far."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(self, farthest=self.farthest, largest_change=self.largest_change)
+        numbers = {name: getattr(self, name) for name in ("farthest", "largest_change", "courant")}
+        require_positive(self, **numbers)
 
     def solve(self, task: Task) -> Solution | None:
         guess = task.extrapolated(self.farthest, self.largest_change)
-        return None if guess is None else task.attempt(task.problem, guess)
+        if guess is None or _courant(task.problem, (guess - task.start).Evaluate()) > self.courant:
+            return None
+        return task.attempt(task.problem, guess)
 
 
 @dataclass(frozen=True, kw_only=True)

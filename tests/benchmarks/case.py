@@ -45,6 +45,11 @@ def bodies(which: str, dim: int) -> list[nv.Body]:
     return [body("ball", 5.0, where=nv.Ball((0.5,) * dim, 0.3)), body("rest", 2.0)]
 
 
+def swirl_on(mesh: Mesh, newton: nv.NewtonOptions) -> nv.Simulation:
+    """The swirl without creep by the split solver in a box that may be distributed, with options."""
+    return _swirl(mesh, "", solver="split", dt=0.02, newton=newton)
+
+
 def swirl(
     dim: int,
     maxh: float,
@@ -58,6 +63,11 @@ def swirl(
     "one body" and "two bodies" are of as many unknowns: the one has a parameter where the two have a second
     amount.
     """
+    return _swirl(domain(dim, maxh), creeping, solver=method, dt=dt, scheme=scheme)
+
+
+def _swirl(mesh: Mesh, creeping: str, **options: Any) -> nv.Simulation:
+    dim = mesh.dim
     is_of_bodies, state = creeping.endswith(("body", "bodies")), "B" if creeping == "B" else "F"
     what = {
         "material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state=state),
@@ -72,8 +82,7 @@ def swirl(
     height = (1 + z) / 2 if dim == 3 else CF(1.0)
     velocity = (height * sin(pi * x) * cos(pi * y), -height * cos(pi * x) * sin(pi * y), CF(0.0))[:dim]
     initial = nv.Initial(velocity=velocity)
-    mesh = domain(dim, maxh)
-    return nv.Simulation(mesh, model, dt=dt, initial=initial, solver=method, scheme=scheme)
+    return nv.Simulation(mesh, model, initial=initial, **options)
 
 
 def main(dim: int, maxh: float, method: str, threads: int, steps: int, creeping: str = "") -> dict:

@@ -12,6 +12,7 @@ from ngvisco.case import directory, reference
 from ngvisco.case.build import parse_case
 from ngvisco.case.errors import CaseError
 from ngvisco.case.places import place_of
+from ngvisco.cli.main import main
 from ngvisco.geometries import box
 from ngvisco.shapes.fractions import volumes
 
@@ -243,14 +244,39 @@ def test_run_directory_goes_on_without_the_shape_s_file(tmp_path):
     assert {"disc_fraction", "fluid_fraction", "body"} <= set(results.fields)
 
 
+@pytest.mark.parametrize("fields", [["density"], ["density", "fluid_fraction", "disc_fraction", "body"]])
+def test_a_scene_without_outlines_of_bodies_says_what_the_series_leaves_out(tmp_path, capsys, fields):
+    output = f"[output.vtk]\nfields = {fields}\nsubdivision = 0\n"
+    text = HEAD.replace("until = 0.04", "until = 0.02").replace("maxh = 0.3", "maxh = 0.5")
+    directory.run(case(text + BODIES + output), tmp_path / "run")
+    assert main(["scene", str(tmp_path / "run")]) == 0
+    said = "no outlines of bodies: output.vtk.fields leaves out fluid_fraction, disc_fraction, body"
+    assert (said in capsys.readouterr().err) == ("body" not in fields)
+    drawn = '"outlines": []' not in (tmp_path / "run" / "scene.html").read_text()
+    assert drawn == ("body" in fields)
+
+
 @pytest.mark.parametrize(
     ("where", "key", "message"),
     [
         ('{ kind = "Ball", centre = [6, 5], radius = 0.2 }', "bodies.1.where", "it is empty"),
-        ('{ kind = "Ball", centre = [6, 5, 1], radius = 0.2 }', "bodies.1.where", "2 coordinates"),
-        ('{ kind = "Subdomain", names = "inclusion" }', "bodies", "unknown subdomain 'inclusion'"),
-        ('{ kind = "ClosedSurface", path = "part.stl" }', "bodies.1.where", "closed surface"),
-        ('{ kind = "Image", path = "none.png", low = [0, 0], high = [1, 1] }', "bodies.1.where", "readable"),
+        ('{ kind = "Ball", centre = [6, 5, 1], radius = 0.2 }', "bodies.1.where.centre", "2 coordinates"),
+        (
+            '{ kind = "Subdomain", names = "inclusion" }',
+            "case.toml:18: bodies.1.where.names",
+            "unknown subdomain 'inclusion'",
+        ),
+        (
+            '[{ kind = "Ball", centre = [0, 0], radius = 1 }, { kind = "Subdomain", names = "a" }]',
+            "case.toml:18: bodies.1.where.1.names",
+            "unknown subdomain 'a'",
+        ),
+        ('{ kind = "ClosedSurface", path = "part.stl" }', "bodies.1.where.path", "closed surface"),
+        (
+            '{ kind = "Image", path = "none.png", low = [0, 0], high = [1, 1] }',
+            "bodies.1.where.path",
+            "readable",
+        ),
     ],
 )
 def test_place_that_does_not_fit_is_refused_before_anything_is_written(tmp_path, where, key, message):
@@ -264,6 +290,17 @@ def test_place_that_does_not_fit_is_refused_before_anything_is_written(tmp_path,
     assert key in str(caught.value)
     assert message in str(caught.value)
     assert not (tmp_path / "run").exists()
+
+
+def test_line_of_a_fault_is_that_of_its_shape_among_several_tables():
+    where = "".join(
+        f'\n[[bodies.where]]\nkind = "Subdomain"\nnames = "{n}"' for n in ("default", "inclusion")
+    )
+    disc = HEAD + f'[[bodies]]\nname = "disc"\ndensity = 1.0{where}\n'
+    loaded = case(disc + '[bodies.material]\nkind = "NeoHookean"\nK_e = 1\nG_e = 1\nepsilon = 0.1\n')
+    line = 1 + disc.splitlines().index('names = "inclusion"')
+    with pytest.raises(CaseError, match=rf"toml:{line}: bodies.0.where.1.names: unknown subdomain"):
+        loaded.simulation(loaded.mesh())
 
 
 def test_bodies_that_overlap_without_order_are_refused():

@@ -113,7 +113,7 @@ def test_ledger_is_that_of_one_process(name):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.ci), 4])
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.ci), 4, 9])
 def test_ledgers_of_all_cases_are_those_of_one_process(ranks):
     for name in COUPLED:
         one, several = found(1, *COUPLED)[name], found(ranks, *COUPLED)[name]
@@ -123,7 +123,7 @@ def test_ledgers_of_all_cases_are_those_of_one_process(ranks):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.ci), 4])
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.ci), 4, 9])
 def test_ledgers_of_the_split_solver_are_those_of_one_process(ranks):
     """With its linear systems: no more iterations of these in all than 1.1 times as many."""
     for name in SPLIT:

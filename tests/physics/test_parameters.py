@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import operator
+
 import numpy as np
 import pytest
-from ngsolve import CF, x, y
+from ngsolve import CF, L2, GridFunction, x, y
 
 import ngvisco as nv
+from ngvisco.geometries import box
 from ngvisco.physics.materials.heterogeneous import Heterogeneous
 from ngvisco.physics.parameters import parameters_in, substituted
 from ngvisco.physics.pointwise import respond
@@ -33,7 +36,6 @@ def test_expressions_are_those_of_the_values():
         (lambda: nv.Parameter("1st"), "Variable.name"),
         (lambda: nv.Parameter("theta", start=CF((x, y))), "Parameter.start"),
         (lambda: nv.Parameter("theta", start=float("nan")), "Parameter.start"),
-        (lambda: theta * x, "a function of the place is one with nv.Parameter"),
         (lambda: 2**theta, "exponent = .*expected a finite number"),
         (lambda: nv.StokesViscosity(K_v=CF((x, y)), G_v=1.0), "StokesViscosity.K_v"),
         (lambda: nv.StokesViscosity(K_v=-1.0, G_v=theta), "StokesViscosity.K_v"),
@@ -48,6 +50,17 @@ def test_expressions_are_those_of_the_values():
 def test_bad_input_is_refused_by_name(make, match):
     with pytest.raises(nv.NgviscoError, match=match):
         make()
+
+
+@pytest.mark.parametrize("combine", [operator.add, operator.sub, operator.mul, operator.truediv])
+def test_a_parameter_does_not_combine_with_a_function_of_the_place(combine):
+    known = GridFunction(L2(box((1, 1), 1.0)))
+    for place in (x, 1 + x * y, known, CF((x, y))):
+        for left in (theta, 1 + theta):
+            with pytest.raises(nv.ParameterError, match=r"a parameter too, nv.Parameter\(name, start=...\)"):
+                combine(left, place)
+            with pytest.raises(TypeError, match="incompatible function arguments"):  # by NGSolve's operators
+                combine(place, left)
 
 
 def custom(energy=None):

@@ -128,3 +128,27 @@ def test_an_energy_is_known_by_its_values_not_by_its_name(tmp_path):
     simulation(material=material(5.0)).restore(tmp_path / "run.h5")
     with pytest.raises(nv.CheckpointError, match="its energies are"):
         simulation(material=material(5.000001)).restore(tmp_path / "run.h5")
+
+
+def test_bodies_with_energies_of_their_own_go_on_from_a_checkpoint(tmp_path):
+    """A function is another object in every process; a body is known by its name, numbers and energies."""
+    from ngvisco.physics.variables import Jacobian
+
+    def bodies(shear_modulus, stiffness=5.0):
+        fluid = nv.CustomMaterial(
+            transported=(Jacobian(),), stored_energy=lambda J: stiffness * (J - 1) * (J - 1)
+        )
+        solid = nv.ReferentialNeoHookean(K_e=10.0, G_e=shear_modulus / 2)
+        disc = nv.Body(name="disc", where=nv.Ball((0.6, 0.5), 0.25), material=solid, density=2.0)
+        model = nv.Model(bodies=[disc, nv.Body(name="rest", material=fluid, density=1.0)])
+        return nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, velocity_scale=1.0)
+
+    run = bodies(1.0)
+    run.observers = [nv.Checkpoints(tmp_path / "run.h5")]
+    run.run(0.02)
+    again = bodies(1.0)
+    again.restore(tmp_path / "run.h5")
+    assert np.array_equal(again.rothe_step.state.vec.FV().NumPy(), run.rothe_step.state.vec.FV().NumPy())
+    for other in (bodies(1.1), bodies(1.0, stiffness=6.0)):
+        with pytest.raises(nv.CheckpointError, match=r"its (material|energies) "):
+            other.restore(tmp_path / "run.h5")

@@ -7,10 +7,10 @@ import pytest
 from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
+from ngvisco.algebra.condensed import CondensedJacobian
 from ngvisco.geometries import box
 from ngvisco.run.stepping import FixedStepper
 from ngvisco.solver import cost, newton
-from ngvisco.solver.newton import CondensedJacobian
 from ngvisco.solver.solution import Solution, Status
 from ngvisco.solver.split.solver import Split
 

@@ -154,3 +154,48 @@ def test_scales_of_moduli_that_are_functions_of_the_place_are_those_of_its_extre
     assert run.velocity_scale == pytest.approx(0.1 * here.speeds[0], rel=1e-5)
     assert any("waves cross the body" in line for line in here.advice)
     assert any("stress relaxes" in line for line in here.advice)
+
+
+STIFF = {
+    "material": nv.ReferentialNeoHookean(K_e=1000.0, G_e=500.0),
+    "viscosity": nv.StokesViscosity(K_v=0.3, G_v=0.2),
+    "density": 4.0,
+}
+SOFT = {
+    "material": nv.ReferentialNeoHookean(K_e=10.0, G_e=0.5),
+    "viscosity": nv.StokesViscosity(K_v=0.3, G_v=0.02),
+    "creep": nv.Creep(G_m=0.01),
+    "density": 1.0,
+}
+
+
+def of_bodies(*bodies):
+    return nv.Simulation(box((1, 1), 0.4), nv.Model(bodies=bodies), dt=0.01)
+
+
+def test_scales_of_bodies_are_those_of_each_by_itself():
+    """The fastest waves are the stiff body's, however small it is; layers and relaxation the other's."""
+    hard, soft = (scales(of_bodies(nv.Body(name="alone", **laws))) for laws in (STIFF, SOFT))
+    for radius in (0.25, 0.05):  # the second one is smaller than a cell
+        place = nv.Ball((0.45, 0.5), radius)
+        run = of_bodies(nv.Body(name="disc", where=place, **STIFF), nv.Body(name="rest", **SOFT))
+        here = scales(run)
+        assert here.speeds == pytest.approx(hard.speeds, rel=1e-6)
+        assert here.kinematic_viscosity == pytest.approx(soft.kinematic_viscosity, rel=1e-6)
+        assert here.maxwell == pytest.approx(soft.maxwell, rel=1e-6) and hard.maxwell == math.inf
+        assert run.velocity_scale == pytest.approx(0.1 * here.speeds[0], rel=1e-5)
+
+
+def test_scales_of_a_body_with_moduli_of_the_place_are_those_of_its_own_extremes():
+    """Not of values that its modulus has, carried on, in another body."""
+    graded = STIFF | {"material": nv.ReferentialNeoHookean(K_e=1000.0, G_e=200 * (1 + x))}
+    left = nv.Body(name="left", where=0.5 - x, **graded)
+    here = scales(of_bodies(left, nv.Body(name="rest", **SOFT)))
+    assert math.sqrt(400 * 1.4 / 4) < here.speeds[1] < math.sqrt(400 * 1.7 / 4)
+
+
+def test_at_rest_rounding_of_the_energy_is_no_elastic_release():
+    """K/2 (J - 1)^2 rounds to 1e-15 K, as of a velocity of 1e-8 c."""
+    for size in ((1, 1), (1, 1, 1)):
+        run = nv.Simulation(box(size, 0.8), nv.Model(material=NEO_HOOKEAN), dt=0.01)
+        assert run.velocity_scale == pytest.approx(0.1 * math.sqrt(moduli(NEO_HOOKEAN, 2)[0]), rel=1e-5)

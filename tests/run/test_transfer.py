@@ -68,6 +68,48 @@ def test_another_mesh_keeps_the_mass_and_notes_the_lost_energy():
     assert lost[1] < lost[0] < 1e-2 * done.energy_before
 
 
+def with_bodies(maxh=0.4, density=2.0, radius=0.25):
+    stokes = nv.StokesViscosity(K_v=0.05, G_v=0.05)
+    solid = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
+    place = nv.Ball((0.6, 0.5), radius)
+    bodies = [
+        nv.Body(name="disc", where=place, material=solid, density=density, viscosity=stokes),
+        nv.Body(name="rest", material=solid, density=1.0, viscosity=stokes),
+    ]
+    mesh, initial = box((1, 1), maxh), nv.Initial(velocity=SWIRL)
+    return nv.Simulation(mesh, nv.Model(bodies=bodies), dt=0.02, initial=initial)
+
+
+def amounts(run):
+    """Masses of the bodies, and their amounts at the points."""
+    u, quadrature = run.rothe_step.now, run.rothe_step.quadrature
+    parts = [(body.density, u.z_tensors[f"n_{body.name}"]) for body in run.model.bodies]
+    masses = [density * quadrature.integrate_cells(n) for density, n in parts]
+    return np.array(masses), sum(density * n for density, n in parts), [n for _, n in parts]
+
+
+def test_another_mesh_keeps_the_mass_of_each_body():
+    """And fractions from 0 to 1, and the density that of the amounts."""
+    source = with_bodies()
+    source.run(0.06)
+    before, _, _ = amounts(source)
+    for maxh in (0.3, 0.6):
+        target = with_bodies(maxh)
+        nv.transfer(source, target)
+        masses, density, parts = amounts(target)
+        assert masses == pytest.approx(before, rel=1e-13)
+        assert abs(target.sampler.values(density - target.rothe_step.now.rho)).max() < 1e-13
+        total = sum(parts[1:], parts[0])
+        shares = np.array([target.sampler.values(n / total) for n in parts])
+        assert shares.min() >= -1e-8 and shares.max() <= 1 + 1e-8
+        assert abs(target.run(0.08).column("closure_relative")).max() < 1e-12
+
+
+def test_a_body_of_another_density_is_refused_by_its_name():
+    with pytest.raises(nv.ParameterError, match=r"bodies\['disc'\].density = 3.0: expected 2 kg/m"):
+        nv.transfer(with_bodies(), with_bodies(density=3.0))
+
+
 def test_a_curved_domain_is_carried_over():
     source = simulation(mesh=disc(1, 0.6), velocity=(-y, x))
     source.run(0.02)

@@ -47,9 +47,67 @@ def test_closed_surface_holds_its_volume(tmp_path, write, inward):
     mesh = box((1, 1, 1), maxh=0.4)
     surface = ClosedSurface(path)
     exact = volumes(mesh, [Block((0.2,) * 3, (0.8,) * 3)])[0]
-    assert volumes(mesh, [surface])[0] == pytest.approx(0.216, rel=0.02)
-    assert volumes(mesh, [surface])[0] == pytest.approx(exact, rel=0.02)
+    assert volumes(mesh, [surface])[0] == pytest.approx(0.216, rel=5e-3)
+    assert volumes(mesh, [surface])[0] == pytest.approx(exact, rel=5e-3)
     assert volumes(mesh, [ClosedSurface(path, scale=0.5)])[0] == pytest.approx(0.027, rel=0.05)
+
+
+def sphere(count, radius=0.3):
+    """An octahedron's faces, each divided in four again and again."""
+    ends = np.concatenate([np.eye(3), -np.eye(3)])
+    faces = [(a, b, c) for a in (0, 3) for b in (1, 4) for c in (2, 5)]
+    triangles = np.array([ends[list(f if sum(i > 2 for i in f) % 2 == 0 else f[::-1])] for f in faces])
+    for _ in range(count):
+        a, b, c = triangles.transpose(1, 0, 2)
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+        triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
+    return 0.5 + radius * triangles / np.linalg.norm(triangles, axis=2, keepdims=True)
+
+
+def bracket():
+    """A prism over the letter L."""
+    corners = [(0.15, 0.2), (0.85, 0.2), (0.85, 0.45), (0.45, 0.45), (0.45, 0.8), (0.15, 0.8)]
+    low, high = (np.array([(*c, height) for c in corners]) for height in (0.25, 0.7))
+    caps = [(0, i, i + 1) for i in range(1, 5)]
+    sides = [(i, (i + 1) % 6) for i in range(6)]
+    triangles = [high[list(t)] for t in caps] + [low[list(t[::-1])] for t in caps]
+    triangles += [np.array([low[i], low[j], high[j]]) for i, j in sides]
+    return np.array(triangles + [np.array([low[i], high[j], high[i]]) for i, j in sides])
+
+
+def enclosed(triangles):
+    a, b, c = triangles.transpose(1, 0, 2)
+    return float(np.sum(a * np.cross(b, c))) / 6
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("part", [cube(), sphere(4), bracket()], ids=["cube", "sphere", "bracket"])
+def test_volume_of_a_surface_is_met_on_cells_as_large_as_itself(tmp_path, part, turned):
+    """On 28 cells of 0.5 m, along their faces and across; by corners' sides alone it is up to 13 % off."""
+    axes = np.linalg.qr([[1.0, 2, 3], [0, 1, -2], [1, 0, 1]])[0] if turned else np.eye(3)
+    turn = axes * np.sign(np.linalg.det(axes))
+    path = tmp_path / "part.stl"
+    placed = 0.5 + 0.8 * (part - 0.5) @ turn.T if turned else part
+    path.write_bytes(binary_stl(placed))
+    found = volumes(box((1, 1, 1), maxh=0.5), [ClosedSurface(path)])[0]
+    assert found == pytest.approx(enclosed(placed), rel=0.012)
+
+
+def test_surface_cut_by_a_shape_has_the_rest_of_its_volume(tmp_path):
+    """Levels of both are lengths, in domains of any size, so that the cut is where it is."""
+    for size in (1e-3, 1.0, 1e3):
+        path = tmp_path / "cube.stl"
+        path.write_bytes(binary_stl(size * cube()))
+        half = ClosedSurface(path) - Block((0.0,) * 3, (size, 0.37 * size, size))
+        mesh = box((size,) * 3, maxh=0.4 * size)
+        assert volumes(mesh, [half])[0] == pytest.approx(0.6 * 0.43 * 0.6 * size**3, rel=0.01)
+
+
+def test_surface_outside_the_domain_is_empty(tmp_path):
+    path = tmp_path / "cube.stl"
+    path.write_bytes(binary_stl(cube() + 5.0))
+    assert volumes(box((1, 1, 1), maxh=0.5), [ClosedSurface(path)])[0] == 0
 
 
 def test_surface_that_is_there_twice_holds_the_volume_once(tmp_path):

@@ -11,9 +11,10 @@ from ngsolve import H1, BilinearForm, CoefficientFunction, GridFunction, IfPos, 
 from support import Case, random_direction, randomise, step_of, uncondensed
 
 from ngvisco import NewtonOptions
+from ngvisco.algebra.condensed import CondensedJacobian
 from ngvisco.forms.system import Step
 from ngvisco.geometries import box
-from ngvisco.solver.newton import CondensedJacobian, Newton
+from ngvisco.solver.newton import Newton
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.solution import Problem, Solution, Status
 

@@ -20,11 +20,11 @@ from ngvisco import (
     Simulation,
     StokesViscosity,
 )
+from ngvisco.algebra.condensed import CondensedJacobian
 from ngvisco.forms.context import Context
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.transport import Conjugates, Kinematics, UpwindTrace
 from ngvisco.geometries import box
-from ngvisco.solver.newton import CondensedJacobian
 from ngvisco.verification.cases.maxwell import MYR, ROCK, relaxed_stress
 from ngvisco.verification.models import KINDS
 from ngvisco.verification.problems import PartialLayout

@@ -4,7 +4,8 @@ Where v . n changes its sign on a facet between cells of different z the elastic
 eta of the smoothed sign.  An increment that is larger than eta goes from one side of such a jump to the other
 and the next one back: the iteration neither converges nor diverges, and damping it does not help, since the
 solution is in between.  With a width above the increments it converges at once; from there the width is
-narrowed, a few increments for each, and every solution is near enough to the next one.
+narrowed, a few increments for each, and every solution is near enough to the next one: v . n stays in the
+same part of the jump, so that solutions are nearly linear in the width, along which they are extrapolated.
 """
 
 from __future__ import annotations
@@ -30,15 +31,17 @@ def narrowed(
     options = split.options.split.narrowing
     starts = iter(options.widest)
     width, solved, power = float(next(starts)), 0.0, 1.0
+    slope = np.zeros_like(x)
     split.reset()
     try:
         while True:
             wide = problem.widened(width)
             _pose(split, wide)
-            near = _near(split, wide, x, history)
+            near = _near(split, wide, x + (width - solved) * slope, history)
             if near is not None:
                 if width == 1.0:
                     return near
+                slope = (near - x) / (width - solved) if solved else slope
                 x, solved, power = near, width, min(1.0, 1.5 * power)
             elif not solved:
                 if (width := float(next(starts, 0))) == 0.0:
@@ -55,14 +58,15 @@ def narrowed(
 
 
 def _near(split: Split, wide: Problem, x: np.ndarray, history: list[NewtonIteration]) -> np.ndarray | None:
-    """Unknowns that solve ``wide`` to ``tolerance``; None where the iteration does not contract."""
+    """Unknowns that solve ``wide`` to a tolerance; None where the iteration does not contract."""
     options = split.options.split.narrowing
+    tolerance = options.last if wide.width == 1.0 else options.tolerance
     sizes = [np.inf]
     while len(history) < split.options.max_iterations:
         fresh = not split.is_factorised
         _, f, size = split.increment(wide, x, sizes[-1])
         history.append(NewtonIteration(size, size / sizes[-1] if len(sizes) > 1 else 1.0, 1.0, fresh))
-        if size <= options.tolerance and size <= options.contraction * sizes[-1] < np.inf:
+        if size <= tolerance and size <= options.contraction * sizes[-1] < np.inf:
             return x - f
         if not size < np.inf or (len(sizes) > options.window and size > 0.5 * sizes[-options.window]):
             return None

@@ -18,17 +18,14 @@ import numpy as np
 from ngvisco.physics.increments import TINY
 from ngvisco.reduced.residual import Evaluation, Residual
 from ngvisco.reduced.rows_by_terms import by_terms
+from ngvisco.solver.solution import LINEAR
 
 if TYPE_CHECKING:
     from ngvisco.solver.split.solver import Split
 
-LINEAR = "the linear system of the increment"
-_NAMED, _COUNTS = 3, 0.2
-"""Terms that are named, and the share of the largest from which one is."""
-
 
 def resistance(split: Split, at: Evaluation, f: np.ndarray) -> dict[str, float]:
-    """Sizes of the parts of the increment after f at ``at``, largest first; infinite where one is no number.
+    """Sizes of the parts of the increment after f at ``at``; infinite where one is no number.
 
     The step's state is then another one.
     """
@@ -42,20 +39,7 @@ def resistance(split: Split, at: Evaluation, f: np.ndarray) -> dict[str, float]:
         after = by_terms(residual, residual(at.x - f))
         parts = {name: after[name] - before[name] + slopes[name] for name in before}
         parts[LINEAR] = sum(before.values()) - sum(slopes.values())
-        sizes = {name: _size(split, at, part) for name, part in parts.items()}
-    return dict(sorted(sizes.items(), key=lambda item: -item[1]))
-
-
-def in_words(sizes: dict[str, float], before: float) -> str:
-    """The largest of them in words, in units of the increment before."""
-    largest = max(sizes.values(), default=0.0)
-    if not largest > 0:
-        return ""
-    if largest == np.inf:
-        names = [name for name, size in sizes.items() if size == np.inf]
-        return f"not a number at the next iterate: {', '.join(names[:_NAMED])}"
-    named = [f"{name} ({size / before:.2g})" for name, size in sizes.items() if size >= _COUNTS * largest]
-    return f"against it stand, in units of the smallest increment: {', '.join(named[:_NAMED])}"
+        return {name: _size(split, at, part) for name, part in parts.items()}
 
 
 def _size(split: Split, at: Evaluation, part: np.ndarray) -> float:

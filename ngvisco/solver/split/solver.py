@@ -27,10 +27,10 @@ from ngvisco.parallel.exchange import Exchange
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status
+from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status, in_words
 from ngvisco.solver.split.iteration import iterate
 from ngvisco.solver.split.preconditioner import Preconditioner
-from ngvisco.solver.split.resistance import in_words, resistance
+from ngvisco.solver.split.resistance import resistance
 from ngvisco.threads import on_arrays
 
 
@@ -97,10 +97,9 @@ class Split:
             f"{last:.1e}, wanted {self.options.split.margin * self.options.tolerance:.0e}): take a smaller "
             "step or the coupled solver"
         )
-        return Solution(status, tuple(history), reason, self._resistance())
+        return Solution(status, tuple(history), reason)
 
-    def _resistance(self) -> str:
-        """What stands against convergence, in words; empty where that is not known."""
+    def against(self, problem: Problem) -> str:
         if self._best is None:
             return ""
         at, f, size = self._best

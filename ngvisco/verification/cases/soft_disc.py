@@ -105,10 +105,9 @@ def _away(one: np.ndarray, other: np.ndarray) -> float:
 
 def _carried() -> Outcome:
     table = Bodies()
-    run = cavity(0.1, 0.05, 50.0, table)
-    ledger = run.run(5.5)
-    reference = PATH[PATH[:, 0] <= 5.5]
-    path = _path(table, reference[:, 0])
+    run = cavity(0.1, 0.02, 50.0, table)
+    ledger = run.run(8.0)
+    path = _path(table, PATH[:, 0])
     stiffness, early = {}, PATH[:6, 0]
     for K_e in (12.5, 50.0, 200.0):
         other = Bodies()
@@ -123,12 +122,12 @@ def _carried() -> Outcome:
     volumes, masses = table.column("disc_volume"), table.column("disc_mass")
     rows = [
         [t, *ours, *theirs, float(np.linalg.norm(ours - theirs))]
-        for t, ours, theirs in zip(reference[:, 0], path, reference[:, 1:], strict=True)
+        for t, ours, theirs in zip(PATH[:, 0], path, PATH[:, 1:], strict=True)
     ]
     return Outcome(
         values={
             "largest distance from the reference's path until 4 s, m": _away(path[:8], PATH[:8, 1:]),
-            "largest distance from the reference's path until 5.5 s, m": _away(path, reference[:, 1:]),
+            "largest distance from the reference's path until 8 s, m": _away(path, PATH[:, 1:]),
             "largest change of the disc's volume": float(np.abs(volumes / volumes[0] - 1).max()),
             "largest change of the disc's mass": float(np.abs(masses / masses[0] - 1).max()),
             "largest |closure|": float(np.abs(ledger.column("closure_relative")).max()),
@@ -157,7 +156,12 @@ def _carried() -> Outcome:
             "The paper prints its path as a picture only. The numbers that are compared are those of "
             "another method for the same incompressible problem (ngvisco/verification/immersed.py), that "
             "of Zhao, Freund and Moser (2008), with whose path Sugiyama et al. compare theirs.",
-            "The second bound was written for 8 s; a coarser run ended at 5.7 s before this case was run.",
+            "The bounds are those that were written first; the steps are not.  With dt = 0.05 s the path was "
+            "0.021 m away at 4 s, and from 5.45 s on, where the disc passes the end of the lid, steps had "
+            "to be halved after a minute of attempts.  What has smeared of the disc into the corner there, "
+            "15 % of the matter, fades at the rate 0.27/dt and is sheared by the lid at 30/s: |B| reached "
+            "170.  On 342 triangles (0.09 m) with dt = 0.02 s the run ended at 6.26 s, J being 0.8 in that "
+            "corner.",
         ],
     )
 
@@ -210,13 +214,11 @@ CASES = (
         "is matters little.",
         label="benchmark: Zhao, Freund and Moser (2008), Sugiyama et al. (2011)",
         setting="Unit box, lid at 1 m/s from t = 0 on; density 1 kg/m3, viscosity 0.01 Pa s, disc of radius "
-        "0.2 m at (0.6, 0.5) m with a shear modulus of 0.1 Pa, K_e = 50 Pa; 303 triangles (0.1 m, at the lid "
-        "0.05 m, corners divided), velocities of order 3, midpoint rule, dt = 0.05 s, until 5.5 s.",
+        "0.2 m at (0.6, 0.5) m with a shear modulus of 0.1 Pa, K_e = 50 Pa; 303 triangles (0.1 m, at the "
+        "lid 0.05 m, corners divided), velocities of order 3, midpoint rule, dt = 0.02 s, until 8 s.",
         bounds=(
             Bound("largest distance from the reference's path until 4 s, m", "<=", 0.02, "0.1 of the radius"),
-            Bound(
-                "largest distance from the reference's path until 5.5 s, m", "<=", 0.04, "0.2 of the radius"
-            ),
+            Bound("largest distance from the reference's path until 8 s, m", "<=", 0.04, "0.2 of the radius"),
             Bound("largest change of the disc's volume", "<=", 0.01, "pressures of 0.5 Pa over K_e"),
             Bound("largest change of the disc's mass", "<=", 1e-11, "conserved amounts"),
             Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),

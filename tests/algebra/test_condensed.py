@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from ngvisco import NewtonOptions
+from ngvisco.algebra import condensed
 from ngvisco.errors import StepError
-from ngvisco.solver import newton
 
 SIZES = NewtonOptions().coupled.heap_sizes
 
@@ -28,26 +28,36 @@ class Form:
 @pytest.fixture
 def sizes(monkeypatch):
     asked = []
-    monkeypatch.setattr(newton, "SetHeapSize", asked.append)
+    monkeypatch.setattr(condensed, "SetHeapSize", asked.append)
     return asked
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_an_overflow_is_answered_by_a_larger_heap(sizes, count):
     form = Form(*["Local Heap overflow"] * count)
-    newton.CondensedJacobian(form, "umfpack", SIZES)._assemble(None)
+    condensed.CondensedJacobian(form, "umfpack", SIZES)._assemble(None)
     assert sizes == list(SIZES[:count])
 
 
 def test_what_the_largest_heap_does_not_hold_is_a_failed_step(sizes):
     form = Form(*["Local Heap overflow"] * 3)
     with pytest.raises(StepError, match="Local Heap overflow"):
-        newton.CondensedJacobian(form, "umfpack", SIZES).factorise(None)
+        condensed.CondensedJacobian(form, "umfpack", SIZES).factorise(None)
     assert sizes == list(SIZES)
 
 
 def test_another_failure_is_not_tried_again(sizes):
     form = Form("division by zero")
     with pytest.raises(StepError, match="division by zero"):
-        newton.CondensedJacobian(form, "umfpack", SIZES).factorise(None)
+        condensed.CondensedJacobian(form, "umfpack", SIZES).factorise(None)
     assert sizes == []
+
+
+def test_a_cell_s_matrix_that_units_make_singular_is_said_with_the_remedy():
+    """In SI a slab in a weak medium, 1e11 Pa and steps of 1 kyr, has such matrices; in km and kyr none."""
+    form = Form("CalcLU: matrix singularin AssembleLinearization\n")
+    with pytest.raises(StepError, match=r"matrix singular.*take units in which they are near one"):
+        condensed.CondensedJacobian(form, "umfpack").factorise(None)
+    with pytest.raises(StepError, match="no factorisation") as other:
+        condensed.CondensedJacobian(Form("something else"), "umfpack").factorise(None)
+    assert "units" not in str(other.value)

@@ -1,0 +1,215 @@
+"""What a step of the split solver costs over ranks: one row a process, printed as JSON by the first rank.
+
+``python -m tests.benchmarks.ranks [-o DIRECTORY] [--ranks 0 1 2 4 8] [--cells 13]`` in the project's root, by
+a Python that has petsc4py: the neo-Hookean swirl of ``case`` in a box of n x n x n cubes of six tetrahedra,
+by mpirun with so many ranks with cells and the first one, or by one process without MPI (0), in turn.
+Times compare within one call, and only up to as many ranks as there are processors; iterations, messages,
+bytes and memory do in all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from ngsolve import Mesh, SetNumThreads
+
+import ngvisco as nv
+from ngvisco.geometries import structured_box
+from ngvisco.parallel.communicator import TRAFFIC, Communicator
+from ngvisco.parallel.mesh import distributed
+from ngvisco.solver.options import SplitOptions, TwoLevelOptions
+from ngvisco.solver.split.preconditioner import Preconditioner
+from tests.benchmarks.case import swirl_on
+
+METHODS = ("direct", "gamg", "hypre")
+
+
+def resident(field: str = "VmHWM") -> float:
+    """This process's memory, GB: by default the largest so far."""
+    with Path("/proc/self/status").open() as lines:
+        return next(float(line.split()[1]) for line in lines if line.startswith(field)) / 1e6
+
+
+def newton(coarse: str, unknowns: int | None) -> nv.NewtonOptions:
+    """Two levels with this solver for the vertices, from so many unknowns of v if not the default."""
+    of_two_levels: dict[str, Any] = {"two_level": TwoLevelOptions(coarse=coarse)}
+    if unknowns is not None:
+        of_two_levels["direct_up_to"] = (unknowns, unknowns)
+    return nv.NewtonOptions(split=SplitOptions(**of_two_levels))
+
+
+def mesh(n: int, ranks: Communicator) -> Mesh:
+    """The box in parts; the whole mesh is on the first rank alone, as of a mesh file."""
+    return distributed(structured_box((1, 1, 1), (n, n, n)) if ranks.is_first else None, ranks)
+
+
+def measured(n: int, steps: int, coarse: str, two_levels_from: int | None) -> list[dict[str, Any]]:
+    """Of every rank what its steps took; the first one is not timed."""
+    SetNumThreads(1)
+    imported = resident("VmRSS")
+    linear: list[int] = []
+
+    class Counted(Preconditioner):
+        def _flow(self, *arguments: Any) -> Any:
+            result = super()._flow(*arguments)
+            linear.append(self.iterations)
+            return result
+
+    ranks = Communicator.world()
+    began = time.perf_counter()
+    run = swirl_on(mesh(n, ranks), newton(coarse, two_levels_from))
+    run.solver.newton.preconditioner.__class__ = Counted
+    row: dict[str, Any] = {
+        "n": n,
+        "ranks": max(ranks.size - 1, 0),
+        "rank": ranks.rank,
+        "coarse": coarse,
+        "cells": run.cells,
+        "own cells": run.mesh.ne,
+        "neighbours": len(run.solver.newton.residual.shared_rows.shared),
+        "imports": imported,
+    }
+    row["set-up"] = time.perf_counter() - began
+    row["wall"], row["processor"], row["iterations"], row["linear"] = [], [], [], []
+    row["messages"], row["bytes"], row["reductions"] = [], [], []
+    for _ in range(steps):
+        before = TRAFFIC.messages, TRAFFIC.bytes, TRAFFIC.reductions
+        linear.clear()
+        ranks.total(0.0)
+        wall, processor = time.perf_counter(), time.process_time()
+        last = run.advance()
+        row["wall"].append(time.perf_counter() - wall)
+        row["processor"].append(time.process_time() - processor)
+        row["iterations"].append(int(last["newton_iterations"]))
+        row["linear"].append(sum(linear))
+        after = TRAFFIC.messages, TRAFFIC.bytes, TRAFFIC.reductions
+        for name, a, b in zip(("messages", "bytes", "reductions"), after, before, strict=True):
+            row[name].append(a - b)
+    row["closure"] = abs(last["closure_relative"])
+    row["ledger"] = [{name: float(value) for name, value in each.items()} for each in run.ledger.rows]
+    row["memory"] = resident()
+    return ranks.gathered(row)
+
+
+def started(ranks: int, words: list[str], prefix: list[str], timeout: float) -> list[dict[str, Any]]:
+    """The rows of a run by so many ranks with cells, 0: without MPI; one that says why where it failed."""
+    command = [sys.executable, "-m", "tests.benchmarks.ranks", "--child", *words]
+    environment = os.environ | {"NGS_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    if ranks:
+        command[1:1] = ["-m", "mpi4py"]
+        # the first rank sleeps: others give way only where they are more than the processors
+        gives_way = ["--mca", "mpi_yield_when_idle", str(int(ranks > (os.cpu_count() or 1)))]
+        command = [shutil.which("mpirun") or "mpirun", "-n", str(ranks + 1), *gives_way, *command]
+    try:
+        done = subprocess.run(
+            [*prefix, *command], capture_output=True, text=True, timeout=timeout, check=False, env=environment
+        )
+    except subprocess.TimeoutExpired:
+        return [{"ranks": ranks, "rank": 0, "failed": f"more than {timeout:g} s"}]
+    if done.returncode:
+        return [{"ranks": ranks, "rank": 0, "failed": (done.stderr.strip().splitlines() or ["?"])[-1]}]
+    rows = json.loads(done.stdout.splitlines()[-1])
+    for row in rows:
+        row["ranks"] = ranks
+    return rows
+
+
+def of_step(row: dict[str, Any], name: str) -> float:
+    """The median of the steps but the first."""
+    return float(statistics.median(row[name][1:] or row[name]))
+
+
+def by_ranks(rows: list[dict[str, Any]]) -> dict[tuple[int, str], list[dict[str, Any]]]:
+    """The rows of each run, those of ranks with cells."""
+    runs: dict[tuple[int, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        if row.get("own cells"):
+            runs.setdefault((row["ranks"], row["coarse"]), []).append(row)
+    return runs
+
+
+def difference(a: list[dict[str, float]], b: list[dict[str, float]]) -> float:
+    """The largest of two ledgers' columns but their iterations, relative to each one's size or 1e-3."""
+    energy, found = a[0]["kinetic"] + a[0]["stored"], 0.0
+    for name in (name for name in a[0] if "iterations" not in name):
+        for x, y in zip(a, b, strict=True):
+            size = energy if name.startswith("closure") else max(abs(x[name]), 1e-3)
+            if not (x[name] != x[name] and y[name] != y[name]):
+                found = max(found, abs(x[name] - y[name]) / size)
+    return found
+
+
+def markdown(rows: list[dict[str, Any]]) -> str:
+    """A table of runs, of the steps after the first one."""
+    runs = by_ranks(rows)
+    head = (
+        "| ranks | coarse | cells of a rank | wall, median | processor, most | iterations | linear "
+        "| messages | MB | reductions | memory, GB | ledger |"
+    )
+    lines = [head, "|" + "---|" * head.count(" |")]
+    reference = next(iter(runs.values()), [{}])[0]
+    for (ranks, coarse), of in runs.items():
+        first = of[0]
+
+        def most(name: str, of: list[dict[str, Any]] = of) -> float:
+            return max(of_step(row, name) for row in of)
+
+        memory = max(row["memory"] - row["imports"] for row in of)
+        cells = f"{min(row['own cells'] for row in of)} to {max(row['own cells'] for row in of)}"
+        lines.append(
+            f"| {ranks or 'no MPI'} | {coarse} | {cells if ranks > 1 else first['own cells']} "
+            f"| {most('wall'):.2f} s | {most('processor'):.2f} s "
+            f"| {sum(first['iterations'])} | {sum(first['linear'])} "
+            f"| {most('messages'):.0f} | {most('bytes') / 1e6:.1f} | {most('reductions'):.0f} | {memory:.2f} "
+            f"| {difference(reference['ledger'], first['ledger']):.0e} |"
+        )
+    failed = [f"{row['ranks']} ranks: {row['failed']}" for row in rows if "failed" in row]
+    return "\n".join([*lines, "", *failed, ""])
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.benchmarks.ranks", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument("-o", "--output", type=Path, help="directory for ranks.json and ranks.md")
+    parser.add_argument("--ranks", type=int, nargs="*", default=[0, 1, 2], help="ranks with cells")
+    parser.add_argument("--cells", type=int, default=13, help="cubes along an edge; 13: 13,182 tetrahedra")
+    parser.add_argument("--steps", type=int, default=4, help="steps, of which the first is not timed")
+    parser.add_argument("--coarse", nargs="*", default=["direct"], choices=METHODS, help="for the vertices")
+    parser.add_argument("--two-levels-from", type=int, help="unknowns of v (default: the solver's)")
+    parser.add_argument("--prefix", default="", help="words before each command, as nice -n -5")
+    parser.add_argument("--timeout", type=float, default=3600, help="seconds a run may take")
+    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
+    chosen = parser.parse_args(arguments)
+    if chosen.child:
+        rows = measured(chosen.cells, chosen.steps, chosen.coarse[0], chosen.two_levels_from)
+        if Communicator.world().is_first:
+            print(json.dumps(rows), flush=True)
+        return 0
+    rows = []
+    for coarse in chosen.coarse:
+        for ranks in chosen.ranks:
+            words = ["--cells", str(chosen.cells), "--steps", str(chosen.steps), "--coarse", coarse]
+            if chosen.two_levels_from is not None:
+                words += ["--two-levels-from", str(chosen.two_levels_from)]
+            rows += started(ranks, words, chosen.prefix.split(), chosen.timeout)
+            print(f"{ranks} ranks, {coarse}: " + rows[-1].get("failed", "done"), flush=True)
+    print(markdown(rows))
+    if chosen.output:
+        chosen.output.mkdir(parents=True, exist_ok=True)
+        (chosen.output / "ranks.json").write_text(json.dumps(rows, indent=1))
+        (chosen.output / "ranks.md").write_text(markdown(rows))
+    return 1 if any("failed" in row for row in rows) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
