@@ -42,7 +42,6 @@ from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.inputs import times_of
 from ngvisco.run.observers import LedgerCSV, VTKSeries
 from ngvisco.run.ranks import abort_alone
-from ngvisco.run.series import ON_RANKS
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.shapes.fractions import volumes
 from ngvisco.shapes.shape import Shape
@@ -325,8 +324,6 @@ class Case:
                 error = UnknownNameError("field", name, run.fields)
                 raise self._error(("output", "vtk", "fields"), str(error))
         for path, series in samples(self.sections, Path()).items():
-            if run.ranks.is_distributed:
-                raise self._error(path, f"expected {ON_RANKS}")
             try:
                 series.prepare(run)
             except ParameterError as error:

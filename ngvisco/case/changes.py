@@ -24,6 +24,7 @@ from ngvisco.run.transfer import resume_changed
 
 if TYPE_CHECKING:
     from ngvisco.case.directory import RunDirectory
+    from ngvisco.run.simulation import Simulation
 
 CHANGEABLE = "title, time, loads, walls, numbers of material and rheology, solver, output but for passive"
 """What ``--set`` may change of a run that goes on."""
@@ -63,11 +64,11 @@ def _kinds(body: dict[str, Any]) -> dict[str, Any]:
     return {"kind": body["material"]["kind"], **{name: body[name] is not None for name in mechanisms}}
 
 
-def check_change(place: RunDirectory, case: Case, new: Case) -> None:
-    """Go on with the changed case without writing anything: raises what that raises."""
-    simulation = new.simulation(place.mesh())
-    if place.run_file.exists():
-        resume_changed(simulation, place.run_file, {"case": pending_change(place, case) or case.hash})
+def check_change(place: RunDirectory, case: Case, simulation: Simulation) -> None:
+    """Go on with the changed case's simulation without writing anything: raises what that raises."""
+    if simulation.ranks.on_first(place.run_file.exists):
+        before = simulation.ranks.on_first(lambda: pending_change(place, case))
+        resume_changed(simulation, place.run_file, {"case": before or case.hash})
 
 
 def write_change(place: RunDirectory, case: Case, new: Case, settings: Sequence[str]) -> None:

@@ -213,8 +213,6 @@ def run(
     place, ranks = RunDirectory(directory), Communicator.world()
     if not force:
         ranks.on_first(place.refuse_results)
-    if source is not None:
-        _require_one_process(ranks, "--from")
     # all that can be wrong with the case is found here, before anything is written or removed
     notes, image = [f"run: {case.sections.title or case.source}"], b""
     with noting_warnings(notes.append):
@@ -257,8 +255,6 @@ def resume(
     """
     place, ranks = RunDirectory(directory), Communicator.world()
     case = place.case()
-    if settings:
-        _require_one_process(ranks, "--set")
 
     def prepare() -> None:
         if not place.is_prepared:  # killed while it was
@@ -269,8 +265,9 @@ def resume(
         if settings:
             new = changes.changed(place, case, settings)
             if new.resolved != case.resolved:
-                changes.check_change(place, case, new)  # before anything is written
-                changes.write_change(place, case, new, settings)
+                simulation = new.simulation(_mesh_of_first(new, ranks, place.mesh))
+                changes.check_change(place, case, simulation)  # before anything is written
+                ranks.on_first(lambda: changes.write_change(place, case, new, settings))
                 case = place.case()
         notes = [f"resume: {case.sections.title or case.source}"]
         with noting_warnings(notes.append):
@@ -292,11 +289,9 @@ def _go(
         if before is None:
             simulation.restore(place.run_file, attributes={"case": case.hash})
         else:
-            _require_one_process(ranks, "a change that no checkpoint has reached")
             resume_changed(simulation, place.run_file, {"case": before})
             notes.append(f"changed: {', '.join(place.read_versions()['changes'][-1]['settings'])}")
     elif not simulation.ledger.rows and (found := place.read_versions().get("from")) is not None:
-        _require_one_process(ranks, "--from")
         notes.append(Origin(Path(found["directory"]), found["step"]).carry_to(simulation))
     _check_times(place, case, simulation, end)
     log = Log(place.log_file, end, case.sections.output.log_every)
@@ -338,11 +333,6 @@ def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) ->
     ranks.on_first(lambda: made.append(make()))
     with case.located("domain"):
         return distributed(made[0] if made else None, ranks)
-
-
-def _require_one_process(ranks: Communicator, what: str) -> None:
-    if ranks.is_distributed:
-        raise RunDirectoryError(f"{what}: expected one process; the run may go on with several then")
 
 
 def _check_times(place: RunDirectory, case: Case, simulation: Simulation, end: float) -> None:

@@ -16,11 +16,11 @@ from __future__ import annotations
 
 import numpy as np
 from ngsolve import CF
-from scipy.sparse import csr_matrix
 
-from ngvisco.forms.cell_means import SHARE, CellMeans
+from ngvisco.forms.cell_means import SHARE, CellMeans, Near
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.bodies import Amount
 
 SLACK = 1e-9
@@ -52,17 +52,18 @@ class Amounts:
         if not len(self.components):
             return False
         values = self._at_points()
-        return bool((values < -SLACK).any()) or bool((values.sum(axis=1) <= 0).any())
+        outside = (values < -SLACK).any() or (values.sum(axis=1) <= 0).any()
+        return self.sampler.ranks.any(outside)
 
     def limit(self) -> np.ndarray:
-        """Mend the present state; gives the numbers of the cells that were out of bounds."""
+        """Mend the present state; gives the numbers of the cells, of this rank, that were out of bounds."""
         if not self.is_exceeded():
             return np.zeros(0, dtype=int)
         scaled = self._keep_total()
         least = self._least()
         self._means.project()
         before = self._means.array("z")[self.components]
-        wanted = raised(before, self._means.volumes, self._means.neighbours)
+        wanted = raised(before, self._means.volumes, self._means.neighbours, self.sampler.ranks)
         outside = (least < -SLACK).any(axis=0)
         cells = outside | (wanted != before).any(axis=0)
         z = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]]
@@ -123,7 +124,7 @@ class Amounts:
 
     def _at_points(self) -> np.ndarray:
         """(points, amounts)."""
-        return np.asarray(self.sampler.values(self._values)).reshape(len(self.sampler.points), -1)
+        return self.sampler.rows(self._values)
 
     def _least_of_cells(self, values: np.ndarray) -> np.ndarray:
         least = np.full((self.step.mesh.ne, values.shape[1]), np.inf)
@@ -131,22 +132,22 @@ class Amounts:
         return least.T
 
 
-def raised(means: np.ndarray, volumes: np.ndarray, neighbours: csr_matrix) -> np.ndarray:
+def raised(means: np.ndarray, volumes: np.ndarray, neighbours: Near, ranks: Communicator) -> np.ndarray:
     """Means of amounts, (amounts, cells), with those below zero raised by swaps with other cells.
 
     Neighbours give first, in proportion to what they have; what they do not have all cells of the body give.
-    Sums over the cells, by their volumes, and sums over the amounts are kept.
+    Sums over the cells, by their volumes, and sums over the amounts are kept.  Collective over ranks.
     """
     slack = -SLACK * volumes
-    if not (means * volumes < slack).any():
+    if not ranks.any((means * volumes < slack).any()):
         return means
     before = means * volumes
     content = before.copy()
-    everywhere = _Everywhere(len(volumes))
+    everywhere = _Everywhere(len(volumes), ranks)
     for i in range(len(means)):
         for near in (neighbours, everywhere):
             missing, had = np.where(content[i] < slack, -content[i], 0.0), np.maximum(content[i], 0.0)
-            if not missing.any():
+            if not ranks.any(missing.any()):
                 break
             others = np.maximum(content, 0.0)
             others[i] = 0.0
@@ -164,8 +165,9 @@ def raised(means: np.ndarray, volumes: np.ndarray, neighbours: csr_matrix) -> np
 class _Everywhere:
     """The matrix of ones."""
 
-    def __init__(self, size: int) -> None:
-        self.size = size
+    def __init__(self, size: int, ranks: Communicator) -> None:
+        self.size, self.ranks = size, ranks
 
     def __matmul__(self, values: np.ndarray) -> np.ndarray:
-        return np.broadcast_to(values.sum(axis=0), (self.size, *values.shape[1:]))
+        total = self.ranks.totals(np.atleast_1d(values.sum(axis=0))).reshape(values.shape[1:])
+        return np.broadcast_to(total, (self.size, *values.shape[1:]))

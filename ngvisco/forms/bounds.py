@@ -204,7 +204,7 @@ class Bounds:
         out_of_range = np.union1d(self.amounts.limit(), self.ranges.limit())
         found = self._outside()
         if found is None:
-            return len(out_of_range)
+            return int(self._ranks.total(len(out_of_range)))
         target, _ = SHARE * found.means, self._means.owner  # which all ranks make together
         of_density = np.array([variable is None for variable in self._variables])
         for name, group in (("rho", of_density), ("z", ~of_density)):

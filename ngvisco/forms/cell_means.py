@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from ngsolve import L2, BilinearForm, FacetFESpace, GridFunction, Periodic, VectorValued, dx
@@ -12,6 +13,8 @@ from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.points import csr
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import tested
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 
 SHARE = 1e-2
 """What a limited cell keeps at every point, at least, of the bounded quantities of its mean.
@@ -22,6 +25,13 @@ which the body is being torn at two corners, the split solver does not take with
 (until 0.72 s).  Cells are limited where something is <= 0, not where it is below its share of the mean:
 a density that falls to zero along a line is no reason to change it.
 """
+
+
+class Near(Protocol):
+    """Which cells are near which, a matrix (cells, cells) of ones and zeros."""
+
+    def __matmul__(self, values: np.ndarray) -> np.ndarray:
+        """Of values (cells,) or (cells, n) the sums over the cells near each cell."""
 
 
 class CellMeans:
@@ -49,7 +59,7 @@ class CellMeans:
     def array(self, name: str) -> np.ndarray:
         """Means of ``"rho"`` or ``"z"``, (components, cells)."""
         function = self.rho if name == "rho" else self.z
-        return function.vec.FV().NumPy().reshape(-1, self.rho.space.ndof)
+        return function.vec.FV().NumPy().reshape(function.dim, -1)
 
     @cached_property
     def owner(self) -> np.ndarray:
@@ -66,11 +76,12 @@ class CellMeans:
         mass = BilinearForm(space, diagonal=True)
         trial, test = space.TnT()
         mass += trial * test * self.step.quadrature.cells
-        return mass.Assemble().mat.AsVector().FV().NumPy().copy()
+        matrix = mass.Assemble().mat
+        return getattr(matrix, "local_mat", matrix).AsVector().FV().NumPy().copy()
 
     @cached_property
-    def neighbours(self) -> csr_matrix:
-        """1 for two cells with a common facet, also an identified one, (cells, cells)."""
+    def neighbours(self) -> Near:
+        """1 for two cells with a common facet, also an identified one or of different ranks."""
         facets = FacetFESpace(self.step.mesh, order=0)
         if self.step.layout.periodic:
             facets = Periodic(facets)
@@ -81,4 +92,18 @@ class CellMeans:
         shared.setdiag(0.0)
         shared.eliminate_zeros()
         shared.data[:] = 1.0
-        return shared
+        exchange = Exchange.of(facets, Communicator.of(self.step.mesh))
+        return _AcrossRanks(shared, incidence, exchange) if exchange.is_distributed else shared
+
+
+class _AcrossRanks:
+    """Neighbours in a distributed mesh: this rank's, and across facets that another one has too."""
+
+    def __init__(self, own: csr_matrix, incidence: csr_matrix, exchange: Exchange) -> None:
+        self.own, self.exchange = own, exchange
+        self.border = incidence[exchange.places]  # of each such facet this rank has one cell
+        self.border.data[:] = 1.0
+
+    def __matmul__(self, values: np.ndarray) -> np.ndarray:
+        across = self.exchange.others((self.border @ values).T)
+        return self.own @ values + self.border.T @ across.T

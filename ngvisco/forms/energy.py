@@ -28,6 +28,7 @@ from ngvisco.errors import InitialDataError, StepError
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.sampling import Sampler
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material, conjugates
 from ngvisco.physics.pointwise import Respond
 from ngvisco.physics.tensors import inner
@@ -104,6 +105,8 @@ class PointwiseEnergy(StoredEnergy):
         """``quadrature`` is of an even degree; ``order`` is that of the projected energy."""
         super().__init__(material, quadrature.mesh.dim)
         self.response, self.fields = response, now
+        self._ranks = Communicator.of(quadrature.mesh)
+        self._own_failure: str | None = None
         points = IntegrationRuleSpace(quadrature.mesh, order=quadrature.volume_degree // 2)
         self._size = material.states(self.dim).size
         self._points, self._vectors = points, VectorValued(points, self._size)
@@ -141,14 +144,25 @@ class PointwiseEnergy(StoredEnergy):
 
     def samples(self, z: Values, sampler: Sampler) -> np.ndarray:
         components = self.material.states(self.dim).components(z)
-        states = np.asarray(sampler.values(components)).reshape(-1, self._size)
+        states = sampler.rows(components)
         response = self.response(states)
-        if response.failure is not None:
-            raise InitialDataError("stored energy", response.failure, "finite values")
+        with self._ranks.together(InitialDataError):
+            if response.failure is not None:
+                raise InitialDataError("stored energy", response.failure, "finite values")
         return response.energy
 
     def refresh(self, u: Fields | None = None) -> bool:
         u = self.fields if u is None else u
+        # what one rank has met all of them know
+        found = self._ranks.gathered((self._refreshed(u), self._own_failure))
+        changed = any(one for one, _ in found)
+        if changed and u is self.fields:
+            self.failure = next((failure for _, failure in found if failure is not None), None)
+            self.last_failure = self.failure or self.last_failure
+        return changed
+
+    def _refreshed(self, u: Fields) -> bool:
+        """The same on this rank."""
         mine = self._values[u]
         mine.state.Interpolate(u.z)
         states = _array(mine.state)
@@ -156,9 +170,8 @@ class PointwiseEnergy(StoredEnergy):
             return False
         if u is self.fields:
             response = self.response(states.T)
-            self.failure = response.failure
-            self.last_failure = response.failure or self.last_failure
-            _array(self._hessian)[:] = response.hessian.reshape(len(response.energy), -1).T
+            self._own_failure = response.failure
+            _array(self._hessian)[:] = response.hessian.reshape(len(response.energy), self._size**2).T
             energy, slope = response.energy, response.slope.T
         else:  # mostly a state that has been met
             known = (v for v in self._values.values() if v.at is not None and np.array_equal(states, v.at))

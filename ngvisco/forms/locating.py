@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from ngsolve import BND, VOL, Mesh
+from ngsolve import BND, VOL, CoefficientFunction, Mesh
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.mesh_arrays import coordinates
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import Part
+from ngvisco.shapes.places import mesh_points
 
 _PULLS = (1e-9, 1e-6, 1e-4, 1e-3)
 """Shares of the way to the nearest cell's centre tried for a point on a wall, which rounding, or the
@@ -48,6 +51,80 @@ def locate(mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> np.ndarray:
     for number in np.flatnonzero(found["nr"] < 0):
         found[number] = _on_wall(mesh, points[number], names[int(number)])
     return found
+
+
+class Located:
+    """Points of space, (count, dim), m, at which functions on a mesh are evaluated.
+
+    Over ranks each rank has points of its own, and each point is in the cell in which it is on one process:
+    what jumps across facets has one value there.  Making one and every evaluation are collective.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    points : array (count, dim)
+    names : sequence of str
+        What an error calls them.
+
+    Raises
+    ------
+    ParameterError
+        For a point that is not in the domain, and for a mesh that was distributed otherwise than by
+        ``Simulation``: the whole is not known.
+    """
+
+    def __init__(self, mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> None:
+        self.ranks, self.count = Communicator.of(mesh), len(points)
+        if not self.ranks.is_distributed:
+            self._at = locate(mesh, points, names)
+            return
+        if not isinstance(mesh, Part):
+            expected = "a mesh that Simulation distributes itself, of which it knows the whole"
+            raise ParameterError(names[0], "a distributed mesh", expected)
+        mpi = self.ranks.mpi
+        asked, called, cells = mpi.gather(points), mpi.gather(list(names)), mpi.gather(mesh.cells)
+        found: list[tuple[np.ndarray, np.ndarray]] = []
+
+        def locate_all() -> None:
+            assert mesh.whole is not None
+            for each, of_each in zip(asked, called, strict=True):
+                at = locate(mesh.whole, each, of_each) if len(each) else None
+                nr = np.zeros(0, dtype=int) if at is None else at["nr"].astype(int)
+                axes = "xyz"[: mesh.dim]
+                found.append((nr, each if at is None else np.stack([at[axis] for axis in axes], axis=1)))
+
+        self.ranks.on_first(locate_all)
+        wanted, given = None, None
+        if mesh.whole is not None:
+            owner, local = (np.zeros(mesh.whole.ne, dtype=int) for _ in range(2))
+            for rank, of_rank in enumerate(cells):
+                owner[of_rank], local[of_rank] = rank, np.arange(len(of_rank))
+            every = range(self.ranks.size)
+            chosen = [[np.flatnonzero(owner[nr] == rank) for rank in every] for nr, _ in found]
+            wanted = [
+                [
+                    (local[nr[of[rank]]], reference[of[rank]])
+                    for (nr, reference), of in zip(found, chosen, strict=True)
+                ]
+                for rank in every
+            ]
+            given = chosen
+        mine = mpi.scatter(wanted)
+        self._from: list[np.ndarray] = mpi.scatter(given)
+        """Which of this rank's points each rank has."""
+        self._ends = np.cumsum([len(local) for local, _ in mine])
+        self._at = mesh_points(mesh, *(np.concatenate(parts) for parts in zip(*mine, strict=True)))
+
+    def values(self, function: CoefficientFunction) -> np.ndarray:
+        """Of a function, (count, components)."""
+        own = np.asarray(function(self._at)).reshape(len(self._at), function.dim)
+        if not self.ranks.is_distributed:
+            return own
+        values = np.zeros((self.count, function.dim))
+        got = self.ranks.mpi.alltoall(np.split(own, self._ends[:-1]))
+        for where, part in zip(self._from, got, strict=True):
+            values[where] = part
+        return values
 
 
 def _on_wall(mesh: Mesh, point: np.ndarray, name: str) -> Any:

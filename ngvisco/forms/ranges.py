@@ -42,10 +42,10 @@ class Ranges:
 
     def is_exceeded(self) -> bool:
         """Whether ``limit`` would change the present state."""
-        return bool(self.names) and bool(self._outside()[0].any())
+        return bool(self.names) and self.sampler.ranks.any(self._outside()[0].any())
 
     def limit(self) -> np.ndarray:
-        """Put the present state back into its ranges; gives the numbers of the cells that were changed."""
+        """Put the present state back into its ranges; gives the cells of this rank that were changed."""
         if not self.is_exceeded():
             return np.zeros(0, dtype=int)
         outside, least, largest = self._outside()
@@ -69,7 +69,7 @@ class Ranges:
 
     def _outside(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Which are out of their ranges, least and largest values, each (parameters, cells)."""
-        values = np.asarray(self.sampler.values(self._values)).reshape(len(self.sampler.points), -1)
+        values = self.sampler.rows(self._values)
         numbers, cells = np.asarray(self.sampler.points["nr"]), self.step.mesh.ne
         least = np.full((cells, values.shape[1]), np.inf)
         largest = np.full_like(least, -np.inf)

@@ -29,6 +29,8 @@ from ngvisco.forms.moving_walls import MovingWalls
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.forms.wall_terms import TangentialStress
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.walls import NoSlip, PrescribedTangential
 
@@ -52,7 +54,7 @@ class WallReactions:
 
     def __init__(self, step: Step, names: Sequence[str] | None, about: Sequence[float]) -> None:
         walls = step.walls
-        self.step = step
+        self.step, self._ranks = step, Communicator.of(step.mesh)
         self.names = list(walls.conditions) if names is None else list(names)
         for name in self.names:
             if name not in walls.conditions:
@@ -82,11 +84,11 @@ class WallReactions:
         n, w = specialcf.normal(mesh.dim), space.TestFunction()
         squares = CF(tuple(n[i] * n[i] for i in range(mesh.dim)))
         hats = np.arange(space.ndof) % (space.ndof // mesh.dim) < mesh.nv  # the others change their sign
-        claims = {}
+        exchange, claims = Exchange.of(space, self._ranks), {}
         for name, mask in masks.items():
             load = LinearForm(inner(squares, w.Trace()) * ds(definedon=self.step.walls.region([name])))
-            claims[name] = np.where(mask & hats, load.Assemble().vec.FV().NumPy(), 0.0)
-        scale = max((claim.max() for claim in claims.values()), default=0.0)
+            claims[name] = np.where(mask & hats, exchange.sum(load.Assemble().vec.FV().NumPy()), 0.0)
+        scale = max((self._ranks.most(claim) for claim in claims.values()), default=0.0)
         total = sum(claims.values(), np.zeros(space.ndof))
         count = np.maximum(sum((mask.astype(float) for mask in masks.values()), np.zeros(space.ndof)), 1.0)
         claimed = total > 1e-8 * scale
@@ -122,8 +124,12 @@ class WallReactions:
         return found
 
     def of_rows(self, rows: np.ndarray) -> np.ndarray:
-        """Force and torque on each wall, (walls, motions), of what the walls do to the rows of v, N."""
-        return np.array([[-(self._weights[n] * test) @ rows for test in self._tests] for n in self.names])
+        """Force and torque on each wall, (walls, motions), of what the walls do to the rows of v, N.
+
+        Over ranks rows are in parts.
+        """
+        own = np.array([[-(self._weights[n] * test) @ rows for test in self._tests] for n in self.names])
+        return self._ranks.totals(own)
 
     def __call__(self) -> dict[str, list[float]]:
         """Of each wall the components of force, N, and of torque, N m, on it (per metre in plane strain).
@@ -138,13 +144,11 @@ class WallReactions:
         self._energy.Assemble()
         rows = residual.FV().NumPy()[step.layout.ranges["v"]] + self._energy.vec.FV().NumPy()
         result = {}
-        for name in self.names:
-            values = []
-            for test, own in zip(self._tests, self._terms[name], strict=True):
-                on_body = float((self._weights[name] * test) @ rows)
-                on_body -= sum(step.quadrature.integrate_facets(part) for part in own)
-                values.append(-on_body)
-            result[name] = values
+        for name, of_rows in zip(self.names, self.of_rows(rows), strict=True):
+            own = [
+                sum(step.quadrature.integrate_facets(part) for part in parts) for parts in self._terms[name]
+            ]
+            result[name] = [float(value) for value in of_rows + np.array(own)]
         return result
 
 

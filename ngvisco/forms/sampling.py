@@ -42,10 +42,14 @@ class Sampler:
         result = np.asarray(f(self.points))
         return result[:, 0] if result.ndim == 2 and result.shape[1] == 1 else result
 
+    def rows(self, f: CoefficientFunction) -> np.ndarray:
+        """The same as (points, components), also of a scalar and on a rank without points."""
+        return np.asarray(f(self.points)).reshape(len(self.points), f.dim)
+
     def coordinates(self, indices: np.ndarray) -> np.ndarray:
         """Where some of the points are, (indices, dim), m."""
         position = CF((x, y, z)[: self.mesh.dim])
-        return np.asarray(position(self.points[indices])).reshape(len(indices), -1)
+        return np.asarray(position(self.points[indices])).reshape(len(indices), self.mesh.dim)
 
     def extrema(self, f: CoefficientFunction) -> tuple[float, float]:
         """Minimum and maximum of a scalar, over all ranks."""

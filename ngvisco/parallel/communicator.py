@@ -133,6 +133,10 @@ class Communicator:
         """The least of all ranks' values; a rank may have none.  NaN counts as less than any number."""
         return -self.most(-np.asarray(values, dtype=float))
 
+    def largest(self, values: np.ndarray) -> np.ndarray:
+        """The largest of all ranks' values, entry by entry; none of them NaN."""
+        return values if self.size == 1 else self._reduced(np.ascontiguousarray(values), "MAX")
+
     def any(self, value: bool | np.bool_) -> bool:
         """Whether it is so on some rank."""
         return bool(value) if self.size == 1 else bool(self._reduced(int(value), "MAX"))

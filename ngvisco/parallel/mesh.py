@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from ngsolve import VERTEX, Mesh
 
 from ngvisco.errors import MeshError
@@ -24,9 +25,14 @@ class Part(Mesh):
     ----------
     whole : Mesh or None
         The mesh itself on the first rank, which has no cells of the part; None on others.
+    cells : array (cells,)
+        What number each cell of the part has in the whole.
+    ranks : Communicator
     """
 
     whole: Mesh | None = None
+    cells: np.ndarray = np.zeros(0, dtype=np.int64)
+    ranks = Communicator()
 
 
 def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
@@ -60,8 +66,45 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     if mesh is not None and ranks.is_first:
         part = Part(mesh.ngmesh.Copy().Distribute(ranks.mpi))  # which takes the cells away
         part.whole = mesh
-        return part
-    return Part(NetgenMesh.Receive(ranks.mpi))
+    else:
+        part = Part(NetgenMesh.Receive(ranks.mpi))
+    part.ranks, part.cells = ranks, _numbers(part, ranks)
+    return part
+
+
+def cell_numbers(mesh: Mesh) -> np.ndarray:
+    """The numbers that the cells of this rank have in the whole mesh; their own on one process."""
+    return mesh.cells if isinstance(mesh, Part) else np.arange(mesh.ne)
+
+
+def _numbers(part: Part, ranks: Communicator) -> np.ndarray:
+    """Which cell of the whole each one of a part is: the one with the same vertices in the same order.
+
+    Vertices are known by their coordinates, which NGSolve hands out to the bit.  Collective.
+    """
+    own, nodes = _corners(part)
+    places = ranks.mpi.gather(own)
+    cells = ranks.mpi.gather(nodes)
+    answers = None
+    if part.whole is not None:
+        every, of_whole = _corners(part.whole)
+        vertices = {place.tobytes(): number for number, place in enumerate(every)}
+        known = {nodes.tobytes(): number for number, nodes in enumerate(of_whole)}
+        answers = []
+        for own, nodes in zip(places, cells, strict=True):
+            number = np.array([-1, *(vertices[place.tobytes()] for place in own)], dtype=np.int64)
+            found = [known[of.tobytes()] for of in number[nodes + 1]]
+            answers.append(np.array(found, dtype=np.int64))
+    result: np.ndarray = ranks.mpi.scatter(answers)
+    return result
+
+
+def _corners(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates of the vertices, and the cells' vertices, (cells, 4), -1 where there are less."""
+    elements = mesh.ngmesh.Elements2D() if mesh.dim == 2 else mesh.ngmesh.Elements3D()
+    nodes = elements.NumPy()["nodes"][:, :4].astype(np.int64) - 1
+    nodes[nodes >= mesh.nv] = -1  # of the middles of edges
+    return np.array(mesh.ngmesh.Coordinates()[: mesh.nv]), nodes
 
 
 def _refusal(mesh: Mesh | None, parts: int) -> str | None:

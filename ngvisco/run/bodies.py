@@ -87,9 +87,13 @@ class Bodies(Series):
         totals = np.asarray(simulation.rothe_step.quadrature.integrate_cells(self._integrand), dtype=float)
         values = totals.reshape(len(self._names), -1)
         values[:, 2 : 2 + dim] /= np.where(values[:, 1:2] > 0, values[:, 1:2], np.nan)
-        theta = simulation.sampler.values(self._theta).reshape(len(self._places), -1)
-        rows = [[*row, *_extent(self._places[of >= _HALF])] for row, of in zip(values, theta.T, strict=True)]
-        return [np.concatenate(rows)]
+        there = simulation.sampler.rows(self._theta).T >= _HALF
+        # the least as the largest of the negative ones: a rank may have none
+        ends = np.array([_ends(self._places[where]) for where in there])
+        low, high = np.moveaxis(simulation.ranks.largest(ends), 1, 0)
+        extents = np.stack([-low, high], axis=-1).reshape(len(self._names), -1)
+        extents[np.isinf(extents)] = np.nan
+        return [np.hstack([values, extents]).ravel()]
 
 
 def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
@@ -119,8 +123,6 @@ def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
     ]
 
 
-def _extent(places: np.ndarray) -> list[float]:
-    """Smallest and largest coordinate along each axis."""
-    if not len(places):
-        return [float("nan")] * (2 * places.shape[1])
-    return np.stack([places.min(axis=0), places.max(axis=0)], axis=1).ravel().tolist()
+def _ends(places: np.ndarray) -> np.ndarray:
+    """Largest negative and largest coordinate along each axis, (2, dim); -inf without any place."""
+    return np.stack([(-places).max(axis=0, initial=-np.inf), places.max(axis=0, initial=-np.inf)])

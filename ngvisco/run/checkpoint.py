@@ -217,18 +217,22 @@ def snapshot(simulation: Simulation) -> Snapshot:
     }
     solver, stepping = simulation.solver.state_dict(), simulation.stepper.state_dict()
     state, numbering = simulation.rothe_step.state.vec.FV().NumPy().copy(), simulation.numbering
+    arrays = {
+        "": {"state": state},
+        "solver": solver[1],
+        "stepping": stepping[1],
+        "passive": simulation.passive.arrays(),
+    }
     return Snapshot(
         {"": numbers, "solver": solver[0], "stepping": stepping[0], "passive": {}},
         {
-            "": {"state": numbering.whole(state)},
-            "solver": {name: numbering.whole(array) for name, array in solver[1].items()},
-            "stepping": {name: numbering.whole(array, evolved=True) for name, array in stepping[1].items()},
-            "passive": simulation.passive.arrays(),  # none on several ranks
+            part: {name: numbering.whole(array, part, name) for name, array in named.items()}
+            for part, named in arrays.items()
         },
     )
 
 
-def _distributed(one: Snapshot | None, simulation: Simulation) -> Snapshot:
+def distributed(one: Snapshot | None, simulation: Simulation) -> Snapshot:
     """The checkpoint that the first rank has read, with each rank's coefficients; collective."""
     numbering, ranks = simulation.numbering, simulation.ranks
     if not ranks.is_distributed:
@@ -239,8 +243,9 @@ def _distributed(one: Snapshot | None, simulation: Simulation) -> Snapshot:
     )
     arrays = {
         part: {
-            name: numbering.own(None if one is None else one.arrays[part][name], evolved=part == "stepping")
+            name: numbering.own(None if one is None else one.arrays[part][name], part, name)
             for name in named
+            if part != "passive" or name in simulation.passive.parts
         }
         for part, named in names.items()
     }
@@ -278,7 +283,7 @@ def restore(
         return names, rows
 
     names, rows = ranks.on_first(read_all)
-    one = _distributed(read[0] if read else None, simulation)
+    one = distributed(read[0] if read else None, simulation)
     vector, state = simulation.rothe_step.state.vec, one.arrays[""]["state"]
     numbers = one.numbers[""]
     number = int(numbers["step"])

@@ -49,9 +49,9 @@ def check_arguments(
             raise ParameterError("Simulation.terms", term, "objects with the methods form and entries")
 
 
-def check_distributed(step: Step, passive: Sequence[str]) -> None:
+def check_distributed(step: Step) -> None:
     """Raise MeshError or ParameterError for what several ranks do not take; nothing on one process."""
-    mesh, model = step.mesh, step.model
+    mesh = step.mesh
     ranks = Communicator.of(mesh)
     if not ranks.is_distributed:
         return
@@ -59,17 +59,9 @@ def check_distributed(step: Step, passive: Sequence[str]) -> None:
         raise MeshError(CURVED)
     if step.walls.periodic:
         raise MeshError(PERIODIC)
-    if passive:
-        raise ParameterError("Simulation.passive", passive, "no passive fields on several ranks")
     if step.walls.multiplied:
         expected = "walls normal to an axis, or without slip, on several ranks: multipliers are one process's"
         raise ParameterError("Simulation.walls", step.walls.multiplied, expected)
-    if carried := [v.name for v in model.material.variables if not v.is_strain]:
-        expected = "a material without parameters and bodies on several ranks: their ranges are one process's"
-        raise ParameterError("Simulation.model", carried, expected)
-    if model.material.response(mesh.dim) is not None:
-        expected = "a material whose energy is an expression on several ranks, not one computed at points"
-        raise ParameterError("Simulation.model", type(model.material).__name__, expected)
 
 
 def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:

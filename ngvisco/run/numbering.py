@@ -1,20 +1,19 @@
 """Coefficients of a distributed space as those of the whole mesh on one process, and back.
 
-A checkpoint has the numbering of one process, so that any number of ranks reads it.  A rank's cell is found
-in the whole mesh by its vertices, these by their coordinates, which NGSolve hands out to the bit; the
-unknowns of a cell have the same order in both.  The orientation of edges and faces is the same too: ranks
-number their vertices in the order of the whole mesh.
+A checkpoint has the numbering of one process, so that any number of ranks reads it.  The number of a rank's
+cell in the whole mesh is known (``Part.cells``); the unknowns of a cell have the same order in both.  The
+orientation of edges and faces is the same too: ranks number their vertices in the order of the whole mesh.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from ngsolve import VOL, FESpace, Mesh
+from ngsolve import VOL, ElementId, FESpace, Mesh
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.forms.spaces import Layout
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import Part
@@ -25,8 +24,53 @@ if TYPE_CHECKING:
 _EVOLVED = ("v", "rho", "z")
 
 
+class Numbers:
+    """Which unknown of a space on the whole mesh each unknown of a rank is.
+
+    Parameters
+    ----------
+    own : array (unknowns,)
+        Of this rank.
+    space : FESpace or None
+        On the whole mesh; None but on the first rank.
+    ranks : Communicator
+    chosen : array of int, optional
+        On the first rank: these unknowns of the space alone are counted, in this order.
+    """
+
+    def __init__(
+        self,
+        own: np.ndarray,
+        space: FESpace | None,
+        ranks: Communicator,
+        chosen: np.ndarray | None = None,
+    ) -> None:
+        self.count, self.ranks = 0 if space is None else space.ndof, ranks
+        self._parts = ranks.mpi.gather(own)
+        if space is not None and chosen is not None:
+            self.count, place = len(chosen), np.zeros(space.ndof, dtype=np.int64)
+            place[chosen] = np.arange(len(chosen))
+            self._parts = [place[numbers] for numbers in self._parts]
+
+    def whole(self, values: np.ndarray) -> np.ndarray:
+        """All ranks' coefficients as those of the whole on the first rank, an empty array on others."""
+        parts = self.ranks.mpi.gather(values)
+        if parts is None:
+            return np.zeros(0)
+        result = np.zeros(self.count)
+        for numbers, part in zip(self._parts, parts, strict=True):
+            result[numbers] = part
+        return result
+
+    def own(self, values: np.ndarray | None) -> np.ndarray:
+        """A rank's coefficients of those of the whole, which the first one has, None on others."""
+        parts = None if values is None else [values[numbers] for numbers in self._parts]
+        found: np.ndarray = self.ranks.mpi.scatter(parts)
+        return found
+
+
 class Numbering:
-    """Which unknown of the whole mesh each unknown of a rank is.
+    """Which unknown of the whole mesh each unknown of a rank is; on one process itself.
 
     Attributes
     ----------
@@ -45,45 +89,41 @@ class Numbering:
         self.layout: Layout | None = step.layout
         if not self.ranks.is_distributed:
             return
-        self.mesh = step.mesh.whole if isinstance(step.mesh, Part) else None
-        if not self.ranks.any(self.mesh is not None):
+        part = step.mesh
+        if not isinstance(part, Part):
             expected = "a mesh that Simulation distributes itself, of which it knows the whole"
             raise ParameterError("Checkpoints", "a distributed mesh", expected)
+        self.mesh = part.whole
         self.layout = None if self.mesh is None else step.layout.on(self.mesh)
-        own = _numbers(step.mesh, step.layout.space, self.mesh, self.layout, self.ranks)
-        of_evolved = own[_evolved(step.layout)]
-        self._states = self.ranks.mpi.gather(own)
-        self._evolved = self.ranks.mpi.gather(of_evolved)
-        if self.layout is not None:  # positions among the evolved unknowns alone
-            position = np.zeros(self.layout.space.ndof, dtype=np.int64)
-            chosen = _evolved(self.layout)
-            position[chosen] = np.arange(len(chosen))
-            self._evolved = [position[numbers] for numbers in self._evolved]
+        whole = None if self.layout is None else self.layout.space
+        own = numbers_in(part, step.layout.space, whole)
+        self._states = Numbers(own, whole, self.ranks)
+        evolved = None if self.layout is None else _evolved(self.layout)
+        self._evolved = Numbers(own[_evolved(step.layout)], whole, self.ranks, evolved)
+        self._passive: dict[str, Numbers] = {}
+        for key, field in simulation.passive.parts.items():
+            of_field = None if self.mesh is None else simulation.passive.space(key, self.mesh)
+            self._passive[key] = Numbers(numbers_in(part, field.space, of_field), of_field, self.ranks)
 
-    def whole(self, values: np.ndarray, evolved: bool = False) -> np.ndarray:
-        """The whole state of all ranks' coefficients on the first rank, an empty array on others.
+    def whole(self, values: np.ndarray, part: str = "", name: str = "") -> np.ndarray:
+        """An array of a checkpoint as one process has it, on the first rank, an empty one on others.
 
-        With ``evolved`` both have the unknowns v, rho and z only, in this order.
+        ``part`` and ``name`` are the checkpoint's: those of ``stepping`` have the unknowns v, rho and z only,
+        in this order, those of ``passive`` are of that field, others have the whole state.
         """
-        if not self.ranks.is_distributed:
-            return values
-        parts = self.ranks.mpi.gather(values)
-        if parts is None or self.layout is None:
-            return np.zeros(0)
-        result = np.zeros(len(_evolved(self.layout)) if evolved else self.layout.space.ndof)
-        for numbers, part in zip(self._evolved if evolved else self._states, parts, strict=True):
-            result[numbers] = part
-        return result
+        return self._of(part, name).whole(values) if self.ranks.is_distributed else values
 
-    def own(self, values: np.ndarray | None, evolved: bool = False) -> np.ndarray:
-        """A rank's coefficients of the whole state that the first one has, None on others."""
-        if not self.ranks.is_distributed:
-            assert values is not None
-            return values
-        numbers = self._evolved if evolved else self._states
-        parts = None if values is None else [values[own] for own in numbers]
-        found: np.ndarray = self.ranks.mpi.scatter(parts)
-        return found
+    def own(self, values: np.ndarray | None, part: str = "", name: str = "") -> np.ndarray:
+        """A rank's part of such an array that the first one has, None on others."""
+        if self.ranks.is_distributed:
+            return self._of(part, name).own(values)
+        assert values is not None
+        return values
+
+    def _of(self, part: str, name: str) -> Numbers:
+        if part == "passive":
+            return self._passive[name]
+        return self._evolved if part == "stepping" else self._states
 
 
 def _evolved(layout: Layout) -> np.ndarray:
@@ -91,34 +131,18 @@ def _evolved(layout: Layout) -> np.ndarray:
     return np.concatenate([np.arange(layout.ranges[n].start, layout.ranges[n].stop) for n in _EVOLVED])
 
 
-def _numbers(
-    part: Mesh, space: FESpace, whole: Mesh | None, layout: Layout | None, ranks: Communicator
-) -> np.ndarray:
-    """Numbers in the whole space of a rank's unknowns; collective."""
-    known = None if whole is None else {point.tobytes(): i for i, point in enumerate(coordinates(whole))}
-    places = [point.tobytes() for point in coordinates(part)] if part.nv else []
-    asked = ranks.mpi.gather(places)
-    vertices = ranks.mpi.scatter(
-        None if known is None else [[known[place] for place in each] for each in asked]
-    )
-    cells = [
-        (tuple(vertices[v.nr] for v in cell.vertices), _dofs(space, cell)) for cell in part.Elements(VOL)
-    ]
-    wanted = ranks.mpi.gather([key for key, _ in cells])
+def numbers_in(part: Part, space: FESpace, whole: FESpace | None) -> np.ndarray:
+    """Numbers in a space on the whole mesh, None but on the first rank, of a rank's unknowns; collective."""
+    wanted = part.ranks.mpi.gather(part.cells)
     answers = None
-    if whole is not None and layout is not None:
-        of_cell = {
-            tuple(v.nr for v in cell.vertices): _dofs(layout.space, cell) for cell in whole.Elements(VOL)
-        }
-        answers = [
-            np.concatenate([np.zeros(0, dtype=int), *(of_cell[key] for key in each)]) for each in wanted
-        ]
-    found = ranks.mpi.scatter(answers)
+    if whole is not None:
+        answers = [_of_cells(whole, cells) for cells in wanted]
     numbers = np.zeros(space.ndof, dtype=np.int64)
-    numbers[np.concatenate([np.zeros(0, dtype=int), *(dofs for _, dofs in cells)])] = found
+    numbers[_of_cells(space, range(part.ne))] = part.ranks.mpi.scatter(answers)
     return numbers
 
 
-def _dofs(space: FESpace, cell: object) -> np.ndarray:
-    dofs = np.array(space.GetDofNrs(cell), dtype=np.int64)
-    return dofs[dofs >= 0]
+def _of_cells(space: FESpace, cells: Iterable[int]) -> np.ndarray:
+    """The unknowns of cells, cell by cell."""
+    each = (np.array(space.GetDofNrs(ElementId(VOL, int(cell))), dtype=np.int64) for cell in cells)
+    return np.concatenate([np.zeros(0, dtype=np.int64), *(dofs[dofs >= 0] for dofs in each)])

@@ -32,6 +32,7 @@ from ngsolve import (
     Grad,
     GridFunction,
     LinearForm,
+    Mesh,
     Periodic,
     Preconditioner,
     Projector,
@@ -131,6 +132,11 @@ class PassiveFields:
             result["creep_strain"] = parts["creep_strain_1"]
         return result
 
+    def space(self, key: str, mesh: Mesh) -> FESpace:
+        """That of a part, by its name, on another mesh."""
+        carrier = self._solvers[key]
+        return _cells(mesh, self.step.discretisation.k, carrier.vector)
+
     def begin(self) -> None:
         """A step begins: forget the stages since the last accepted one."""
         self._stages = [self.arrays()]
@@ -180,6 +186,10 @@ def _combined(weights: np.ndarray, stages: Sequence[Mapping[str, np.ndarray]], k
     return sum(weight * stage[key] for weight, stage in zip(weights, stages, strict=False) if weight != 0)
 
 
+def _cells(mesh: Mesh, order: int, vector: bool) -> FESpace:
+    return VectorL2(mesh, order=order) if vector else L2(mesh, order=order)
+
+
 class _Carrier:
     """f/tau + (v . grad) f - A f = f_old/tau + source, with upwind traces; one matrix for many fields.
 
@@ -189,7 +199,7 @@ class _Carrier:
     def __init__(self, step: Step, vector: bool, rate: CoefficientFunction | None) -> None:
         """``rate`` is A, (dim, dim), or None for none; ``vector`` fields have dim components."""
         mesh, order, c, v = step.mesh, step.discretisation.k, step.context, step.now.v
-        self.cells = VectorL2(mesh, order=order) if vector else L2(mesh, order=order)
+        self.vector, self.cells = vector, _cells(mesh, order, vector)
         traces = FacetFESpace(mesh, order=order)
         traces = VectorValued(traces, mesh.dim) if vector else traces
         self.space = FESpace([self.cells, Periodic(traces) if step.layout.periodic else traces])

@@ -11,7 +11,7 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError
 from ngvisco.expressions import parse
-from ngvisco.forms.locating import as_points, locate
+from ngvisco.forms.locating import Located, as_points
 from ngvisco.forms.reactions import WallReactions
 from ngvisco.run.fields import component_fields, components
 from ngvisco.run.series import Series
@@ -67,12 +67,12 @@ class Probes(Series):
         for name, found, given in zip(names, at, self.points.values(), strict=True):
             if len(found) != 1:
                 raise ParameterError(name, given, "one point")
-        self._at = locate(mesh, np.concatenate(at), names)
+        self._at = Located(mesh, np.concatenate(at), names)
         self._values, columns = _stacked(simulation, self.fields)
         return [f"{name}.{column}" for name in self.points for column in columns]
 
     def _sample(self, simulation: Simulation) -> Any:
-        return [np.asarray(self._values(self._at)).reshape(-1)]
+        return [self._at.values(self._values).ravel()]
 
 
 class LineSamples(Series):
@@ -117,14 +117,13 @@ class LineSamples(Series):
         share = np.linspace(0, 1, self.points)[:, None]
         where = (1 - share) * a + share * b
         names = ["LineSamples.start", *["LineSamples.end"] * (self.points - 1)]
-        self._at = locate(mesh, where, names)
+        self._at = Located(mesh, where, names)
         self._place = np.hstack([share * length, where])
         self._values, columns = _stacked(simulation, self.fields)
         return ["s", *"xyz"[: mesh.dim], *columns]
 
     def _sample(self, simulation: Simulation) -> Any:
-        values = np.asarray(self._values(self._at)).reshape(len(self._at), -1)
-        return np.hstack([self._place, values])
+        return np.hstack([self._place, self._at.values(self._values)])
 
 
 class WallForces(Series):

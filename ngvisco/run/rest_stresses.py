@@ -11,13 +11,15 @@ import warnings
 from itertools import combinations
 
 import numpy as np
-from ngsolve import CoefficientFunction, Id
+from ngsolve import H1, CoefficientFunction, Id
 
 from ngvisco.errors import InputWarning
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.mesh_arrays import vertices
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.mixture import Mixture
@@ -42,16 +44,17 @@ def warn_of_rest_stresses(step: Step, sampler: Sampler, initial: Initial) -> Non
         return  # a state of stress of the user's own
     z = step.now.z_tensors
     theta = {name: sampler.values(value) for name, value in material.fractions.at(z).items()}
-    at_rest, stiffness = {}, 0.0
+    at_rest, stiffness, ranks = {}, 0.0, sampler.ranks
     for body in material.bodies:
-        there = theta[body.name] >= 0.5 * theta[body.name].max()
+        there = theta[body.name] >= 0.5 * ranks.most(theta[body.name])
         rest, probed = (sampler.values(_mean_stress(body, z, s))[there] for s in (1.0, _PROBE))
-        at_rest[body.name] = float(np.mean(rest))
-        stiffness = max(stiffness, float(np.abs(probed - rest).max()))
+        total, count = ranks.totals(np.array([rest.sum(), len(rest)]))
+        at_rest[body.name] = float(total / count)
+        stiffness = max(stiffness, ranks.most(np.abs(probed - rest)))
     presence = {name: _at_vertices(step, sampler, values) for name, values in theta.items()}
     for a, b in combinations(at_rest, 2):
         difference = at_rest[a] - at_rest[b]
-        if abs(difference) <= _ROUNDING * stiffness or not (presence[a] & presence[b]).any():
+        if abs(difference) <= _ROUNDING * stiffness or not ranks.any((presence[a] & presence[b]).any()):
             continue
         warnings.warn(
             f"bodies {a!r} and {b!r} meet with different stresses at rest, T(I) = {at_rest[a]:.4g} Pa and "
@@ -74,9 +77,10 @@ def _mean_stress(body: Body, z: Values, stretch: float) -> CoefficientFunction:
 
 
 def _at_vertices(step: Step, sampler: Sampler, fraction: np.ndarray) -> np.ndarray:
-    """Whether a body is in one of the cells at a vertex of the mesh, (vertices,)."""
-    cells = vertices(step.mesh)
-    there = fraction.reshape(len(cells), -1).max(axis=1) > _MEETS
-    found = np.zeros(step.mesh.nv, dtype=bool)
-    found[cells[there].ravel()] = True
-    return found
+    """Whether a body is in one of the cells, also of other ranks, at a vertex of the mesh, (vertices,)."""
+    mesh, cells = step.mesh, vertices(step.mesh)
+    found = np.zeros(mesh.nv)
+    if len(cells):
+        there = fraction.reshape(len(cells), -1).max(axis=1) > _MEETS
+        found[cells[there].ravel()] = 1.0
+    return Exchange.of(H1(mesh, order=1), Communicator.of(mesh)).sum(found) > 0

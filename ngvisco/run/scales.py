@@ -15,6 +15,7 @@ from ngvisco.forms.momentum import Loading
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.material import Material, cauchy_stress
 from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.model import Model
@@ -183,8 +184,12 @@ def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
     u, model = step.now, step.model
     material = model.material
 
+    own = cell_numbers(step.mesh)[sampler.points["nr"]]
+    order = np.argsort(np.concatenate(sampler.ranks.gathered(own)), kind="stable")
+
     def everywhere(f: CoefficientFunction) -> np.ndarray:
-        return np.concatenate(sampler.ranks.gathered(np.asarray(sampler.values(f))))
+        """At the points of all ranks, in the order of one process: what is equal is met there first."""
+        return np.concatenate(sampler.ranks.gathered(np.asarray(sampler.values(f))))[order]
 
     carried = [v.name for v in material.variables if isinstance(v, Parameter)]
     bodies = material.bodies if isinstance(material, Mixture) else ()

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ngvisco.errors import CheckpointError, ParameterError, UnknownNameError, require_count
+from ngvisco.errors import CheckpointError, UnknownNameError, require_count
 from ngvisco.run.files import append, write_atomically
 
 if TYPE_CHECKING:
@@ -27,7 +27,8 @@ class Series(ABC):
     """Base of the observers that note numbers over time.
 
     A subclass gives ``prepare``, which checks its input against the simulation and returns the columns
-    after ``step`` and ``time``, and ``_sample``, which returns rows of them at the present state.
+    after ``step`` and ``time``, and ``_sample``, which returns rows of them at the present state.  Over ranks
+    all call both together and get the same; the first one writes the file.
 
     Attributes
     ----------
@@ -68,16 +69,15 @@ class Series(ABC):
         return np.array([row[self.columns.index(name)] for row in self.rows])
 
     def start(self, simulation: Simulation) -> None:
-        require_one_process(simulation, type(self).__name__)
         self.columns = ["step", "time", *self.prepare(simulation)]
-        earlier = self.rows
-        if not earlier and simulation.number > 0 and self.path is not None:
-            earlier = read_series(self.path, self.columns)
+        earlier, path, ranks = self.rows, self.path, simulation.ranks
+        if not earlier and simulation.number > 0 and path is not None:
+            earlier = ranks.on_first(lambda: read_series(path, self.columns))
         number = simulation.number
         self.rows = [row for row in earlier if row[0] <= number and row[0] % self.every == 0]
         self._found = number, [row for row in earlier if row[0] == number]
-        if self.path is not None:
-            write_atomically(self.path, _csv([self.columns, *self.rows]).encode())
+        if path is not None:
+            ranks.on_first(lambda: write_atomically(path, _csv([self.columns, *self.rows]).encode()))
         if self.initial and not self._has(number) and number % self.every == 0:
             self._note(simulation)
 
@@ -90,7 +90,7 @@ class Series(ABC):
             return
         number, rows = self._found
         if number == simulation.number and not self.initial:  # no step was made: what there was of the last
-            self._add(rows)
+            self._add(rows, simulation)
         elif self.initial or simulation.number > 0:
             self._note(simulation)
 
@@ -99,22 +99,13 @@ class Series(ABC):
 
     def _note(self, simulation: Simulation) -> None:
         time = [simulation.number, simulation.t]
-        self._add([[*time, *(float(value) + 0.0 for value in row)] for row in self._sample(simulation)])
+        rows = [[*time, *(float(value) + 0.0 for value in row)] for row in self._sample(simulation)]
+        self._add(rows, simulation)
 
-    def _add(self, rows: list[list[float]]) -> None:
+    def _add(self, rows: list[list[float]], simulation: Simulation) -> None:
         self.rows += rows
-        if self.path is not None:
-            append(self.path, _csv(rows))
-
-
-ON_RANKS = "ledger, VTK series and checkpoints only on several ranks: its points are one process's"
-"""What is expected of the observers of a distributed run."""
-
-
-def require_one_process(simulation: Simulation, name: str) -> None:
-    """Raise ParameterError for an observer that several ranks do not serve."""
-    if simulation.ranks.is_distributed:
-        raise ParameterError("Simulation.observers", name, ON_RANKS)
+        if (path := self.path) is not None:
+            simulation.ranks.on_first(lambda: append(path, _csv(rows)))
 
 
 def _csv(rows: Sequence[Sequence[object]]) -> str:

@@ -194,7 +194,7 @@ class Simulation:
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping, halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
-        check_distributed(self.rothe_step, passive)
+        check_distributed(self.rothe_step)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.ranks = self.sampler.ranks
         space, self.cells = self.rothe_step.layout.space, int(self.ranks.total(mesh.ne))

@@ -24,7 +24,7 @@ from ngsolve import CF, L2, GridFunction, Integrate
 from ngvisco.errors import InitialDataError, MeshError, ParameterError
 from ngvisco.forms.given import QuadraturePoints
 from ngvisco.forms.initial import complete
-from ngvisco.forms.locating import locate
+from ngvisco.forms.locating import Located
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.bodies import Amount
 from ngvisco.physics.mixture import AMOUNT
@@ -95,7 +95,7 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     points = QuadraturePoints(new.quadrature)
     where = points.coordinates
     try:
-        at = locate(old.mesh, where, ["target"] * len(where))
+        at = Located(old.mesh, where, ["target"] * len(where))
     except ParameterError as error:
         raise MeshError(f"a point of the new mesh, {error.value}, is not in the old one") from error
     before, scaled = _energy(source), _set_fields(source, target, points, at)
@@ -155,12 +155,11 @@ def _energy(run: Simulation) -> float:
     return run.ledger.energy() if run.ledger.balance is None else run.ledger.balance.energy
 
 
-def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints, at: np.ndarray) -> float:
+def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints, at: Located) -> float:
     """Project density and variables; returns the factor of the density."""
     old, new = source.rothe_step, target.rothe_step
     parts = dict(zip(new.layout.names, new.state.components, strict=True))
-    rho = np.asarray(old.now.rho(at)).reshape(-1)
-    z = np.asarray(old.now.z(at)).reshape(len(at), -1)
+    rho, z = at.values(old.now.rho)[:, 0], at.values(old.now.z)
     space = L2(new.mesh, order=new.discretisation.m)
     points.project(rho, space, parts["rho"])
     single = GridFunction(space)
@@ -206,9 +205,9 @@ def _kept_bodies(source: Simulation, target: Simulation, values: np.ndarray) -> 
     return rho
 
 
-def _set_velocity(source: Simulation, target: Simulation, points: QuadraturePoints, at: np.ndarray) -> None:
+def _set_velocity(source: Simulation, target: Simulation, points: QuadraturePoints, at: Located) -> None:
     new = target.rothe_step
-    values = np.asarray(source.rothe_step.now.v(at)).reshape(len(at), -1)
+    values = at.values(source.rothe_step.now.v)
     v = CF(tuple(points.function(column) for column in values.T))
     where = new.layout.ranges["v"]
     new.state.vec.FV().NumPy()[where] = 0.0
@@ -217,9 +216,9 @@ def _set_velocity(source: Simulation, target: Simulation, points: QuadraturePoin
     project_velocity(new.layout, new.state, v, new.impenetrability, new.quadrature)
 
 
-def _carry_passive(source: Simulation, target: Simulation, points: QuadraturePoints, at: np.ndarray) -> None:
+def _carry_passive(source: Simulation, target: Simulation, points: QuadraturePoints, at: Located) -> None:
     for name, part in target.passive.parts.items():
-        values = np.asarray(source.passive.parts[name](at)).reshape(len(at), -1)
+        values = at.values(source.passive.parts[name])
         space = L2(target.mesh, order=target.rothe_step.discretisation.k)
         single = GridFunction(space)
         for i, column in enumerate(values.T):
@@ -252,12 +251,24 @@ def resume_changed(
     CheckpointError
         As ``Simulation.restore``.
     """
-    expected = checkpoint.identity(simulation) | dict(attributes or {})
-    for name in ("material", "energies", "scheme"):
-        del expected[name]
-    one = checkpoint.read_checkpoint(Path(path), expected, None)
+    _ = simulation.numbering  # made by all ranks together
+    read: list[checkpoint.Snapshot] = []
+
+    def read_all() -> tuple[list[str], list[dict[str, float]]]:
+        expected = checkpoint.identity(simulation) | dict(attributes or {})
+        for name in ("material", "energies", "scheme"):
+            del expected[name]
+        one = checkpoint.read_checkpoint(Path(path), expected, None)
+        checkpoint.state_of(one, simulation, path)
+        read.append(one)
+        found, number = list(checkpoint.read_ledger(path)), one.numbers[""]["step"]
+        rows = checkpoint.read_ledger_rows(Path(path), found)
+        return found, [row for row in rows if row["step"] <= number]
+
+    found, rows = simulation.ranks.on_first(read_all)
+    one = checkpoint.distributed(read[0] if read else None, simulation)
     numbers, step = one.numbers[""], simulation.rothe_step
-    step.state.vec.FV().NumPy()[:] = checkpoint.state_of(one, simulation, path)
+    step.state.vec.FV().NumPy()[:] = one.arrays[""]["state"]
     simulation.passive.load(one.arrays["passive"])
     complete(step)
     step.state_old.vec.data = step.state.vec
@@ -265,8 +276,7 @@ def resume_changed(
     number = int(numbers["step"])
     simulation.set_time(numbers["time"], number)
     simulation.stepper.begin(numbers["time"], number)
-    ledger, balance, found = simulation.ledger, checkpoint.balance_of(one), checkpoint.read_ledger(path)
-    rows = [row for row in checkpoint.read_ledger_rows(Path(path), list(found)) if row["step"] <= number]
+    ledger, balance = simulation.ledger, checkpoint.balance_of(one)
     lost = balance.energy - ledger.energy()
     ledger.keep(found)
     ledger.add_once(TRANSFER, lost)

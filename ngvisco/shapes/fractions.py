@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from ngsolve import L2, VOL, CoefficientFunction, Det, GridFunction, Integrate, Mesh, specialcf
 
+from ngvisco.errors import NgviscoError
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.shapes.places import Places
 
 if TYPE_CHECKING:
@@ -60,16 +62,18 @@ def fractions(mesh: Mesh, shapes: Sequence[Shape], order: int = 1) -> list[GridF
     """
     powers = _powers(mesh.dim, order)
     coefficients = np.zeros((len(shapes) + 1, len(powers), mesh.ne))
-    for cells, is_quad in _groups(mesh):
-        for some, shares in _shares(mesh, cells, is_quad, shapes):
-            coefficients[..., some] = _projected(mesh, some, is_quad, shares, powers)
+    with Communicator.of(mesh).together(NgviscoError):
+        for cells, is_quad in _groups(mesh):
+            for some, shares in _shares(mesh, cells, is_quad, shapes):
+                coefficients[..., some] = _projected(mesh, some, is_quad, shares, powers)
     return [_function(mesh, part, powers, order) for part in coefficients]
 
 
 def volumes(mesh: Mesh, shapes: Sequence[Shape]) -> list[float]:
     """Of each shape where no later one lies over it, within the mesh, and last of the rest, m^dim."""
     cells = np.array(Integrate(CoefficientFunction(1.0), mesh, VOL, element_wise=True))
-    return [float(cells @ part.vec.FV().NumPy()) for part in fractions(mesh, shapes, 0)]
+    own = np.array([cells @ part.vec.FV().NumPy() for part in fractions(mesh, shapes, 0)])
+    return [float(volume) for volume in Communicator.of(mesh).totals(own)]
 
 
 def _groups(mesh: Mesh) -> Iterator[tuple[np.ndarray, bool]]:

@@ -34,15 +34,8 @@ class Places:
     @cached_property
     def points(self) -> np.ndarray:
         """NGSolve's mesh points, cell by cell, (cells * points,)."""
-        # one point of NGSolve's own has the mesh's address in it
-        types = (ET.TRIG, ET.QUAD) if self.mesh.dim == 2 else (ET.TET,)
-        one = IntegrationRule([(0.25,) * self.mesh.dim], [1.0])
-        pattern = self.mesh.MapToAllElements({et: one for et in types}, VOL)[:1]
-        points = np.repeat(pattern, len(self.cells) * len(self.reference))
-        points["nr"] = np.repeat(self.cells, len(self.reference))
-        for axis, name in enumerate("xyz"[: self.mesh.dim]):
-            points[name] = np.tile(self.reference[:, axis], len(self.cells))
-        return points
+        cells = np.repeat(self.cells, len(self.reference))
+        return mesh_points(self.mesh, cells, np.tile(self.reference, (len(self.cells), 1)))
 
     def values(self, function: CoefficientFunction) -> np.ndarray:
         """Of a function, (cells * points, components)."""
@@ -85,3 +78,16 @@ class Places:
             ends = np.unique(np.concatenate(pairs), axis=0)
             longest = np.linalg.norm(places[:, ends[:, 0]] - places[:, ends[:, 1]], axis=2).max(axis=1)
         return np.repeat(longest, len(self.reference))
+
+
+def mesh_points(mesh: Mesh, cells: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """NGSolve's mesh points, (points,), of the cell and the reference coordinates, (points, dim), of each."""
+    # one point of NGSolve's own has the mesh's address in it
+    types = (ET.TRIG, ET.QUAD) if mesh.dim == 2 else (ET.TET,)
+    one = IntegrationRule([(0.25,) * mesh.dim], [1.0])
+    pattern = mesh.MapToAllElements({et: one for et in types}, VOL)[:1]
+    points = np.repeat(pattern, len(cells))
+    points["nr"] = cells
+    for axis, name in enumerate("xyz"[: mesh.dim]):
+        points[name] = reference[:, axis]
+    return points

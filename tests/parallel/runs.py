@@ -14,7 +14,9 @@ from ngsolve import cos, pi, sin, x, y
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import TRAFFIC, Communicator
+from ngvisco.physics.variables import Jacobian
 from ngvisco.reduced.residual import Evaluation
+from ngvisco.run.passive import NAMES
 from ngvisco.solver.options import SplitOptions, TwoLevelOptions
 from ngvisco.solver.split.preconditioner import Preconditioner
 
@@ -65,7 +67,10 @@ def lid(solver: str = "coupled") -> nv.Simulation:
 
 
 def creep(
-    solver: str = "coupled", regularisation: nv.Regularisation | None = REGULARISED, maxh: float = 0.5
+    solver: str = "coupled",
+    regularisation: nv.Regularisation | None = REGULARISED,
+    maxh: float = 0.5,
+    **options,
 ) -> nv.Simulation:
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
@@ -74,7 +79,8 @@ def creep(
         regularisation=regularisation,
     )
     initial = nv.Initial(velocity=SWIRL)
-    return nv.Simulation(box((1, 1), maxh=maxh), model, dt=0.02, initial=initial, solver=solver)
+    mesh = box((1, 1), maxh=maxh)
+    return nv.Simulation(mesh, model, dt=0.02, initial=initial, solver=solver, **options)
 
 
 def limited() -> nv.Simulation:
@@ -89,7 +95,84 @@ def limited() -> nv.Simulation:
     return nv.Simulation(mesh, model, dt=0.05, walls=walls, scheme="midpoint", solver="coupled")
 
 
+STIFF = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
+FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J - 1) * (J - 1))
+WEAK = nv.StokesViscosity(K_v=0.05, G_v=0.05)
+
+
+def bodies(solver: str, maxh: float = 0.4) -> nv.Simulation:
+    """A disc and a layer in a fluid: what overshoots of their amounts is limited in every step."""
+    parts = [
+        nv.Body(
+            name="disc", where=nv.Ball((0.6, 0.5), 0.25), order=1, material=STIFF, density=2.0, viscosity=WEAK
+        ),
+        nv.Body(name="layer", where=0.4 - y, material=STIFF, density=3.0, viscosity=VISCOSITY),
+        nv.Body(name="rest", material=FLUID, density=1.0, viscosity=WEAK),
+    ]
+    model = nv.Model(bodies=parts, hyperviscosity=nv.HyperViscosity(mu=1e-5))
+    initial = nv.Initial(velocity=SWIRL)
+    mesh = box((1, 1), maxh=maxh)
+    return nv.Simulation(
+        mesh,
+        model,
+        dt=0.02,
+        initial=initial,
+        newton=nv.NewtonOptions(method=solver, tolerance=1e-12),
+        observers=[nv.Bodies()],
+        scheme="midpoint",
+    )
+
+
+def parameters(solver: str) -> nv.Simulation:
+    """A modulus and a viscosity that are carried along; they overshoot and are limited."""
+    theta = nv.Parameter("theta", start=0.5 + 0.4 * sin(3 * x) * cos(2 * y))
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10.0, G_e=1 + 4 * theta, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.05, G_v=0.01 + 0.05 * theta),
+    )
+    initial = nv.Initial(velocity=SWIRL)
+    return nv.Simulation(box((1, 1), maxh=0.4), model, dt=0.02, initial=initial, solver=solver)
+
+
+def observed(dim: int) -> nv.Simulation:
+    """With tables of points on facets, where fields jump, in cells, on walls; of forces and integrals."""
+    middle = (0.5,) * dim
+    tables = [
+        nv.Probes({"middle": middle, "corner": (0.0,) * dim, "in a cell": (0.3,) * dim}),
+        nv.LineSamples((0.0,) * dim, (1.0,) * dim, 7, fields=["velocity", "cauchy_stress"]),
+        nv.WallForces(about=middle),
+        nv.Integrals({"mass": "density", "momentum": "density*velocity_1"}),
+    ]
+    run = lid() if dim == 2 else block()
+    run.observers = tables
+    return run
+
+
+def yosida(solver: str) -> nv.Simulation:
+    law = nv.Yosida(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"), eps=1e-3)
+    model = nv.Model(material=law, viscosity=VISCOSITY, loads=[gravity(2)])
+    initial = nv.Initial(velocity=SWIRL)
+    return nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=initial, solver=solver)
+
+
+def carried(dim: int) -> nv.Simulation:
+    """With passive fields of all kinds, looked at by a table."""
+    run = block(passive=NAMES) if dim == 3 else creep(passive=NAMES)
+    run.observers = [nv.Probes({"p": (0.3,) * dim}, fields=["F_tot", "reference_map", "creep_strain"])]
+    return run
+
+
 CASES = {
+    "carried": lambda: carried(2),
+    "carried in space": lambda: carried(3),
+    "Yosida": lambda: yosida("coupled"),
+    "split Yosida": lambda: yosida("split"),
+    "observed": lambda: observed(2),
+    "observed block": lambda: observed(3),
+    "bodies": lambda: bodies("coupled"),
+    "split bodies": lambda: bodies("split"),
+    "parameters": lambda: parameters("coupled"),
+    "split parameters": lambda: parameters("split"),
     "swirl": lambda: swirl(0.3),
     "midpoint": lambda: swirl(0.3, scheme="midpoint"),
     "sdirk2": lambda: swirl(0.4, scheme="sdirk2"),
@@ -132,10 +215,17 @@ if __name__ == "__main__":
         before = TRAFFIC.messages, TRAFFIC.bytes, TRAFFIC.reductions
         LINEAR.clear()
         run = CASES[name]()
+        for observer in run.observers:
+            observer.start(run)
         for _ in range(STEPS.get(name, 3)):
-            run.advance()
+            row = run.advance()
+            for observer in run.observers:
+                observer.step(run, row)
         rows = [{key: float(value) for key, value in row.items()} for row in run.ledger.rows]
         found[name] = {"cells": run.cells, "unknowns": run.unknowns, "rows": rows, "linear": sum(LINEAR)}
+        found[name]["tables"] = [
+            {column: list(map(float, one.column(column))) for column in one.columns} for one in run.observers
+        ]
         after = TRAFFIC.messages, TRAFFIC.bytes, TRAFFIC.reductions
         found[name]["traffic"] = [b - a for a, b in zip(before, after, strict=True)]
     if Communicator.world().is_first:

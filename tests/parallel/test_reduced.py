@@ -33,6 +33,12 @@ def test_rows_are_those_of_one_process(tmp_path):
     assert_same_rows(tmp_path, 3, CASES[:1])
 
 
+def test_amounts_are_swapped_across_ranks(tmp_path):
+    """The limited state; cells give to and take from cells of other ranks."""
+    assert_same_rows(tmp_path, 3, ("swaps",))
+    assert found(tmp_path, 1, ("swaps",))["swaps: cells"] > 5
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.ci), 4])
 def test_rows_of_all_cases_are_those_of_one_process(ranks, tmp_path):

@@ -34,6 +34,13 @@ until = 0.06
 method = "coupled"
 [output.checkpoint]
 every = 1
+[[output.probes]]
+name = "centre"
+point = [0.5, 0.5]
+fields = ["velocity", "F"]
+[output.forces]
+[output]
+passive = ["reference_map"]
 """
 
 
@@ -44,9 +51,24 @@ def found(ranks, *names):
     return json.loads(result.stdout.splitlines()[-1])
 
 
-SHORT = ("midpoint", "lid", "split")
-COUPLED = ("swirl", "midpoint", "sdirk2", "adaptive", "block", "lid", "creep", "limited")
+SHORT = ("midpoint", "observed", "split", "split bodies", "parameters", "carried", "Yosida")
+COUPLED = (
+    "carried in space",
+    "bodies",
+    "observed block",
+    "swirl",
+    "midpoint",
+    "sdirk2",
+    "adaptive",
+    "block",
+    "lid",
+    "creep",
+    "limited",
+)
 SPLIT = (
+    "split Yosida",
+    "split bodies",
+    "split parameters",
     "split",
     "split, two levels",
     "split, Newton-Krylov",
@@ -80,18 +102,33 @@ def assert_same_ledger(one, several, spare=0):
             assert same or abs(other[name] - value) <= 1e-10 * size, name
 
 
+def assert_same_tables(one, several, of=1e-10):
+    """Columns to 1e-10 of the largest of any of their table."""
+    for table, other in zip(one, several, strict=True):
+        assert list(table) == list(other)
+        size = max(abs(v) for name, column in table.items() for v in column if name not in ("step", "time"))
+        for name, column in table.items():
+            for value, found_value in zip(column, other[name], strict=True):
+                assert abs(found_value - value) <= of * size, name
+
+
 @pytest.mark.parametrize("name", SHORT)
 def test_ledger_is_that_of_one_process(name):
     one, several = found(1, *SHORT)[name], found(3, *SHORT)[name]
     assert (one["cells"], one["unknowns"]) == (several["cells"], several["unknowns"])
     assert_same_ledger(one["rows"], several["rows"])
+    assert_same_tables(one["tables"], several["tables"])
+    if name in ("split bodies", "parameters"):
+        assert several["rows"][-1]["limited_cells"] > 0
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.ci), 4])
 def test_ledgers_of_all_cases_are_those_of_one_process(ranks):
     for name in COUPLED:
-        assert_same_ledger(found(1, *COUPLED)[name]["rows"], found(ranks, *COUPLED)[name]["rows"])
+        one, several = found(1, *COUPLED)[name], found(ranks, *COUPLED)[name]
+        assert_same_ledger(one["rows"], several["rows"])
+        assert_same_tables(one["tables"], several["tables"])
     assert found(ranks, *COUPLED)["limited"]["rows"][-1]["limited_cells"] > 0
 
 
@@ -142,6 +179,12 @@ def rows(directory):
         return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
 
 
+def read(table):
+    with table.open() as file:
+        names, *body = csv.reader(file)
+    return dict(zip(names, ([float(v) for v in column] for column in zip(*body, strict=True)), strict=True))
+
+
 @pytest.mark.parametrize(
     "solver", ["split", pytest.param("coupled", marks=[pytest.mark.long, pytest.mark.ci])]
 )
@@ -156,6 +199,9 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, solver):
     assert ngvisco("resume", several, "--until", "0.04", "--quiet", ranks=2).returncode == 0
     assert ngvisco("resume", several, "--until", "0.06", "--quiet").returncode == 0
     assert_same_ledger(rows(alone), rows(several))
+    for name in ("centre", "forces"):
+        tables = [[read(place / "samples" / f"{name}.csv") for place in (alone, several)]]
+        assert_same_tables(*zip(*tables, strict=True))
     # one file, in the numbering of one process
     with h5py.File(alone / "run.h5") as a, h5py.File(several / "run.h5") as b:
         assert a.attrs["mesh"] == b.attrs["mesh"]
@@ -166,11 +212,35 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, solver):
     assert ngvisco("scene", several).returncode == 0  # pieces are read as one
 
 
+@pytest.mark.long
+@pytest.mark.ci
+def test_a_run_on_ranks_goes_on_changed_and_from_another_mesh(case_file, tmp_path):
+    """As on one process: the ledger, what the change and the transfer cost, the case that is written."""
+    places = {}
+    for ranks in (1, 3):
+        first, other = tmp_path / f"first {ranks}", tmp_path / f"other {ranks}"
+        until = ("--set", "time.until=0.02")
+        change = ("--set", "material.G_e=4", "--until", "0.04")
+        finer = ("--set", "domain.maxh=0.4", "--set", "time.until=0.06", "--from", first)
+        for words in (
+            ("run", case_file, "-o", first, *until),
+            ("resume", first, *change),
+            ("run", case_file, "-o", other, *finer),
+        ):
+            done = ngvisco(*words, "--quiet", ranks=ranks)
+            assert done.returncode == 0, done.stderr
+        places[ranks] = first, other
+    for alone, several in zip(places[1], places[3], strict=True):
+        assert_same_ledger(rows(alone), rows(several))
+        assert any(abs(row["transfer"]) > 1e-6 for row in rows(several))
+        assert_same_tables(*([read(place / "samples" / "centre.csv")] for place in (alone, several)))
+        assert (alone / "case.toml").read_text() == (several / "case.toml").read_text()
+
+
 REFUSED = {
     "domain.periodic='x'": "identified boundaries are not distributed",
     "rheology.regularisation={delta_fields=0.01}; solver.method='split'": "couples cells of different ranks",
-    "output.passive=['F_tot']": "no passive fields on several ranks",
-    "output.integrals=[{name='m',of='density'}]": "ledger, VTK series and checkpoints only",
+    "output.probes=[{name='p',point=[2, 0]}]": "a point of the domain, which lies in",
     "material.G_e=-1": "expected a finite number > 0",
     "initial.density='x - 0.1'": "density rho_0",
     "domain.maxh=1.5": "cells for",
