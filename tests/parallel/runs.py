@@ -64,9 +64,7 @@ def lid(solver: str = "coupled") -> nv.Simulation:
     return nv.Simulation(mesh, model, dt=0.05, walls=walls, scheme="midpoint", solver=solver)
 
 
-def creep(
-    solver: str = "coupled", regularisation: nv.Regularisation | None = REGULARISED, maxh: float = 0.5
-) -> nv.Simulation:
+def creep(solver: str = "coupled", regularisation: nv.Regularisation | None = REGULARISED) -> nv.Simulation:
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
         viscosity=VISCOSITY,
@@ -74,7 +72,7 @@ def creep(
         regularisation=regularisation,
     )
     initial = nv.Initial(velocity=SWIRL)
-    return nv.Simulation(box((1, 1), maxh=maxh), model, dt=0.02, initial=initial, solver=solver)
+    return nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=initial, solver=solver)
 
 
 def limited() -> nv.Simulation:
@@ -108,8 +106,6 @@ CASES = {
     "split block, hypre": lambda: block("split", 0.5, newton=HYPRE),
     "split lid": lambda: lid("split"),
     "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
-    "creep of 24": lambda: creep(maxh=0.3),
-    "split creep of 24": lambda: creep("split", nv.Regularisation(epsilon=0.1), maxh=0.3),
 }
 STEPS = {"limited": 9}
 """Where there are more than three."""
