@@ -191,8 +191,6 @@ CASES = {
     "split block, hypre": lambda: block("split", 0.5, newton=HYPRE),
     "split lid": lambda: lid("split"),
     "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
-    "creep of 24": lambda: creep(maxh=0.3),
-    "split creep of 24": lambda: creep("split", nv.Regularisation(epsilon=0.1), maxh=0.3),
 }
 STEPS = {"limited": 9}
 """Where there are more than three."""

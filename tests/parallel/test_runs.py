@@ -78,16 +78,6 @@ SPLIT = (
     "split lid",
     "split creep",
 )
-MANY_RANKS = (
-    "midpoint",
-    "block",
-    "lid",
-    "creep of 24",
-    "split",
-    "split block, two levels",
-    "split lid",
-    "split creep of 24",
-)
 
 
 def assert_same_ledger(one, several, spare=0):
@@ -141,15 +131,6 @@ def test_ledgers_of_the_split_solver_are_those_of_one_process(ranks):
         # whether the last one is wanted is decided by a contraction that linear systems leave open
         assert_same_ledger(one["rows"], several["rows"], spare=1)
         assert several["linear"] <= 1.1 * one["linear"], name
-
-
-@pytest.mark.long
-def test_eight_ranks_with_cells_take_the_iterations_of_one():
-    """Of Newton and of linear systems, in parts of three cells or fewer, with the ledger of one process."""
-    for name in MANY_RANKS:
-        one, several = found(1, *MANY_RANKS)[name], found(9, *MANY_RANKS)[name]
-        assert_same_ledger(one["rows"], several["rows"], spare=name.startswith("split"))
-        assert several["linear"] <= 1.3 * one["linear"], name
 
 
 @pytest.mark.long

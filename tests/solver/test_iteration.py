@@ -19,6 +19,7 @@ class Increments:
         self.step = SimpleNamespace(mesh=SimpleNamespace(dim=2))
         self.unknowns = SimpleNamespace(pack=lambda: np.zeros(1))
         self.preconditioner = SimpleNamespace(iterations=1)
+        self.norm = SimpleNamespace(shared=())
         self.residual = SimpleNamespace(put=lambda x: None, start=lambda: None)
         self.number = -1
 
