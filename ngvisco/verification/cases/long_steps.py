@@ -334,7 +334,7 @@ STATEMENT = (
     "three times the median of its run"
 )
 DEAR = (
-    "At v dt/h = 10 in 3D, finite strain, 0.1 Pa s, a step took 4.3 times the median; all others of that grid "
+    "At v dt/h = 10 in 3D, finite strain, 0.1 Pa s, a step took 4.3 times the median; all others there "
     "2.2 at most (ngvisco/timestepping/README.md)."
 )
 LABEL = "Euler-small-viscoelastodyn+disc, Euler-large-viscoelastodyn+disc"
