@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 
+import numpy as np
 from ngsolve import BaseVector, BilinearForm
 
 from ngvisco.forms.system import Step
@@ -20,6 +21,10 @@ from ngvisco.forms.term import Integrand, PointTerm, named
 _RELATIVE, _LARGEST = 1e-5, 1e-3
 """Change of the state over which a slope is taken, in its norm, and in units of f at most: rounding leaves
 1e-11 of the rows, and a jump of upwinding, 1e-4 of the velocity wide, is resolved."""
+
+LINEAR = "the linear system of the increment"
+_NAMED, _COUNTS = 3, 0.2
+"""Terms that are named, and the share of the largest from which one is."""
 
 
 class TermRows:
@@ -81,3 +86,16 @@ class TermRows:
             rows.data += slope - before[name]
             rest.data += before[name] - slope
         return left | {linear: rest}
+
+
+def in_words(sizes: dict[str, float], before: float) -> str:
+    """What the next increment comes from, the largest parts in words, in units of the increment before."""
+    sizes = dict(sorted(sizes.items(), key=lambda item: -item[1]))
+    largest = max(sizes.values(), default=0.0)
+    if not largest > 0:
+        return ""
+    if largest == np.inf:
+        names = [name for name, size in sizes.items() if size == np.inf]
+        return f"not a number at the next iterate: {', '.join(names[:_NAMED])}"
+    named = [f"{name} ({size / before:.2g})" for name, size in sizes.items() if size >= _COUNTS * largest]
+    return f"against it stand, in units of the smallest increment: {', '.join(named[:_NAMED])}"

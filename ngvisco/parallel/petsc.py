@@ -207,13 +207,15 @@ class SumInverse:
         return self.of_parts(np.where(self.rows.exchange.owned, r, 0.0))
 
     def of_parts(self, rows: np.ndarray) -> np.ndarray:
-        """The same for a right-hand side in parts; NaN where the solver does not give one."""
+        """The same for a right-hand side in parts; over ranks NaN where the solver does not give one."""
         if self.rows.exchange.communicator.is_idle:
             return np.zeros_like(rows)
         try:
             return self.rows.solve(self._solver, rows)
-        except PETScError:  # on all ranks with cells; the products that it enters tell it the first one
-            return np.full_like(rows, np.nan)
+        except PETScError as error:
+            if self.rows.exchange.is_distributed:  # products with it tell it the first rank
+                return np.full_like(rows, np.nan)
+            raise SingularError(f"{self.method} did not take the matrix ({error})") from error
 
 
 class Direct(BaseMatrix):

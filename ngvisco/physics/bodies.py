@@ -125,7 +125,8 @@ class Body:
         if not (isinstance(self.name, str) and self.name.isidentifier()):
             raise ParameterError("Body.name", self.name, "an identifier of letters, digits and _")
         owner = f"bodies[{self.name!r}]"
-        if not (self.where is None or isinstance(self.where, (CoefficientFunction, Region))):
+        is_place = isinstance(self.where, (CoefficientFunction, Region)) and not isinstance(self.where, type)
+        if not (self.where is None or is_place):
             expected = "a function of x, y, z that is > 0 inside, a shape, or None"
             raise ParameterError(f"{owner}.where", self.where, expected)
         if isinstance(self.where, CoefficientFunction) and (self.where.dim != 1 or self.where.is_complex):

@@ -44,6 +44,7 @@ from ngvisco.errors import CheckpointError, require_count, require_path
 from ngvisco.forms.mesh_arrays import coordinates, vertices
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material
+from ngvisco.physics.mixture import AMOUNT, Amount
 from ngvisco.physics.pointwise import sampled_energies
 from ngvisco.run.files import write_atomically
 from ngvisco.run.ledger import Balance, unit
@@ -327,7 +328,7 @@ def read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> S
                 found = file.attrs.get(name)
                 if name != "ngvisco" and found != value:
                     found = found.item() if isinstance(found, np.generic) else found
-                    verb = "are" if name == "energies" else "is"
+                    verb = "are" if name in ("bodies", "energies") else "is"
                     message = f"its {name} {verb} {found!r}, this run's {verb} {value!r}"
                     raise CheckpointError(f"{path}: {message}")
             names = sorted(file["checkpoints"])
@@ -391,6 +392,7 @@ def identity(simulation: Simulation) -> dict[str, Any]:
         "mesh": mesh_hash(mesh),
         "spaces": spaces,
         "material": material_signature(simulation.model.material),
+        "bodies": bodies_signature(simulation.model.material),
         "scheme": scheme_signature(simulation),
         "energies": sampled_energies(simulation.model.material, simulation.mesh.dim),
     }
@@ -414,6 +416,12 @@ def material_signature(material: object) -> str:
         if field.repr  # the place of a body is that of the start alone
     ]
     return f"{type(material).__name__}({', '.join(values)})"
+
+
+def bodies_signature(material: Material) -> str:
+    """Bodies in their order with their densities: what their amounts in the state are amounts of."""
+    amounts = [v for v in material.variables if isinstance(v, Amount)]
+    return ", ".join(f"{v.name.removeprefix(AMOUNT)} of {v.density!r} kg/m^3" for v in amounts)
 
 
 def _signature_of(value: object) -> str:

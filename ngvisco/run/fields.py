@@ -11,7 +11,7 @@ from ngvisco.forms.system import Step
 from ngvisco.physics.material import Material, cauchy_stress
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import dev, if_positive, square, tr
-from ngvisco.run.further_fields import further_fields, usual
+from ngvisco.run.further_fields import NAMES, further_fields, usual
 from ngvisco.run.scales import rest_pressure
 
 USUAL = ("density", "J", "velocity", "pressure", "von_mises")
@@ -25,7 +25,7 @@ _OWN = ("velocity", "density", "cauchy_stress", "pressure", "pressure_from_rest"
 def require_names_of_their_own(material: Material) -> None:
     """Raise ParameterError for a variable or a parameter with the name of a field that every run has."""
     bodies = material.bodies if isinstance(material, Mixture) else ()
-    taken = (*_OWN, *(body.name + _FRACTION for body in bodies), *(["body"] if bodies else []))
+    taken = (*_OWN, *NAMES, *(body.name + _FRACTION for body in bodies), *(["body"] if bodies else []))
     for variable in material.variables:
         if variable.name in taken:
             expected = "another name: a field of the run has this one"

@@ -48,7 +48,7 @@ class Transfer:
     mass : float
         kg, before and after alike, of each body too.
     scaled : float
-        The factor of the density that makes it so; of bodies that of all of them.
+        The factor of the density that makes it so; of bodies the farthest from one of theirs.
     energy_before, energy_after : float
         J.
     """
@@ -172,22 +172,24 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
     factor = masses[0] / masses[1]
     rho_h = parts["rho"].vec.FV().NumPy()
     if new.model.bodies:
-        rho_h[:] = _kept_bodies(source, target, parts["z"].vec.FV().NumPy().reshape(z.shape[1], -1))
+        rho_h[:], factor = _kept_bodies(source, target, parts["z"].vec.FV().NumPy().reshape(z.shape[1], -1))
     else:
         rho_h[:] *= factor
     return factor
 
 
-def _kept_bodies(source: Simulation, target: Simulation, values: np.ndarray) -> np.ndarray:
+def _kept_bodies(source: Simulation, target: Simulation, values: np.ndarray) -> tuple[np.ndarray, float]:
     """Scale each body's amount, among the coefficients of the variables, so that it has its mass.
 
     Returns
     -------
     array (functions,)
         Coefficients of the density sum rho_i n_i.
+    float
+        The factor that is farthest from one.
     """
     old, new = source.rothe_step, target.rothe_step
-    rho = np.zeros(values.shape[1])
+    rho, farthest = np.zeros(values.shape[1]), 1.0
     for v in target.model.material.variables:
         if not isinstance(v, Amount):
             continue
@@ -201,8 +203,9 @@ def _kept_bodies(source: Simulation, target: Simulation, values: np.ndarray) -> 
             )
         amount = values[new.layout.states.slices[v.name].start]
         amount *= before / after
+        farthest = max(farthest, before / after, key=lambda factor: abs(factor - 1))
         rho += v.density * amount
-    return rho
+    return rho, farthest
 
 
 def _set_velocity(source: Simulation, target: Simulation, points: QuadraturePoints, at: Located) -> None:

@@ -27,13 +27,13 @@ from ngsolve import BaseVector, BilinearForm
 
 from ngvisco.algebra.condensed import CondensedJacobian
 from ngvisco.errors import StepError
-from ngvisco.forms.term_rows import TermRows
+from ngvisco.forms.term_rows import LINEAR, TermRows, in_words
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.solver.cost import Allowance
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.solution import LINEAR, NewtonIteration, Problem, Solution, Status, in_words
+from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status
 
 
 class _TooCostlyError(StepError):

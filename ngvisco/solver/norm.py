@@ -68,11 +68,11 @@ class BlockNorm:
             for (name, unit), (own, *of_states) in zip(self.units.items(), norms, strict=True):
                 one = unit * np.sqrt(self._counts[name])
                 if name in self.shared:
-                    turned = own / (max(of_states) + fine * one + own) if own > 0 else 0.0
+                    turned = own / (max(of_states) + fine * one + own) if own != 0 else 0.0
                     sizes.append(self.options.share * turned)
                 else:
                     scale = max(of_states) + floor * one
-                    sizes.append(own / scale if scale > 0 else 0.0)
+                    sizes.append(own / scale if scale != 0 else 0.0)
         # numpy's maximum passes NaN on, Python's may drop it
         return float(np.max(sizes)), float(turned)
 

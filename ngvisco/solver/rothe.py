@@ -126,7 +126,7 @@ class RotheSolver:
         if interval.tau != self._last_tau:
             self.newton.reset()
             self._last_tau = interval.tau
-        run = _Run(self, self.problem(interval), self._start, Effort.NAMES in efforts)
+        run = _Run(self, self.problem(interval), self._start)
         try:
             if self._extrapolates and self.extrapolation.is_empty:
                 self.extrapolation.keep(interval.begin)
@@ -135,6 +135,8 @@ class RotheSolver:
                     if self._extrapolates:
                         self.extrapolation.keep(interval.end)
                     return run.attempts
+            if Effort.NAMES in efforts:
+                run.name_terms()
             raise StepError(run.reason, run.attempts)
         except BaseException:  # also an interrupt: never leave an iterate behind
             self.step.context.eta.Set(run.problem.eta)
@@ -188,9 +190,10 @@ class RotheSolver:
 class _Run:
     """What one step's strategies have tried: the Task that they work on."""
 
-    def __init__(self, rothe: RotheSolver, problem: RotheProblem, start: BaseVector, names: bool) -> None:
-        self.rothe, self.problem, self.start, self.names = rothe, problem, start, names
+    def __init__(self, rothe: RotheSolver, problem: RotheProblem, start: BaseVector) -> None:
+        self.rothe, self.problem, self.start = rothe, problem, start
         self.attempts: list[Attempt] = []
+        self._failed: dict[NonlinearSolver, tuple[int, RotheProblem]] = {}
         self._strategy = rothe.strategies[0]
         self._other: NonlinearSolver | None = None
         self._allowance: Allowance | None = None
@@ -245,12 +248,21 @@ class _Run:
         if self._has_tried:  # what was factorised belongs to iterates that have been given up
             newton.reset()
         self._has_tried = True
-        solution = newton.solve(problem, guess, full_steps)
-        if self.names and not solution.converged:
-            solution = replace(solution, against=newton.against(problem))
-        solution = self._judged(solution)
+        solution = self._judged(newton.solve(problem, guess, full_steps))
+        if not solution.converged:
+            self._failed.pop(newton, None)
+            self._failed[newton] = len(self.attempts), problem
         self.attempts.append(Attempt(self._strategy.name, solution, problem.width, problem.length))
         return solution
+
+    def name_terms(self) -> None:
+        """Say of the last failure, of a solver that knows, which terms stood against it."""
+        for newton, (number, problem) in reversed(self._failed.items()):
+            against = newton.against(problem)
+            if against:
+                failed = self.attempts[number]
+                self.attempts[number] = replace(failed, solution=replace(failed.solution, against=against))
+                return
 
     def _newton(self) -> NonlinearSolver:
         """The solver of the present strategy."""

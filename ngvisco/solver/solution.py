@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-import numpy as np
 from ngsolve import BaseVector
 
 
@@ -79,24 +78,6 @@ class Attempt:
 def iterations(attempts: Iterable[Attempt]) -> list[NewtonIteration]:
     """All iterations of some attempts, in their order."""
     return [line for attempt in attempts for line in attempt.solution.history]
-
-
-LINEAR = "the linear system of the increment"
-_NAMED, _COUNTS = 3, 0.2
-"""Terms that are named, and the share of the largest from which one is."""
-
-
-def in_words(sizes: dict[str, float], before: float) -> str:
-    """What the next increment comes from, the largest parts in words, in units of the increment before."""
-    sizes = dict(sorted(sizes.items(), key=lambda item: -item[1]))
-    largest = max(sizes.values(), default=0.0)
-    if not largest > 0:
-        return ""
-    if largest == np.inf:
-        names = [name for name, size in sizes.items() if size == np.inf]
-        return f"not a number at the next iterate: {', '.join(names[:_NAMED])}"
-    named = [f"{name} ({size / before:.2g})" for name, size in sizes.items() if size >= _COUNTS * largest]
-    return f"against it stand, in units of the smallest increment: {', '.join(named[:_NAMED])}"
 
 
 class Problem(Protocol):

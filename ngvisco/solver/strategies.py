@@ -87,6 +87,11 @@ class FromStartValue(Strategy):
     """Courant number v tau/h to which a faster start value is slowed down: where tau grad v is above one the
     linearised rates of the variables lead away from the solution."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.courant is not None:
+            require_positive(self, courant=self.courant)
+
     def solve(self, task: Task) -> Solution:
         guess, number = task.start.Copy(), _courant(task.problem, task.start)
         if self.courant is not None and number > self.courant:

@@ -125,11 +125,21 @@ def started(ranks: int, words: list[str], prefix: list[str], timeout: float) -> 
     """The rows of a run by so many ranks with cells, 0: without MPI; one that says why where it failed."""
     command = [sys.executable, "-m", "tests.benchmarks.ranks", "--child", *words]
     environment = os.environ | {"NGS_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    # in containers one is root, and ranks may be more than the processors
+    allowed = (
+        "OMPI_ALLOW_RUN_AS_ROOT",
+        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM",
+        "OMPI_MCA_rmaps_base_oversubscribe",
+    )
+    environment |= dict.fromkeys(allowed, "1")
     if ranks:
         command[1:1] = ["-m", "mpi4py"]
         # the first rank sleeps: others give way only where they are more than the processors
         gives_way = ["--mca", "mpi_yield_when_idle", str(int(ranks > (os.cpu_count() or 1)))]
-        command = [shutil.which("mpirun") or "mpirun", "-n", str(ranks + 1), *gives_way, *command]
+        mpirun = shutil.which("mpirun")
+        if mpirun is None:
+            return [{"ranks": ranks, "rank": 0, "failed": "there is no mpirun"}]
+        command = [mpirun, "-n", str(ranks + 1), *gives_way, *command]
     try:
         done = subprocess.run(
             [*prefix, *command], capture_output=True, text=True, timeout=timeout, check=False, env=environment
@@ -137,7 +147,8 @@ def started(ranks: int, words: list[str], prefix: list[str], timeout: float) -> 
     except subprocess.TimeoutExpired:
         return [{"ranks": ranks, "rank": 0, "failed": f"more than {timeout:g} s"}]
     if done.returncode:
-        return [{"ranks": ranks, "rank": 0, "failed": (done.stderr.strip().splitlines() or ["?"])[-1]}]
+        said = [line.strip() for line in done.stderr.splitlines() if line.strip(" -\n")]
+        return [{"ranks": ranks, "rank": 0, "failed": " ".join(said[:3]) or "no message"}]
     rows = json.loads(done.stdout.splitlines()[-1])
     for row in rows:
         row["ranks"] = ranks

@@ -107,7 +107,7 @@ def seconds(fit: Fit, network: Network, cells: float, ranks: int) -> dict[str, f
 
 
 def table(fit: Fit, network: Network, sizes: list[tuple[int, float]]) -> str:
-    """Of ranks with the mesh's cells: seconds by parts, and the efficiency against one rank."""
+    """Seconds by parts, and the efficiency: what the cells of a rank take over the whole step."""
     head = "| ranks | tetrahedra | step | cells | fixed | messages | reductions | coarse | efficiency |"
     lines = [head, "|" + "---|" * (head.count("|") - 1)]
     for ranks, cells in sizes:

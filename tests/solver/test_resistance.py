@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import ngvisco as nv
-from ngvisco.forms.term_rows import TermRows
+from ngvisco.forms.term_rows import LINEAR, TermRows
 from ngvisco.geometries import box
 from ngvisco.reduced.rows_by_terms import REST, by_terms
 from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.problem import Interval
-from ngvisco.solver.solution import LINEAR, Status
+from ngvisco.solver.solution import Status
 from ngvisco.solver.split.resistance import resistance
 
 LID = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ngvisco.forms.term_rows import LINEAR
 from ngvisco.physics.increments import TINY
 from ngvisco.reduced.residual import Evaluation, Residual
 from ngvisco.reduced.rows_by_terms import by_terms
-from ngvisco.solver.solution import LINEAR
 
 if TYPE_CHECKING:
     from ngvisco.solver.split.solver import Split

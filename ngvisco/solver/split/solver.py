@@ -23,11 +23,12 @@ from ngsolve import BaseVector
 
 from ngvisco.errors import StepError
 from ngvisco.forms.system import Step
+from ngvisco.forms.term_rows import in_words
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status, in_words
+from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status
 from ngvisco.solver.split.iteration import iterate
 from ngvisco.solver.split.preconditioner import Preconditioner
 from ngvisco.solver.split.resistance import resistance
