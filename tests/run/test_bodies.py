@@ -206,6 +206,7 @@ class SharesOnly:
         (lambda: [disc(), rest(name="disc_momentum")], "distinct columns.*'disc_momentum'"),
         (lambda: [rest(), rest(name="other")], "one body at most without a place"),
         (lambda: [disc(where="here"), rest()], r"bodies\['disc'\].where"),
+        (lambda: [disc(where=nv.Ball), rest()], r"bodies\['disc'\].where.*a shape"),
         (lambda: [disc(where=CF((x, y))), rest()], r"bodies\['disc'\].where"),
         (lambda: [disc(density=None), rest()], r"bodies\['disc'\].density.*a body has mass"),
         (lambda: [disc(density=-1.0), rest()], r"bodies\['disc'\].density"),

@@ -190,7 +190,7 @@ def test_a_parameter_is_not_warned_of_where_it_is_not_told_by_the_distortion():
 
 def test_a_parameter_named_like_a_field_is_refused():
     """It would stand in the results in place of that field."""
-    for name in ("density", "pressure"):
+    for name in ("density", "pressure", "viscous_stress"):
         material = nv.NeoHookean(K_e=1.0, G_e=nv.Parameter(name, start=2.0), epsilon=0.1)
         with pytest.raises(nv.ParameterError, match=f"Variable.name = '{name}': expected another name"):
             nv.Simulation(box((1, 1), maxh=1.0), nv.Model(material=material), dt=0.1)

@@ -68,7 +68,7 @@ def test_another_mesh_keeps_the_mass_and_notes_the_lost_energy():
     assert lost[1] < lost[0] < 1e-2 * done.energy_before
 
 
-def with_bodies(maxh=0.4, density=2.0, radius=0.25):
+def with_bodies(maxh=0.4, density=2.0, radius=0.25, reverse=False, observers=()):
     stokes = nv.StokesViscosity(K_v=0.05, G_v=0.05)
     solid = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
     place = nv.Ball((0.6, 0.5), radius)
@@ -77,7 +77,8 @@ def with_bodies(maxh=0.4, density=2.0, radius=0.25):
         nv.Body(name="rest", material=solid, density=1.0, viscosity=stokes),
     ]
     mesh, initial = box((1, 1), maxh), nv.Initial(velocity=SWIRL)
-    return nv.Simulation(mesh, nv.Model(bodies=bodies), dt=0.02, initial=initial)
+    model = nv.Model(bodies=bodies[::-1] if reverse else bodies)
+    return nv.Simulation(mesh, model, dt=0.02, initial=initial, observers=observers)
 
 
 def amounts(run):
@@ -172,6 +173,16 @@ def test_another_modulus_changes_the_energy_by_an_entry_of_the_ledger(tmp_path):
     ledger = stiffer.run(0.08)
     assert ledger.column("transfer").tolist() == [0, 0, 0, 0, lost]
     assert abs(ledger.column("closure_relative")).max() < 1e-12
+
+
+def test_a_change_keeps_the_bodies_densities(tmp_path):
+    """The amounts in the state are volumes: with another density they would not add up to rho."""
+    path = tmp_path / "run.h5"
+    with_bodies(observers=[nv.Checkpoints(path)]).run(0.02)
+    with pytest.raises(nv.CheckpointError, match=r"bodies are 'disc of 2.0 kg.* run's are 'disc of 3.0"):
+        nv.resume_changed(with_bodies(density=3.0), path)
+    with pytest.raises(nv.CheckpointError, match=r"run's are 'rest of 1.0 kg.*, disc of 2.0"):
+        nv.resume_changed(with_bodies(reverse=True), path)
 
 
 def test_other_spaces_are_not_the_same_run(tmp_path):

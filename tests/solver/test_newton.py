@@ -232,6 +232,15 @@ def test_norm_of_nan_is_nan(where: int) -> None:
     increment, state = vectors([0.1, 0.1, 0.1, 0.1], [1.0, 1.0, 1.0, 1.0])
     increment.FV().NumPy()[where] = math.nan
     assert math.isnan(BLOCKS(increment, state))
+    shared = BlockNorm(BLOCKS.ranges, BLOCKS.units, shared=["z"])
+    assert math.isnan(shared(increment, state))
+
+
+def test_a_shared_block_counts_by_its_share_of_its_relative_increment() -> None:
+    norm = BlockNorm(BLOCKS.ranges, BLOCKS.units, shared=["z"])
+    increment, state = vectors([0.0, 0.0, 0.0, 10.0], [3.0, 4.0, 0.0, 30.0])
+    assert norm.sizes(increment, state) == pytest.approx((1e-4 / 4, 1 / 4))
+    assert norm.sizes(increment, state, coarse=True) == pytest.approx((1e-4 / 4, 1 / 4))
 
 
 # --- static condensation -----------------------------------------------------------------------------

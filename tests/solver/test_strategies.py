@@ -255,6 +255,7 @@ def test_a_step_after_a_retry_begins_with_a_new_tangent(monkeypatch):
             lambda: FromStartValue(name="a", solver="direct"),
             "solver = 'direct': expected one of coupled, split",
         ),
+        (lambda: FromStartValue(name="a", courant=-1.0), "courant = -1.0: expected a finite number > 0"),
         (lambda: FromExtrapolation(name="a", farthest=0), "farthest = 0: expected a finite number > 0"),
         (lambda: ContinuationPath(starts=(), ratio=2.0), "from which the ratio 2 leads to 1"),
         (lambda: ContinuationPath(starts=(0.5, 3.0), ratio=2.0), "from which the ratio 2 leads to 1"),
