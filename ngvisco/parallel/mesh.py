@@ -52,8 +52,8 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     Raises
     ------
     MeshError
-        On every rank, for a mesh that is not distributed: curved or periodic, or one of less cells than
-        there are ranks for them.
+        On every rank, for a mesh that is not distributed: curved or periodic, or one of fewer cells than
+        there are ranks for them, or of so few that METIS leaves a rank without.
     """
     from netgen.meshing import Mesh as NetgenMesh
 
@@ -68,6 +68,10 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
         part.whole = mesh
     else:
         part = Part(NetgenMesh.Receive(ranks.mpi))
+    if ranks.any(not ranks.is_first and not part.ne):
+        cells = int(ranks.total(part.ne))
+        message = f"METIS leaves one of {ranks.size - 1} ranks without any of {cells} cells"
+        raise MeshError(f"{message}: expected fewer ranks, or a finer mesh")
     part.ranks, part.cells = ranks, _numbers(part, ranks)
     return part
 
