@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
-from ngsolve import VERTEX, Mesh
+from ngsolve import BND, CF, VERTEX, VOL, Integrate, Mesh
 
 from ngvisco.errors import MeshError
 from ngvisco.parallel.communicator import Communicator
 
 CURVED = (
-    "curved cells are not distributed: NGSolve's ranks do not get their shape; expected straight cells, or "
-    "one process"
+    "curved cells are distributed with the geometry that they were curved by, which these are not known to "
+    "have: expected a mesh of a Netgen geometry, straight cells, or one process"
 )
+_SHAPE = 1e-10
+"""Relative difference of volume and surface that the parts of a mesh may have to the whole."""
 PERIODIC = (
     "identified boundaries are not distributed: NGSolve's partition parts them; expected a domain that is "
     "not periodic, or one process"
@@ -52,8 +56,8 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     Raises
     ------
     MeshError
-        On every rank, for a mesh that is not distributed: curved or periodic, or one of fewer cells than
-        there are ranks for them, or of so few that METIS leaves a rank without.
+        On every rank, for a mesh that is not distributed: periodic, curved by no known geometry, or of fewer
+        cells than there are ranks for them, or of so few that METIS leaves a rank without.
     """
     from netgen.meshing import Mesh as NetgenMesh
 
@@ -68,12 +72,38 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
         part.whole = mesh
     else:
         part = Part(NetgenMesh.Receive(ranks.mpi))
+    _curve(part, mesh, ranks)
     if ranks.any(not ranks.is_first and not part.ne):
         cells = int(ranks.total(part.ne))
         message = f"METIS leaves one of {ranks.size - 1} ranks without any of {cells} cells"
         raise MeshError(f"{message}: expected fewer ranks, or a finer mesh")
     part.ranks, part.cells = ranks, _numbers(part, ranks)
     return part
+
+
+def _curve(part: Part, whole: Mesh | None, ranks: Communicator) -> None:
+    """Curve the straight cells that NGSolve distributes, on every rank by the whole's geometry; collective.
+
+    Raises MeshError on every rank where that is not the whole's shape.
+    """
+
+    def shape() -> tuple[int, bytes, list[float]]:
+        assert whole is not None
+        order = whole.GetCurveOrder()
+        geometry = pickle.dumps(whole.ngmesh.GetGeometry()) if order > 1 else b""
+        return order, geometry, _sizes(whole) if order > 1 else []
+
+    order, geometry, sizes = ranks.on_first(shape)
+    if order > 1:
+        part.ngmesh.SetGeometry(pickle.loads(geometry))
+        part.Curve(order)
+        if not np.allclose(_sizes(part), sizes, rtol=_SHAPE, atol=0):
+            raise MeshError(CURVED)
+
+
+def _sizes(mesh: Mesh) -> list[float]:
+    """Volume and surface; NGSolve sums over the ranks of a part."""
+    return [float(Integrate(CF(1.0), mesh, where)) for where in (VOL, BND)]
 
 
 def cell_numbers(mesh: Mesh) -> np.ndarray:
@@ -111,9 +141,16 @@ def _corners(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return np.array(mesh.ngmesh.Coordinates()[: mesh.nv]), nodes
 
 
+def _has_geometry(mesh: Mesh) -> bool:
+    try:
+        return bool(pickle.dumps(mesh.ngmesh.GetGeometry()))
+    except Exception:  # of whatever kind of geometry that a file has left
+        return False
+
+
 def _refusal(mesh: Mesh | None, parts: int) -> str | None:
     assert mesh is not None
-    if mesh.GetCurveOrder() > 1:
+    if mesh.GetCurveOrder() > 1 and not _has_geometry(mesh):
         return CURVED
     if len(mesh.GetPeriodicNodePairs(VERTEX)):
         return PERIODIC

@@ -18,7 +18,7 @@ from ngvisco.errors import (
 )
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.mesh import CURVED, PERIODIC
+from ngvisco.parallel.mesh import PERIODIC
 from ngvisco.physics.convexity import check_convexity
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, WithQuadratic, Yosida
@@ -55,8 +55,6 @@ def check_distributed(step: Step) -> None:
     ranks = Communicator.of(mesh)
     if not ranks.is_distributed:
         return
-    if ranks.any(mesh.GetCurveOrder() > 1):
-        raise MeshError(CURVED)
     if step.walls.periodic:
         raise MeshError(PERIODIC)
     if step.walls.multiplied:

@@ -13,6 +13,7 @@ from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
+from ngvisco.geometries import disc as round_disc
 from ngvisco.parallel.communicator import TRAFFIC, Communicator
 from ngvisco.physics.variables import Jacobian
 from ngvisco.reduced.residual import Evaluation
@@ -53,6 +54,23 @@ def block(solver: str = "coupled", maxh: float = 0.9, **options) -> nv.Simulatio
     initial = nv.Initial(velocity=(*SWIRL, 0.0))
     mesh = box((1, 1, 1), maxh=maxh)
     return nv.Simulation(mesh, model, dt=0.02, initial=initial, solver=solver, **options)
+
+
+def disc(solver: str) -> nv.Simulation:
+    inside = 1 - x * x - y * y
+    return nv.Simulation(
+        round_disc(1.0, maxh=0.4),
+        nv.Model(
+            material=NEO_HOOKEAN,
+            viscosity=VISCOSITY,
+            hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
+            loads=[gravity(2)],
+        ),
+        dt=0.02,
+        initial=nv.Initial(velocity=(-y * inside, x * inside)),
+        walls={"outer": nv.NoSlip()},
+        solver=solver,
+    )
 
 
 def lid(solver: str = "coupled") -> nv.Simulation:
@@ -178,6 +196,8 @@ CASES = {
     "sdirk2": lambda: swirl(0.4, scheme="sdirk2"),
     "adaptive": lambda: swirl(0.4, stepping=nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-2)),
     "block": block,
+    "disc": lambda: disc("coupled"),
+    "split disc": lambda: disc("split"),
     "lid": lid,
     "creep": creep,
     "limited": limited,

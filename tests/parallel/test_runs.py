@@ -61,6 +61,7 @@ COUPLED = (
     "sdirk2",
     "adaptive",
     "block",
+    "disc",
     "lid",
     "creep",
     "limited",
@@ -75,6 +76,7 @@ SPLIT = (
     "split, long steps",
     "split block",
     "split block, two levels",
+    "split disc",
     "split lid",
     "split creep",
 )
