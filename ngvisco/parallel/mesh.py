@@ -37,6 +37,12 @@ class Part(Mesh):
     whole: Mesh | None = None
     cells: np.ndarray = np.zeros(0, dtype=np.int64)
     ranks = Communicator()
+    order = 1
+
+    def GetCurveOrder(self) -> int:
+        """That of the whole: to NGSolve a part without cells at curved walls has straight ones, and what
+        depends on it would differ from rank to rank."""
+        return self.order
 
 
 def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
@@ -97,6 +103,7 @@ def _curve(part: Part, whole: Mesh | None, ranks: Communicator) -> None:
     if order > 1:
         part.ngmesh.SetGeometry(pickle.loads(geometry))
         part.Curve(order)
+        part.order = order
         if not np.allclose(_sizes(part), sizes, rtol=_SHAPE, atol=0):
             raise MeshError(CURVED)
 
