@@ -68,7 +68,7 @@ def disc(solver: str) -> nv.Simulation:
         ),
         dt=0.02,
         initial=nv.Initial(velocity=(-y * inside, x * inside)),
-        walls={"outer": nv.NoSlip()},
+        walls={"wall": nv.NoSlip()},
         solver=solver,
     )
 

@@ -334,8 +334,8 @@ STATEMENT = (
     "three times the median of its run"
 )
 DEAR = (
-    "At v dt/h = 10 in 3D, finite strain, 0.1 Pa s, a step took 4.3 times the median; all others of that "
-    "grid 2.2 at most (ngvisco/timestepping/README.md)."
+    "Three of the runs do not keep the bound: a shear wave in 3D with dt = 0.01 s (4.6), a load that is "
+    "released with p = 2 (3.3), a cavity with p = 4 (3.0; ngvisco/timestepping/README.md)."
 )
 LABEL = "Euler-small-viscoelastodyn+disc, Euler-large-viscoelastodyn+disc"
 
@@ -351,7 +351,6 @@ CASES = (
             f"{GRID_STEPS} steps each.",
             bounds=_bounds(9.0, 85.0),
             run=partial(_gridded, kind, dim),
-            explanation=DEAR,
         )
         for kind in KINDS
         for dim in (2, 3)
@@ -367,5 +366,6 @@ CASES = (
         "strain.",
         bounds=_bounds(0.4, 4.0),
         run=lambda: outcome(runs()),
+        explanation=DEAR,
     ),
 )
