@@ -40,7 +40,7 @@ from ngsolve import CoefficientFunction, Mesh
 from ngvisco.case import changes
 from ngvisco.case.build import Case, load_case
 from ngvisco.case.log import Log, noting_warnings
-from ngvisco.case.meshfile import mesh_image, mesh_of, require_whole
+from ngvisco.case.meshfile import mesh_image, mesh_in, mesh_of, require_whole
 from ngvisco.case.versions import versions
 from ngvisco.errors import CheckpointError, MeshError, NgviscoError, StepError, require_path
 from ngvisco.parallel.communicator import Communicator
@@ -160,7 +160,7 @@ class RunDirectory:
         found = hashlib.sha256(self.mesh_file.read_bytes()).hexdigest()
         if found != self.read_versions().get("mesh_sha256"):
             raise MeshError(f"{self.mesh_file}: not the mesh of this run (its hash differs)")
-        return Mesh(str(self.mesh_file))
+        return mesh_in(self.mesh_file)
 
 
 @dataclass(frozen=True)

@@ -61,10 +61,10 @@ class TermRows:
             form.Apply(self.step.state.vec, rows[name])
         return rows
 
-    def left_by(self, u: BaseVector, f: BaseVector, size: float, linear: str) -> dict[str, BaseVector]:
+    def left_by(self, u: BaseVector, f: BaseVector, size: float) -> dict[str, BaseVector]:
         """What an increment f at u, of this size in its norm, leaves of the residual, by terms.
 
-        Under the name ``linear`` is R - R' f, which is zero where f is Newton's.  The step's state is then
+        Under the name ``LINEAR`` is R - R' f, which is zero where f is Newton's.  The step's state is then
         u - f with its local unknowns.
         """
         share = min(_LARGEST, _RELATIVE / size)
@@ -85,7 +85,7 @@ class TermRows:
             slope.data = 0.5 / share * (slope - behind[name])
             rows.data += slope - before[name]
             rest.data += before[name] - slope
-        return left | {linear: rest}
+        return left | {LINEAR: rest}
 
 
 def in_words(sizes: dict[str, float], before: float) -> str:
@@ -97,5 +97,5 @@ def in_words(sizes: dict[str, float], before: float) -> str:
     if largest == np.inf:
         names = [name for name, size in sizes.items() if size == np.inf]
         return f"not a number at the next iterate: {', '.join(names[:_NAMED])}"
-    named = [f"{name} ({size / before:.2g})" for name, size in sizes.items() if size >= _COUNTS * largest]
-    return f"against it stand, in units of the smallest increment: {', '.join(named[:_NAMED])}"
+    parts = [f"{name} ({size / before:.2g})" for name, size in sizes.items() if size >= _COUNTS * largest]
+    return f"against it stand, in units of the smallest increment: {', '.join(parts[:_NAMED])}"

@@ -97,20 +97,27 @@ def _curve(part: Part, whole: Mesh | None, ranks: Communicator) -> None:
         assert whole is not None
         order = whole.GetCurveOrder()
         geometry = pickle.dumps(whole.ngmesh.GetGeometry()) if order > 1 else b""
-        return order, geometry, _sizes(whole) if order > 1 else []
+        return order, geometry, volume_and_surface(whole) if order > 1 else []
 
     order, geometry, sizes = ranks.on_first(shape)
     if order > 1:
         part.ngmesh.SetGeometry(pickle.loads(geometry))
         part.Curve(order)
         part.order = order
-        if not np.allclose(_sizes(part), sizes, rtol=_SHAPE, atol=0):
+        if not np.allclose(volume_and_surface(part), sizes, rtol=_SHAPE, atol=0):
             raise MeshError(CURVED)
 
 
-def _sizes(mesh: Mesh) -> list[float]:
-    """Volume and surface; NGSolve sums over the ranks of a part."""
+def volume_and_surface(mesh: Mesh) -> list[float]:
+    """Of a mesh, m^dim and m^(dim - 1); of a part those of the whole, collective."""
     return [float(Integrate(CF(1.0), mesh, where)) for where in (VOL, BND)]
+
+
+def has_geometry(mesh: Mesh) -> bool:
+    """Whether Netgen knows the shape that a mesh is of, by which it can be curved."""
+    from netgen.meshing import NetgenGeometry
+
+    return type(mesh.ngmesh.GetGeometry()) is not NetgenGeometry
 
 
 def cell_numbers(mesh: Mesh) -> np.ndarray:
@@ -148,16 +155,9 @@ def _corners(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return np.array(mesh.ngmesh.Coordinates()[: mesh.nv]), nodes
 
 
-def _has_geometry(mesh: Mesh) -> bool:
-    try:
-        return bool(pickle.dumps(mesh.ngmesh.GetGeometry()))
-    except Exception:  # of whatever kind of geometry that a file has left
-        return False
-
-
 def _refusal(mesh: Mesh | None, parts: int) -> str | None:
     assert mesh is not None
-    if mesh.GetCurveOrder() > 1 and not _has_geometry(mesh):
+    if mesh.GetCurveOrder() > 1 and not has_geometry(mesh):
         return CURVED
     if len(mesh.GetPeriodicNodePairs(VERTEX)):
         return PERIODIC

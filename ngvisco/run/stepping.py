@@ -212,8 +212,8 @@ class FixedStepper:
             size = self._parts >> level
             tau = self.dt * size / self._parts
             try:
-                names = Effort.NAMES if level == self.halvings else efforts
-                taken = simulation.integrator.advance(t, tau, simulation.number, efforts | names)
+                asked = efforts | Effort.NAMES if level == self.halvings else efforts
+                taken = simulation.integrator.advance(t, tau, simulation.number, asked)
                 self._level = level
                 return Accepted(self._time(position + size), taken, rejections)
             except StepError as failure:
@@ -280,11 +280,10 @@ class AdaptiveStepper:
         estimate = self._estimate_of(simulation)
         while True:
             tau, new_time = self._length(t, stop)
-            names = Effort.NAMES if tau / 2 < self.options.dt_min else Effort.DIRECT
+            is_last = tau / 2 < self.options.dt_min
+            efforts = Effort.DIRECT | Effort.NAMES if is_last else Effort.DIRECT
             try:
-                taken = integrator.advance(
-                    t, tau, simulation.number, efforts=Effort.DIRECT | names, meets=new_time == stop
-                )
+                taken = integrator.advance(t, tau, simulation.number, efforts=efforts, meets=new_time == stop)
             except StepError as failure:
                 # the cause, which does not say again which step it was
                 reason = str(failure.__cause__ or failure)

@@ -30,6 +30,7 @@ from ngvisco.physics.bodies import Amount
 from ngvisco.physics.mixture import AMOUNT
 from ngvisco.physics.variables import Variable
 from ngvisco.run import checkpoint
+from ngvisco.run.identity import identity
 from ngvisco.run.ledger import TRANSFER
 
 if TYPE_CHECKING:
@@ -258,7 +259,7 @@ def resume_changed(
     read: list[checkpoint.Snapshot] = []
 
     def read_all() -> tuple[list[str], list[dict[str, float]]]:
-        expected = checkpoint.identity(simulation) | dict(attributes or {})
+        expected = identity(simulation) | dict(attributes or {})
         for name in ("material", "energies", "scheme"):
             del expected[name]
         one = checkpoint.read_checkpoint(Path(path), expected, None)

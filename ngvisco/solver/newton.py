@@ -27,7 +27,7 @@ from ngsolve import BaseVector, BilinearForm
 
 from ngvisco.algebra.condensed import CondensedJacobian
 from ngvisco.errors import StepError
-from ngvisco.forms.term_rows import LINEAR, TermRows, in_words
+from ngvisco.forms.term_rows import TermRows, in_words
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.solver.cost import Allowance
@@ -191,7 +191,7 @@ class Newton:
         self.state.data = u
         try:
             self._factorise(problem)
-            parts = self.rows().left_by(u, f, size, LINEAR)
+            parts = self.rows().left_by(u, f, size)
         except StepError:  # a state that has no tangent, or no time for it
             return ""
         sizes = {}

@@ -7,7 +7,7 @@ it makes in the step.  The other unknowns are functions of these three; the trac
 by an r-Laplacian, a nonlinear one, counts like rho.  A creep rate field Pi changes z by tau Pi only, which
 leaves it open in a short step: with nu > 0 it counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau).  The
 floor f and the share s are in ``NormOptions``; the floor lets small strains and velocities converge
-relatively to themselves, and a stalled iteration is asked about with a larger one.
+relatively to themselves, and a stalled iteration is asked about with a larger one, but for Pi.
 """
 
 from __future__ import annotations

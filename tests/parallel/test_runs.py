@@ -220,6 +220,74 @@ def test_a_run_on_ranks_goes_on_changed_and_from_another_mesh(case_file, tmp_pat
         assert (alone / "case.toml").read_text() == (several / "case.toml").read_text()
 
 
+CURVED = """
+[domain]
+geometry = "disc"
+radius = 1
+maxh = 0.5
+[material]
+kind = "NeoHookean"
+K_e = 10
+G_e = 5
+epsilon = 0.1
+[rheology]
+viscosity = { K_v = 0.05, G_v = 0.05 }
+[initial]
+velocity = ["-y*(1 - x**2 - y**2)", "x*(1 - x**2 - y**2)"]
+[walls.wall]
+kind = "NoSlip"
+[time]
+dt = 0.02
+until = 0.04
+[output.checkpoint]
+every = 1
+"""
+
+
+def test_a_curved_run_goes_on_with_any_number_of_ranks(tmp_path):
+    """Its mesh comes from a file, which has eight decimals of curved cells: the geometry curves them."""
+    case, alone, several = tmp_path / "disc.toml", tmp_path / "alone", tmp_path / "several"
+    case.write_text(CURVED)
+    for words in (("run", case, "-o", alone), ("resume", alone, "--until", "0.06")):
+        assert ngvisco(*words, "--quiet").returncode == 0
+    for words in (("run", case, "-o", several), ("resume", several, "--until", "0.06")):
+        done = ngvisco(*words, "--quiet", ranks=3)
+        assert done.returncode == 0, done.stderr
+    assert_same_ledger(rows(alone), rows(several))
+
+
+EMPTY = """
+from mpi4py import MPI
+from ngvisco.errors import MeshError
+from ngvisco.geometries import box
+from ngvisco.parallel import mesh
+from ngvisco.parallel.communicator import Communicator
+
+ranks = Communicator(MPI.COMM_WORLD)
+
+class Empty(mesh.Part):
+    ne = 0
+
+if ranks.rank == 1:
+    mesh.Part = Empty
+try:
+    said = f"{mesh.distributed(box((1, 1), 0.5), ranks).ne} cells"
+except MeshError as error:
+    said = str(error)
+every = ranks.mpi.gather(said)
+if ranks.is_first:
+    print(every)
+"""
+
+
+def test_a_rank_that_metis_leaves_without_cells_is_refused_on_every_rank(tmp_path):
+    """As it does now and then where there are a cell or two for each."""
+    (tmp_path / "empty.py").write_text(EMPTY)
+    result = run("-m", "mpi4py", tmp_path / "empty.py", ranks=3)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.count("METIS leaves one of 2 ranks without any of") == 3
+
+
 REFUSED = {
     "domain.periodic='x'": "identified boundaries are not distributed",
     "rheology.regularisation={delta_fields=0.01}; solver.method='split'": "couples cells of different ranks",

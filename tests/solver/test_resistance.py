@@ -100,7 +100,7 @@ def test_the_terms_forms_add_up_to_the_residual():
         whole.data -= part
     assert whole.Norm() <= 1e-12 * largest
     size = newton.norm(f, u)
-    left = rows.left_by(u, f, size, LINEAR)
+    left = rows.left_by(u, f, size)
     newton.jacobian.solve(left[LINEAR], f)  # its rows of walls are reactions
     assert newton.norm(f, u) <= 1e-6 * size
     u.data = step.state.vec

@@ -75,8 +75,8 @@ def test_radial_reference_says_where_it_has_no_end():
         RadialCreep(2, 1.0, 1.0, 0.5, 4.0, lambda s: np.nan * s).solve(10)
 
 
-@pytest.mark.parametrize("tau", [1e-8, 1e-2])
-def test_both_solvers_find_the_creep_rate_whatever_the_step(tau):
+@pytest.mark.parametrize("tau", [1e-10, 1e-8, 1e-2])
+def test_both_solvers_find_the_creep_rate_in_short_and_in_long_steps(tau):
     """In a step of 1e-8 s the strain hardly sees Pi: where that alone is measured, Pi is 4 % off."""
     rates = []
     for solver in ("coupled", "split"):
