@@ -28,7 +28,7 @@ from ngvisco.physics.tensors import identity_like, inner
 from ngvisco.physics.variables import SmallStrain, Variable
 
 _SQUARINGS = 3
-"""How often 1 - r and 3 r are squared: with 3, a body's half of the smear fades by 4 % in 250 steps at most."""
+"""How often 1 - r and 3 r are squared: with 3, a body's half of the smear fades by 4 % in 250 steps."""
 
 _HALF = 1 / 4
 """The share r at which half the rate is left."""
