@@ -34,7 +34,7 @@ class Unknown:
     component : int
         Which component of v a normal derivative belongs to.
     space : callable or None
-        Makes the space where ``place`` does not say it; on the step's mesh, or the whole that it is a part of.
+        Makes the space where ``place`` does not say it; on the mesh of the step or the whole of it.
     """
 
     name: str
