@@ -12,6 +12,7 @@ far smaller than that between the straight facets of the same vertices, on strai
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -34,6 +35,7 @@ from ngsolve import (
 )
 
 from ngvisco.errors import MeshError
+from ngvisco.parallel.communicator import Communicator
 
 _FLAT = 1e-4  # rad: of facets in one plane, whose coordinates were rounded
 _CORNER = np.deg2rad(59.0)  # angles above are corners of the domain, not of its approximation
@@ -68,33 +70,55 @@ def require_curved_cells(mesh: Mesh, walls: Mapping[str, Region]) -> None:
 def _kinks(mesh: Mesh, wall: Region) -> tuple[list[float], list[float]]:
     """Angles between neighbouring facets of a wall, of their chords and of the facets where they meet.
 
-    Facets in one plane and those that form a corner are left out.
+    Facets in one plane and those that form a corner are left out.  Collective: two ranks may have them.
     """
-    elements = list(wall.Elements())
-    facets = [(e.edges if mesh.dim == 2 else e.faces)[0].nr for e in elements]
-    means = _mean_normals(mesh)[facets]
-    chords = [
-        np.sign(n @ mean) * n for n, mean in zip(map(_chord_normal(mesh), elements), means, strict=True)
-    ]
-    corners = _corner_normals(mesh)
-
-    def outward(i: int, vertex: int) -> np.ndarray:
-        n = corners[elements[i].nr, vertex]
-        return np.sign(n @ means[i]) * n
-
-    near: dict[int, list[int]] = {}
+    near: dict[frozenset[bytes], list[_Facet]] = {}
+    for facets in Communicator.of(mesh).gathered(_facets(mesh, wall)):
+        for facet in facets:
+            for part in facet.parts:
+                near.setdefault(part, []).append(facet)
     result: tuple[list[float], list[float]] = ([], [])
-    for i, e in enumerate(elements):
-        for part in e.vertices if mesh.dim == 2 else e.edges:
-            near.setdefault(part.nr, []).append(i)
-    for both in near.values():
-        for i, j in combinations(both, 2):
-            angle = _angle(chords[i], chords[j])
+    for part, both in near.items():
+        for one, other in combinations(both, 2):
+            angle = _angle(one.chord, other.chord)
             if not _FLAT < angle < _CORNER:
                 continue
-            ends = {v.nr for v in elements[i].vertices} & {v.nr for v in elements[j].vertices}
+            left = [_angle(one.normals[end], other.normals[end]) for end in part]
             result[0].append(angle)
-            result[1].append(float(np.mean([_angle(outward(i, end), outward(j, end)) for end in ends])))
+            result[1].append(float(np.mean(left)))
+    return result
+
+
+@dataclass(frozen=True)
+class _Facet:
+    """Of a wall: outward unit normals of its chord and at its vertices, which their coordinates name.
+
+    ``parts`` are its vertices in 2D and its edges in 3D, where it meets others.
+    """
+
+    chord: np.ndarray
+    normals: dict[bytes, np.ndarray]
+    parts: list[frozenset[bytes]]
+
+
+def _facets(mesh: Mesh, wall: Region) -> list[_Facet]:
+    """The facets of a wall that this rank has."""
+    means, chord_normal, corners = _mean_normals(mesh), _chord_normal(mesh), _corner_normals(mesh)
+    result = []
+    for e in wall.Elements():
+        mean = means[(e.edges if mesh.dim == 2 else e.faces)[0].nr]
+        names = {v.nr: np.array(mesh[v].point).tobytes() for v in e.vertices}
+        chord, at = chord_normal(e), {v.nr: corners[e.nr, v.nr] for v in e.vertices}
+        parts = [[v.nr] for v in e.vertices]
+        if mesh.dim == 3:
+            parts = [[v.nr for v in mesh[edge].vertices] for edge in e.edges]
+        result.append(
+            _Facet(
+                chord=np.sign(chord @ mean) * chord,
+                normals={names[nr]: np.sign(n @ mean) * n for nr, n in at.items()},
+                parts=[frozenset(names[nr] for nr in part) for part in parts],
+            )
+        )
     return result
 
 

@@ -140,7 +140,7 @@ class Layout:
         if unknown.place == "velocity":
             return self.velocity_space(self._dirichlet)
         if unknown.space is not None:
-            return unknown.space
+            return unknown.space(self.mesh)
         make = {"cells": L2, "facets": FacetFESpace, "normals": NormalFacetFESpace, "continuous": H1}
         space = make[unknown.place](self.mesh, order=unknown.order)
         if unknown.size is not None:

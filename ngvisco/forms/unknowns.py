@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
-from ngsolve import FESpace
+from ngsolve import FESpace, Mesh
 
 from ngvisco.physics.state_space import StateSpace
 
@@ -22,7 +23,8 @@ class Unknown:
     place : str
         ``"velocity"``: continuous vectors with what walls prescribe; ``"cells"``: discontinuous, local to its
         cell and condensed; ``"facets"``: on facets; ``"normals"``: on facets, a multiple of the normal;
-        ``"continuous"``: in H1; ``"walls"``: ``space``.
+        ``"continuous"``: in H1; ``"walls"``: what
+        ``space`` makes.
     order : int
         Polynomial degree.
     size : int or None
@@ -31,8 +33,8 @@ class Unknown:
         The unknown in cells that this one is the trace of; ``"v"``, of normal derivatives, is the gradient's.
     component : int
         Which component of v a normal derivative belongs to.
-    space : FESpace or None
-        The space itself, where ``place`` does not say it.
+    space : callable or None
+        Makes the space where ``place`` does not say it; on the mesh of the step or the whole of it.
     """
 
     name: str
@@ -41,7 +43,7 @@ class Unknown:
     size: int | None = None
     trace_of: str | None = None
     component: int = 0
-    space: FESpace | None = None
+    space: Callable[[Mesh], FESpace] | None = None
 
     @property
     def is_local(self) -> bool:

@@ -3,8 +3,8 @@
 v attains the maximum in E(rho, m) = max_w <m, w> - 1/2 int rho |w|^2 over the velocities that the walls
 admit: prescribed coefficients are kept, and on oblique and curved walls (v . n, mu) = 0 for all multipliers
 mu (paper: Euler-small-BC-hyper).  The mass matrix is that of one scalar component; conjugate gradients with
-its diagonal take 30 to 60 iterations whatever the mesh.  With multipliers C v = 0 they run in the null
-space of C, by the projection I - D^-1 C^T (C D^-1 C^T)^-1 C with the mass matrix' diagonal D.
+its diagonal take 30 to 60 iterations whatever the mesh.  With multipliers they run in the null space of the
+walls' condition, by the projection onto it in the inner product of that diagonal (``WallProjection``).
 """
 
 from __future__ import annotations
@@ -13,16 +13,15 @@ from collections.abc import Callable
 
 import numpy as np
 import scipy.sparse as sp
-from ngsolve import CF, BilinearForm, CoefficientFunction, FESpace, GridFunction, LinearForm
-from scipy.sparse.linalg import splu
+from ngsolve import CF, BilinearForm, CoefficientFunction, GridFunction, LinearForm
 
 from ngvisco.algebra.conjugate_gradients import conjugate_gradients
 from ngvisco.errors import StepError
-from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.points import csr
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
+from ngvisco.forms.wall_projection import WallProjection
 from ngvisco.forms.wall_terms import Impenetrability
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
@@ -72,7 +71,7 @@ class VelocityOfMomentum:
         self._own = self._exchange.owned if several else slice(None)
         self._own_free = self._exchange.owned[self.free] if several else slice(None)
         self._dim = layout.mesh.dim
-        self._constraint = None if term is None else _constraint(layout, term, quadrature)
+        self._walls = None if term is None else WallProjection(layout, term, quadrature, self.free)
 
     def __call__(self) -> np.ndarray:
         """Solve; returns the rows of int rho v . w - <m, w>, which only walls leave, (unknowns of v,).
@@ -89,7 +88,12 @@ class VelocityOfMomentum:
         rows = self._load.Assemble().vec.FV().NumPy().copy()
         free, v, exchange, ranks = self.free, self.v, self._exchange, self._exchange.communicator
         momentum, diagonal = exchange.sum(rows), exchange.sum(mass.diagonal())[free]
-        project, project_back = self._projections(diagonal)
+        project: Callable[[np.ndarray], np.ndarray] = _same
+        project_back = project
+        if self._walls is not None:
+            self._walls.update(diagonal)
+            project, project_back = self._walls, self._walls.transposed
+            v[free] = self._walls.completed(v)  # a start value that the walls admit
         full = np.zeros_like(v)
 
         def product(x: np.ndarray, y: np.ndarray) -> float:
@@ -102,8 +106,6 @@ class VelocityOfMomentum:
         def inverse(x: np.ndarray) -> np.ndarray:
             return project(project_back(x) / diagonal)
 
-        if self._constraint is not None:  # a start value that the walls admit
-            v[free] = project(v[free]) - self._lift(v)
         size = ranks.norm(momentum[self._own]) or 1.0
         left = np.inf
         for _ in range(_CORRECTIONS):
@@ -118,37 +120,9 @@ class VelocityOfMomentum:
             raise StepError(f"the velocity of a momentum was solved to {left / size:.1e} only")
         return mass @ v - rows
 
-    def _projections(self, diagonal: np.ndarray) -> tuple[Callable, Callable]:
-        """The projection onto the velocities that the walls admit, and its transpose."""
-        if self._constraint is None:
-            return (lambda x: x), (lambda x: x)
-        constraint, free = self._constraint, self.free
-        C = constraint[:, free]
-        scaled = (C @ sp.diags(1 / diagonal)).tocsr()
-        factors = splu((scaled @ C.T).tocsc())
-        self._lift = lambda v: scaled.T @ factors.solve(constraint[:, ~free] @ v[~free])
 
-        def project(x: np.ndarray) -> np.ndarray:
-            return x - scaled.T @ factors.solve(C @ x)
-
-        def project_back(x: np.ndarray) -> np.ndarray:
-            return x - C.T @ factors.solve(scaled @ x)
-
-        return project, project_back
-
-
-def _constraint(layout: Layout, term: Impenetrability, quadrature: Quadrature) -> sp.csr_matrix:
-    """C, (multipliers, unknowns of v): the rows of (v . n, mu)."""
-    names = ("v", "wall_stress")
-    space = FESpace([layout.blocks[name] for name in names])
-    trial, test = space.TnT()
-    u, w = (Fields(layout, dict(zip(names, parts, strict=True))) for parts in (trial, test))
-    form = BilinearForm(space)
-    for part in term.form(u, w):
-        form += part.facets * quadrature.facets
-    rows, multipliers = space.Range(0), space.Range(1)
-    matrix = csr(form.Assemble().mat)
-    return matrix[multipliers.start : multipliers.stop, rows.start : rows.stop].tocsr()
+def _same(x: np.ndarray) -> np.ndarray:
+    return x
 
 
 def project_velocity(

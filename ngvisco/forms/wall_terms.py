@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from ngsolve import CF, CoefficientFunction
 
@@ -28,7 +29,8 @@ class Impenetrability(PointTerm):
         self._walls = walls
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        return (Unknown("wall_stress", "walls", space=self._walls.multiplier_space(setting.k)),)
+        space = partial(self._walls.multiplier_space, k=setting.k)
+        return (Unknown("wall_stress", "walls", space=space),)
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         n = u.context.normal

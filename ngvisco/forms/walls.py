@@ -13,7 +13,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
-from ngsolve import Compress, FacetFESpace, FESpace, Mesh, Region
+import numpy as np
+from ngsolve import H1, Compress, FacetFESpace, FESpace, Mesh, Region
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.boundaries import (
@@ -24,6 +25,8 @@ from ngvisco.forms.boundaries import (
     walls_of,
 )
 from ngvisco.forms.kinks import require_curved_cells
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.walls import NoSlip, PrescribedTangential, Slip, Traction, Wall
 
@@ -102,8 +105,10 @@ class Walls:
             self._regions[key] = walls_of(self.mesh, names)
         return self._regions[key]
 
-    def multiplier_space(self, k: int) -> FESpace | None:
+    def multiplier_space(self, mesh: Mesh, k: int) -> FESpace:
         """Space of the multiplier of v.n = 0 for velocities in P_k: P_{k-2}, and in 2D P_2 for k = 3.
+
+        On the mesh of the step, or on the whole of which that is a rank's part.
 
         P_{k-1} is the most that the traces v.n allow.  In 3D it has more unknowns than there are normal
         traces.  In 2D it has as many on a closed curve, and for even k the trace that is the same
@@ -113,20 +118,25 @@ class Walls:
         where v is constrained there are n k - 1 traces, so that its edges at such ends have one unknown
         less.
         """
-        if not self.multiplied:
-            return None
-        mesh = self.mesh
         fine = mesh.dim == 2 and k == 3
         order = k - 1 if fine else k - 2
-        space = FacetFESpace(mesh, order=order)
-        active = space.GetDofs(self.region(self.multiplied))
+        space, multiplied = FacetFESpace(mesh, order=order), walls_of(mesh, self.multiplied)
+        active = space.GetDofs(multiplied)
         others = [name for name in self.conditions if name not in self.multiplied]
         if fine and others:
-            ends = {v for e in self.region(others).Elements() for v in e.vertices}
-            for element in self.region(self.multiplied).Elements():
-                if ends.intersection(element.vertices):
+            ends = _vertices(walls_of(mesh, others))
+            for element in multiplied.Elements():
+                if ends[[v.nr for v in element.vertices]].any():
                     active[max(space.GetDofNrs(element))] = False
         return Compress(space, active)
+
+
+def _vertices(region: Region) -> np.ndarray:
+    """Which vertices lie on a boundary, (vertices,), of whichever rank its facets are; collective."""
+    mesh = region.mesh
+    found = np.zeros(mesh.nv)
+    found[[v.nr for element in region.Elements() for v in element.vertices]] = 1.0
+    return Exchange.of(H1(mesh, order=1), Communicator.of(mesh)).sum(found) > 0
 
 
 def _by_name(conditions: Conditions) -> dict[str, Wall]:

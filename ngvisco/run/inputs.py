@@ -50,16 +50,13 @@ def check_arguments(
 
 
 def check_distributed(step: Step) -> None:
-    """Raise MeshError or ParameterError for what several ranks do not take; nothing on one process."""
+    """Raise MeshError for what several ranks do not take; nothing on one process."""
     mesh = step.mesh
     ranks = Communicator.of(mesh)
     if not ranks.is_distributed:
         return
     if step.walls.periodic:
         raise MeshError(PERIODIC)
-    if step.walls.multiplied:
-        expected = "walls normal to an axis, or without slip, on several ranks: multipliers are one process's"
-        raise ParameterError("Simulation.walls", step.walls.multiplied, expected)
 
 
 def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:

@@ -9,6 +9,7 @@ import json
 import sys
 
 import numpy as np
+import walls
 from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
@@ -211,9 +212,9 @@ CASES = {
     "split block, hypre": lambda: block("split", 0.5, newton=HYPRE),
     "split lid": lambda: lid("split"),
     "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
-}
-STEPS = {"limited": 9}
-"""Where there are more than three."""
+} | walls.CASES
+STEPS = {"limited": 9} | walls.STEPS
+"""Where there are not three."""
 
 LINEAR: list[int] = []
 """Iterations of the split solver's linear systems of the flow."""

@@ -51,7 +51,18 @@ def found(ranks, *names):
     return json.loads(result.stdout.splitlines()[-1])
 
 
-SHORT = ("midpoint", "observed", "split", "split bodies", "parameters", "carried", "Yosida")
+SHORT = (
+    "midpoint",
+    "observed",
+    "split",
+    "split bodies",
+    "parameters",
+    "carried",
+    "Yosida",
+    "slip disc",
+    "quadrilateral, k = 3",
+    "split leaning",
+)
 COUPLED = (
     "carried in space",
     "bodies",
@@ -79,6 +90,17 @@ SPLIT = (
     "split disc",
     "split lid",
     "split creep",
+)
+WALLS = ("turned", "quadrilateral", "ball", "turned ball", "leaning")
+"""Oblique and curved, with slip and moving; ``slip disc`` and its like are among the short ones."""
+SPLIT_WALLS = (
+    "split slip disc",
+    "split turned",
+    "split quadrilateral",
+    "split quadrilateral, k = 3",
+    "split ball",
+    "split turned ball",
+    "split leaning",
 )
 
 
@@ -133,6 +155,19 @@ def test_ledgers_of_the_split_solver_are_those_of_one_process(ranks):
         # whether the last one is wanted is decided by a contraction that linear systems leave open
         assert_same_ledger(one["rows"], several["rows"], spare=1)
         assert several["linear"] <= 1.1 * one["linear"], name
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.ci), 4])
+def test_oblique_and_curved_walls_are_those_of_one_process(ranks):
+    """With the reactions of those that move, by both solvers."""
+    for names, spare in ((WALLS, 0), (SPLIT_WALLS, 1)):
+        for name in names:
+            one, several = found(1, *names)[name], found(ranks, *names)[name]
+            assert one["unknowns"] == several["unknowns"]
+            assert_same_ledger(one["rows"], several["rows"], spare=spare)
+            assert_same_tables(one["tables"], several["tables"])
+            assert several["linear"] <= 1.1 * one["linear"], name
 
 
 @pytest.mark.long
@@ -233,9 +268,7 @@ epsilon = 0.1
 [rheology]
 viscosity = { K_v = 0.05, G_v = 0.05 }
 [initial]
-velocity = ["-y*(1 - x**2 - y**2)", "x*(1 - x**2 - y**2)"]
-[walls.wall]
-kind = "NoSlip"
+velocity = ["-y", "x + 0.1"]
 [time]
 dt = 0.02
 until = 0.04
@@ -245,7 +278,10 @@ every = 1
 
 
 def test_a_curved_run_goes_on_with_any_number_of_ranks(tmp_path):
-    """Its mesh comes from a file, which has eight decimals of curved cells: the geometry curves them."""
+    """Its mesh comes from a file, which has eight decimals of curved cells: the geometry curves them.
+
+    The multipliers of its wall are a part of the checkpoint.
+    """
     case, alone, several = tmp_path / "disc.toml", tmp_path / "alone", tmp_path / "several"
     case.write_text(CURVED)
     for words in (("run", case, "-o", alone), ("resume", alone, "--until", "0.06")):
@@ -295,6 +331,7 @@ REFUSED = {
     "material.G_e=-1": "expected a finite number > 0",
     "initial.density='x - 0.1'": "density rho_0",
     "domain.maxh=1.5": "cells for",
+    "domain={geometry='disc',radius=1,maxh=0.5,order=1}": "between straight facets",
 }
 REFUSING = """
 import sys

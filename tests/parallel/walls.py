@@ -1,0 +1,127 @@
+"""Small cases with walls that no component of v belongs to: oblique, curved, and some of them moving."""
+
+from __future__ import annotations
+
+import numpy as np
+from netgen.occ import Axis, Box, OCCGeometry, Pnt, WorkPlane, X, Z
+from ngsolve import Mesh, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import annulus, sphere
+from ngvisco.geometries import disc as round_disc
+
+_NORMALS = (1.0, 0.6), (-0.4, 1.0), (-1.0, -0.3), (0.2, -1.0)
+"""Of the sides of ``quadrilateral``, a, b, c and d."""
+
+
+def model(dim: int, mu: float | None = 1e-4) -> nv.Model:
+    return nv.Model(
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.05, G_v=0.05),
+        hyperviscosity=None if mu is None else nv.HyperViscosity(mu=mu, p=4),
+        loads=[nv.Gravity((0.3,) + (0.0,) * (dim - 2) + (-1.0,))],
+    )
+
+
+def simulation(mesh: Mesh, solver: str, mu: float | None = 1e-4, **options) -> nv.Simulation:
+    """With a table of what the body exerts on its walls."""
+    forces = nv.WallForces(about=(0.1,) * mesh.dim)
+    options = {"dt": 0.02, "observers": [forces]} | options
+    return nv.Simulation(mesh, model(mesh.dim, mu), solver=solver, **options)
+
+
+def slip_disc(solver: str, maxh: float = 0.4, **options) -> nv.Simulation:
+    """A swirl that slides along a circle, and is not quite one about its centre."""
+    start = nv.Initial(velocity=(-y + 0.3 * x * y, x + 0.2))
+    return simulation(round_disc(1.0, maxh=maxh), solver, initial=start, **options)
+
+
+def turned(solver: str) -> nv.Simulation:
+    """A ring whose outer wall turns, with friction at the inner one."""
+    walls = {"outer": nv.PrescribedTangential((-0.5 * y, 0.5 * x)), "inner": nv.NavierFriction(0.3)}
+    return simulation(annulus(0.4, 1.0, maxh=0.4), solver, walls=walls, scheme="midpoint")
+
+
+def quadrilateral(solver: str, k: int = 2) -> nv.Simulation:
+    """Four oblique walls: slip, a moving one, one at rest, friction."""
+    corners = [_corner(i) for i in range(4)]
+    face = WorkPlane().MoveTo(*corners[-1])
+    for corner in corners:
+        face = face.LineTo(*corner)
+    face = face.Face()
+    sides = sorted(face.edges, key=lambda edge: _side(edge.center))
+    for side, name in zip(sides, "abcd", strict=True):
+        side.name = name
+    (n_x, n_y) = _NORMALS[1]
+    along = 1 / (n_x * n_x + n_y * n_y) ** 0.5
+    walls = {
+        "b": nv.PrescribedTangential((0.4 * n_y * along, -0.4 * n_x * along)),
+        "c": nv.NoSlip(),
+        "d": nv.NavierFriction(0.3),
+    }
+    mesh = Mesh(OCCGeometry(face, dim=2).GenerateMesh(maxh=0.4))
+    start = nv.Initial(velocity=(0.2 * y, 0.3 - 0.4 * x))
+    discretisation = nv.Discretisation(k=k)
+    return simulation(mesh, solver, walls=walls, initial=start, discretisation=discretisation)
+
+
+def _corner(i: int) -> tuple[float, float]:
+    """Where n . x = 1/2 on side i and on the next one."""
+    (a, b), (c, d) = _NORMALS[i], _NORMALS[(i + 1) % 4]
+    return (d - b) / (2 * (a * d - b * c)), (a - c) / (2 * (a * d - b * c))
+
+
+def _side(place) -> int:
+    return min(range(4), key=lambda i: abs(_NORMALS[i][0] * place[0] + _NORMALS[i][1] * place[1] - 0.5))
+
+
+def ball(solver: str, maxh: float = 1.2, **options) -> nv.Simulation:
+    """Turns within its wall about an axis beside its middle."""
+    start = nv.Initial(velocity=(-y, x + 0.1, 0.1 * x))
+    return simulation(sphere(1.0, maxh=maxh), solver, initial=start, **options)
+
+
+def turned_ball(solver: str, **options) -> nv.Simulation:
+    """Its wall begins to turn about it."""
+    walls = {"wall": nv.PrescribedTangential((-0.3 * y, 0.3 * x, 0.0))}
+    return simulation(sphere(1.0, maxh=1.2), solver, walls=walls, **options)
+
+
+def leaning(solver: str, maxh: float = 0.6, **options) -> nv.Simulation:
+    """A block turned about two axes; one wall of it slides, one is at rest, four are of slip."""
+    block = Box(Pnt(0, 0, 0), Pnt(1, 1, 1))
+    for face, name in zip(block.faces, ("left", "right", "front", "back", "bottom", "top"), strict=True):
+        face.name = name
+    about_z, about_x = 30.0, 25.0
+    turned = block.Rotate(Axis((0, 0, 0), Z), about_z).Rotate(Axis((0, 0, 0), X), about_x)
+    sine, cosine = np.sin(np.deg2rad([about_z, about_x])), np.cos(np.deg2rad([about_z, about_x]))
+    along = -sine[0], cosine[0] * cosine[1], cosine[0] * sine[1]  # the right wall, which the axis of y was
+    walls = {"right": nv.PrescribedTangential(tuple(0.2 * each for each in along)), "bottom": nv.NoSlip()}
+    mesh = Mesh(OCCGeometry(turned).GenerateMesh(maxh=maxh))
+    return simulation(mesh, solver, walls=walls, **options)
+
+
+CASES = {
+    "slip disc": lambda: slip_disc("coupled"),
+    "split slip disc": lambda: slip_disc("split"),
+    "turned": lambda: turned("coupled"),
+    "split turned": lambda: turned("split"),
+    "quadrilateral": lambda: quadrilateral("coupled"),
+    "split quadrilateral": lambda: quadrilateral("split"),
+    "quadrilateral, k = 3": lambda: quadrilateral("coupled", 3),
+    "split quadrilateral, k = 3": lambda: quadrilateral("split", 3),
+    "ball": lambda: ball("coupled", mu=None),
+    "split ball": lambda: ball("split"),
+    "turned ball": lambda: turned_ball("coupled", mu=None),
+    "split turned ball": lambda: turned_ball("split"),
+    "leaning": lambda: leaning("coupled", mu=None),
+    "split leaning": lambda: leaning("split"),
+}
+STEPS = {
+    "slip disc": 2,
+    "quadrilateral, k = 3": 1,
+    "ball": 1,
+    "turned ball": 1,
+    "split ball": 1,
+    "split turned ball": 2,
+}
