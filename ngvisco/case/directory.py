@@ -13,7 +13,7 @@
 | samples/      | probes, lines, forces on walls, integrals over the domain, as CSV         |
 | log.txt       | what was done when                                                        |
 | failed.txt    | of a run that ended at a step: where and why, and what to change          |
-| failed.vtu    | the solution that was refused there, else the last state                  |
+| failed.vtu    | the solution that was refused there, else the last state (ranks: .pvtu)   |
 | lock          | there while a process runs; released by the system even when it is killed |
 
 The whole case is built before the directory is touched, so that a case that is refused leaves nothing
@@ -83,8 +83,14 @@ class RunDirectory:
         series += [*self.path.glob("samples/*.csv"), *self.path.glob("case.until-step-*.toml")]
         own.append(self.path / "bodies.csv")
         series += [*self.path.glob("shapes/*.stl"), *self.path.glob("shapes/*.png")]
-        own += [self.log_file, self.failure_file, self.failed_state]
+        own += [self.log_file, *self.failures]
         return [path for path in [*own, *pictures, *series] if path.exists()]
+
+    @property
+    def failures(self) -> list[Path]:
+        """What an attempt that failed has left."""
+        of_ranks = [self.failed_state.with_suffix(".pvtu"), *self.path.glob("failed_p*.vtu")]
+        return [path for path in (self.failure_file, self.failed_state, *of_ranks) if path.exists()]
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
@@ -303,8 +309,8 @@ def _go(
         notes.append(f"from the checkpoint of step {simulation.number}, t = {simulation.t:g} s")
 
     def begin() -> None:
-        for path in (place.failure_file, place.failed_state):  # of an attempt before
-            path.unlink(missing_ok=True)
+        for path in place.failures:  # of an attempt before
+            path.unlink()
         for note in notes:
             log.write(note)
 
@@ -316,9 +322,10 @@ def _go(
     except BaseException as error:
         with contextlib.suppress(OSError):  # a full disk is what may have ended the run
             write(f"ended by {type(error).__name__}: {error}")
-            if isinstance(error, StepError) and error.report is not None:
-                write_failure(place.failure_file, place.failed_state, simulation, error.report)
-                error.add_note(f"what is known of it: {place.failure_file}; its fields: {place.failed_state}")
+        if isinstance(error, StepError) and error.report is not None:
+            with contextlib.suppress(OSError):
+                fields = write_failure(place.failure_file, place.failed_state, simulation, error.report)
+                error.add_note(f"what is known of it: {place.failure_file}; its fields: {fields}")
         raise
     if simulation.stop_requested:
         write(f"stopped on request at step {simulation.number}, t = {simulation.t:g} s")

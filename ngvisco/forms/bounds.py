@@ -38,6 +38,7 @@ from ngvisco.forms.locating import nearest_wall
 from ngvisco.forms.ranges import Ranges
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.parallel.mesh import number_of
 
 OF_CUT_OFF = "rho_max + width - rho"
 """The name of the bound of a cut-off."""
@@ -65,7 +66,8 @@ class Violation:
     is_mean : bool
         Whether it is that of the mean of a cell, and not that at a point.
     cell : int or None
-        Its number; None in a distributed mesh, where numbers are the ranks' own.
+        Its number, over ranks that in the whole mesh; None where the mesh was distributed otherwise than by
+        ``Simulation``: the whole is not known.
     point : tuple of float
         A point of the cell, m: its midpoint, or where the value is.
     wall : str or None
@@ -298,23 +300,23 @@ class Bounds:
     def _worst(self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool) -> Violation:
         """Of the first bound that is broken the least value, and where that is, of all ranks."""
         mine = self._worst_here(found, broken, values, is_mean) if broken.any() else None
-        if not self._ranks.is_distributed:
-            assert mine is not None
-            return mine
         named = [one for one in self._ranks.gathered(mine) if one is not None]
-        bound = min(self.names.index(one.quantity) for one in named)
-        same = [one for one in named if one.quantity == self.names[bound]]
-        worst = min(same, key=lambda one: one.value if one.value == one.value else -np.inf)
-        walls = self._ranks.gathered(nearest_wall(self.step.mesh, np.array(worst.point)))
-        wall, distance = min(walls, key=lambda one: one[1])
-        distance = 0.0 if worst.distance == 0.0 else distance
+
+        def order(one: tuple[Violation, float]) -> tuple[int, float, int]:
+            value, cell = one[0].value, one[0].cell
+            rank = value if value == value else -np.inf
+            return self.names.index(one[0].quantity), rank, -1 if cell is None else cell
+
+        worst, size = min(named, key=order)
+        wall, distance = nearest_wall(self.step.mesh, np.array(worst.point))
+        distance = 0.0 if distance < _ON_WALL * size else distance
         cells = int(self._ranks.total(int(broken.any(axis=1).sum())))
-        return replace(worst, cell=None, wall=wall, distance=distance, cells=cells)
+        return replace(worst, wall=wall, distance=distance, cells=cells)
 
     def _worst_here(
         self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool
-    ) -> Violation:
-        """The same of this rank."""
+    ) -> tuple[Violation, float]:
+        """The same of this rank, but for walls and other ranks' cells, and the size of the cell, m."""
         bound = int(np.flatnonzero(broken.any(axis=0))[0])
         where = np.flatnonzero(broken[:, bound])
         least = values[where, bound]
@@ -325,19 +327,18 @@ class Bounds:
         if not is_mean:
             at_points = self._rows(np.asarray(self._present(self.sampler.points[own])))[:, bound]
             place = places[int(np.argmin(np.where(np.isnan(at_points), -np.inf, at_points)))]
-        wall, distance = nearest_wall(self.step.mesh, place)
-        size = float(self.step.context.h.vec[int(found.cells[i])])
-        distance = 0.0 if distance < _ON_WALL * size else distance
-        return Violation(
-            self.names[bound],
-            float(values[i, bound]),
-            is_mean,
-            int(found.cells[i]),
-            tuple(float(coordinate) for coordinate in place),
-            wall,
-            distance,
-            int(broken.any(axis=1).sum()),
+        cell = int(found.cells[i])
+        worst = Violation(
+            quantity=self.names[bound],
+            value=float(values[i, bound]),
+            is_mean=is_mean,
+            cell=number_of(self.step.mesh, cell),
+            point=tuple(float(coordinate) for coordinate in place),
+            wall=None,
+            distance=np.inf,
+            cells=0,
         )
+        return worst, float(self.step.context.h.vec[cell])
 
     @cached_property
     def _cell_numbers(self) -> np.ndarray:

@@ -12,11 +12,14 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
-from ngsolve import CF, ET, VOL, GridFunction, IntegrationRule, x, y, z
+from ngsolve import CF, ET, H1, VOL, GridFunction, HCurl, IntegrationRule, x, y, z
 
 from ngvisco.errors import InputWarning
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.tensors import tr
 from ngvisco.physics.time import time
@@ -30,10 +33,13 @@ _VERTICES = {
 
 
 def warn_of_corners(step: Step, times: Sequence[float]) -> None:
-    """Say where the walls' velocities alone change a volume e-fold from the first to the last time, s."""
-    cells = _corner_cells(step)
+    """Say where the walls' velocities alone change a volume e-fold from the first to the last time, s.
+
+    Collective; all ranks say the same.
+    """
+    cells, ranks = _corner_cells(step), Communicator.of(step.mesh)
     duration = times[-1] - times[0]
-    if not cells or not duration > 0:
+    if not ranks.any(bool(cells)) or not duration > 0:
         return
     present = time.Get()
     try:
@@ -43,7 +49,16 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
             rates.append(_divergences(step, cells))
     finally:
         time.Set(present)
-    places, at_vertices = rates[0][0], np.array([values for _, values in rates])
+    number = cell_numbers(step.mesh)
+    mine = [
+        (int(number[cell]), vertex, tuple(place), values)
+        for (cell, vertex), place, values in zip(
+            cells, rates[0][0], np.array([values for _, values in rates]).T, strict=True
+        )
+    ]
+    # as on one process: ranks number their vertices in the order of the whole mesh
+    every = sorted((one for of_rank in ranks.gathered(mine) for one in of_rank), key=lambda one: one[:2])
+    places, at_vertices = [one[2] for one in every], np.array([one[3] for one in every]).T
     strains = at_vertices.mean(axis=0) * duration
     worst = int(np.argmax(np.abs(strains)))
     if abs(strains[worst]) > 1:
@@ -51,7 +66,7 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
         rate = at_vertices[np.argmax(np.abs(at_vertices[:, worst])), worst]
         warnings.warn(
             f"walls: their velocities alone determine div v = {rate:.3g} 1/s at ({at}) m, the corner of a "
-            f"cell whose edges there lie on walls; no pressure can hold its volume ({len(cells)} such "
+            f"cell whose edges there lie on walls; no pressure can hold its volume ({len(every)} such "
             "cells): mesh with split_corners = true, or divide them by geometries.split_corner_cells(mesh)",
             InputWarning,
             stacklevel=4,
@@ -65,12 +80,14 @@ def _corner_cells(step: Step) -> list[tuple[int, int]]:
     if not moving:
         return []
     held = moving + [name for name, wall in conditions.items() if isinstance(wall, NoSlip)]
-    edges = {edge.nr for facet in step.walls.region(held).Elements() for edge in facet.edges}
+    # an edge or a vertex may lie on walls by facets of other ranks alone, which these spaces know
+    on_walls = ~mask_of(HCurl(mesh, order=0, dirichlet=step.walls.region(held)).FreeDofs())
+    moved = ~mask_of(H1(mesh, order=1, dirichlet=step.walls.region(moving)).FreeDofs())
     found = set()
-    for vertex in {vertex for facet in step.walls.region(moving).Elements() for vertex in facet.vertices}:
-        around = {edge.nr for edge in mesh[vertex].edges}
-        for cell in mesh[vertex].elements:
-            if edges.issuperset(around.intersection(edge.nr for edge in mesh[cell].edges)):
+    for vertex in (mesh.vertices[int(number)] for number in np.flatnonzero(moved)):
+        around = {edge.nr for edge in vertex.edges}
+        for cell in vertex.elements:
+            if on_walls[list(around.intersection(edge.nr for edge in mesh[cell].edges))].all():
                 found.add((cell.nr, vertex.nr))
     return sorted(found)
 

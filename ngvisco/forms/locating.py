@@ -147,8 +147,16 @@ def _on_wall(mesh: Mesh, point: np.ndarray, name: str) -> Any:
 def nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:
     """The boundary nearest to ``point``, (dim,), m, and its distance, m; walls as straight as their vertices.
 
-    (None, inf) for a mesh without boundary.
+    (None, inf) for a mesh without boundary.  Over ranks that of the whole mesh; collective.
     """
+    ranks = Communicator.of(mesh)
+    if isinstance(mesh, Part):  # so that of two at one distance it is the same as on one process
+        return ranks.on_first(lambda: _nearest_wall(mesh.whole, point))
+    return min(ranks.gathered(_nearest_wall(mesh, point)), key=lambda one: one[1])
+
+
+def _nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:
+    """Of the walls that this rank has."""
     vertices = coordinates(mesh)
     facets = list(mesh.Elements(BND))
     if not facets:

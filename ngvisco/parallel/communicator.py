@@ -198,6 +198,20 @@ class Communicator:
         found = [one for one in self.gathered(_packed(error)) if one is not None]
         return _unpacked(found[0])
 
+    def note(self, text: str) -> None:
+        """Keep what this rank has met in work in which others wait for its numbers, which are NaN then."""
+        Working.of(self.mpi).notes.append(text)
+
+    def forget_notes(self) -> None:
+        """Of this rank."""
+        if self.mpi is not None:
+            Working.of(self.mpi).notes.clear()
+
+    def noted(self) -> list[str]:
+        """What any ranks have kept, each text once."""
+        notes = [] if self.mpi is None else self.gathered(Working.of(self.mpi).notes)
+        return list(dict.fromkeys(text for of_rank in notes for text in of_rank))
+
     def on_first(self, work: Callable[[], Result]) -> Result:
         """What the first rank's ``work`` returns, on every rank; its error is raised on every rank."""
         if self.size == 1:

@@ -125,6 +125,13 @@ def cell_numbers(mesh: Mesh) -> np.ndarray:
     return mesh.cells if isinstance(mesh, Part) else np.arange(mesh.ne)
 
 
+def number_of(mesh: Mesh, cell: int) -> int | None:
+    """The number in the whole mesh of a cell of this rank; None where the whole is not known."""
+    if isinstance(mesh, Part):
+        return int(mesh.cells[cell])
+    return cell if mesh.comm.size == 1 else None
+
+
 def _numbers(part: Part, ranks: Communicator) -> np.ndarray:
     """Which cell of the whole each one of a part is: the one with the same vertices in the same order.
 

@@ -124,16 +124,29 @@ class Rows:
         self._values[:] = rows[self.free]
         self._right.set(0.0)
         self._scatter.scatter(self._own, self._right, addv=module.InsertMode.ADD)
-        solver.solve(self._right, self._solution)
-        reason = solver.getConvergedReason()
-        if reason < 0:
-            raise PETScError(f"PETSc's {solver.getType()} did not converge (reason {reason})")
+        try:
+            solver.solve(self._right, self._solution)
+        except module.Error as error:
+            raise PETScError(f"PETSc did not solve a linear system ({error})") from error
+        if solver.getConvergedReason() < 0:
+            raise PETScError(f"PETSc did not solve a linear system ({_reason(solver)})")
         self._scatter.scatter(
             self._solution, self._own, addv=module.InsertMode.INSERT, mode=module.ScatterMode.REVERSE
         )
         result = np.zeros(len(rows))
         result[self.free] = self._values
         return result
+
+
+def _reason(solver: Any) -> str:
+    """Why a solver of PETSc's has given up, by PETSc's names, with MUMPS's own number where it is that."""
+    number, names = solver.getConvergedReason(), vars(petsc().KSP.ConvergedReason)
+    name = next((name for name, value in names.items() if value == number), f"reason {number}")
+    preconditioner = solver.getPC()
+    if preconditioner.getType() != "lu":
+        return f"{name} by {preconditioner.getType()}"
+    matrix = preconditioner.getFactorMatrix()
+    return f"{name}, MUMPS's INFOG(1) = {matrix.getMumpsInfog(1)}, INFOG(2) = {matrix.getMumpsInfog(2)}"
 
 
 class SumInverse:
@@ -207,13 +220,16 @@ class SumInverse:
         return self.of_parts(np.where(self.rows.exchange.owned, r, 0.0))
 
     def of_parts(self, rows: np.ndarray) -> np.ndarray:
-        """The same for a right-hand side in parts; over ranks NaN where the solver does not give one."""
-        if self.rows.exchange.communicator.is_idle:
+        """The same for a right-hand side in parts; over ranks NaN where the solver does not give one, and why
+        is noted (``Communicator.noted``)."""
+        communicator = self.rows.exchange.communicator
+        if communicator.is_idle:
             return np.zeros_like(rows)
         try:
             return self.rows.solve(self._solver, rows)
         except PETScError as error:
-            if self.rows.exchange.is_distributed:  # products with it tell it the first rank
+            if communicator.is_distributed:  # products with it tell it the first rank
+                communicator.note(f"{self.method}: {error}")
                 return np.full_like(rows, np.nan)
             raise SingularError(f"{self.method} did not take the matrix ({error})") from error
 

@@ -29,6 +29,8 @@ class Working:
         """Their communicator; on the first rank one of its own."""
         self._first = mpi.Dup()
         self._sent: list[Any] = []
+        self.notes: list[str] = []
+        """Of this rank, for ``Communicator.noted``."""
 
     @classmethod
     def of(cls, mpi: Any) -> Working:

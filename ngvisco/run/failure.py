@@ -16,9 +16,10 @@ from ngsolve import L2, GridFunction
 
 from ngvisco.forms.bounds import Violation
 from ngvisco.forms.locating import nearest_wall
+from ngvisco.parallel.mesh import number_of
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically
-from ngvisco.run.vtk import write_vtu
+from ngvisco.run.vtk import shown_by, write_vtu
 from ngvisco.solver.solution import Attempt, iterations
 
 if TYPE_CHECKING:
@@ -46,9 +47,10 @@ class FailureReport:
     violation : Violation or None
         Where the refused solution is out of bounds; None where no solution was found.
     state : array or None
-        All coefficients of that solution, for ``showing``.
+        All coefficients of that solution, over ranks this rank's, for ``showing``.
     courant : float
-        Largest tau |v|/h at the state before, in cell ``fastest`` at ``place`` (m), near ``wall``.
+        Largest tau |v|/h at the state before, in cell ``fastest`` at ``place`` (m), near ``wall``.  Cells
+        have their numbers in the whole mesh, or None where that is not known.
     history : tuple of Attempt
         What was tried, by which strategy.
     advice : tuple of str
@@ -62,7 +64,7 @@ class FailureReport:
     violation: Violation | None
     state: np.ndarray | None
     courant: float
-    fastest: int
+    fastest: int | None
     place: tuple[float, ...]
     wall: str | None
     history: tuple[Attempt, ...]
@@ -71,11 +73,12 @@ class FailureReport:
     def __str__(self) -> str:
         at = ", ".join(f"{c:.4g}" for c in self.place)
         near = "" if self.wall is None else f", nearest wall {self.wall!r}"
+        cell = "" if self.fastest is None else f"in cell {self.fastest} "
         lines = [
             f"step {self.number} from t = {self.time:.6g} s over {self.tau:.4g} s was not taken",
             f"reason     {self.reason}",
             f"where      {self.violation or 'no solution was found, nor refused'}",
-            f"flow       Courant number {self.courant:.3g} at most, in cell {self.fastest} at ({at}) m{near}",
+            f"flow       Courant number {self.courant:.3g} at most, {cell}at ({at}) m{near}",
             *(f"tried      {_described(attempt)}" for attempt in self.history),
             *(f"advice     {line}" for line in self.advice),
         ]
@@ -105,13 +108,10 @@ def failure_report(
     """The report on a step of length ``tau`` (s) from the simulation's present state.
 
     ``refused`` is the last solution that was not admitted and where it is out of bounds, if there is one.
+    Collective; all ranks get the same but for ``state``.
     """
-    sampler, step = simulation.sampler, simulation.rothe_step
-    speeds = np.linalg.norm(np.asarray(sampler.values(step.now.v)).reshape(len(sampler.points), -1), axis=1)
-    rates = speeds / sampler.values(step.context.h)
-    fastest = int(np.argmax(rates))
-    place = sampler.coordinates(np.array([fastest]))[0]
-    courant = tau * float(rates[fastest])
+    rate, fastest, place = _fastest(simulation)
+    courant = tau * rate
     violation, state = (None, None) if refused is None else refused
     return FailureReport(
         simulation.t,
@@ -121,12 +121,26 @@ def failure_report(
         violation,
         state,
         courant,
-        int(sampler.points["nr"][fastest]),
-        tuple(float(c) for c in place),
-        nearest_wall(simulation.mesh, place)[0],
+        fastest,
+        place,
+        nearest_wall(simulation.mesh, np.array(place))[0],
         tuple(history),
         tuple(_advice(simulation, violation, courant)),
     )
+
+
+def _fastest(simulation: Simulation) -> tuple[float, int | None, tuple[float, ...]]:
+    """The largest |v|/h, 1/s, the number of its cell, and where it is, m."""
+    sampler, step = simulation.sampler, simulation.rothe_step
+    rates = np.linalg.norm(sampler.rows(step.now.v), axis=1) / sampler.rows(step.context.h)[:, 0]
+    mine = None
+    if len(rates):
+        fastest = int(np.argmax(rates))
+        place = sampler.coordinates(np.array([fastest]))[0]
+        cell = number_of(simulation.mesh, int(sampler.points["nr"][fastest]))
+        mine = float(rates[fastest]), cell, tuple(float(c) for c in place)
+    every = [one for one in simulation.ranks.gathered(mine) if one is not None]
+    return min(every, key=lambda one: (-one[0], -1 if one[1] is None else one[1]))
 
 
 def _advice(simulation: Simulation, violation: Violation | None, courant: float) -> list[str]:
@@ -169,18 +183,24 @@ def showing(simulation: Simulation, state: np.ndarray) -> Iterator[None]:
         step.eliminate.refresh()
 
 
-def write_failure(text: Path, fields: Path, simulation: Simulation, report: FailureReport) -> None:
+def write_failure(text: Path, fields: Path, simulation: Simulation, report: FailureReport) -> Path:
     """Write the report as text, and the solution that was refused, else the last state, as .vtu.
 
-    Its field ``out_of_bounds`` is 1 in the cells that are so.
+    Its field ``out_of_bounds`` is 1 in the cells that are so.  Returns the file of the fields: over ranks the
+    .pvtu of their pieces.  Collective; an OSError of one rank is raised on all.
     """
+    ranks = simulation.ranks
+    shown_in = shown_by(fields, ranks)
     state = simulation.rothe_step.state.vec.FV().NumPy().copy()
     what = f"the last state, t = {report.time:g} s"
     if report.state is not None:
         state, what = report.state, "the solution that was refused"
-    write_atomically(text, f"{report}\nfields     {fields.name}: {what}\n".encode())
+    written = f"{report}\nfields     {shown_in.name}: {what}\n".encode()
+    ranks.on_first(lambda: write_atomically(text, written))
     outside = GridFunction(L2(simulation.mesh, order=0))
     with showing(simulation, state):
         outside.vec.FV().NumPy()[simulation.bounds.cells_outside()] = 1.0
         shown = simulation.fields | {"out_of_bounds": outside}
-        write_vtu(fields, simulation.mesh, shown, report.time)
+        with ranks.together(OSError):
+            write_vtu(fields, simulation.mesh, shown, report.time)
+    return shown_in

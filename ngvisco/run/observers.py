@@ -30,7 +30,7 @@ from ngvisco.errors import (
 from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.files import append, write_atomically
 from ngvisco.run.further_fields import usual
-from ngvisco.run.vtk import write_vtu
+from ngvisco.run.vtk import shown_by, write_vtu
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -209,10 +209,9 @@ class VTKSeries:
         return self.directory / "fields.pvd"
 
     def _write(self, simulation: Simulation) -> None:
-        name = f"fields_{simulation.number:06d}.vtu"
-        write_vtu(self.directory / name, simulation.mesh, self._fields, simulation.t, self.subdivision)
-        name = name if not simulation.ranks.is_distributed else name.replace(".vtu", ".pvtu")
-        self.written.append((simulation.t, name))
+        path = self.directory / f"fields_{simulation.number:06d}.vtu"
+        write_vtu(path, simulation.mesh, self._fields, simulation.t, self.subdivision)
+        self.written.append((simulation.t, shown_by(path, simulation.ranks).name))
         if simulation.ranks.is_first:
             self._write_pvd()
 

@@ -319,8 +319,7 @@ class Simulation:
                 step, number = self.stepper.advance(self, stop), self.number + 1
             except StepError as error:
                 tau = self.integrator.tried
-                if not self.ranks.is_distributed:
-                    error.report = failure_report(self, tau, str(error), error.history, self._refused)
+                error.report = failure_report(self, tau, str(error), error.history, self._refused)
                 raise
             except BaseException as error:
                 abort_alone(error, self.ranks)

@@ -40,7 +40,12 @@ def write_vtu(
         Path(f"{draft}.pvd").unlink(missing_ok=True)
         if ranks.is_distributed:  # the first rank has no cells
             pieces = [_piece(path, rank).name for rank in range(1, ranks.size)]
-            write_atomically(path.with_suffix(".pvtu"), _parallel_file(padded, pieces).encode())
+            write_atomically(shown_by(path, ranks), _parallel_file(padded, pieces).encode())
+
+
+def shown_by(path: Path, ranks: Communicator) -> Path:
+    """The file to open of fields that are written into ``path``: over ranks the .pvtu of their pieces."""
+    return path.with_suffix(".pvtu") if ranks.is_distributed else path
 
 
 def _piece(path: Path, rank: int) -> Path:

@@ -244,6 +244,7 @@ class _Run:
 
     def attempt(self, problem: RotheProblem, guess: BaseVector, full_steps: int | None = None) -> Solution:
         self.rothe.step.energy.last_failure = None
+        self.rothe.exchange.communicator.forget_notes()
         newton = self._newton()
         if self._has_tried:  # what was factorised belongs to iterates that have been given up
             newton.reset()
@@ -281,8 +282,8 @@ class _Run:
         """The solution, which has failed too where its energy is no number or rho or J is not positive."""
         energy = self.rothe.step.energy
         if not solution.converged:
-            parts = [solution.reason, *([] if energy.last_failure is None else [energy.last_failure])]
-            return replace(solution, reason="; ".join(parts))
+            parts = solution.reason, energy.last_failure, *self.rothe.exchange.communicator.noted()
+            return replace(solution, reason="; ".join(filter(None, parts)))
         if energy.failure is not None:  # of the last increment, which is added without a test
             return Solution(Status.INADMISSIBLE, solution.history, energy.failure)
         defect = self.rothe.defect()
