@@ -11,6 +11,7 @@ import sys
 import numpy as np
 import walls
 from ngsolve import cos, pi, sin, x, y
+from walls import TWO_LEVELS
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -25,7 +26,6 @@ from ngvisco.solver.split.preconditioner import Preconditioner
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 VISCOSITY = nv.StokesViscosity(K_v=0.05, G_v=0.05)
-TWO_LEVELS = nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100)))
 KRYLOV = nv.NewtonOptions(split=SplitOptions(slow=4))
 GAMG, HYPRE = (
     nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100), two_level=TwoLevelOptions(coarse=coarse)))

@@ -95,6 +95,7 @@ WALLS = ("turned", "quadrilateral", "ball", "turned ball", "leaning")
 """Oblique and curved, with slip and moving; ``slip disc`` and its like are among the short ones."""
 SPLIT_WALLS = (
     "split slip disc",
+    "split slip disc, two levels",
     "split turned",
     "split quadrilateral",
     "split quadrilateral, k = 3",

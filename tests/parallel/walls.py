@@ -9,7 +9,9 @@ from ngsolve import Mesh, x, y
 import ngvisco as nv
 from ngvisco.geometries import annulus, sphere
 from ngvisco.geometries import disc as round_disc
+from ngvisco.solver.options import SplitOptions
 
+TWO_LEVELS = nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100)))
 _NORMALS = (1.0, 0.6), (-0.4, 1.0), (-1.0, -0.3), (0.2, -1.0)
 """Of the sides of ``quadrilateral``, a, b, c and d."""
 
@@ -104,6 +106,7 @@ def leaning(solver: str, maxh: float = 0.6, **options) -> nv.Simulation:
 CASES = {
     "slip disc": lambda: slip_disc("coupled"),
     "split slip disc": lambda: slip_disc("split"),
+    "split slip disc, two levels": lambda: slip_disc("split", newton=TWO_LEVELS),
     "turned": lambda: turned("coupled"),
     "split turned": lambda: turned("split"),
     "quadrilateral": lambda: quadrilateral("coupled"),
