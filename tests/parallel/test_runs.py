@@ -61,7 +61,7 @@ SHORT = (
     "Yosida",
     "slip disc",
     "quadrilateral, k = 3",
-    "split leaning",
+    "split turned",
 )
 COUPLED = (
     "carried in space",
@@ -96,7 +96,6 @@ WALLS = ("turned", "quadrilateral", "ball", "turned ball", "leaning")
 SPLIT_WALLS = (
     "split slip disc",
     "split slip disc, two levels",
-    "split turned",
     "split quadrilateral",
     "split quadrilateral, k = 3",
     "split ball",

@@ -98,7 +98,7 @@ def leaning(solver: str, maxh: float = 0.6, **options) -> nv.Simulation:
     turned = block.Rotate(Axis((0, 0, 0), Z), about_z).Rotate(Axis((0, 0, 0), X), about_x)
     sine, cosine = np.sin(np.deg2rad([about_z, about_x])), np.cos(np.deg2rad([about_z, about_x]))
     along = -sine[0], cosine[0] * cosine[1], cosine[0] * sine[1]  # the right wall, which the axis of y was
-    walls = {"right": nv.PrescribedTangential(tuple(0.2 * each for each in along)), "bottom": nv.NoSlip()}
+    walls = {"right": nv.PrescribedTangential(tuple(0.1 * each for each in along)), "bottom": nv.NoSlip()}
     mesh = Mesh(OCCGeometry(turned).GenerateMesh(maxh=maxh))
     return simulation(mesh, solver, walls=walls, **options)
 
@@ -127,4 +127,7 @@ STEPS = {
     "turned ball": 1,
     "split ball": 1,
     "split turned ball": 2,
+    "split turned": 2,
+    "leaning": 2,
+    "split leaning": 2,
 }
