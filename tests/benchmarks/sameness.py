@@ -90,18 +90,19 @@ def main(arguments: list[str] | None = None) -> int:
         "--timeout", type=float, default=3600, help="seconds the cases may take on some ranks"
     )
     chosen = parser.parse_args(arguments)
-    found = {}
+    found: dict[int, dict[str, Any]] = {}
+    text, missed = "", []
     for ranks in (0, *chosen.ranks):
         found[ranks] = results(chosen.cases, ranks, chosen.timeout)
         print(f"{ranks or 'no'} ranks: {found[ranks].get('failed', 'done')}", flush=True)
         if "failed" in found[0]:
             return 1
-    text, missed = table(found)
+        text, missed = table(found)
+        if chosen.output:
+            chosen.output.mkdir(parents=True, exist_ok=True)
+            (chosen.output / "sameness.json").write_text(json.dumps(found, indent=1))
+            (chosen.output / "sameness.md").write_text("\n".join([text, *missed, ""]))
     print(text, *missed, sep="\n")
-    if chosen.output:
-        chosen.output.mkdir(parents=True, exist_ok=True)
-        (chosen.output / "sameness.json").write_text(json.dumps(found, indent=1))
-        (chosen.output / "sameness.md").write_text("\n".join([text, *missed]))
     return int(bool(missed))
 
 
