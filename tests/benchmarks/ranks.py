@@ -170,13 +170,17 @@ def by_ranks(rows: list[dict[str, Any]]) -> dict[tuple[int, str], list[dict[str,
 
 
 def difference(a: list[dict[str, float]], b: list[dict[str, float]]) -> float:
-    """The largest of two ledgers' columns but their iterations, relative to each one's size or 1e-3."""
+    """The largest of two ledgers' columns but their iterations, relative to each one's size or 1e-3.
+
+    Infinite where one of them alone is no number.
+    """
     energy, found = a[0]["kinetic"] + a[0]["stored"], 0.0
     for name in (name for name in a[0] if "iterations" not in name):
         for x, y in zip(a, b, strict=True):
             size = energy if name.startswith("closure") else max(abs(x[name]), 1e-3)
             if not (x[name] != x[name] and y[name] != y[name]):
-                found = max(found, abs(x[name] - y[name]) / size)
+                differs = abs(x[name] - y[name]) / size
+                found = max(found, differs if differs == differs else float("inf"))
     return found
 
 

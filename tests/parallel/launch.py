@@ -23,8 +23,8 @@ def has_petsc() -> bool:
     return found
 
 
-def run(*words: str | Path, ranks: int = 1) -> subprocess.CompletedProcess[str]:
-    """Run Python with these words, on one rank without mpirun."""
+def run(*words: str | Path, ranks: int = 1, timeout: float = 900) -> subprocess.CompletedProcess[str]:
+    """Run Python with these words, on one rank without mpirun; for no longer than so many seconds."""
     allowed = (
         "OMPI_ALLOW_RUN_AS_ROOT",
         "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM",
@@ -34,5 +34,5 @@ def run(*words: str | Path, ranks: int = 1) -> subprocess.CompletedProcess[str]:
     environment |= {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}
     start = [str(MPIRUN), "-n", str(ranks)] if ranks > 1 else []
     return subprocess.run(
-        [*start, PYTHON, *map(str, words)], env=environment, capture_output=True, text=True, timeout=900
+        [*start, PYTHON, *map(str, words)], env=environment, capture_output=True, text=True, timeout=timeout
     )

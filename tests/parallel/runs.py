@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 
 import numpy as np
 import walls
 from ngsolve import cos, pi, sin, x, y
+from walls import TWO_LEVELS
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -25,7 +27,6 @@ from ngvisco.solver.split.preconditioner import Preconditioner
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 VISCOSITY = nv.StokesViscosity(K_v=0.05, G_v=0.05)
-TWO_LEVELS = nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100)))
 KRYLOV = nv.NewtonOptions(split=SplitOptions(slow=4))
 GAMG, HYPRE = (
     nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100), two_level=TwoLevelOptions(coarse=coarse)))
@@ -74,14 +75,14 @@ def disc(solver: str) -> nv.Simulation:
     )
 
 
-def lid(solver: str = "coupled") -> nv.Simulation:
+def lid(solver: str = "coupled", maxh: float = 0.3) -> nv.Simulation:
     walls = {
         "top": nv.PrescribedTangential((x * (1 - x), 0.0)),
         "bottom": nv.NoSlip(),
         "left": nv.NavierFriction(0.3),
     }
     model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY)
-    mesh = box((1, 1), maxh=0.3)
+    mesh = box((1, 1), maxh=maxh)
     return nv.Simulation(mesh, model, dt=0.05, walls=walls, scheme="midpoint", solver=solver)
 
 
@@ -213,7 +214,26 @@ CASES = {
     "split lid": lambda: lid("split"),
     "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
 } | walls.CASES
-STEPS = {"limited": 9} | walls.STEPS
+
+
+def tabulated(solver: str) -> dict[str, Callable[[], nv.Simulation]]:
+    """What ``tests.benchmarks.sameness`` compares on up to eight ranks with cells, by one of the solvers."""
+    cases = {
+        "2D": lambda: swirl(0.25, solver=solver),
+        "3D": lambda: block(solver, 0.45),
+        "slip on a circle": lambda: walls.slip_disc(solver),
+        "slip on a sphere": lambda: walls.ball(solver, **({"mu": None} if solver == "coupled" else {})),
+        "lid": lambda: lid(solver, 0.25),
+        "creep, nu > 0": lambda: creep(solver, nv.Regularisation(epsilon=0.1), 0.3),
+        "three bodies": lambda: bodies(solver, 0.3),
+    }
+    return {f"{name}, {solver}": case for name, case in cases.items()}
+
+
+TABULATED = tabulated("coupled") | tabulated("split")
+CASES |= TABULATED
+STEPS = {"limited": 9, **dict.fromkeys(TABULATED, 2)} | walls.STEPS
+STEPS |= {name: 1 for name in TABULATED if "sphere" in name}
 """Where there are not three."""
 
 LINEAR: list[int] = []

@@ -64,7 +64,7 @@ SHORT = (
     "Yosida",
     "slip disc",
     "quadrilateral, k = 3",
-    "split leaning",
+    "split turned",
 )
 COUPLED = (
     "carried in space",
@@ -98,7 +98,7 @@ WALLS = ("turned", "quadrilateral", "ball", "turned ball", "leaning")
 """Oblique and curved, with slip and moving; ``slip disc`` and its like are among the short ones."""
 SPLIT_WALLS = (
     "split slip disc",
-    "split turned",
+    "split slip disc, two levels",
     "split quadrilateral",
     "split quadrilateral, k = 3",
     "split ball",

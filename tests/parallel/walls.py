@@ -9,7 +9,9 @@ from ngsolve import Mesh, x, y
 import ngvisco as nv
 from ngvisco.geometries import annulus, sphere
 from ngvisco.geometries import disc as round_disc
+from ngvisco.solver.options import SplitOptions
 
+TWO_LEVELS = nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100)))
 _NORMALS = (1.0, 0.6), (-0.4, 1.0), (-1.0, -0.3), (0.2, -1.0)
 """Of the sides of ``quadrilateral``, a, b, c and d."""
 
@@ -96,7 +98,7 @@ def leaning(solver: str, maxh: float = 0.6, **options) -> nv.Simulation:
     turned = block.Rotate(Axis((0, 0, 0), Z), about_z).Rotate(Axis((0, 0, 0), X), about_x)
     sine, cosine = np.sin(np.deg2rad([about_z, about_x])), np.cos(np.deg2rad([about_z, about_x]))
     along = -sine[0], cosine[0] * cosine[1], cosine[0] * sine[1]  # the right wall, which the axis of y was
-    walls = {"right": nv.PrescribedTangential(tuple(0.2 * each for each in along)), "bottom": nv.NoSlip()}
+    walls = {"right": nv.PrescribedTangential(tuple(0.1 * each for each in along)), "bottom": nv.NoSlip()}
     mesh = Mesh(OCCGeometry(turned).GenerateMesh(maxh=maxh))
     return simulation(mesh, solver, walls=walls, **options)
 
@@ -104,6 +106,7 @@ def leaning(solver: str, maxh: float = 0.6, **options) -> nv.Simulation:
 CASES = {
     "slip disc": lambda: slip_disc("coupled"),
     "split slip disc": lambda: slip_disc("split"),
+    "split slip disc, two levels": lambda: slip_disc("split", newton=TWO_LEVELS),
     "turned": lambda: turned("coupled"),
     "split turned": lambda: turned("split"),
     "quadrilateral": lambda: quadrilateral("coupled"),
@@ -124,4 +127,7 @@ STEPS = {
     "turned ball": 1,
     "split ball": 1,
     "split turned ball": 2,
+    "split turned": 2,
+    "leaning": 2,
+    "split leaning": 2,
 }
