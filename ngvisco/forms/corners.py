@@ -12,11 +12,14 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
-from ngsolve import CF, ET, VOL, GridFunction, IntegrationRule, x, y, z
+from ngsolve import CF, ET, H1, VOL, FESpace, GridFunction, HCurl, IntegrationRule, x, y, z
 
 from ngvisco.errors import InputWarning
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
+from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.tensors import tr
 from ngvisco.physics.time import time
@@ -30,10 +33,13 @@ _VERTICES = {
 
 
 def warn_of_corners(step: Step, times: Sequence[float]) -> None:
-    """Say where the walls' velocities alone change a volume e-fold from the first to the last time, s."""
-    cells = _corner_cells(step)
-    duration = times[-1] - times[0]
-    if not cells or not duration > 0:
+    """Say where the walls' velocities alone change a volume e-fold from the first to the last time, s.
+
+    Collective.
+    """
+    ranks, cells = Communicator.of(step.mesh), _corner_cells(step)
+    duration, count = times[-1] - times[0], int(ranks.total(len(cells)))
+    if not count or not duration > 0:
         return
     present = time.Get()
     try:
@@ -43,7 +49,10 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
             rates.append(_divergences(step, cells))
     finally:
         time.Set(present)
-    places, at_vertices = rates[0][0], np.array([values for _, values in rates])
+    numbers = cell_numbers(step.mesh)[[cell for cell, _ in cells]]
+    own = zip(numbers, rates[0][0], np.transpose([values for _, values in rates]), strict=True)
+    every = sorted((one for of in ranks.gathered(list(own)) for one in of), key=lambda one: int(one[0]))
+    places, at_vertices = [place for _, place, _ in every], np.array([values for _, _, values in every]).T
     strains = at_vertices.mean(axis=0) * duration
     worst = int(np.argmax(np.abs(strains)))
     if abs(strains[worst]) > 1:
@@ -51,7 +60,7 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
         rate = at_vertices[np.argmax(np.abs(at_vertices[:, worst])), worst]
         warnings.warn(
             f"walls: their velocities alone determine div v = {rate:.3g} 1/s at ({at}) m, the corner of a "
-            f"cell whose edges there lie on walls; no pressure can hold its volume ({len(cells)} such "
+            f"cell whose edges there lie on walls; no pressure can hold its volume ({count} such "
             "cells): mesh with split_corners = true, or divide them by geometries.split_corner_cells(mesh)",
             InputWarning,
             stacklevel=4,
@@ -65,14 +74,24 @@ def _corner_cells(step: Step) -> list[tuple[int, int]]:
     if not moving:
         return []
     held = moving + [name for name, wall in conditions.items() if isinstance(wall, NoSlip)]
-    edges = {edge.nr for facet in step.walls.region(held).Elements() for edge in facet.edges}
+    of_held = {edge.nr for facet in step.walls.region(held).Elements() for edge in facet.edges}
+    edges = _on_all_ranks(of_held, HCurl(mesh, order=0))
+    of_moving = {v.nr for facet in step.walls.region(moving).Elements() for v in facet.vertices}
     found = set()
-    for vertex in {vertex for facet in step.walls.region(moving).Elements() for vertex in facet.vertices}:
-        around = {edge.nr for edge in mesh[vertex].edges}
-        for cell in mesh[vertex].elements:
+    for number in _on_all_ranks(of_moving, H1(mesh, order=1)):
+        vertex = mesh.vertices[number]
+        around = {edge.nr for edge in vertex.edges}
+        for cell in vertex.elements:
             if edges.issuperset(around.intersection(edge.nr for edge in mesh[cell].edges)):
-                found.add((cell.nr, vertex.nr))
+                found.add((cell.nr, number))
     return sorted(found)
+
+
+def _on_all_ranks(numbers: set[int], space: FESpace) -> set[int]:
+    """Those of a space's unknowns that are in the set of some rank; collective."""
+    has = np.zeros(space.ndof)
+    has[list(numbers)] = 1.0
+    return set(np.flatnonzero(Exchange.of(space, Communicator.of(space.mesh)).sum(has)).tolist())
 
 
 def _divergences(step: Step, cells: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray]:
@@ -82,6 +101,8 @@ def _divergences(step: Step, cells: list[tuple[int, int]]) -> tuple[np.ndarray, 
     values = v.vec.FV().NumPy()
     for name, (velocity, mask) in walls.moving.items():
         values[mask] = walls.interpolate(name, as_vector(velocity, mesh.dim, name))[mask]
+    if not cells:  # of this rank
+        return np.zeros((0, mesh.dim)), np.zeros(0)
     points = mesh.MapToAllElements(_VERTICES, VOL)
     points = points[np.isin(points["nr"], [cell for cell, _ in cells])]
     found = np.asarray(tr(Fields(step.layout, {"v": v}).grad_v)(points)).ravel()

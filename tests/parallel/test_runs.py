@@ -1,5 +1,6 @@
 """Runs on several ranks are the run on one: ledgers, checkpoints, files, refusals and failures."""
 
+import ast
 import csv
 import json
 import math
@@ -356,6 +357,34 @@ def test_what_is_not_distributed_is_refused_by_name(case_file, tmp_path):
         assert result.stderr.count(message) == 1, result.stderr
         assert f"{setting} [2, 2, 2, 2]" in result.stdout, result.stdout
     assert not (tmp_path / "run").exists()
+
+
+CORNERS = """
+import warnings
+import ngvisco as nv
+from ngvisco.forms.corners import warn_of_corners
+from ngvisco.geometries import box
+
+model = nv.Model(material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1))
+walls = {"top": nv.PrescribedTangential((5.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
+run = nv.Simulation(box((1, 1), maxh=0.4), model, dt=0.005, walls=walls, solver="coupled")
+with warnings.catch_warnings(record=True) as caught:
+    warn_of_corners(run.rothe_step, [0.0, 1.0])
+run.ranks.total(1.0)  # in which ranks meet
+said = run.ranks.gathered([str(one.message) for one in caught])
+if run.ranks.is_first:
+    print(said)
+"""
+
+
+def test_corners_of_moving_walls_are_said_alike_on_all_ranks(tmp_path):
+    """They are a rank's or two's; the walls' velocities are looked at by all."""
+    (tmp_path / "corners.py").write_text(CORNERS)
+    one, several = (run(tmp_path / "corners.py", ranks=ranks) for ranks in (1, 3))
+    assert one.returncode == several.returncode == 0, several.stderr
+    said = ast.literal_eval(one.stdout.splitlines()[-1])
+    assert len(said[0]) == 1 and "2 such cells" in said[0][0]
+    assert ast.literal_eval(several.stdout.splitlines()[-1]) == 3 * said
 
 
 FAILING = """
