@@ -25,7 +25,7 @@ def simulation(maxh: float = 0.1, dt: float = 0.05, K_e: float = 50.0, **options
     options["walls"] = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
     # velocities of order 3 do not lock where volumes are stiff; the lid's start is damped by two Euler steps
     options = {"scheme": "midpoint", "startup": 2, "discretisation": nv.Discretisation(k=3)} | options
-    mesh = box((1, 1), maxh=maxh, refine={"top": 0.05}, split_corners=True)  # the film below the lid
+    mesh = box((1, 1), maxh=maxh, refine={"top": maxh / 2}, split_corners=True)  # the film below the lid
     return nv.Simulation(mesh, model, dt=dt, **options)
 
 

@@ -3,14 +3,15 @@
 A fluid shears without end.  A tensor that it carries for a solid beside it would grow for ever there, mean
 nothing, and end the run.  With r = sum theta_i over the bodies whose energy reads the tensor B,
 
-    dt B + (v . grad) B = rate(B; L, Pi) - w(r)/tau (B - I),   w(r) = (1 - r)^8/((1 - r)^8 + (3 r)^8),
+    dt B + (v . grad) B = rate(B; L, Pi) - w(r)/tau (B - I),   w(r) = (1 - r)^4/((1 - r)^4 + (4 r)^4),
 
-where tau is the step's length: within a step where r = 0, at half of that rate where a quarter of the matter
-is of bodies with an energy of B, and hardly at all where half is (1.5e-4/tau).  What has smeared of a body
-into the fluid, a few per cent, has no distortion of its own; where it only fades slowly it is sheared by the
-fluid until it stands against the step (``demos/soft_disc`` has figures).  The power w/tau (B - I) : zeta_B is
-a column of the ledger; with zeta_B = r G I it is a dissipation wherever tr B >= 3, as for det B = 1.  Only
-tensors of the actual frame fade: I means the same for every observer of B, not of F.
+where tau is the step's length: within a step where r = 0, at half of that rate where a fifth of the matter is
+of bodies with an energy of B, and hardly at all where half is (4e-3/tau).  What has smeared of a body into
+the fluid has no distortion of its own; where it fades too slowly it is sheared by the fluid until it stands
+against the step (``demos/soft_disc``), and where w falls more steeply, with powers of 8, increments do.  The
+power w/tau (B - I) : zeta_B is a column of the ledger; with zeta_B = r G I it is a dissipation wherever
+tr B >= 3, as for det B = 1.  Only tensors of the actual frame fade: I means the same for every observer of B,
+not of F.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import identity_like, inner
 from ngvisco.physics.variables import SmallStrain, Variable
 
-_SQUARINGS = 3
-"""How often 1 - r and 3 r are squared: with 3, a body's half of the smear fades by 4 % in 250 steps."""
+_SQUARINGS = 2
+"""How often 1 - r and 4 r are squared."""
 
-_HALF = 1 / 4
+_HALF = 1 / 5
 """The share r at which half the rate is left."""
 
 

@@ -158,11 +158,11 @@ def test_a_tensor_fades_where_no_energy_reads_it():
 
 
 def test_a_smear_fades_and_a_body_does_not():
-    """Within a step below a seventh of the matter, by half at a quarter, by 4 % in 250 steps at a half."""
-    r = np.array([0.0, 0.14, 0.25, 0.5, 1.0])
+    """Within a step below a tenth of the matter, by half at a fifth, hardly at a half, never in a body."""
+    r = np.array([0.0, 0.1, 0.2, 0.5, 0.9, 1.0])
     w = weight_of(1 - r)
-    assert w[0] == 1.0 and w[1] >= 0.99 and w[2] == pytest.approx(0.5)
-    assert (1 - w[3]) ** 250 >= 0.96 and w[4] == 0.0
+    assert w[0] == 1.0 and w[1] >= 0.95 and w[2] == pytest.approx(0.5)
+    assert w[3] <= 4e-3 and w[4] <= 1e-6 and w[5] == 0.0
     beside = weight_of(1 - np.linspace(-0.1, 1.1, 200))  # of fractions that a limiter has not met
     assert (
         beside.min() >= 0.0 and beside.max() <= 1.0 and np.all(np.diff(weight_of(np.linspace(0, 1, 99))) > 0)
