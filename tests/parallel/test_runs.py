@@ -1,5 +1,6 @@
 """Runs on several ranks are the run on one: ledgers, checkpoints, files, refusals and failures."""
 
+import ast
 import csv
 import json
 import math
