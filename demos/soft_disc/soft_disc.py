@@ -15,7 +15,7 @@ from ngvisco.run.plots import figure
 from ngvisco.run.vtu import read_frame, read_series_files
 
 
-def simulation(maxh: float = 0.14, dt: float = 0.05, K_e: float = 50.0, **options) -> nv.Simulation:
+def simulation(maxh: float = 0.1, dt: float = 0.05, K_e: float = 50.0, **options) -> nv.Simulation:
     """1 m x 1 m; density 1 kg/m^3, viscosity 0.01 Pa s, shear modulus of the disc 0.1 Pa; a lid of 1 m/s."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J + 1 / J - 2))
     solid = nv.IsochoricNeoHookean(K_e=K_e, G_e=0.05, elastic_state="B")
@@ -25,11 +25,11 @@ def simulation(maxh: float = 0.14, dt: float = 0.05, K_e: float = 50.0, **option
     options["walls"] = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
     # velocities of order 3 do not lock where volumes are stiff; the lid's start is damped by two Euler steps
     options = {"scheme": "midpoint", "startup": 2, "discretisation": nv.Discretisation(k=3)} | options
-    mesh = box((1, 1), maxh=maxh, refine={"top": 0.07}, split_corners=True)  # the film below the lid
+    mesh = box((1, 1), maxh=maxh, refine={"top": maxh / 2}, split_corners=True)  # the film below the lid
     return nv.Simulation(mesh, model, dt=dt, **options)
 
 
-def main(directory: str = "results/soft_disc", until: float = 5.5, **options) -> nv.Simulation:
+def main(directory: str = "results/soft_disc", until: float = 8.0, **options) -> nv.Simulation:
     out = Path(directory)
     table = nv.Bodies(out / "bodies.csv")
     run = simulation(**options, observers=[table])

@@ -3,18 +3,22 @@
 A fluid shears without end.  A tensor that it carries for a solid beside it would grow for ever there, mean
 nothing, and end the run.  With r = sum theta_i over the bodies whose energy reads the tensor B,
 
-    dt B + (v . grad) B = rate(B; L, Pi) - (1 - r)^8/tau (B - I),
+    dt B + (v . grad) B = rate(B; L, Pi) - w(r)/tau (B - I),   w(r) = (1 - r)^4/((1 - r)^4 + (4 r)^4),
 
-where tau is the step's length: within a step where r = 0, and hardly at all where a body with an energy of B
-makes up half of the matter (4e-3/tau).  The power (1 - r)^8/tau (B - I) : zeta_B is a column of the ledger;
-with zeta_B = r G I it is a dissipation wherever tr B >= 3, as for det B = 1.  Only tensors of the actual
-frame fade: I means the same for every observer of B, not of F.
+where tau is the step's length: within a step where r = 0, at half of that rate where a fifth of the matter is
+of bodies with an energy of B, and hardly at all where half is (4e-3/tau).  What has smeared of a body into
+the fluid has no distortion of its own; where it fades too slowly it is sheared by the fluid until it stands
+against the step (``demos/soft_disc``), and where w falls more steeply, with powers of 8, increments do.  The
+power w/tau (B - I) : zeta_B is a column of the ledger; with zeta_B = r G I it is a dissipation wherever
+tr B >= 3, as for det B = 1.  Only tensors of the actual frame fade: I means the same for every observer of B,
+not of F.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from ngsolve import CoefficientFunction
 
@@ -24,13 +28,16 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import identity_like, inner
 from ngvisco.physics.variables import SmallStrain, Variable
 
-_SHARPNESS = 8
-"""The power of 1 - r: 8 leaves 99.6 % of the time between r = 1/2 and r = 1 without fading in 250 steps."""
+_SQUARINGS = 2
+"""How often 1 - r and 4 r are squared."""
+
+_HALF = 1 / 5
+"""The share r at which half the rate is left."""
 
 
 @dataclass(frozen=True)
 class Fading(PointTerm):
-    """int (1 - r)^8/tau (B - I) : G, G the test of the tensor."""
+    """int w(r)/tau (B - I) : G, G the test of the tensor."""
 
     material: Mixture
     variable: Variable
@@ -50,14 +57,19 @@ class Fading(PointTerm):
         return value if isinstance(self.variable, SmallStrain) else value - identity_like(value)
 
     def weight(self, u: Fields) -> CoefficientFunction:
-        """(1 - r)^8 at a point."""
+        """w(r) at a point."""
         theta = self.material.fractions.at(u.z_tensors)
         readers = self.material.readers(self.variable.name)
         others = [value for name, value in theta.items() if name not in readers]
-        share = sum(others[1:], others[0])
-        for _ in range(_SHARPNESS.bit_length() - 1):
-            share = share * share
-        return share
+        return weight_of(sum(others[1:], others[0]))
+
+
+def weight_of(unread: Any) -> Any:
+    """w(r), in [0, 1] for every r, where 1 - r is ``unread``, the share of the others."""
+    read = (1 / _HALF - 1) * (1 - unread)
+    for _ in range(_SQUARINGS):
+        unread, read = unread * unread, read * read
+    return unread / (unread + read)
 
 
 def fading_terms(material: object) -> list[Fading]:

@@ -25,6 +25,7 @@ from typing import Any, TypeAlias, TypeVar
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError, as_number
+from ngvisco.physics.time import reads_time
 from ngvisco.physics.variables import Values, Variable
 
 T = TypeVar("T")
@@ -195,6 +196,9 @@ class Parameter(Variable, Expression):
         number = as_number(self.start)
         if not (self.start is None or number is not None or _is_scalar_function(self.start)):
             raise ParameterError("Parameter.start", self.start, "a finite number or a real scalar function")
+        if number is None and self.start is not None and reads_time(self.start):
+            expected = "a function of the initial place; it reads the time, and is carried from the start on"
+            raise ParameterError("Parameter.start", self.start, expected)
         if math.isnan(self.typical):
             object.__setattr__(self, "typical", 0.5 if number is None else number)
         elif as_number(self.typical) is None:
@@ -263,6 +267,9 @@ def _require_moduli(owner: object, values: Mapping[str, Any], is_positive: bool)
         elif isinstance(value, Expression):
             value = _Modulus(full, value, is_positive)
         elif _is_scalar_function(value):
+            if reads_time(value):
+                expected = "a function of the initial place; it reads the time, as loads and walls may"
+                raise ParameterError(full, value, expected)
             value = _Modulus(full, Parameter(name, start=value, typical=1.0), is_positive, is_own=True)
         else:
             expected = (

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import re
 
-import numpy as np
 from ngsolve import CF, CoefficientFunction
-from ngsolve.meshes import MakeStructured2DMesh
 
 from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.heterogeneous import Heterogeneous
-from ngvisco.physics.time import time
+from ngvisco.physics.time import one_value, reads_time, sampled
 from ngvisco.physics.variables import Values
 
 _OTHERS = {
@@ -29,8 +27,6 @@ _OTHERS = {
     r"ProxyFunction": "a trial or test function",
 }
 """What NGSolve calls the leaves of an expression, and what they are."""
-
-_PLACES = (0.1, 0.35, 0.6, 0.9)
 
 
 def check_energy(material: Material) -> None:
@@ -50,9 +46,9 @@ def check_energy(material: Material) -> None:
     for pattern, what in _OTHERS.items():
         if re.search(pattern, text):
             raise ParameterError(owner, function, f"a function of {names} alone; it reads {what}")
-    if "ParameterCoefficientFunction" in text and not _is_the_same_always(phi):
+    if reads_time(phi):
         raise ParameterError(owner, function, f"a function of {names} alone; it reads the time")
-    if not _is_one_value(_samples(phi)):
+    if not one_value(sampled(phi)):
         expected = f"a function of {names} alone; it differs from place to place at one state"
         raise ParameterError(owner, function, expected)
 
@@ -74,30 +70,3 @@ def _evaluated(
         what = "a complex number" if phi.is_complex else f"an array of shape {tuple(phi.dims)}"
         raise ParameterError(owner, function, f"a function of {names} that returns a real scalar, not {what}")
     return phi
-
-
-def _is_the_same_always(phi: CoefficientFunction) -> bool:
-    present, found = time.Get(), []
-    try:
-        for t in (present, present + 0.37, 2 * present + 1.9):
-            time.Set(t)
-            found.append(_samples(phi)[0])
-    finally:
-        time.Set(present)
-    return _is_one_value(found)
-
-
-def _samples(phi: CoefficientFunction) -> list[float]:
-    """The values at places in cells of different sizes; inf and NaN together where there is none."""
-    found = []
-    for cells in (1, 3):
-        mesh = MakeStructured2DMesh(quads=False, nx=cells, ny=cells)
-        try:
-            found += [phi(mesh(place, 0.5 * place)) for place in _PLACES]
-        except Exception:  # NGSolve's own, for what cannot be evaluated on any mesh
-            return [np.inf, np.nan]
-    return found
-
-
-def _is_one_value(found: list[float]) -> bool:
-    return bool(np.allclose(found, found[0], rtol=1e-12, atol=0.0, equal_nan=True))

@@ -78,6 +78,8 @@ class Evaluation:
         Arrays of values at the points of cells and of sides.
     hyper : HyperValues or None
     residual : Residual
+    moved : (sides' points,) array or None
+        |change of v . n| since the evaluation before, m/s; None at the first one after ``start``.
     """
 
     x: np.ndarray
@@ -86,6 +88,7 @@ class Evaluation:
     facets: Fields
     hyper: HyperValues | None
     residual: Residual
+    moved: np.ndarray | None = None
 
 
 class ReducedResidual:
@@ -128,12 +131,14 @@ class ReducedResidual:
         self.trace_mass.update(self.side_op.points.weights * mean_share(self.side_op.inner))
         self._at_points = [*claims.at_points, *claims.continuity]
         self._of_traces = [*claims.traces, *claims.continuity]
+        self._through: np.ndarray | None = None
         self._zeros = {"z_hat": np.zeros((step.layout.states.size, 1)), "rho_hat": np.zeros(1)}
 
     def start(self) -> None:
         """Evaluate what is known through the step."""
         self.cell_terms.context.start()
         self.facet_terms.context.start()
+        self._through = None
         if self.right_hand_side is not None:
             self.right_hand_side.start()
 
@@ -156,7 +161,13 @@ class ReducedResidual:
             self.step.eliminate.refresh()
         with self._clock("forms"):
             residual = self._joined(x, rows)
-        return Evaluation(x, c, u, s, hyper, residual)
+        moved = None if np.iscomplexobj(x) else self._moved(s)
+        return Evaluation(x, c, u, s, hyper, residual, moved)
+
+    def _moved(self, s: Fields) -> np.ndarray | None:
+        through, before = s.upwinding.through.value, self._through
+        self._through = through
+        return None if before is None else abs(through - before)
 
     def put(self, x: np.ndarray) -> None:
         """Make ``x``, real, and what is derived from it, the step's state."""

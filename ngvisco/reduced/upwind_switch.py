@@ -3,6 +3,13 @@
 There n^- = (1 - sigma(v . n))/2 changes at once, and with it the upwind trace and the elastic force, by
 [z] : [zeta] across the width of sigma, which may be more than what the facet's inertia opposes; elsewhere
 the change is of the order of the jumps and is left out.
+
+With B_h used twice (FORMULATION.md, Section 4) what upwinding takes from stored energy is given back to v:
+[z] : [zeta]/2 > 0 times |v . n| drives the flow through a facet, a friction of the wrong sign.  Within the
+width of sigma it grows with v . n faster than inertia opposes, the problem folds, and Newton's method, whose
+matrix is indefinite there, goes to and fro about the middle one of three solutions.  So where v . n still
+changes by much the derivative is taken smaller, as the Hessian of a function that is not convex: increments
+then lead out of the jump.  Near a solution it is Newton's.
 """
 
 from __future__ import annotations
@@ -18,6 +25,9 @@ from ngvisco.reduced.residual import Evaluation, ReducedResidual
 _TURNS = 1e-6
 """n^- (1 - n^-) below which n^- is 0 or 1: |v . n| is 500 times the width of sigma there, and the slope of
 n^- 1e-8 of its largest."""
+_MOVED = 0.3
+"""Change of v . n from one iterate to the next, in units of |v . n|_eta, above which a facet is far from its
+solution; with 1 a load that is released takes a tenth more iterations."""
 
 
 class UpwindSwitchJacobian:
@@ -29,6 +39,9 @@ class UpwindSwitchJacobian:
         self.share = share
         self._shapes = abs(self.op.z.blocks).max(axis=(0, 1), initial=0.0)  # of each function there
         self._area = self.mass.summed(self.op.points.weights)
+        dim = residual.step.mesh.dim
+        self._own_share = 1 / (dim * (dim + 1))
+        """Of rho h for each area: a cell's volume is h area/dim, and it has dim + 1 sides."""
 
     def update(self, at: Evaluation) -> None:
         """Linearise at an evaluation."""
@@ -70,9 +83,24 @@ class UpwindSwitchJacobian:
         self._values, self._zeta = together(self._z, z), together(self._z, zeta)
         self._jump, self._inflow = jump[:, where], inflow[where]
         self._carried = upwinding.carried.value[where]
-        self._carried_slope = self._inflow + through[where] * self._slope
         self._normal_velocity = upwinding.normal_velocity.value[where]
         self._conserved = self.residual.step.layout.states.conserved
+        self._limit(at, self._own_share * inertia[where], where)
+        self._carried_slope = self._inflow + through[where] * self._slope
+
+    def _limit(self, at: Evaluation, largest: np.ndarray, where: np.ndarray) -> None:
+        """Let no facet that is far from its solution be driven by more than ``largest``, its own inertia.
+
+        Both are derivatives of a force by v . n, at the points ``where``.
+        """
+        # z_hat - z = n^- [z] where n^- is constant: the slope of n^- (z_hat - z), and of z_hat, by n^-
+        by_inflow = np.where(self._conserved[:, None], 1 / np.maximum(self._inflow, _TURNS), 2.0)
+        driving = self._slope * (by_inflow * self._jump * self._zeta).sum(axis=0)
+        driven = self.mass.summed(self._weights * driving, where)
+        if at.moved is not None:
+            far = at.moved[where] > _MOVED * at.facets.upwinding.modulus.value[where]
+            driven = np.where(self.mass.summed(far.astype(float), where) > 0, driven, 0.0)
+        self._slope *= largest / np.maximum(driven, largest)
 
     def _from_mean(self, zeta: np.ndarray, where: np.ndarray) -> np.ndarray:
         """How far zeta is from the means of both sides, on the boundary from itself, (n, points there).

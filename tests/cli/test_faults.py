@@ -15,6 +15,7 @@ import pytest
 from command import CASE, command, environment, rows, start, wait_for
 
 import ngvisco as nv
+from ngvisco.run.identity import FORMAT
 
 DONE, FAILED, BAD_INPUT, BAD_FILE = 0, 1, 2, 3
 LONG = ("--set", "time.until=200")
@@ -129,7 +130,7 @@ def test_a_damaged_or_foreign_checkpoint_is_refused_with_the_reason(damage, half
     elif damage == "version":
         with h5py.File(path, "a") as file:
             file.attrs["format"] = 1
-        reason = "its format is 1, this run's is 4"
+        reason = f"its format is 1, this run's is {FORMAT}"
     elif damage == "case":
         text = (half / "case.toml").read_text()
         (half / "case.toml").write_text(text.replace("G_v = 0.01", "G_v = 0.02"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 
+import ngsolve
 import numpy as np
 import pytest
 from ngsolve import CF, L2, GridFunction, x, y
@@ -36,6 +37,12 @@ def test_expressions_are_those_of_the_values():
         (lambda: nv.Parameter("1st"), "Variable.name"),
         (lambda: nv.Parameter("theta", start=CF((x, y))), "Parameter.start"),
         (lambda: nv.Parameter("theta", start=float("nan")), "Parameter.start"),
+        (lambda: nv.Parameter("theta", start=x * nv.time), "Parameter.start = .*it reads the time"),
+        (
+            lambda: nv.NeoHookean(K_e=20.0, G_e=1 + nv.time, epsilon=0.1),
+            "NeoHookean.G_e = .*it reads the time",
+        ),
+        (lambda: nv.StokesViscosity(K_v=1.0, G_v=x + nv.time), "StokesViscosity.G_v = .*it reads the time"),
         (lambda: 2**theta, "exponent = .*expected a finite number"),
         (lambda: nv.StokesViscosity(K_v=CF((x, y)), G_v=1.0), "StokesViscosity.K_v"),
         (lambda: nv.StokesViscosity(K_v=-1.0, G_v=theta), "StokesViscosity.K_v"),
@@ -50,6 +57,11 @@ def test_expressions_are_those_of_the_values():
 def test_bad_input_is_refused_by_name(make, match):
     with pytest.raises(nv.NgviscoError, match=match):
         make()
+
+
+def test_a_modulus_may_read_a_number_of_ngsolve():
+    known = ngsolve.Parameter(2.0)
+    assert nv.StokesViscosity(K_v=1.0, G_v=x * known).G_v.parameters[0].start is not None
 
 
 @pytest.mark.parametrize("combine", [operator.add, operator.sub, operator.mul, operator.truediv])

@@ -7,6 +7,7 @@ import pytest
 from ngsolve import CF, IfPos, cos, pi, sin, x, y
 
 import ngvisco as nv
+from ngvisco.forms.fading import weight_of
 from ngvisco.geometries import box
 from ngvisco.physics.mixture import AMOUNT, energy_of
 from ngvisco.physics.tensors import tr
@@ -154,6 +155,18 @@ def test_a_tensor_fades_where_no_energy_reads_it():
     assert traces[theta < 0.01].max() < 3.25 and traces[theta > 0.9].max() > 3.02
     assert run.ledger.column("dissipation_fading_B").min() >= -1e-12
     assert "dissipation_fading_B" not in simulation("two solids").ledger.columns
+
+
+def test_a_smear_fades_and_a_body_does_not():
+    """Within a step below a tenth of the matter, by half at a fifth, hardly at a half, never in a body."""
+    r = np.array([0.0, 0.1, 0.2, 0.5, 0.9, 1.0])
+    w = weight_of(1 - r)
+    assert w[0] == 1.0 and w[1] >= 0.95 and w[2] == pytest.approx(0.5)
+    assert w[3] <= 4e-3 and w[4] <= 1e-6 and w[5] == 0.0
+    beside = weight_of(1 - np.linspace(-0.1, 1.1, 200))  # of fractions that a limiter has not met
+    assert (
+        beside.min() >= 0.0 and beside.max() <= 1.0 and np.all(np.diff(weight_of(np.linspace(0, 1, 99))) > 0)
+    )
 
 
 def test_the_run_that_ended_at_one_second_goes_on():

@@ -487,3 +487,14 @@ def test_a_fold_that_wide_upwinding_does_not_pass_is_left_to_the_coupled_solver(
     assert run.solver.retried == 1
     assert [a.strategy for a in history] == ["split", *["split, wide upwinding"] * 6, "coupled"]
     assert len(calls) == 1 + 6 and calls[:3] == [1, 100, 1e4] and min(calls[3:]) > 1
+
+
+@pytest.mark.parametrize("speed", [1e20, 1e40])
+def test_a_diverging_iterate_is_a_status_and_no_warning(speed):
+    run = simulation()
+    guess = run.rothe_step.state_old.vec.CreateVector()
+    guess.data = run.rothe_step.state_old.vec
+    velocity = guess.FV().NumPy()[run.solver.newton.unknowns.ranges["v"]]
+    velocity += speed * np.random.default_rng(1).standard_normal(velocity.shape)
+    solution = run.solver.newton.solve(first_step(run), guess)
+    assert solution.status is not Status.CONVERGED

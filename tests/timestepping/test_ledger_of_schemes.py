@@ -13,6 +13,11 @@ from ngvisco.timestepping.scheme import TimeScheme
 EXAMPLES = {example.constructor: example.material for example in examples()}
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 SECOND_ORDER = ("midpoint", "sdirk2")
+WITH_BOTH_SOLVERS = [
+    pytest.param(scheme, solver, marks=pytest.mark.long if (scheme, solver) == ("sdirk2", "coupled") else ())
+    for scheme in SECOND_ORDER
+    for solver in ("split", "coupled")
+]
 ROTATION = (-y, x)
 
 
@@ -135,8 +140,7 @@ def test_ledger_closes_with_a_yosida_approximation(scheme):
     closes(simulation(material=nv.Yosida(material=NEO_HOOKEAN, eps=1e-3), scheme=scheme), until=0.04)
 
 
-@pytest.mark.parametrize("solver", ["split", "coupled"])
-@pytest.mark.parametrize("scheme", SECOND_ORDER)
+@pytest.mark.parametrize(("scheme", "solver"), WITH_BOTH_SOLVERS)
 def test_ledger_closes_in_3d(scheme, solver):
     closes(simulation(box((1, 1, 1), maxh=2), scheme=scheme, solver=solver), until=0.04)
 

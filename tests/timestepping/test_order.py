@@ -65,6 +65,10 @@ SLOW = (
     "ReferentialMooneyRivlin",
     "CustomMaterial",
     "ReferentialNeoHookean(epsilon=ε, kappa=ϰ)",
+    "LogarithmicMooneyRivlin",
+    'MooneyRivlin(elastic_state="B")',
+    'LogarithmicMooneyRivlin(elastic_state="B")',
+    "NeoHookean(kappa=ϰ)",
 )
 
 

@@ -99,14 +99,9 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
     scale = split.unknowns.scales(x, split.residual.exchange)
 
     def solved(at: Evaluation) -> np.ndarray:
-        with np.errstate(all="ignore"):
-            return split.preconditioner(at, krylov.tolerance * options.forcing)
+        return split.preconditioner(at, krylov.tolerance * options.forcing)
 
-    def evaluated(x: np.ndarray) -> Evaluation:
-        with np.errstate(all="ignore"):  # a step too long may leave the energy's domain
-            return split.residual(x)
-
-    at = evaluated(x)
+    at = split.residual(x)
     f = solved(at)
     size = split.size(f)
     sizes = [size]
@@ -122,7 +117,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
         damping = 1.0
         while True:
             new_x = x - damping * scale * d
-            new = evaluated(new_x)
+            new = split.residual(new_x)
             new_f = solved(new)
             new_size = split.size(new_f)
             if new_size <= (1 - 0.25 * damping) * size:

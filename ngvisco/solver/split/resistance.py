@@ -30,16 +30,15 @@ def resistance(split: Split, at: Evaluation, f: np.ndarray) -> dict[str, float]:
     The step's state is then another one.
     """
     residual = split.residual
-    with np.errstate(all="ignore"):  # x - f may leave the energy's domain
-        at = residual(at.x)
-        before = by_terms(residual, at)
-        residual.derivative(at)  # what forms have of it is formed
-        along = residual(at.x + (TINY * 1j) * f)
-        slopes = {name: part.imag / TINY for name, part in by_terms(residual, along).items()}
-        after = by_terms(residual, residual(at.x - f))
-        parts = {name: after[name] - before[name] + slopes[name] for name in before}
-        parts[LINEAR] = sum(before.values()) - sum(slopes.values())
-        return {name: _size(split, at, part) for name, part in parts.items()}
+    at = residual(at.x)
+    before = by_terms(residual, at)
+    residual.derivative(at)  # what forms have of it is formed
+    along = residual(at.x + (TINY * 1j) * f)
+    slopes = {name: part.imag / TINY for name, part in by_terms(residual, along).items()}
+    after = by_terms(residual, residual(at.x - f))
+    parts = {name: after[name] - before[name] + slopes[name] for name in before}
+    parts[LINEAR] = sum(before.values()) - sum(slopes.values())
+    return {name: _size(split, at, part) for name, part in parts.items()}
 
 
 def _size(split: Split, at: Evaluation, part: np.ndarray) -> float:

@@ -80,7 +80,7 @@ class Split:
         if not np.isfinite(guess.Norm()):
             return Solution(Status.NOT_FINITE, (), "the split solver's start value is not finite")
         try:
-            with on_arrays():
+            with on_arrays(), np.errstate(all="ignore"):  # a diverging iterate is inf or NaN
                 self.residual.start()
                 status = iterate(self, problem, history)
         except StepError as error:  # of a factorisation
@@ -105,7 +105,7 @@ class Split:
             return ""
         at, f, size = self._best
         try:
-            with on_arrays():
+            with on_arrays(), np.errstate(all="ignore"):  # x - f may leave the energy's domain
                 return in_words(resistance(self, at, f), size)
         except (StepError, FloatingPointError, np.linalg.LinAlgError):  # a state that has no tangent
             return ""
@@ -115,8 +115,7 @@ class Split:
 
         ``last`` is the size of the one before.
         """
-        with np.errstate(all="ignore"):  # a diverging iterate is inf or NaN here
-            at = self.residual(x)
+        at = self.residual(x)
         if not self.residual.ranks.all(at.residual.is_finite):
             return at, np.zeros_like(x), np.inf
         options, fresh = self.options.split, not self.is_factorised
