@@ -1,8 +1,12 @@
 """PETSc for the linear systems: matrices of rows over the ranks, a direct solver and multigrid.
 
 Which unknown is which row: ``Exchange.numbers`` of the free unknowns.  A matrix is the sum of the ranks' own
-ones; PETSc has that as a type (IS) and converts it to rows (AIJ).  The first rank of several, which has no
-cells, has no rows and takes no part: it would only keep a processor busy.
+ones, added in the ranks' order.  The first rank of several, which has no cells, has no rows and takes no
+part: it would only keep a processor busy.
+
+MUMPS over ranks adds what ranks send it in the order in which it comes: its factors and solutions differ in
+the last digits from one run to the next.  Up to some thousand unknowns one rank has all rows; its solutions
+are the same to the bit.
 """
 
 from __future__ import annotations
@@ -20,6 +24,10 @@ from ngvisco.parallel.exchange import Exchange
 
 PACKAGES = ("mumps", "superlu_dist", "hypre", "ml", "ptscotch", "parmetis")
 """External packages that are of use here; GAMG is a part of PETSc."""
+
+ON_ONE_RANK_UP_TO = 5_000
+"""Unknowns up to which one rank has all rows of a direct factorisation; PETSc's option
+``-ngvisco_on_one_rank_up_to`` is another number."""
 
 MISSING = "petsc4py is missing or does not load: see 'Several processes' in the README for what to install"
 
@@ -73,37 +81,74 @@ class Rows:
         The same on all ranks that share an unknown.
     exchange : Exchange
         Of the unknowns.
+    may_be_on_one : bool
+        Whether the first rank with cells has all rows where they are few (``ON_ONE_RANK_UP_TO``).
     """
 
-    def __init__(self, free: np.ndarray, exchange: Exchange) -> None:
+    def __init__(self, free: np.ndarray, exchange: Exchange, may_be_on_one: bool = False) -> None:
         module = petsc()
         self.exchange = exchange
         self.comm = exchange.communicator.working or module.COMM_SELF
         numbers, count = exchange.numbers(free)
-        self.size = int(np.count_nonzero(free & exchange.owned)), count
+        mine = int(np.count_nonzero(free & exchange.owned))
+        largest = module.Options().getInt("ngvisco_on_one_rank_up_to", ON_ONE_RANK_UP_TO)
+        self.on_one = exchange.is_distributed and may_be_on_one and count <= largest
+        if self.on_one:
+            mine = count if self.comm.rank == 0 else 0
+        self.size = mine, count
         """Of this rank and in all."""
         self.free = np.flatnonzero(free)
-        own = numbers[self.free].astype(module.IntType)
-        self._map = module.LGMap().create(indices=own, comm=self.comm)
-        self._rows = module.IS().createGeneral(own, comm=self.comm)
-        self._values = np.zeros(len(own))
+        self._numbers = numbers[self.free].astype(module.IntType)
+        self._rows = module.IS().createGeneral(self._numbers, comm=self.comm)
+        self._values = np.zeros(len(self._numbers))
         self._own = module.Vec().createWithArray(self._values, comm=module.COMM_SELF)
-        self._scatter: Any = None
+        if exchange.communicator.is_idle:
+            return
+        self._right = module.Vec().createMPI(self.size, comm=self.comm)
+        self._solution = self._right.duplicate()
+        self._scatter = module.Scatter().create(self._own, None, self._right, self._rows)
+
+    @property
+    def solving(self) -> Any:
+        """The communicator that a system is solved on; None on a rank that has no rows of it."""
+        if not self.on_one:
+            return self.comm
+        return petsc().COMM_SELF if self.comm.rank == 0 else None
 
     def matrix(self, own: sp.csr_matrix) -> Any:
-        """The sum of the ranks' matrices, (unknowns, unknowns), in free rows and columns, as AIJ."""
-        module = petsc()
-        free = own[self.free][:, self.free].tocsr()
-        csr = (free.indptr.astype(module.IntType), free.indices.astype(module.IntType), free.data)
-        local = module.Mat().createAIJ(size=free.shape, csr=csr, comm=module.COMM_SELF)
-        matrix = module.Mat().create(comm=self.comm)
-        matrix.setSizes((self.size, self.size))
-        matrix.setType(module.Mat.Type.IS)
-        matrix.setLGMap(self._map)
-        matrix.setISLocalMat(local)
-        matrix.assemble()
-        matrix.convert(module.Mat.Type.AIJ)
-        return matrix
+        """The sum of the ranks' matrices, (unknowns, unknowns), in free rows and columns, as AIJ.
+
+        None on a rank that does not solve.
+        """
+        module, (mine, count) = petsc(), self.size
+        free = own[self.free][:, self.free].tocoo()
+        rows, columns = self._numbers[free.row], self._numbers[free.col]
+        if self.exchange.is_distributed:
+            rows, columns, data, first = self._of_owners(rows, columns, free.data)
+        else:
+            data, first = free.data, 0
+        if self.solving is None:
+            return None
+        summed = sp.csr_matrix((data, (rows - first, columns)), shape=(mine, count))
+        csr = summed.indptr.astype(module.IntType), summed.indices.astype(module.IntType), summed.data
+        return module.Mat().createAIJ(size=(self.size, self.size), csr=csr, comm=self.solving)
+
+    def _of_owners(self, *entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+        """The entries, rows first, of the rows that this rank has, rank after rank, and its first row."""
+        ends = np.cumsum(self.comm.allgather(self.size[0]))
+        owner = np.searchsorted(ends, entries[0], side="right")
+        # what has to go elsewhere is shared with who has it; ranks with cells come after the first
+        near = {rank - 1 for rank in self.exchange.shared}
+        beside = (set(range(self.comm.size)) if self.on_one else near) - {self.comm.rank}
+        split = {rank: tuple(part[owner == rank] for part in entries) for rank in beside | {self.comm.rank}}
+        sent = [self.comm.isend(split[rank], rank) for rank in sorted(beside)]
+        parts = [
+            split[rank] if rank == self.comm.rank else self.comm.recv(source=rank) for rank in sorted(split)
+        ]
+        for request in sent:
+            request.wait()
+        rows, columns, data = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return rows, columns, data, int(ends[self.comm.rank] - self.size[0])
 
     def vector(self, matrix: Any, values: np.ndarray) -> Any:
         """A vector of the matrix with the free ones of summed ``values``, of length one."""
@@ -118,24 +163,33 @@ class Rows:
     def solve(self, solver: Any, rows: np.ndarray) -> np.ndarray:
         """The solver's solution, summed, for a right-hand side in parts; 0 where not free."""
         module = petsc()
-        if self._scatter is None:
-            self._solution, self._right = solver.getOperators()[0].createVecs()
-            self._scatter = module.Scatter().create(self._own, None, self._right, self._rows)
         self._values[:] = rows[self.free]
         self._right.set(0.0)
         self._scatter.scatter(self._own, self._right, addv=module.InsertMode.ADD)
-        try:
-            solver.solve(self._right, self._solution)
-        except module.Error as error:
-            raise PETScError(f"PETSc did not solve a linear system ({error})") from error
-        if solver.getConvergedReason() < 0:
-            raise PETScError(f"PETSc did not solve a linear system ({_reason(solver)})")
+        failure = None if self.solving is None else self._failure(solver)
+        if self.on_one:
+            failure = self.comm.bcast(failure)
+        if failure is not None:
+            raise PETScError(f"PETSc did not solve a linear system ({failure})")
         self._scatter.scatter(
             self._solution, self._own, addv=module.InsertMode.INSERT, mode=module.ScatterMode.REVERSE
         )
         result = np.zeros(len(rows))
         result[self.free] = self._values
         return result
+
+    def _failure(self, solver: Any) -> str | None:
+        """Solve with what is in the right-hand side; why there is no solution, or None."""
+        module, vectors = petsc(), (self._right, self._solution)
+        if self.on_one:  # the same numbers as vectors of this rank alone
+            vectors = tuple(
+                module.Vec().createWithArray(vector.getArray(), comm=module.COMM_SELF) for vector in vectors
+            )
+        try:
+            solver.solve(*vectors)
+        except module.Error as error:
+            return str(error)
+        return _reason(solver) if solver.getConvergedReason() < 0 else None
 
 
 def _reason(solver: Any) -> str:
@@ -180,7 +234,7 @@ class SumInverse:
     ) -> None:
         if method in PACKAGES and not packages()[method]:
             raise PETScError(f"this PETSc has no {method}: expected one built with it")
-        self.rows, self.symmetric = Rows(free, exchange), symmetric
+        self.rows, self.symmetric = Rows(free, exchange, may_be_on_one=method == "mumps"), symmetric
         self.method, self.kernel = method, kernel
         self._solver: Any = None
 
@@ -192,9 +246,22 @@ class SumInverse:
                 self._factorise(0.5 * (own + own.T) if self.symmetric else own)
 
     def _factorise(self, own: sp.csr_matrix) -> None:
+        matrix, failure = self.rows.matrix(own), None
+        if self.rows.solving is not None:
+            failure = self._set_up(matrix)
+        if self.rows.on_one:
+            failure = self.rows.comm.bcast(failure)
+        if failure is not None:
+            raise SingularError(f"{self.method} did not take the matrix ({failure})")
+        try:
+            self.rows.solve(self._solver, np.zeros(len(self.rows.exchange.owned)))
+        except PETScError as error:  # a zero pivot shows here
+            raise SingularError(f"{self.method} did not take the matrix ({error})") from error
+
+    def _set_up(self, matrix: Any) -> str | None:
+        """Make a solver with the matrix; why it is none, or None."""
         module = petsc()
-        matrix = self.rows.matrix(own)
-        self._solver = module.KSP().create(comm=self.rows.comm)
+        self._solver = module.KSP().create(comm=self.rows.solving)
         self._solver.setOperators(matrix)
         self._solver.setType("preonly")
         preconditioner = self._solver.getPC()
@@ -209,11 +276,8 @@ class SumInverse:
         try:
             self._solver.setUp()
         except module.Error as error:
-            raise SingularError(f"{self.method} did not take the matrix ({error})") from error
-        try:
-            self.rows.solve(self._solver, np.zeros(len(self.rows.exchange.owned)))
-        except PETScError as error:  # a zero pivot shows here
-            raise SingularError(f"{self.method} did not take the matrix ({error})") from error
+            return str(error)
+        return None
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """The solution for a summed right-hand side; collective."""

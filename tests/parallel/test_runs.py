@@ -1,6 +1,5 @@
 """Runs on several ranks are the run on one: ledgers, checkpoints, files, refusals and failures."""
 
-import ast
 import csv
 import json
 import math
@@ -232,6 +231,40 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, solver):
     series = {path.name for path in (several / "vtk").iterdir()}
     assert {"fields_000000.pvtu", "fields_000000_p1.vtu", "fields_000000_p2.vtu", "fields.pvd"} <= series
     assert ngvisco("scene", several).returncode == 0  # pieces are read as one
+
+
+COMMANDS = """
+import json, sys
+from ngvisco.cli.main import main
+for words in json.loads(sys.argv[1]):
+    code = main(words)
+    if code:
+        sys.exit(code)
+"""
+
+
+@pytest.mark.parametrize(
+    "solver", ["split", pytest.param("coupled", marks=[pytest.mark.long, pytest.mark.ci])]
+)
+def test_a_run_goes_on_to_the_bit_with_as_many_ranks(case_file, tmp_path, solver):
+    """Ledger, samples and states; no sum is in the order in which messages come."""
+    case_file.write_text(CASE.replace("coupled", solver).replace("dt = ", 'scheme = "midpoint"\ndt = '))
+    whole, parted, until = tmp_path / "whole", tmp_path / "parted", "time.until=0.02"
+    commands = [
+        ["run", str(case_file), "-o", str(whole), "--quiet"],
+        ["run", str(case_file), "-o", str(parted), "--quiet", "--set", until],
+        ["resume", str(parted), "--until", "0.06", "--quiet"],
+    ]
+    (tmp_path / "commands.py").write_text(COMMANDS)
+    done = run(tmp_path / "commands.py", json.dumps(commands), ranks=3)
+    assert done.returncode == 0, done.stderr
+    for name in ("ledger.csv", "samples/centre.csv", "samples/forces.csv"):
+        assert (whole / name).read_text() == (parted / name).read_text(), name
+    with h5py.File(whole / "run.h5") as a, h5py.File(parted / "run.h5") as b:
+        one, other = (file["checkpoints/00000003"] for file in (a, b))
+        for name in ("state", *(f"passive/{key}" for key in one["passive"])):
+            assert one[name].size and (one[name][:] == other[name][:]).all(), name
+        assert len(one["passive"]) == 2
 
 
 @pytest.mark.long
