@@ -130,6 +130,8 @@ def assert_same_tables(one, several, of=1e-10):
                 assert abs(found_value - value) <= of * size, name
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("name", SHORT)
 def test_ledger_is_that_of_one_process(name):
     one, several = found(1, *SHORT)[name], found(3, *SHORT)[name]
@@ -207,9 +209,9 @@ def read(table):
     return dict(zip(names, ([float(v) for v in column] for column in zip(*body, strict=True)), strict=True))
 
 
-@pytest.mark.parametrize(
-    "solver", ["split", pytest.param("coupled", marks=[pytest.mark.long, pytest.mark.ci])]
-)
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, solver):
     alone, several = tmp_path / "alone", tmp_path / "several"
     case_file.write_text(CASE.replace("coupled", solver))
@@ -315,6 +317,8 @@ every = 1
 """
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_curved_run_goes_on_with_any_number_of_ranks(tmp_path):
     """Its mesh comes from a file, which has eight decimals of curved cells: the geometry curves them.
 
