@@ -23,8 +23,7 @@ class Unknown:
     place : str
         ``"velocity"``: continuous vectors with what walls prescribe; ``"cells"``: discontinuous, local to its
         cell and condensed; ``"facets"``: on facets; ``"normals"``: on facets, a multiple of the normal;
-        ``"continuous"``: in H1; ``"walls"``: what
-        ``space`` makes.
+        ``"continuous"``: in H1; ``"walls"``: what ``space`` makes.
     order : int
         Polynomial degree.
     size : int or None

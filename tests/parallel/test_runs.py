@@ -18,17 +18,19 @@ pytestmark = pytest.mark.skipif(
     not has_petsc(), reason="no MPI or PETSc: see the README's 'Several processes'"
 )
 
-CASE = """\
-[domain]
-geometry = "box"
-size = [1, 1]
-maxh = 0.5
+MATERIAL = """\
 [material]
 kind = "NeoHookean"
 K_e = 10
 G_e = 5
 epsilon = 0.1
-[initial]
+"""
+CASE = f"""\
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 0.5
+{MATERIAL}[initial]
 velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
 [time]
 dt = 0.02
@@ -295,18 +297,13 @@ def test_a_run_on_ranks_goes_on_changed_and_from_another_mesh(case_file, tmp_pat
         assert (alone / "case.toml").read_text() == (several / "case.toml").read_text()
 
 
-CURVED = """
+CURVED = f"""
 [domain]
 geometry = "disc"
 radius = 1
 maxh = 0.5
-[material]
-kind = "NeoHookean"
-K_e = 10
-G_e = 5
-epsilon = 0.1
-[rheology]
-viscosity = { K_v = 0.05, G_v = 0.05 }
+{MATERIAL}[rheology]
+viscosity = {{ K_v = 0.05, G_v = 0.05 }}
 [initial]
 velocity = ["-y", "x + 0.1"]
 [time]

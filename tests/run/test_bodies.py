@@ -164,9 +164,8 @@ def test_a_smear_fades_and_a_body_does_not():
     assert w[0] == 1.0 and w[1] >= 0.95 and w[2] == pytest.approx(0.5)
     assert w[3] <= 4e-3 and w[4] <= 1e-6 and w[5] == 0.0
     beside = weight_of(1 - np.linspace(-0.1, 1.1, 200))  # of fractions that a limiter has not met
-    assert (
-        beside.min() >= 0.0 and beside.max() <= 1.0 and np.all(np.diff(weight_of(np.linspace(0, 1, 99))) > 0)
-    )
+    assert beside.min() >= 0.0 and beside.max() <= 1.0
+    assert np.all(np.diff(weight_of(np.linspace(0, 1, 99))) > 0)
 
 
 def test_the_run_that_ended_at_one_second_goes_on():
