@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 from ngsolve import Mesh
@@ -9,7 +10,7 @@ from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
 from ngvisco.errors import ParameterError, as_integer, as_number, require_names
 from ngvisco.geometries.corners import split_corner_cells
-from ngvisco.geometries.meshing import box_lengths, check_flag
+from ngvisco.geometries.meshing import MAX_CELLS, box_lengths, check_flag
 
 _NAMES = {"back": "left", "front": "right", "left": "front", "right": "back"}
 """NGSolve's names of the walls of a structured box in 3D, and those of ``box``."""
@@ -36,7 +37,7 @@ def structured_box(
         Rows of cells along each direction, >= 1.
     periodic : some of "x", "y", "z"
         Directions in which the two walls are identified.
-    grading : mapping of directions to numbers > 0, optional
+    grading : mapping of directions to numbers from 1e-6 to 1e6, optional
         Length of the last row over that of the first one, which between them is geometric; default 1.
     split_corners : bool
         As for ``box``.
@@ -44,13 +45,18 @@ def structured_box(
     Raises
     ------
     ParameterError
-        For lengths or numbers of cells that are none, or another direction than the box has.
+        For lengths or numbers of cells that are none, more than a million cells, another direction than the
+        box has, or steeper grading.
     """
     lengths = box_lengths("structured_box", size)
     dim = len(lengths)
     counts = [as_integer(n) for n in cells] if isinstance(cells, (tuple, list)) else []
     if len(counts) != dim or any(n is None or n < 1 for n in counts):
         raise ParameterError("structured_box.cells", cells, f"{dim} whole numbers >= 1")
+    number = (2 if dim == 2 else 6) * math.prod(n or 1 for n in counts)
+    if number > MAX_CELLS:
+        kind = "triangles" if dim == 2 else "tetrahedra"
+        raise ParameterError("structured_box.cells", cells, f"at most {MAX_CELLS} {kind}, these are {number}")
     axes = "xyz"[:dim]
     check_flag("structured_box.split_corners", split_corners)
     directions = list(periodic) if isinstance(periodic, str) else require_names(_FIELD, periodic)
@@ -79,13 +85,17 @@ def structured_box(
 
 _FIELD = "structured_box.periodic"
 
+_STEEPEST = 1e6
+"""Longest over shortest row: above it cells' volumes leave the range in which a step can be solved."""
+
 
 def _spacing(axis: str, rows: int, grading: Mapping[str, float] | None) -> Callable[[float], float]:
     """The place of a grid line, of 1, as a function of its number over that of the rows."""
     ratio = (grading or {}).get(axis, 1.0)
     number = as_number(ratio)
-    if number is None or number <= 0:
-        raise ParameterError(f"structured_box.grading[{axis!r}]", ratio, "a finite number > 0")
+    if number is None or not 1 / _STEEPEST <= number <= _STEEPEST:
+        expected = f"a number between {1 / _STEEPEST:g} and {_STEEPEST:g}"
+        raise ParameterError(f"structured_box.grading[{axis!r}]", ratio, expected)
     if rows == 1 or number == 1:
         return lambda s: s
     growth = number ** (1 / (rows - 1))

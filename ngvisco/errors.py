@@ -175,7 +175,8 @@ def _keep(owner: object, name: str, value: object) -> None:
 def require_type(field: str, value: object, kind: type) -> None:
     """Raise ParameterError unless the value is a ``kind``."""
     if not isinstance(value, kind):
-        raise ParameterError(field, value, f"a {kind.__module__.split('.')[0]}.{kind.__name__}")
+        name = f"a {kind.__module__.split('.')[0]}.{kind.__name__}"
+        raise ParameterError(field, value, "True or False" if kind is bool else name)
 
 
 def require_path(field: str, value: object) -> Path:

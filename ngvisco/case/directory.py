@@ -328,7 +328,7 @@ def _go(
                 error.add_note(f"what is known of it: {place.failure_file}; its fields: {fields}")
         raise
     if simulation.stop_requested:
-        write(f"stopped on request at step {simulation.number}, t = {simulation.t:g} s")
+        write(f"stopped on request at step {simulation.step_number}, t = {simulation.t:g} s")
     if simulation.closure_check.failures:
         write(simulation.closure_check.message)
     return simulation

@@ -330,7 +330,10 @@ KEYS: dict[str, Key] = {
         3,
     ),
     "velocity_scale": Key(
-        "m/s", "a typical velocity, which sets the width of the upwinding; default from the data", 1.0
+        "m/s",
+        "a typical velocity, which sets the width of the upwinding; default: of flow, walls, free fall or "
+        "elastic release, at rest a tenth of the speed of sound",
+        1.0,
     ),
     "dt_min": Key("s", "shortest step; a shorter one ends the run", 1e-3),
     "dt_max": Key("s", "longest step", 0.1),

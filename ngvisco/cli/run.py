@@ -20,7 +20,7 @@ from ngvisco.cli import streams
 from ngvisco.cli.exits import DONE, NOT_CLOSED
 from ngvisco.errors import ParameterError
 from ngvisco.run.advice import dissipation_advice
-from ngvisco.run.observers import Progress
+from ngvisco.run.observers import Progress, limited_in_words, steps_in_words
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import Rejection
 
@@ -71,7 +71,9 @@ class ProgressBar:
 
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
         """A line of its own, above the bar."""
-        streams.write(f"\r\x1b[Krejected dt {rejection.tau:.4g} s at t {rejection.time:.4g} s\n")
+        streams.write(
+            f"\r\x1b[Krejected dt {rejection.tau:.4g} s at t {rejection.time:.4g} s: {rejection.reason}\n"
+        )
 
     def noticed(self, simulation: Simulation, text: str) -> None:
         """A line of its own too."""
@@ -88,8 +90,9 @@ class ProgressBar:
         left = f"{spent * (self.until - simulation.t) / covered:.0f} s left" if covered > 0 else "starting"
         energy = row["kinetic"] + row["stored"]
         text = (
-            f" t {simulation.t:.4g}/{self.until:.4g} s  step {simulation.number}  energy {energy:.6e} J  "
-            f"closure {row['closure_relative']:+.0e}  {left}"
+            f" t {simulation.t:.4g}/{self.until:.4g} s  step {simulation.step_number}  "
+            f"energy {energy:.6e} J  "
+            f"closure {row['closure_relative']:+.0e}  {limited_in_words(row)}{left}"
         )
         width = max(4, shutil.get_terminal_size().columns - len(text) - 3)
         filled = min(width, round(width * done))
@@ -144,13 +147,13 @@ def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
     if received:
         name = signal.Signals(received).name
         streams.write(
-            f"{name}: stopped after step {result.number}, t = {result.t:g} s; a checkpoint is written\n"
+            f"{name}: stopped after step {result.step_number}, t = {result.t:g} s; a checkpoint is written\n"
         )
         streams.write(f"go on with: ngvisco resume {directory}\n")
         return 128 + received
     closure = abs(result.ledger.column("closure_relative")).max()
     streams.write(
-        f"finished: t = {result.t:g} s after {result.number} steps; largest |closure| {closure:.1e}\n"
+        f"finished: t = {result.t:g} s after {steps_in_words(result)}; largest |closure| {closure:.1e}\n"
         "(closure: what the terms leave of a step's energy balance, over the energy; rounding is 1e-14)\n"
     )
     streams.write(f"results in {directory}\n")

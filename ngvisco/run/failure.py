@@ -116,7 +116,7 @@ def failure_report(
     return FailureReport(
         simulation.t,
         tau,
-        simulation.number + 1,
+        simulation.step_number + simulation.is_due(1),
         reason,
         violation,
         state,

@@ -122,7 +122,7 @@ class NotebookProgress:
             '<div style="width:420px;border:1px solid #888;height:10px">'
             f'<div style="width:{100 * share:.1f}%;background:#31688e;height:10px"></div></div>'
         )
-        return f"{bar}<div>step {simulation.number}, {left}</div>{ledger_html(simulation.ledger.rows)}"
+        return f"{bar}<div>step {simulation.step_number}, {left}</div>{ledger_html(simulation.ledger.rows)}"
 
 
 def simulation_html(simulation: Simulation) -> str:
@@ -143,7 +143,7 @@ def simulation_html(simulation: Simulation) -> str:
             for name, wall in simulation.rothe_step.walls.conditions.items()
         ),
         "mesh": f"{simulation.mesh.ne} cells in {simulation.mesh.dim}D, {layout.space.ndof} unknowns",
-        "time": f"t = {simulation.t:g} s, step {simulation.number}, {steps}",
+        "time": f"t = {simulation.t:g} s, step {simulation.step_number}, {steps}",
     }
     return _table(rows) + ledger_html(simulation.ledger.rows)
 

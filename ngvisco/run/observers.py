@@ -67,33 +67,37 @@ class Progress:
         self._print(f"{cells} cells, {unknowns} unknowns, {steps}, {simulation.scheme}")
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        number = simulation.number
         at_end = simulation.t >= self.until * (1 - 1e-9)
-        if number % self.every and not at_end:
+        if not (simulation.is_due(self.every) or at_end):
             return
         spent = clock.perf_counter() - self._began
         left = 0.0 if at_end else spent * (self.until - simulation.t) / (simulation.t - self._from)
         self._print(
-            f"step {number:5d}{self._total}  t {row['time']:.4g} s  kinetic {row['kinetic']:.4e}  "
-            f"stored {row['stored']:.6e} J  closure {row['closure_relative']:+.0e}  "
-            f"Newton {row['newton_iterations']:2.0f}  {_limited(row)}left {left:.0f} s"
+            f"step {simulation.step_number:5d}{self._total}  t {row['time']:.4g} s  "
+            f"kinetic {row['kinetic']:.4e}  stored {row['stored']:.6e} J  "
+            f"closure {row['closure_relative']:+.0e}  Newton {row['newton_iterations']:2.0f}  "
+            f"{limited_in_words(row)}left {left:.0f} s"
         )
 
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
         """A line for each rejected step."""
         self._print(
-            f"step {simulation.number + 1:5d}{self._total}  t {rejection.time:.4g} s  rejected "
+            f"step {self._under_way(simulation):5d}{self._total}  t {rejection.time:.4g} s  rejected "
             f"dt {rejection.tau:.4g} s: {rejection.reason}"
         )
 
     def noticed(self, simulation: Simulation, text: str) -> None:
         """A line within a step that takes long."""
-        self._print(f"step {simulation.number + 1:5d}{self._total}  {text}")
+        self._print(f"step {self._under_way(simulation):5d}{self._total}  {text}")
+
+    @staticmethod
+    def _under_way(simulation: Simulation) -> int:
+        return simulation.step_number + simulation.is_due(1)
 
     def finish(self, simulation: Simulation) -> None:
         finished = simulation.t >= self.until * (1 - 1e-9)
         word = "finished" if finished else "stopped"
-        self._print(f"{word} at t = {simulation.t:g} s after {simulation.number} steps")
+        self._print(f"{word} at t = {simulation.t:g} s after {steps_in_words(simulation)}")
         advice = dissipation_advice(simulation)
         if advice is not None:
             self._print(advice)
@@ -104,7 +108,13 @@ class Progress:
             print(line, file=self.stream or sys.stdout, flush=True)
 
 
-def _limited(row: dict[str, float]) -> str:
+def steps_in_words(simulation: Simulation) -> str:
+    """How many steps there were, and of how many parts where some were not taken as a whole."""
+    steps, rows = simulation.step_number, simulation.number
+    return f"{steps} steps" if steps == rows else f"{steps} steps in {rows} parts"
+
+
+def limited_in_words(row: dict[str, float]) -> str:
     """How many cells the limiter changed, where it did."""
     cells = row["limited_cells"]
     return f"limited {cells:.0f} cell{'s' if cells > 1 else ''}  " if cells else ""
@@ -198,7 +208,7 @@ class VTKSeries:
 
     def _is_due(self, simulation: Simulation) -> bool:
         on_time = any(abs(simulation.t - time) <= 1e-9 * time for time in self.times)
-        return on_time or (self.every is not None and simulation.number % self.every == 0)
+        return on_time or (self.every is not None and simulation.is_due(self.every))
 
     def finish(self, simulation: Simulation) -> None:
         if not self.written or self.written[-1][0] != simulation.t:

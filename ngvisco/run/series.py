@@ -74,15 +74,15 @@ class Series(ABC):
         if not earlier and simulation.number > 0 and path is not None:
             earlier = ranks.on_first(lambda: read_series(path, self.columns))
         number = simulation.number
-        self.rows = [row for row in earlier if row[0] <= number and row[0] % self.every == 0]
+        self.rows = [row for row in earlier if row[0] <= number and self._was_due(simulation, row)]
         self._found = number, [row for row in earlier if row[0] == number]
         if path is not None:
             ranks.on_first(lambda: write_atomically(path, _csv([self.columns, *self.rows]).encode()))
-        if self.initial and not self._has(number) and number % self.every == 0:
+        if self.initial and not self._has(number) and simulation.is_due(self.every):
             self._note(simulation)
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        if simulation.number % self.every == 0:
+        if simulation.is_due(self.every):
             self._note(simulation)
 
     def finish(self, simulation: Simulation) -> None:
@@ -93,6 +93,10 @@ class Series(ABC):
             self._add(rows, simulation)
         elif self.initial or simulation.number > 0:
             self._note(simulation)
+
+    def _was_due(self, simulation: Simulation, row: list[float]) -> bool:
+        number, ended = simulation.stepper.step_of(row[1], int(row[0]))
+        return ended and number % self.every == 0
 
     def _has(self, number: int) -> bool:
         return bool(self.rows) and self.rows[-1][0] == number

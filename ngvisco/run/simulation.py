@@ -125,7 +125,9 @@ class Simulation:
     observers : sequence of Observer
     velocity_scale : float, optional
         A typical velocity, m/s; sets the width of the smoothed upwinding (1e-4 of it).  Default: the
-        largest of max |v_0|, sqrt(diameter |force|/rho) and sqrt(2 max |phi(z_0) - phi(rest)| / min rho_0).
+        largest of max |v_0|, the walls' velocities, sqrt(diameter |force|/rho) and
+        sqrt(2 max |phi(z_0) - phi(rest)| / min rho_0); where all of them are zero a tenth of the speed of
+        sound (``ngvisco.run.scales``).
     sources : Term, optional
         A further term that takes no unknown, for manufactured solutions.
     terms : sequence of Term
@@ -261,6 +263,16 @@ class Simulation:
     def scheme(self) -> TimeScheme:
         """The time scheme of the run (after its startup)."""
         return self.integrator.scheme
+
+    @property
+    def step_number(self) -> int:
+        """Number of the step that led here, or is under way; ``number`` counts its parts."""
+        return self.stepper.step_of(self.t, self.number)[0]
+
+    def is_due(self, every: int) -> bool:
+        """Whether the present state ends a step whose number is a multiple of ``every``."""
+        number, ended = self.stepper.step_of(self.t, self.number)
+        return ended and number % every == 0
 
     @property
     def is_adaptive(self) -> bool:

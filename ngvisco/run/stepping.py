@@ -132,6 +132,10 @@ class Stepper(Protocol):
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
         """Take one step that does not pass ``stop``; raises StepError and leaves the old state."""
 
+    def step_of(self, time: float, number: int) -> tuple[int, bool]:
+        """Of the state at ``time`` (s), in row ``number`` of the ledger: the number of its step, and whether
+        it is that step's end, not that of a part."""
+
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         """Numbers and arrays that a restart needs."""
 
@@ -177,7 +181,7 @@ class FixedStepper:
         self.begin(0.0, 0)
 
     def begin(self, time: float, number: int) -> None:
-        self._start, self._level = time, 0
+        self._start, self._first, self._level = time, number, 0
 
     @property
     def _parts(self) -> int:
@@ -202,9 +206,16 @@ class FixedStepper:
     def reached(self, simulation: Simulation, time: float) -> bool:
         return self._position(simulation.t) >= self._position(time)
 
+    def step_of(self, time: float, number: int) -> tuple[int, bool]:
+        position = self._position(time)
+        if position < 0:  # of steps of another length
+            return number, True
+        whole, part = divmod(position, self._parts)
+        return self._first + whole + (part > 0), part == 0
+
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
         t, position = simulation.t, self._position(simulation.t)
-        done = position % self._parts
+        whole, done = divmod(position, self._parts)
         level = self._level if done else max(0, self._level - 1)
         others = any(one.effort is Effort.OTHER_SOLVER for one in simulation.solver.strategies)
         efforts, rejections = Effort.DIRECT if others and self.halvings else Effort.ALL, 0
@@ -213,7 +224,7 @@ class FixedStepper:
             tau = self.dt * size / self._parts
             try:
                 asked = efforts | Effort.NAMES if level == self.halvings else efforts
-                taken = simulation.integrator.advance(t, tau, simulation.number, asked)
+                taken = simulation.integrator.advance(t, tau, self._first + whole, asked)
                 self._level = level
                 return Accepted(self._time(position + size), taken, rejections)
             except StepError as failure:
@@ -230,14 +241,14 @@ class FixedStepper:
             simulation.notify_rejection(Rejection(t, tau, reason))
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        return {"start": self._start, "level": float(self._level)}, {}
+        return {"start": self._start, "first": float(self._first), "level": float(self._level)}, {}
 
     def load_state_dict(
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
         t = simulation.t
-        self.begin(numbers.get("start", t), simulation.number)
-        if self._time(self._position(t)) != t:  # steps of other lengths led here
+        self.begin(numbers.get("start", t), int(numbers.get("first", 0)))
+        if "start" not in numbers or self._time(self._position(t)) != t:  # steps of other lengths led here
             self.begin(t, simulation.number)
         self._level = min(int(numbers.get("level", 0)), self.halvings)
 
@@ -266,6 +277,9 @@ class AdaptiveStepper:
 
     def begin(self, time: float, number: int) -> None:
         """Nothing: lengths do not depend on the number of a step."""
+
+    def step_of(self, time: float, number: int) -> tuple[int, bool]:
+        return number, True
 
     def check(self, name: str, time: float) -> None:
         """Every time can be met."""

@@ -22,7 +22,7 @@ from ngvisco.case.directory import RunDirectory
 from ngvisco.errors import CheckpointError, ParameterError, as_integer, require_path
 from ngvisco.run.files import write_atomically
 from ngvisco.sweep.processes import connected, message_of, submit
-from ngvisco.sweep.table import FAILED, STOPPED, Outcome, write_table
+from ngvisco.sweep.table import FAILED, STOPPED, Outcome, read_table, write_table
 from ngvisco.sweep.variations import Combination, SweepError, Variation, combinations
 
 _LOOK = 0.5
@@ -52,8 +52,8 @@ class Study:
     Raises
     ------
     SweepError
-        If a key is varied twice, two combinations are the same case, or a run directory has another case's
-        results.
+        If a key is varied twice, two combinations are the same case, a run directory has another case's
+        results, or ``sweep.csv`` is no table of a study.
     CaseError
         With every fault of a combination's case.
     """
@@ -75,6 +75,7 @@ class Study:
         self.cases = [load_case(path, [*settings, *c.settings]) for c in self.combinations]
         self._check_distinct()
         self.outcomes = [Outcome(c.name, c.values) for c in self.combinations]
+        self._others = self._of_earlier_studies()
         if not force:
             for number, case in enumerate(self.cases):
                 self._take_up(number, case)
@@ -88,6 +89,18 @@ class Study:
     def unfinished(self) -> list[int]:
         """Numbers of the runs that have not reached their end."""
         return [number for number, outcome in enumerate(self.outcomes) if not outcome.is_finished]
+
+    def _of_earlier_studies(self) -> list[Outcome]:
+        """The table's rows of runs that this study does not name, and whose case files are there still."""
+        own = {combination.name for combination in self.combinations}
+        return [
+            other
+            for other in read_table(self.table)
+            if other.name not in own and (self.directory / "cases" / f"{other.name}.toml").exists()
+        ]
+
+    def _write_table(self) -> None:
+        write_table(self.table, [*self._others, *self.outcomes])
 
     def _check_distinct(self) -> None:
         seen: dict[str, Combination] = {}
@@ -148,7 +161,7 @@ class Study:
             raise ParameterError("workers", workers, "a whole number >= 1")
         todo = self.unfinished
         if not todo:
-            write_table(self.table, self.outcomes)
+            self._write_table()
             return self.outcomes
         with connected(scheduler, min(count, len(todo))) as client:
             self._prepare(todo)
@@ -166,7 +179,7 @@ class Study:
                     with place.locked():
                         place.clear()
             write_atomically(self._case_file(number), self.cases[number].resolved.encode())
-        write_table(self.table, self.outcomes)
+        self._write_table()
 
     def _collect(
         self,
@@ -194,7 +207,7 @@ class Study:
                 for future in done:
                     self._end(todo[futures[future]], future)
                     report(self.outcomes[todo[futures[future]]])
-                write_table(self.table, self.outcomes)
+                self._write_table()
 
     def _end(self, number: int, future: Any) -> None:
         outcome, place = self.outcomes[number], self.place(number)

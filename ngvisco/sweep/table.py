@@ -16,6 +16,7 @@ from ngvisco.errors import CheckpointError
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.closure import closure_limit
 from ngvisco.run.files import write_atomically
+from ngvisco.sweep.variations import SweepError
 
 FINISHED, NOT_CLOSED, FAILED = "finished", "not closed", "failed"
 STOPPED, WAITING = "stopped", "not started"
@@ -74,9 +75,42 @@ class Outcome:
             self.state = STOPPED
 
 
+def read_table(path: Path) -> list[Outcome]:
+    """The outcomes that a table holds; none if there is no file.
+
+    Raises
+    ------
+    SweepError
+        If the file is no such table.
+    """
+    if not path.exists():
+        return []
+    try:
+        header, *rows = csv.reader(io.StringIO(path.read_text(encoding="utf-8"), newline=""))
+        state = header.index("state")
+        if header[0] != "run" or header[-1] != "message" or any(len(row) != len(header) for row in rows):
+            raise ValueError
+        keys, columns = header[1:state], header[state + 1 : -1]
+        return [
+            Outcome(
+                row[0],
+                {key: value for key, value in zip(keys, row[1:state], strict=True) if value},
+                row[state],
+                row[-1],
+                {name: float(v) for name, v in zip(columns, row[state + 1 : -1], strict=True) if v},
+            )
+            for row in rows
+        ]
+    except ValueError:
+        raise SweepError(
+            f"{path}: expected the table of an earlier study, as it was written; move it away, or choose "
+            "another directory"
+        ) from None
+
+
 def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
-    """Write the table as CSV, whole or not at all; columns that a run's ledger lacks stay empty."""
-    keys = list(outcomes[0].values)
+    """Write the table as CSV, whole or not at all; keys and columns that a run lacks stay empty."""
+    keys = list(dict.fromkeys(key for outcome in outcomes for key in outcome.values))
     columns = list(dict.fromkeys(name for outcome in outcomes for name in outcome.last))
     first = [name for name in ("step", "time", "largest_closure") if name in columns]
     columns = first + [name for name in columns if name not in first]
@@ -84,8 +118,9 @@ def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["run", *keys, "state", *columns, "message"])
     for outcome in outcomes:
+        values = [outcome.values.get(key, "") for key in keys]
         ledger = [_number(outcome.last.get(name)) for name in columns]
-        writer.writerow([outcome.name, *outcome.values.values(), outcome.state, *ledger, outcome.message])
+        writer.writerow([outcome.name, *values, outcome.state, *ledger, outcome.message])
     write_atomically(path, text.getvalue().encode())
 
 

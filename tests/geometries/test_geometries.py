@@ -339,8 +339,11 @@ def test_a_thin_periodic_strip_runs_as_one_dimensional(solver):
         ({"cells": (4, 2), "periodic": "z"}, "periodic"),
         ({"cells": (4, 2), "grading": {"z": 2.0}}, "grading"),
         ({"cells": (4, 2), "grading": {"x": 0.0}}, "grading"),
+        ({"cells": (4, 2), "grading": {"x": 1e300}}, "grading.*between 1e-06 and 1e.06"),
+        ({"cells": (800, 800)}, "cells.*at most 1000000 triangles, these are 1280000"),
+        ({"cells": (100, 100, 17), "size": (1, 1, 1)}, "at most 1000000 tetrahedra, these are 1020000"),
     ],
 )
 def test_structured_box_refuses_what_it_is_not(options, field):
     with pytest.raises(ParameterError, match=field):
-        g.structured_box((1, 1), **options)
+        g.structured_box(**{"size": (1, 1)} | options)

@@ -1,5 +1,6 @@
 """Steps of one length that are not solved are taken in halves before the coupled solver is asked."""
 
+import io
 import time
 
 import numpy as np
@@ -80,6 +81,40 @@ def test_a_step_that_is_not_solved_is_taken_in_quarters_and_the_run_goes_on(monk
     assert "stalled; taken in parts of 0.01 s" in watch.seen[1].reason
     assert run.solver.retried == 0
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+
+
+def test_what_is_written_every_so_many_steps_counts_whole_steps(monkeypatch, tmp_path):
+    """Only the second step is taken in quarters; a run that goes on keeps what was written before."""
+
+    def fails_in_the_second(split, problem, guess, full_steps=None):
+        begin, tau = problem.interval.begin, problem.interval.tau
+        if 0.99 * DT < begin < 1.99 * DT and tau > 1.01 * DT / 4:
+            return Solution(Status.STALLED, (), "stalled")
+        return solve(split, problem, guess, full_steps)
+
+    solve = Split.solve
+    monkeypatch.setattr(Split, "solve", fails_in_the_second)
+    lines = io.StringIO()
+    probes = nv.Probes({"a": (0.4, 0.3)}, ["velocity"], tmp_path / "probes.csv", every=2)
+    vtk = nv.VTKSeries(tmp_path / "vtk", every=3)
+    checkpoints = nv.Checkpoints(tmp_path / "run.h5", every=2, keep=9)
+    observers = [nv.Progress(6 * DT, every=2, stream=lines), probes, vtk, checkpoints]
+    run = simulation(observers=observers)
+    run.run(6 * DT)
+    assert run.ledger.column("dt")[1:] / DT == pytest.approx([1, *[0.25] * 4, 0.5, 0.5, 1, 1, 1])
+    assert run.number == 10 and run.step_number == 6
+    whole = [0, 2 * DT, 4 * DT, 6 * DT]
+    assert probes.column("time").tolist() == pytest.approx(whole)
+    assert [time for time, _ in vtk.written] == pytest.approx([0, 3 * DT, 6 * DT])
+    text = lines.getvalue()
+    assert "step     2/6  t 0.08 s" in text and "step     2/6  t 0.04 s  rejected" in text
+    assert "after 6 steps in 10 parts" in text and "step     3/6" not in text
+    probes = nv.Probes({"a": (0.4, 0.3)}, ["velocity"], tmp_path / "probes.csv", every=2)
+    again = simulation(observers=[probes])
+    again.restore(tmp_path / "run.h5", step=4)
+    assert again.step_number == 2 and again.t == pytest.approx(1.75 * DT)
+    again.run(6 * DT)
+    assert probes.column("time").tolist() == pytest.approx(whole)
 
 
 def test_parts_are_the_steps_of_a_run_with_that_length(monkeypatch):

@@ -89,7 +89,8 @@ def test_failures_are_listed_and_finished_runs_are_not_run_again(case_file, tmp_
     )
     assert "1 of them finished before" in capsys.readouterr().out
     assert (out / good / "run.h5").stat().st_mtime_ns == stamp
-    assert [row["state"] for row in table(out).values()] == ["finished"] * 2
+    states = {name: row["state"] for name, row in table(out).items()}
+    assert states.pop(bad) == "failed" and list(states.values()) == ["finished"] * 2
     # another case under the same name
     case_file.write_text(CASE.replace("K_e = 10", "K_e = 20"))
     assert (
@@ -98,6 +99,27 @@ def test_failures_are_listed_and_finished_runs_are_not_run_again(case_file, tmp_
     )
     assert "results of another case" in capsys.readouterr().err
     assert (out / good / "run.h5").stat().st_mtime_ns == stamp
+
+
+def test_the_table_keeps_rows_of_runs_that_another_command_made(case_file, tmp_path):
+    """By the same keys and by others; not those whose case file was taken away."""
+    directory = tmp_path / "study"
+    for key, values in (("material.G_e", ("1", "2")), ("time.dt", ("0.01",))):
+        study = Study(case_file, [Variation(key, values)], directory)
+        for number, outcome in enumerate(study.outcomes):
+            outcome.state, outcome.last = "finished", {"step": 2.0, "time": 0.25 + number}
+        study._prepare(range(len(study.outcomes)))
+    (directory / "cases" / "material.G_e=2.toml").unlink()
+    study = Study(case_file, [Variation("material.G_e", ("5",))], directory)
+    study._prepare([0])
+    rows = table(directory)
+    assert list(rows) == ["material.G_e=1", "time.dt=0.01", "material.G_e=5"]
+    assert rows["material.G_e=1"]["time"] == "0.25" and rows["material.G_e=1"]["state"] == "finished"
+    assert [row["time.dt"] for row in rows.values()] == ["", "0.01", ""]
+    assert rows["material.G_e=5"]["state"] == "not started"
+    (directory / "sweep.csv").write_text("something else\n")
+    with pytest.raises(SweepError, match=r"sweep\.csv: expected the table of an earlier study"):
+        Study(case_file, [Variation("material.G_e", ("5",))], directory)
 
 
 def test_a_stopped_study_goes_on_where_it_was(case_file, tmp_path):
