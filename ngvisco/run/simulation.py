@@ -54,7 +54,7 @@ from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
 from ngvisco.run.numbering import Numbering
 from ngvisco.run.passive import PassiveFields
-from ngvisco.run.ranks import abort_alone, is_to_stop, tell
+from ngvisco.run.ranks import ending_all_ranks, is_to_stop, tell
 from ngvisco.run.rest_stresses import warn_of_rest_stresses
 from ngvisco.run.scales import diameter, typical_velocity
 from ngvisco.run.stepping import (
@@ -150,6 +150,7 @@ class Simulation:
     """
 
     @computing()
+    @ending_all_ranks()
     def __init__(
         self,
         mesh: Mesh,
@@ -267,6 +268,7 @@ class Simulation:
         """Whether step lengths are chosen by the run."""
         return isinstance(self.stepper, AdaptiveStepper)
 
+    @ending_all_ranks()
     def restore(
         self,
         path: str | PathLike[str],
@@ -311,7 +313,7 @@ class Simulation:
             adaptive lengths, when that is so at the smallest length.  The state is then that before
             the step, and the error's ``report`` says where and why.
         """
-        with computing():
+        with computing(), ending_all_ranks():
             self._start_ledger()
             began = clock.perf_counter()
             self._refused = None
@@ -320,9 +322,6 @@ class Simulation:
             except StepError as error:
                 tau = self.integrator.tried
                 error.report = failure_report(self, tau, str(error), error.history, self._refused)
-                raise
-            except BaseException as error:
-                abort_alone(error, self.ranks)
                 raise
             try:
                 row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
@@ -335,6 +334,7 @@ class Simulation:
             self.wall_time += clock.perf_counter() - began
             return row
 
+    @ending_all_ranks()
     def run(self, until: float, stops: Sequence[float] = ()) -> Ledger:
         """Step until ``until`` (s) or until ``request_stop`` is called; returns the ledger.
 
