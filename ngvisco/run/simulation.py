@@ -37,6 +37,7 @@ from ngvisco.forms.term import Term
 from ngvisco.forms.walls import Conditions
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
+from ngvisco.parallel.petsc import require_petsc
 from ngvisco.physics.model import Model
 from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
@@ -147,6 +148,8 @@ class Simulation:
     ------
     ParameterError, MeshError, InitialDataError, UnknownNameError
         For bad input, before anything is computed.
+    PETScError
+        Over ranks, without PETSc.
     """
 
     @computing()
@@ -191,7 +194,9 @@ class Simulation:
             require_positive("Simulation", velocity_scale=velocity_scale)
         check_arguments(observers, walls, stepping, passive, sources, terms)
         chosen = checked_scheme(scheme, theta, startup, relaxation, stepping)
-        mesh = distributed(mesh, Communicator.world()) if mesh.comm.size == 1 else mesh
+        ranks = Communicator.world() if mesh.comm.size == 1 else Communicator.of(mesh)
+        require_petsc(ranks)
+        mesh = distributed(mesh, ranks) if mesh.comm.size == 1 else mesh
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping, halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)

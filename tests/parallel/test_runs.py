@@ -388,6 +388,11 @@ import sys
 from ngvisco.cli.main import main
 from ngvisco.parallel.communicator import Communicator
 case, place, *settings = sys.argv[1:]
+sys.modules["petsc4py"] = None  # as where it is not installed
+codes = Communicator.world().gathered(main(["run", case, "-o", place]))
+if Communicator.world().is_first:
+    print("without petsc4py", codes, flush=True)
+del sys.modules["petsc4py"]
 for setting in settings:
     options = [word for one in setting.split("; ") for word in ("--set", one)]
     code = main(["run", case, "-o", place, *options])
@@ -405,6 +410,8 @@ def test_what_is_not_distributed_is_refused_by_name(case_file, tmp_path):
     for setting, message in REFUSED.items():
         assert result.stderr.count(message) == 1, result.stderr
         assert f"{setting} [2, 2, 2, 2]" in result.stdout, result.stdout
+    assert result.stderr.count("ngvisco: petsc4py is missing or does not load: see 'Several pro") == 1
+    assert "without petsc4py [2, 2, 2, 2]" in result.stdout
     assert not (tmp_path / "run").exists()
 
 
