@@ -34,6 +34,7 @@ from ngvisco.errors import (
 from ngvisco.expressions import ExpressionError, parse
 from ngvisco.forms.boundaries import check_boundary_names
 from ngvisco.forms.context import time
+from ngvisco.parallel.petsc import PETScError
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material
 from ngvisco.physics.model import Model, default_elastic_state
@@ -375,7 +376,7 @@ class Case:
         """Turn ngvisco's errors into faults of a section (or of the one that the error names)."""
         try:
             yield
-        except CaseError:
+        except (CaseError, PETScError):  # what the installation lacks is no fault of a section
             raise
         except ParameterError as error:
             key = key_of(error.field, path, self.sections)

@@ -45,6 +45,7 @@ from ngvisco.case.versions import versions
 from ngvisco.errors import CheckpointError, MeshError, NgviscoError, StepError, require_path
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
+from ngvisco.parallel.petsc import require_petsc
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.failure import write_failure
 from ngvisco.run.files import write_atomically
@@ -217,6 +218,7 @@ def run(
     RunDirectoryError, CaseError, StepError, OSError
     """
     place, ranks = RunDirectory(directory), Communicator.world()
+    require_petsc(ranks)
     if not force:
         ranks.on_first(place.refuse_results)
     # all that can be wrong with the case is found here, before anything is written or removed
@@ -260,6 +262,7 @@ def resume(
     (``ngvisco.case.changes`` says what may change); the directory keeps the case as it was too.
     """
     place, ranks = RunDirectory(directory), Communicator.world()
+    require_petsc(ranks)
     case = place.case()
 
     def prepare() -> None:

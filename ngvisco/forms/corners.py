@@ -8,7 +8,6 @@ has an edge into the interior at every vertex, and div v is free (``ngvisco.geom
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -64,7 +63,7 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
     if abs(strains[worst]) > 1:
         at = ", ".join(f"{coordinate:.4g}" for coordinate in places[worst])
         rate = at_vertices[np.argmax(np.abs(at_vertices[:, worst])), worst]
-        warnings.warn(
+        ranks.warn(
             f"walls: their velocities alone determine div v = {rate:.3g} 1/s at ({at}) m, the corner of a "
             f"cell whose edges there lie on walls; no pressure can hold its volume ({len(every)} such "
             "cells): mesh with split_corners = true, or divide them by geometries.split_corner_cells(mesh)",

@@ -6,7 +6,6 @@ velocity through a wall, is left out by the projections, and that is said by an 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
@@ -101,8 +100,9 @@ def warn_of_normal_parts(step: Step, velocity: VectorLike | None) -> None:
             share = _normal_share(step, name, as_vector(wall.f, step.mesh.dim, "Traction.f"))
             if share > 0:
                 _warn(
+                    step,
                     f"walls[{name!r}].f: {share:.0%} of the traction (in L2) is normal to the wall; walls "
-                    "are impenetrable: this part has no power and is left out, only the tangential part acts"
+                    "are impenetrable: this part has no power and is left out, only the tangential part acts",
                 )
     if velocity is None:
         return
@@ -112,13 +112,14 @@ def warn_of_normal_parts(step: Step, velocity: VectorLike | None) -> None:
     through = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
     if through:
         _warn(
+            step,
             f"initial velocity: parts of it (in L2) are normal to the walls {through}; walls are "
-            "impenetrable: the run starts with its projection to v.n = 0"
+            "impenetrable: the run starts with its projection to v.n = 0",
         )
 
 
-def _warn(message: str) -> None:
-    warnings.warn(message, InputWarning, stacklevel=5)
+def _warn(step: Step, message: str) -> None:
+    Communicator.of(step.mesh).warn(message, InputWarning, stacklevel=6)
 
 
 def warn_of_mismatch(step: Step, sampler: Sampler, values: Mapping[str, CoefficientFunction]) -> None:
@@ -136,8 +137,9 @@ def warn_of_mismatch(step: Step, sampler: Sampler, values: Mapping[str, Coeffici
         worst = sampler.extrema(square(values[variable.name] - expected))[1]
         if worst > _MATCH**2 * scale:
             _warn(
+                step,
                 f"initial values: {variable.name} is not that of {distortion.name} (they differ by up to "
-                f"{worst**0.5:.3g}); both are transported as they are given, as variables of their own"
+                f"{worst**0.5:.3g}); both are transported as they are given, as variables of their own",
             )
 
 

@@ -7,6 +7,7 @@ import os
 import pickle
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ Result = TypeVar("Result")
 _SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS")
 """Variables by which the usual MPIs tell a process how many there are."""
 
+OF_ALL_RANKS = "_of_all_ranks"
+"""Attribute of errors that all ranks have agreed on."""
 
 _LOOK, _PATIENCE = 0.01, 20.0
 """Seconds between looks at other ranks, and for which a rank that has failed waits for their end."""
@@ -196,7 +199,9 @@ class Communicator:
         if self.size == 1 or not self.any(error is not None):
             return error
         found = [one for one in self.gathered(_packed(error)) if one is not None]
-        return _unpacked(found[0])
+        together = _unpacked(found[0])
+        vars(together)[OF_ALL_RANKS] = True
+        return together
 
     def note(self, text: str) -> None:
         """Keep what this rank has met in work in which others wait for its numbers, which are NaN then."""
@@ -226,6 +231,13 @@ class Communicator:
         if together is not None:
             raise together from error
         return self.mpi.bcast(result)
+
+    def warn(self, message: str, category: type[Warning], stacklevel: int = 1) -> None:
+        """Warn on the first rank; what warnings raise where they are errors is raised on all.
+
+        ``stacklevel`` is as of ``warnings.warn``: 1 is the caller.
+        """
+        self.on_first(lambda: warnings.warn(message, category, stacklevel + 3))
 
     @contextlib.contextmanager
     def held_by_first(self, context: AbstractContextManager[Any]) -> Iterator[None]:

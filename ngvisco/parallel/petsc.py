@@ -66,6 +66,21 @@ def packages() -> dict[str, bool]:
     return {name: bool(has(name)) for name in PACKAGES}
 
 
+def obstacle(method: str) -> str | None:
+    """Why PETSc has no linear solver of a name here, ``"mumps"``, ``"gamg"`` or ``"hypre"``, or None."""
+    try:
+        has = packages()
+    except PETScError as error:
+        return str(error)
+    return None if has.get(method, True) else f"this PETSc has no {method}: expected one built with it"
+
+
+def require_petsc(communicator: Communicator) -> None:
+    """Raise PETScError where ranks have no PETSc with MUMPS; nothing on one process."""
+    if communicator.is_distributed and (missing := obstacle("mumps")) is not None:
+        raise PETScError(missing)
+
+
 def own_part(matrix: BaseMatrix) -> sp.csr_matrix:
     """What a rank's cells make of a distributed matrix of NGSolve's."""
     values, columns, starts = (np.array(part) for part in matrix.local_mat.CSR())
@@ -232,8 +247,8 @@ class SumInverse:
         method: str = "mumps",
         kernel: np.ndarray | None = None,
     ) -> None:
-        if method in PACKAGES and not packages()[method]:
-            raise PETScError(f"this PETSc has no {method}: expected one built with it")
+        if (missing := obstacle(method)) is not None:
+            raise PETScError(missing)
         self.rows, self.symmetric = Rows(free, exchange, may_be_on_one=method == "mumps"), symmetric
         self.method, self.kernel = method, kernel
         self._solver: Any = None

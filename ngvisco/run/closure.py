@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -53,7 +52,7 @@ class ClosureCheck:
             self.worst = closure if closure == closure else float("inf")
             self.worst_step = int(row["step"])
         if self.failures == 1:
-            warnings.warn(self.message, ClosureWarning, stacklevel=2)
+            simulation.ranks.warn(self.message, ClosureWarning, stacklevel=2)
 
     def finish(self, simulation: Simulation) -> None:
         """Nothing: whoever made the run reads ``failures``."""

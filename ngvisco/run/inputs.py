@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -61,16 +62,17 @@ def check_distributed(step: Step) -> None:
 
 def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
     """Warn where a user's own energy is not convex, and how far from these states, (points, .), that is."""
-    material = step.model.material
+    material, ranks, dim = step.model.material, Communicator.of(step.mesh), step.mesh.dim
     if isinstance(material, Mixture):  # each body's energy at states of its own variables
         for body in material.bodies:
             if _is_own(body.material):
-                check_convexity(body.material, dim=step.mesh.dim, states=None)
+                ranks.on_first(partial(check_convexity, body.material, dim=dim))
     elif _is_own(material):
         near = None
         if states is not None:
-            near = np.concatenate(Communicator.of(step.mesh).gathered(states.reshape(len(states), -1)))
-        check_convexity(material, dim=step.mesh.dim, states=near)
+            size = math.prod(states.shape[1:])  # not -1: the first of several ranks has no points
+            near = np.concatenate(ranks.gathered(states.reshape(len(states), size)))
+        ranks.on_first(partial(check_convexity, material, dim=dim, states=near))
 
 
 def _is_own(material: Material) -> bool:

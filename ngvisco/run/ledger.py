@@ -15,7 +15,6 @@ like ``inertial`` and ``bregman``.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -299,7 +298,7 @@ class Ledger:
         worst = int(np.argmax(rms))
         if rms[worst] >= WARNING_DEFECT and not self._has_warned:
             self._has_warned = True
-            warnings.warn(
+            self.sampler.ranks.warn(
                 _winding_message(self._defect_names[worst], rms[worst], largest[worst], self.step),
                 DefectWarning,
                 stacklevel=2,

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from ngvisco.errors import NgviscoError
-from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.communicator import OF_ALL_RANKS, Communicator
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Observer, Simulation
 
 _FAILED, _INTERRUPTED = 1, 130
-_TOGETHER = "_of_all_ranks"
-"""Attribute of errors that all ranks end with."""
 
 
 def tell(simulation: Simulation, observer: Observer, what: Callable[..., None], *arguments: object) -> None:
@@ -32,7 +31,6 @@ def tell(simulation: Simulation, observer: Observer, what: Callable[..., None], 
         failure = error
     together = ranks.agree(failure)
     if together is not None:
-        vars(together)[_TOGETHER] = True
         raise together from failure
 
 
@@ -42,14 +40,25 @@ def is_to_stop(simulation: Simulation) -> bool:
     return simulation.stop_requested
 
 
+@contextlib.contextmanager
+def ending_all_ranks() -> Iterator[None]:
+    """Within: work in which ranks wait for each other; what one of them meets alone ends all."""
+    try:
+        yield
+    except BaseException as error:
+        abort_alone(error)
+        raise
+
+
 def abort_alone(error: BaseException, ranks: Communicator | None = None) -> None:
     """End all ranks for what one of them has met in a computation, in which the others wait for it.
 
     What ngvisco raises is decided by all ranks together, and is not such an error.
     """
+    if isinstance(error, NgviscoError) or OF_ALL_RANKS in vars(error):
+        return
     ranks = ranks or Communicator.world()
-    is_of_all = isinstance(error, NgviscoError) or _TOGETHER in vars(error)
-    if ranks.is_distributed and not is_of_all:
+    if ranks.is_distributed:
         traceback.print_exception(error)
         sys.stderr.flush()
         ranks.abort(_INTERRUPTED if isinstance(error, KeyboardInterrupt) else _FAILED)

@@ -7,7 +7,6 @@ does not feel it; a drop of it in another body is pulled together or driven apar
 
 from __future__ import annotations
 
-import warnings
 from itertools import combinations
 
 import numpy as np
@@ -56,14 +55,14 @@ def warn_of_rest_stresses(step: Step, sampler: Sampler, initial: Initial) -> Non
         difference = at_rest[a] - at_rest[b]
         if abs(difference) <= _ROUNDING * stiffness or not ranks.any((presence[a] & presence[b]).any()):
             continue
-        warnings.warn(
+        ranks.warn(
             f"bodies {a!r} and {b!r} meet with different stresses at rest, T(I) = {at_rest[a]:.4g} Pa and "
             f"{at_rest[b]:.4g} Pa (mean normal stress): they move from the first step on until they balance. "
             f"Take energies without stress at rest (ReferentialNeoHookean, OldroydB, ...), subtract the "
             f"constant T(I) from an energy of your own, or start where the stresses agree (Initial.F, or "
             f"Initial.values of J)",
             InputWarning,
-            stacklevel=3,
+            stacklevel=5,
         )
 
 

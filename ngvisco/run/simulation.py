@@ -37,6 +37,7 @@ from ngvisco.forms.term import Term
 from ngvisco.forms.walls import Conditions
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
+from ngvisco.parallel.petsc import require_petsc
 from ngvisco.physics.model import Model
 from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
@@ -54,7 +55,7 @@ from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
 from ngvisco.run.numbering import Numbering
 from ngvisco.run.passive import PassiveFields
-from ngvisco.run.ranks import abort_alone, is_to_stop, tell
+from ngvisco.run.ranks import ending_all_ranks, is_to_stop, tell
 from ngvisco.run.rest_stresses import warn_of_rest_stresses
 from ngvisco.run.scales import diameter, typical_velocity
 from ngvisco.run.stepping import (
@@ -149,9 +150,12 @@ class Simulation:
     ------
     ParameterError, MeshError, InitialDataError, UnknownNameError
         For bad input, before anything is computed.
+    PETScError
+        Over ranks, without PETSc.
     """
 
     @computing()
+    @ending_all_ranks()
     def __init__(
         self,
         mesh: Mesh,
@@ -192,7 +196,9 @@ class Simulation:
             require_positive("Simulation", velocity_scale=velocity_scale)
         check_arguments(observers, walls, stepping, passive, sources, terms)
         chosen = checked_scheme(scheme, theta, startup, relaxation, stepping)
-        mesh = distributed(mesh, Communicator.world()) if mesh.comm.size == 1 else mesh
+        ranks = Communicator.world() if mesh.comm.size == 1 else Communicator.of(mesh)
+        require_petsc(ranks)
+        mesh = distributed(mesh, ranks) if mesh.comm.size == 1 else mesh
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping, halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
@@ -279,6 +285,7 @@ class Simulation:
         """Whether step lengths are chosen by the run."""
         return isinstance(self.stepper, AdaptiveStepper)
 
+    @ending_all_ranks()
     def restore(
         self,
         path: str | PathLike[str],
@@ -323,7 +330,7 @@ class Simulation:
             adaptive lengths, when that is so at the smallest length.  The state is then that before
             the step, and the error's ``report`` says where and why.
         """
-        with computing():
+        with computing(), ending_all_ranks():
             self._start_ledger()
             began = clock.perf_counter()
             self._refused = None
@@ -332,9 +339,6 @@ class Simulation:
             except StepError as error:
                 tau = self.integrator.tried
                 error.report = failure_report(self, tau, str(error), error.history, self._refused)
-                raise
-            except BaseException as error:
-                abort_alone(error, self.ranks)
                 raise
             try:
                 row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
@@ -347,6 +351,7 @@ class Simulation:
             self.wall_time += clock.perf_counter() - began
             return row
 
+    @ending_all_ranks()
     def run(self, until: float, stops: Sequence[float] = ()) -> Ledger:
         """Step until ``until`` (s) or until ``request_stop`` is called; returns the ledger.
 

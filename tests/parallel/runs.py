@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 
 import numpy as np
+import own
 import walls
 from ngsolve import cos, pi, sin, x, y
 from walls import TWO_LEVELS
@@ -214,6 +215,7 @@ CASES = {
     "split lid": lambda: lid("split"),
     "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
 } | walls.CASES
+CASES |= own.CASES
 
 
 def tabulated(solver: str) -> dict[str, Callable[[], nv.Simulation]]:

@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import h5py
+import own
 import pytest
 from launch import has_petsc, run
 
@@ -176,6 +177,16 @@ def test_oblique_and_curved_walls_are_those_of_one_process(ranks):
             assert_same_ledger(one["rows"], several["rows"], spare=spare)
             assert_same_tables(one["tables"], several["tables"])
             assert several["linear"] <= 1.1 * one["linear"], name
+
+
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize(("names", "spare"), [(own.COUPLED, 0), (own.SPLIT, 1)], ids=["coupled", "split"])
+def test_own_energies_terms_and_tableaus_are_those_of_one_process(names, spare):
+    for name in names:
+        one, several = found(1, *names)[name], found(3, *names)[name]
+        assert_same_ledger(one["rows"], several["rows"], spare=spare)
+        assert len(one["rows"]) == 4 and ("dissipation_drag" in several["rows"][-1]) == ("term" in name)
 
 
 @pytest.mark.long
@@ -377,6 +388,11 @@ import sys
 from ngvisco.cli.main import main
 from ngvisco.parallel.communicator import Communicator
 case, place, *settings = sys.argv[1:]
+sys.modules["petsc4py"] = None  # as where it is not installed
+codes = Communicator.world().gathered(main(["run", case, "-o", place]))
+if Communicator.world().is_first:
+    print("without petsc4py", codes, flush=True)
+del sys.modules["petsc4py"]
 for setting in settings:
     options = [word for one in setting.split("; ") for word in ("--set", one)]
     code = main(["run", case, "-o", place, *options])
@@ -394,6 +410,8 @@ def test_what_is_not_distributed_is_refused_by_name(case_file, tmp_path):
     for setting, message in REFUSED.items():
         assert result.stderr.count(message) == 1, result.stderr
         assert f"{setting} [2, 2, 2, 2]" in result.stdout, result.stdout
+    assert result.stderr.count("ngvisco: petsc4py is missing or does not load: see 'Several pro") == 1
+    assert "without petsc4py [2, 2, 2, 2]" in result.stdout
     assert not (tmp_path / "run").exists()
 
 
@@ -458,6 +476,7 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.petsc import PETScError, Rows
+from ngvisco.run import simulation
 from ngvisco.solver.strategies import FromStartValue
 
 class Fails:
@@ -472,13 +491,16 @@ model = nv.Model(material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1), loads=[nv.G
 alone = sys.argv[1] in ("singular", "unsolved", "petsc")
 only = [FromStartValue(name="split", solver="split")] if alone else None
 options = {"stepping": steps, "observers": [Fails()], "strategies": only, "halvings": 0}
+options["initial"] = nv.Initial(velocity=(1e-3, 0.0))  # through walls: that is warned of
 if sys.argv[1] == "retried":
     options["solver"] = "split"
 if sys.argv[1] == "unsolved":
     options["newton"] = nv.NewtonOptions(max_iterations=3)
+def broken(*arguments): raise ZeroDivisionError("of this rank")
+if sys.argv[1] == "start" and Communicator.world().rank == 1:
+    simulation.typical_velocity = broken
 run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, **options)
 if sys.argv[1] == "step" and run.ranks.rank == 1:
-    def broken(*arguments): raise ZeroDivisionError("of this rank")
     run.ledger.rates = run.integrator.meter = broken
 if sys.argv[1] in ("singular", "retried") and run.ranks.rank == 1:
     def singular(at): raise numpy.linalg.LinAlgError("Singular matrix")
@@ -516,12 +538,13 @@ sys.exit(code)
     ],
 )
 def test_an_error_is_that_of_all_ranks(tmp_path, fault, message):
-    """A full disk or a singular matrix on one of them, and a step that all refuse."""
+    """A full disk or a singular matrix on one of them, and a step that all refuse; a warning is said once."""
     (tmp_path / "failing.py").write_text(FAILING)
     result = run(tmp_path / "failing.py", fault, ranks=3)
     assert result.returncode == 7, result.stderr
     said = [line for line in result.stdout.splitlines() if line.startswith("rank")]
     assert len(said) == 3 and len({line.split(" of 3 ")[1] for line in said}) == 1
+    assert result.stderr.count("InputWarning: initial velocity") == 1
     for rank, line in enumerate(said):
         assert re.match(f"rank {rank} of 3 {message}", line), line
 
@@ -534,8 +557,9 @@ def test_all_ranks_ask_the_other_solver_for_what_one_has_met(tmp_path):
     assert said == [f"rank {rank} of 3 at step 5: 5 steps by the coupled solver" for rank in range(3)]
 
 
-def test_a_fault_of_one_rank_within_a_step_ends_all(tmp_path):
+@pytest.mark.parametrize("where", ["start", "step"])
+def test_a_fault_of_one_rank_ends_all(tmp_path, where):
     """The others wait for it in a computation: no rank is left behind."""
     (tmp_path / "failing.py").write_text(FAILING)
-    result = run(tmp_path / "failing.py", "step", ranks=3)
+    result = run(tmp_path / "failing.py", where, ranks=3, timeout=60)
     assert result.returncode == 1 and "ZeroDivisionError: of this rank" in result.stderr
