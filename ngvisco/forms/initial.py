@@ -23,6 +23,7 @@ from ngvisco.forms.data_checks import distortion_of, warn_of_mismatch
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.interpolation import Interpolation
 from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.projections import set_traces
 from ngvisco.forms.ranges import Ranges
@@ -129,7 +130,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         if initial.velocity is not None:
             v_0 = as_vector(initial.velocity, dim, "Initial.velocity")
             sampler.require(inner(v_0, v_0), "|v_0|^2")
-            parts["v"].Set(v_0)
+            Interpolation(step.layout.blocks["v"])(parts["v"], v_0)
             _impose_walls(step, v_0)
         sampler.require(inner(step.now.z, step.now.z), "material variables")
         sampler.require(step.now.rho, "projected density rho_0", minimum=0.0)

@@ -21,6 +21,7 @@ from ngsolve import (
 )
 
 from ngvisco.errors import ParameterError
+from ngvisco.forms.interpolation import Interpolation
 from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.walls import Walls
@@ -43,6 +44,7 @@ class MovingWalls:
         self.walls, self.layout, self.state = walls, layout, state
         mesh = walls.mesh
         self._values = GridFunction(layout.blocks["v"])
+        self._set = Interpolation(layout.blocks["v"])
         self._inverses: dict[str, BaseMatrix] = {}
         self.fixed = self.constrained(layout, walls.dirichlet)
         self.zero = self.constrained(layout, walls.homogeneous)
@@ -97,7 +99,7 @@ class MovingWalls:
         if self.layout.periodic:
             self._project(name, velocity - normal * n)
         else:
-            self._values.Set(velocity - normal * n, definedon=region)
+            self._set(self._values, velocity - normal * n, region)
         return self._values.vec.FV().NumPy()
 
     def _project(self, name: str, velocity: CoefficientFunction) -> None:

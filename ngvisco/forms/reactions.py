@@ -25,6 +25,7 @@ from ngsolve import CF, CoefficientFunction, GridFunction, LinearForm, ds, speci
 from ngvisco.errors import UnknownNameError
 from ngvisco.forms.boundaries import facet_indicator
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.interpolation import Interpolation
 from ngvisco.forms.moving_walls import MovingWalls
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
@@ -60,10 +61,11 @@ class WallReactions:
             if name not in walls.conditions:
                 raise UnknownNameError("wall", name, walls.conditions)
         self.motions = rigid_motions(step.mesh.dim, about)
-        interpolated = GridFunction(step.layout.blocks["v"])
+        space = step.layout.blocks["v"]
+        interpolated, interpolate = GridFunction(space), Interpolation(space)
         self._tests: list[np.ndarray] = []
         for motion in self.motions.values():
-            interpolated.Set(motion)
+            interpolate(interpolated, motion)
             self._tests.append(interpolated.vec.FV().NumPy().copy())
         self._weights = self._shares({name: self._constrained(name) for name in walls.conditions})
         self._energy = self._energy_flux()

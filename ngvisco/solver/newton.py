@@ -136,7 +136,7 @@ class Newton:
         options, u, jacobian = self.options, self.state, self.jacobian
         self.refresh()
         self.form.Apply(u, self._residual)
-        if not np.isfinite(self._residual.Norm()):
+        if not self._is_finite(self._residual):
             return Status.NOT_FINITE
         fresh = not jacobian.exists
         self._set_increment(problem, fresh)
@@ -150,7 +150,7 @@ class Newton:
             if 0 < size < (np.inf if self._best is None else self._best[2]):
                 self._best = self._base.Copy(), self._increment.Copy(), size
             next_size = contraction = np.inf
-            if np.isfinite(self._trial_residual.Norm()):
+            if self._is_finite(self._trial_residual):
                 jacobian.solve(self._trial_residual, self._next)
                 next_size = self.norm(self._next, u)
                 # NaN where an increment is not finite, which passes no test below
@@ -206,6 +206,12 @@ class Newton:
         if fresh:
             self._factorise(problem)
         self.jacobian.solve(self._residual, self._increment)
+
+    def _is_finite(self, residual: BaseVector) -> bool:
+        """Whether its size is a number.  NGSolve's norm would add what ranks share as it comes."""
+        values = residual.FV().NumPy()
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.exchange.communicator.all(np.isfinite(values @ values))
 
     def _is_rounding(self) -> bool:
         """Whether the next increment is no larger than what rounding leaves of it."""

@@ -260,9 +260,15 @@ for words in json.loads(sys.argv[1]):
 
 
 @pytest.mark.parametrize(
-    "solver", ["split", pytest.param("coupled", marks=[pytest.mark.long, pytest.mark.ci])]
+    ("solver", "ranks"),
+    [
+        ("split", 3),
+        pytest.param("coupled", 3, marks=[pytest.mark.long, pytest.mark.ci]),
+        pytest.param("coupled", 4, marks=[pytest.mark.long, pytest.mark.ci]),
+        pytest.param("split", 4, marks=pytest.mark.long),
+    ],
 )
-def test_a_run_goes_on_to_the_bit_with_as_many_ranks(case_file, tmp_path, solver):
+def test_a_run_goes_on_to_the_bit_with_as_many_ranks(case_file, tmp_path, solver, ranks):
     """Ledger, samples and states; no sum is in the order in which messages come."""
     case_file.write_text(CASE.replace("coupled", solver).replace("dt = ", 'scheme = "midpoint"\ndt = '))
     whole, parted, until = tmp_path / "whole", tmp_path / "parted", "time.until=0.02"
@@ -272,7 +278,7 @@ def test_a_run_goes_on_to_the_bit_with_as_many_ranks(case_file, tmp_path, solver
         ["resume", str(parted), "--until", "0.06", "--quiet"],
     ]
     (tmp_path / "commands.py").write_text(COMMANDS)
-    done = run(tmp_path / "commands.py", json.dumps(commands), ranks=3)
+    done = run(tmp_path / "commands.py", json.dumps(commands), ranks=ranks)
     assert done.returncode == 0, done.stderr
     for name in ("ledger.csv", "samples/centre.csv", "samples/forces.csv"):
         assert (whole / name).read_text() == (parted / name).read_text(), name
