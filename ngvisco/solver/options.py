@@ -142,7 +142,7 @@ class NarrowingOptions(_Checked):
     (``ngvisco.solver.split.narrowing``)."""
 
     largest: float = 0.1
-    """Increment of the best iterate up to which they are tried."""
+    """Increment of the best iterate up to which they are tried; before them, that up to which secants are."""
     least: float = 1e-6
     """And from which: smaller ones, where the body is at rest, are for Newton-Krylov."""
     widest: tuple[int, int] = (64, 1024)
@@ -179,6 +179,7 @@ class SplitOptions(_Checked):
     there it gives up itself.  Larger increments need not fall: those of p = 4 in an impulsive start do
     not."""
     window: int = 4
+    """So many secants, and increments through a jump, may also follow each other and none be halved."""
     restarts: int = 4
     """New starts from the best iterate within a step, after which Newton-Krylov takes over."""
     afar: float = 0.5

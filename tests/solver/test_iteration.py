@@ -9,6 +9,7 @@ import pytest
 from ngvisco.solver.options import NarrowingOptions, NewtonOptions, SplitOptions
 from ngvisco.solver.solution import Problem, Status
 from ngvisco.solver.split import iteration
+from ngvisco.solver.split.successive import Successive
 
 
 class Increments:
@@ -17,10 +18,11 @@ class Increments:
     def __init__(self, sizes):
         self.sizes, self.options, self.is_factorised = sizes, NewtonOptions(), True
         self.step = SimpleNamespace(mesh=SimpleNamespace(dim=2))
-        self.unknowns = SimpleNamespace(pack=lambda: np.zeros(1))
+        self.unknowns = SimpleNamespace(pack=lambda: np.zeros(1), scales=lambda x, exchange: np.ones_like(x))
         self.preconditioner = SimpleNamespace(iterations=1)
         self.norm = SimpleNamespace(shared=())
-        self.residual = SimpleNamespace(put=lambda x: None, start=lambda: None)
+        exchange = SimpleNamespace(products=np.matmul)
+        self.residual = SimpleNamespace(put=lambda x: None, start=lambda: None, exchange=exchange)
         self.number = -1
 
     def increment(self, problem, x, last):
@@ -65,8 +67,8 @@ class Newton(Increments):
         options = SplitOptions(narrowing=NarrowingOptions(**narrowing))
         super().__init__(None)
         self.options, self.x = NewtonOptions(split=options), None
-        self.unknowns = SimpleNamespace(pack=lambda: np.array([start]))
-        self.residual = SimpleNamespace(put=lambda x: setattr(self, "x", x), start=lambda: None)
+        self.unknowns.pack = lambda: np.array([start])
+        self.residual.put = lambda x: setattr(self, "x", x)
 
     def increment(self, problem, x, last):
         f = problem.increment(x)
@@ -97,8 +99,20 @@ def test_slow_convergence_is_not_taken_for_rounding(no_krylov):
     assert iteration.iterate(found, Posed(), []) is Status.STALLED
 
 
+@pytest.fixture
+def no_widths(monkeypatch):
+    monkeypatch.setattr(iteration, "narrowed", lambda *arguments: None)
+
+
+@pytest.fixture
+def no_directions(monkeypatch):
+    """Increments in a row that neither lead on nor back."""
+    neither = SimpleNamespace(lead_on=False, are_opposed=False)
+    monkeypatch.setattr(iteration.Successive, "of", lambda *arguments: neither)
+
+
 @pytest.mark.parametrize("c", [1e-4, 1e-3])
-def test_a_jump_that_increments_step_over_is_solved_by_widths(no_krylov, c):
+def test_a_jump_that_increments_step_over_is_solved_by_widths(no_krylov, no_directions, c):
     """Of 100 and 1000 widths: Newton's own increments go to and fro between its sides."""
     problem = Jump(c=c, b=0.3 * c, eta=1e-6)
     found = Newton(start=2 * c)
@@ -109,10 +123,61 @@ def test_a_jump_that_increments_step_over_is_solved_by_widths(no_krylov, c):
     assert found.x[0] + c * found.x[0] / root + problem.b == pytest.approx(0, abs=1e-12)
 
 
-def test_without_widths_such_a_jump_is_not_solved(no_krylov):
-    """Negative control."""
-    found = Newton(start=2e-4, largest=1e-12)
+def test_without_widths_such_a_jump_is_not_solved(no_krylov, no_directions, no_widths):
+    """Negative control, also of what follows."""
+    found = Newton(start=2e-4)
     assert iteration.iterate(found, Jump(c=1e-4, b=3e-5, eta=1e-6), []) is Status.STALLED
+
+
+@pytest.mark.parametrize("c", [1e-5, 1e-4])
+def test_secants_lead_to_a_solution_within_a_jump(no_krylov, no_widths, c):
+    """Of 10 and 100 widths."""
+    problem = Jump(c=c, b=0.3 * c, eta=1e-6)
+    found, history = Newton(start=2 * c), []
+    assert iteration.iterate(found, problem, history) is Status.CONVERGED
+    assert len(history) <= 20
+    assert problem.increment(found.x) == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("start", [-3e-6, 3e-6])
+def test_an_increment_out_of_a_jump_may_be_longer(no_krylov, no_widths, start):
+    """A force of the wrong sign drives the flow out of the jump: the next increment is much longer."""
+    problem = Jump(c=-1e-3, b=1e-4, eta=1e-6)
+    found, history = Newton(start), []
+    assert iteration.iterate(found, problem, history) is Status.CONVERGED
+    assert len(history) == 4 and history[1].increment > 20 * history[0].increment
+    assert problem.increment(found.x) == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("start", [-3e-6, 3e-6])
+def test_without_its_direction_such_an_increment_is_refused(no_krylov, no_directions, no_widths, start):
+    """Negative control."""
+    history = []
+    iteration.iterate(Newton(start), Jump(c=-1e-3, b=1e-4, eta=1e-6), history)
+    assert len(history) > 6
+
+
+def test_secants_that_gain_nothing_end(no_krylov, no_widths):
+    """Increments of one length to and fro: a window of secants, then new starts, then Newton-Krylov."""
+    found = Increments(lambda number: 1e-3)
+    found.increment = lambda problem, x, last: (None, np.sign(x - 0.1) * np.full(1, 1e-3), 1e-3)
+    history = []
+    assert iteration.iterate(found, Posed(), history) is Status.STALLED
+    assert len(history) < found.options.max_iterations
+
+
+def test_a_secant_is_exact_for_a_linear_increment_along_the_line():
+    """f = A (x - s) with s between two iterates: A takes increments too far."""
+    rng = np.random.default_rng(1)
+    solution, along = rng.standard_normal((2, 5))
+    x, before = solution + 0.4 * along, -1.7 * along  # from x + before, where f has to be before
+    slope = 1.7 / 1.3
+    of = Increments(None)
+    of.unknowns.scales = lambda x, exchange: np.array([1.0, 1e3, 1.0, 1e-3, 1.0])
+    two = Successive.of(of, x, slope * 0.4 * along, before)
+    assert two.are_opposed and not two.lead_on
+    found, increment = two.secant()
+    assert found == pytest.approx(solution) and increment == pytest.approx(0, abs=1e-14)
 
 
 @pytest.mark.parametrize("contraction", [0.1, 0.3, 0.45])

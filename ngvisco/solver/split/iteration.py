@@ -1,8 +1,11 @@
 """The split solver's iteration: when it has converged, starts again, or leaves it to Newton-Krylov.
 
 f(x) = P^{-1} R(x) is the increment of the unknowns x, and x - f(x) the next iterate: Newton's method but for
-a coarser rule and a fixed number of sweeps.  Newton-Krylov solves f(x) = 0 where that is slow: GMRES takes
-P^{-1} dR d with the whole derivative dR (``ReducedResidual.derivative``), to which P is the preconditioner.
+a coarser rule and a fixed number of sweeps.  An increment of more than half the length of the one before is
+judged by its direction (``Successive``): one that leads on may be longer, where it comes out of a jump of the
+elastic force, and in place of one that leads back a secant's is taken.  Newton-Krylov solves f(x) = 0 where
+that is slow: GMRES takes P^{-1} dR d with the whole derivative dR (``ReducedResidual.derivative``), to which
+P is the preconditioner.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from ngvisco.algebra.krylov import gmres
 from ngvisco.reduced.residual import Evaluation
 from ngvisco.solver.solution import NewtonIteration, Problem, Status
 from ngvisco.solver.split.narrowing import narrowed
+from ngvisco.solver.split.successive import Successive
 
 if TYPE_CHECKING:
     from ngvisco.solver.split.solver import Split
@@ -29,6 +33,9 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
     last, best, turned = np.inf, np.inf, 0.0
     best_x, best_f = None, None
     since, restarts = 0, 0  # iterations since the start or a restart, and restarts
+    before: np.ndarray | None = None  # the increment by which x was reached
+    nearest, swings = np.inf, 0  # the increment that none has halved since, leaps and secants since it
+    leapt = np.inf  # an increment through a jump, if the last one was
     sizes: list[float] = []
     x = split.unknowns.pack()
     while len(history) < split.options.max_iterations:
@@ -40,7 +47,17 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
         left = size if last == np.inf else min(size * size / last, size)
         if size <= tolerance and left <= wanted:
             return _ends_at(split, x - f)
-        diverges = not size <= 2 * max(best, wanted)
+        if size <= 0.5 * nearest:
+            nearest, swings = size, 0
+        two = None
+        is_slow = 0.5 * last < size <= options.narrowing.largest and size > options.rounding
+        if is_slow and before is not None and swings < options.window:
+            two = Successive.of(split, x, f, before)
+        diverges = not size <= (0.5 * leapt if leapt < np.inf else 2 * max(best, wanted))
+        leaps = diverges and two is not None and two.lead_on and best <= options.linearised_above
+        if leapt < np.inf and not diverges:  # beyond a jump, where those before it are no measure
+            best, sizes, since = np.inf, [], 0
+        leapt = size if leaps else np.inf
         if not diverges:
             if size > 0.5 * min(last, best) and since > 3 and size <= options.rounding:
                 # by rounding; or slowly, and then this and all that would follow are to be small
@@ -52,15 +69,20 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
             sizes.append(size)
         if best_x is None or best_f is None:
             return Status.NOT_FINITE
-        stalled = since > 2 * options.window and options.linearised_above > size > (
-            options.stall * sizes[-1 - options.window]
+        stalled = (
+            not leaps
+            and since > 2 * options.window
+            and options.linearised_above > size > (options.stall * sizes[-1 - options.window :][0])
         )
+        turns = not stalled and two is not None and two.are_opposed
+        diverges = diverges and not leaps and not turns
         narrows = options.narrowing.least <= best <= options.narrowing.largest
         if may_narrow and narrows and (diverges or stalled):
             may_narrow = False
             near = narrowed(split, problem, best_x, history)
             if near is not None:
                 x, since, restarts, last, best, sizes = near, 0, 0, np.inf, np.inf, []
+                before, nearest, swings = None, np.inf, 0
                 continue
         if diverges:
             restarts += 1
@@ -69,7 +91,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
             # from half the step of the best iterate, with a preconditioner of its own
             x = best_x - 0.5**restarts * best_f
             split.reset()
-            since, last = 0, np.inf
+            since, last, before = 0, np.inf, None
             continue
         last = size
         if since > options.slow or stalled:
@@ -79,7 +101,11 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
         bends = turned > max(options.bends_above, 0.3 * was)  # and the chord does not contract
         if worn or bends or size > options.renewed_above:
             split.reset()
-        x = x - f
+        swings += leaps or turns
+        before = f
+        if two is not None and turns:
+            x, before = two.secant()
+        x = x - before
     return Status.TOO_MANY_ITERATIONS
 
 

@@ -3,7 +3,8 @@
 Where v . n changes its sign on a facet between cells of different z the elastic force jumps across the width
 eta of the smoothed sign.  An increment that is larger than eta goes from one side of such a jump to the other
 and the next one back: the iteration neither converges nor diverges, and damping it does not help, since the
-solution is in between.  With a width above the increments it converges at once; from there the width is
+solution is in between.  Secants find it (``Successive``) unless several points turn round, which no one line
+passes in order.  With a width above the increments it converges at once; from there the width is
 narrowed, a few increments for each, and every solution is near enough to the next one: v . n stays in the
 same part of the jump, so that solutions are nearly linear in the width, along which they are extrapolated.
 """
