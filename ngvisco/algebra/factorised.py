@@ -12,7 +12,8 @@ from scipy.sparse.linalg import eigsh
 
 from ngvisco.algebra import precision
 from ngvisco.errors import StepError
-from ngvisco.parallel.exchange import Exchange
+from ngvisco.parallel.exchange import Exchange, Owned
+from ngvisco.parallel.petsc import SumInverse
 
 MANY = 100
 """Unknowns from which an eigenvalue is found by iteration."""
@@ -68,6 +69,15 @@ class DirectSolver:
         result = np.zeros_like(r)
         result[self.free] = self._x.FV().NumPy()
         return result
+
+
+def direct_solver(
+    free: np.ndarray, inverse: str, exchange: Owned, *, symmetric: bool = False
+) -> DirectSolver | SumInverse:
+    """By NGSolve's ``inverse`` on one process; over ranks by PETSc, of matrices in parts."""
+    if exchange.is_distributed:
+        return SumInverse(free, exchange, symmetric)
+    return DirectSolver(free, inverse, symmetric)
 
 
 class TwoLevelSolver:

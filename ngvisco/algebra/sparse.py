@@ -16,6 +16,13 @@ def together(matrix: sp.csr_matrix, rows: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray((matrix @ np.ascontiguousarray(rows.T, matrix.dtype)).T)
 
 
+def widened(matrix: sp.csr_matrix, height: int, width: int) -> sp.csr_matrix:
+    """The matrix with zero rows and columns after its own."""
+    result = matrix.copy()
+    result.resize((height, width))
+    return result
+
+
 def mass_matrix(values: sp.csr_matrix, weights: np.ndarray) -> sp.csr_matrix:
     """The mass matrix of functions with these values at the points."""
     return (values.T @ sp.diags(weights) @ values).tocsr()
@@ -28,19 +35,22 @@ def pruned(matrix: sp.csr_matrix) -> sp.csr_matrix:
     return matrix
 
 
-def of_blocks(own: np.ndarray, across: np.ndarray, neighbours: np.ndarray) -> sp.csr_matrix:
+def of_blocks(
+    own: np.ndarray, across: np.ndarray, neighbours: np.ndarray, count: int | None = None
+) -> sp.csr_matrix:
     """A matrix of cells' blocks: their ``own`` (cells, q, q), and ``across`` each side, (cells, sides, q, q).
 
-    ``neighbours`` (cells, sides) are the cells there.
+    ``neighbours`` (cells, sides) are the cells there; ``count`` is their number where some have no blocks.
     """
     cells, sides, q, _ = across.shape
+    count = cells if count is None else count
     row = np.repeat(np.arange(cells), 1 + sides)
     column = np.concatenate([np.arange(cells)[:, None], neighbours], axis=1).ravel()
     blocks = np.concatenate([own[:, None], across], axis=1).reshape(-1, q, q)
     inside = np.arange(q)
     rows = np.broadcast_to((q * row[:, None, None] + inside[:, None]), blocks.shape)
     columns = np.broadcast_to((q * column[:, None, None] + inside[None, :]), blocks.shape)
-    return sp.csr_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(q * cells,) * 2)
+    return sp.csr_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(q * count,) * 2)
 
 
 class ElementAssembly:

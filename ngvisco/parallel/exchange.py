@@ -10,7 +10,8 @@ A vector is *summed* where all ranks that share an unknown have the same value o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -20,7 +21,44 @@ from ngsolve import FESpace
 from ngvisco.parallel.communicator import TRAFFIC, Communicator
 
 
-class Exchange:
+class Owned(ABC):
+    """Unknowns of this rank, each of which one of the ranks that have it owns.
+
+    Parameters
+    ----------
+    count : int
+        How many there are on this rank.
+    neighbours : iterable of int
+        Ranks that have some of them too.
+    communicator : Communicator
+    """
+
+    def __init__(self, count: int, neighbours: Iterable[int], communicator: Communicator) -> None:
+        self.count, self.neighbours, self.communicator = count, frozenset(neighbours), communicator
+        self.is_distributed = communicator.is_distributed
+
+    @property
+    @abstractmethod
+    def owned(self) -> np.ndarray:
+        """Which ones this rank owns, (unknowns,)."""
+
+    @abstractmethod
+    def of_owners(self, values: np.ndarray) -> np.ndarray:
+        """Of every unknown the value of the rank that owns it; collective between neighbours."""
+
+    def numbers(self, chosen: np.ndarray) -> tuple[np.ndarray, int]:
+        """Numbers of the unknowns that are ``chosen`` among these of all ranks, and how many they are.
+
+        Those that a rank owns follow each other, rank after rank; others have no number.  Collective.
+        """
+        own = chosen & self.owned
+        counts = self.communicator.gathered(int(np.count_nonzero(own)))
+        numbers = np.zeros(self.count)
+        numbers[own] = sum(counts[: self.communicator.rank]) + np.arange(np.count_nonzero(own))
+        return self.of_owners(numbers).astype(np.int64), sum(counts)
+
+
+class Exchange(Owned):
     """Sums of unknowns over the ranks that share them; on one process nothing is done.
 
     Parameters
@@ -33,9 +71,8 @@ class Exchange:
     """
 
     def __init__(self, count: int, shared: Mapping[int, np.ndarray], communicator: Communicator) -> None:
-        self.count, self.communicator = count, communicator
         self.shared = {rank: numbers for rank, numbers in shared.items() if len(numbers)}
-        self.is_distributed = communicator.is_distributed
+        super().__init__(count, self.shared, communicator)
 
     @classmethod
     def of(cls, space: FESpace, communicator: Communicator) -> Exchange:
@@ -78,19 +115,7 @@ class Exchange:
         """The unknowns that other ranks hold too, (shared unknowns,)."""
         return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *self.shared.values()]))
 
-    def numbers(self, chosen: np.ndarray) -> tuple[np.ndarray, int]:
-        """Numbers of the unknowns that are ``chosen`` among these of all ranks, and how many they are.
-
-        Those that a rank owns follow each other, rank after rank; others have no number.  Collective.
-        """
-        own = chosen & self.owned
-        counts = self.communicator.gathered(int(np.count_nonzero(own)))
-        numbers = np.zeros(self.count)
-        numbers[own] = sum(counts[: self.communicator.rank]) + np.arange(np.count_nonzero(own))
-        return self.of_owners(numbers).astype(np.int64), sum(counts)
-
     def of_owners(self, values: np.ndarray) -> np.ndarray:
-        """Of every unknown the value of the rank that owns it; collective between neighbours."""
         return self.sum(np.where(self.owned, values, 0.0)) if self.shared else values
 
     def sum(self, values: np.ndarray) -> np.ndarray:

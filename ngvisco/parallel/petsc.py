@@ -20,7 +20,7 @@ from ngsolve.la import PARALLEL_STATUS
 
 from ngvisco.errors import NgviscoError, StepError
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.exchange import Exchange
+from ngvisco.parallel.exchange import Exchange, Owned
 
 PACKAGES = ("mumps", "superlu_dist", "hypre", "ml", "ptscotch", "parmetis")
 """External packages that are of use here; GAMG is a part of PETSc."""
@@ -94,13 +94,13 @@ class Rows:
     ----------
     free : (unknowns,) array of bool
         The same on all ranks that share an unknown.
-    exchange : Exchange
+    exchange : Exchange or HaloUnknowns
         Of the unknowns.
     may_be_on_one : bool
         Whether the first rank with cells has all rows where they are few (``ON_ONE_RANK_UP_TO``).
     """
 
-    def __init__(self, free: np.ndarray, exchange: Exchange, may_be_on_one: bool = False) -> None:
+    def __init__(self, free: np.ndarray, exchange: Owned, may_be_on_one: bool = False) -> None:
         module = petsc()
         self.exchange = exchange
         self.comm = exchange.communicator.working or module.COMM_SELF
@@ -153,7 +153,7 @@ class Rows:
         ends = np.cumsum(self.comm.allgather(self.size[0]))
         owner = np.searchsorted(ends, entries[0], side="right")
         # what has to go elsewhere is shared with who has it; ranks with cells come after the first
-        near = {rank - 1 for rank in self.exchange.shared}
+        near = {rank - 1 for rank in self.exchange.neighbours}
         beside = (set(range(self.comm.size)) if self.on_one else near) - {self.comm.rank}
         split = {rank: tuple(part[owner == rank] for part in entries) for rank in beside | {self.comm.rank}}
         sent = [self.comm.isend(split[rank], rank) for rank in sorted(beside)]
@@ -242,7 +242,7 @@ class SumInverse:
     def __init__(
         self,
         free: np.ndarray,
-        exchange: Exchange,
+        exchange: Owned,
         symmetric: bool = False,
         method: str = "mumps",
         kernel: np.ndarray | None = None,

@@ -8,6 +8,9 @@ What depends on the state is phi''(z) in the cells' equations of the slope,
 tested by the functions of a cell on the left: L_j the lifted gradient, S the penalty, P the projection on
 the directions in which the energy is linear, C the compliance.  Of parameters, which have no rows, zeta and
 phi'' are left out, and P is one.
+
+Over ranks L_j and S have columns of the cells across shared facets too (``Halo``), and what L_j^T makes of
+these cells' rows goes back to their ranks.
 """
 
 from __future__ import annotations
@@ -17,12 +20,14 @@ import scipy.sparse as sp
 from ngsolve import BilinearForm, FESpace, VectorValued
 
 from ngvisco.algebra.blocks import BlockInverse
-from ngvisco.algebra.sparse import apply
+from ngvisco.algebra.sparse import apply, widened
 from ngvisco.forms.field_diffusion import FieldDiffusion
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.points import csr
 from ngvisco.forms.system import Step
+from ngvisco.parallel.halo import HaloUnknowns
 from ngvisco.reduced.evaluation import Coefficients
+from ngvisco.reduced.facet_mass import FacetMass
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.slope import PointwiseSlope
 
@@ -33,7 +38,15 @@ _INCREMENT = 6e-6
 class FieldDiffusionRows:
     """The rows of z that ``FieldDiffusion`` makes, and their derivative."""
 
-    def __init__(self, step: Step, operators: Operators, slope: PointwiseSlope, term: FieldDiffusion) -> None:
+    def __init__(
+        self,
+        step: Step,
+        operators: Operators,
+        slope: PointwiseSlope,
+        term: FieldDiffusion,
+        traces: FacetMass,
+    ) -> None:
+        """``traces`` knows the functions of facets and the cells beyond them; its weights are not used."""
         self._op, self._slope, self._dim = operators, slope, step.mesh.dim
         self._delta, curvature = term.law.delta_fields, term.curvature
         self._of_itself = curvature.of_itself if curvature.of_itself.any() else None
@@ -55,27 +68,55 @@ class FieldDiffusionRows:
         def block(test: str, trial: str) -> sp.csr_matrix:
             return matrix[where[test], where[trial]].tocsr()
 
-        mean, jump = block("zeta_delta_hat", "zeta_delta_hat"), block("z_slope_hat", "z_slope_hat")
+        mean, jump = (traces.summed_blocks(block(name, name)) for name in ("zeta_delta_hat", "z_slope_hat"))
         self._mean, self._jump = BlockInverse(mean), BlockInverse(jump)
         self._mean.update(mean)
         self._jump.update(jump)
         self._to_mean = -(self._mean.matrix() @ block("zeta_delta_hat", "zeta")).tocsr()
         self._to_jump = -(self._jump.matrix() @ block("z_slope_hat", "z_slope")).tocsr()
-        lifting = -(block("z_slope", "zeta") + block("z_slope", "zeta_delta_hat") @ self._to_mean)
-        size = cell.ndof
+        self._traces, self._ranks = traces.exchange, traces.exchange.communicator
+        self.unknowns = HaloUnknowns(traces.halo, operators.z.blocks.shape[2])
+        """Of one component, with those of the cells beyond."""
+        to_means, count, size = self._to_means(traces), self.unknowns.count, cell.ndof
+
+        def with_means(test: str) -> sp.csr_matrix:
+            """Rows by zeta in cells, with its means for the traces."""
+            own = block(test, "zeta")
+            return widened(own, own.shape[0], count) + block(test, "zeta_delta_hat") @ to_means
+
+        lifting = -with_means("z_slope")
         self._lifting = [lifting[j * size : (j + 1) * size].tocsr() for j in range(self._dim)]
         self._adjoint = [part.T.tocsr() for part in self._lifting]
-        self._penalty = (block("zeta", "zeta") + block("zeta", "zeta_delta_hat") @ self._to_mean).tocsr()
+        self._penalty = with_means("zeta").tocsr()
         blocks = operators.z.blocks  # (cells, points, functions)
         weighted = operators.weights.reshape(*blocks.shape[:2], 1) * blocks
-        self._products = np.einsum("cpk,cpl->cklp", weighted, blocks).reshape(
-            len(blocks), -1, blocks.shape[1]
-        )
+        cells, points, q = blocks.shape
+        self._products = np.einsum("cpk,cpl->cklp", weighted, blocks).reshape(cells, q * q, points)
+
+    def _to_means(self, traces: FacetMass) -> sp.csr_matrix:
+        """What takes zeta in cells, those beyond too, to its means on facets."""
+        halo, q = traces.halo, self.unknowns.per_cell
+        own = widened(self._to_mean, self._to_mean.shape[0], self.unknowns.count)
+        facets = traces.unknowns[traces.of_facets.places]  # (shared facets, functions)
+        if not len(facets):
+            return own
+        count, size = facets.shape
+        numbers = halo.beside, halo.cells + np.arange(count)
+        here, beyond = (q * cells[:, None] + np.arange(q) for cells in numbers)
+        rows = np.repeat(facets, q, axis=1).ravel()
+        parts = np.asarray(self._to_mean[rows, np.tile(here, (1, size)).ravel()]).reshape(count, size, q)
+        others = halo.swapped(parts).ravel()
+        columns = np.tile(beyond, (1, size)).ravel()
+        return (own + sp.csr_matrix((others, (rows, columns)), shape=own.shape)).tocsr()
 
     def laplacian(self, inverse_mass: BlockInverse) -> sp.csr_matrix:
-        """delta Laplace of one component, as if phi'' were one: what the rows are near for smooth z."""
+        """delta Laplace of one component, as if phi'' were one: what the rows are near for smooth z.
+
+        Over ranks in parts, of ``unknowns``.
+        """
         square = sum(L.T @ inverse_mass.matrix() @ L for L in self._lifting)
-        return (self._delta * (square + self._penalty)).tocsr()
+        penalty = widened(self._penalty, *square.shape)
+        return (self._delta * (square + penalty)).tocsr()
 
     def slopes(self, z_values: np.ndarray, c: Coefficients) -> dict[str, np.ndarray]:
         """The eliminated unknowns by name, (components, functions), of z at the cells' points, z and zeta.
@@ -85,21 +126,24 @@ class FieldDiffusionRows:
         chi = self._potential(c)
         at = np.ascontiguousarray(z_values.real)
         matrices = self._matrices(at)
-        gradients = np.stack([apply(L, chi) for L in self._lifting])  # (dim, n, functions)
+        beyond = self.unknowns.with_others(chi)
+        gradients = np.stack([apply(L, beyond) for L in self._lifting])  # (dim, n, functions)
         q = self._solve(matrices, np.ascontiguousarray(gradients.real))
         if np.iscomplexobj(chi):
             change = self._changed(at, np.ascontiguousarray(z_values.imag), q)
             q = q + 1j * self._solve(matrices, np.ascontiguousarray(gradients.imag) - change)
-        slope = q.transpose(1, 0, 2).reshape(-1, q.shape[2])
-        normal_parts = apply(self._to_jump, slope.reshape(len(chi), -1))
-        return {"z_slope": slope, "zeta_delta_hat": apply(self._to_mean, chi), "z_slope_hat": normal_parts}
+        slope = q.transpose(1, 0, 2).reshape(len(chi) * self._dim, q.shape[2])
+        normal_parts = apply(self._to_jump, slope.reshape(len(chi), self._dim * q.shape[2]))
+        means, normal_parts = self._traces.sum(np.stack([apply(self._to_mean, chi), normal_parts]))
+        return {"z_slope": slope, "zeta_delta_hat": means, "z_slope_hat": normal_parts}
 
     def rows(self, c: Coefficients) -> np.ndarray:
         """Rows of z, (n, functions), of zeta, z and its slope."""
         chi = self._potential(c)
         slope = c["z_slope"].reshape(len(chi), self._dim, -1)
         rows = np.sum([apply(A, slope[:, j]) for j, A in enumerate(self._adjoint)], axis=0)
-        return self._delta * (self._of_strains(rows) + self._compliance @ apply(self._penalty, chi))
+        rows, beyond = self.unknowns.added(rows), self.unknowns.with_others(chi)
+        return self._delta * (self._of_strains(rows) + self._compliance @ apply(self._penalty, beyond))
 
     def _potential(self, c: Coefficients) -> np.ndarray:
         """zeta; of parameters z in its place, in linear directions both together."""
@@ -111,17 +155,17 @@ class FieldDiffusionRows:
 
     def _matrices(self, z_values: np.ndarray) -> np.ndarray:
         """Inverses of phi''(z) + P in the functions of every cell, (cells, n functions, n functions)."""
-        n, cells = len(z_values), len(self._products)
+        n, (cells, points, q) = len(z_values), self._op.z.blocks.shape
         along = self._slope.derivative(z_values)
         units = np.eye(n)
         columns = [self._of_strains(along(np.broadcast_to(e[:, None], z_values.shape))) for e in units]
-        hessian = np.stack(columns, axis=1).reshape(n * n, cells, -1)
+        hessian = np.stack(columns, axis=1).reshape(n * n, cells, points)
         if self._of_itself is not None:
             hessian = hessian + self._of_itself.reshape(-1, 1, 1)
         tested = self._products @ hessian.transpose(1, 2, 0)  # (cells, functions^2, n^2)
-        q = self._op.z.blocks.shape[2]
         matrices = tested.reshape(cells, q, q, n, n).transpose(0, 3, 1, 4, 2).reshape(cells, n * q, n * q)
-        return np.linalg.inv(matrices)
+        with self._ranks.together(np.linalg.LinAlgError):
+            return np.linalg.inv(matrices)
 
     def _solve(self, inverses: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Slopes (dim, n, functions) of rows of the same shape; functions of a cell stand side by side."""
@@ -133,7 +177,7 @@ class FieldDiffusionRows:
 
     def _changed(self, z: np.ndarray, dz: np.ndarray, q: np.ndarray) -> np.ndarray:
         """phi'''(z) dz q, tested: the slopes' equations by z, (dim, n, functions)."""
-        size = float(np.abs(dz).max())
+        size = float(np.abs(dz).max(initial=0.0))
         if size == 0:
             return np.zeros_like(q)
         step = _INCREMENT * max(float(np.abs(z).max()), 1e-300) / size

@@ -3,7 +3,7 @@
 A flux through a facet sees its own cell's values and the facet's trace, which is a mean of both sides'
 values with weights of its own (``UpwindTrace``, ``Continuity``).  With the trace eliminated each side has a
 block of its own cell and one of the cell across.  Cells of other ranks across shared facets are counted after
-the rank's own, in the order of these facets.
+the rank's own (``Halo``).
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class FacetCoupling:
         self._facet = mass.facet[::per]
         self.across = self._other_sides()
         """The side of the other cell, (sides,); itself on the boundary; beyond all sides on another rank."""
-        self._facets = mass.of_facets
+        self.halo = mass.halo
         side_of = np.zeros(len(mass.unknowns), dtype=np.int64)
         side_of[self._facet] = np.arange(count)
-        self._border = side_of[self._facets.places]
+        self._border = side_of[mass.of_facets.places]
         self.across[self._border] = count + np.arange(len(self._border))
         self._inner = (self.across != np.arange(len(self._z)))[:, None, None]
 
@@ -50,16 +50,6 @@ class FacetCoupling:
         beyond = self.across - self.cells * self.sides
         cell = np.where(beyond < 0, self.across // max(self.sides, 1), self.cells + beyond)
         return cell.reshape(self.cells, self.sides)
-
-    def with_others(self, values: np.ndarray) -> np.ndarray:
-        """Values of cells, (cells, ., .), and after them those of other ranks' across shared facets."""
-        return self._with_others(values, self._border // max(self.sides, 1))
-
-    def _with_others(self, values: np.ndarray, sent: np.ndarray) -> np.ndarray:
-        if not len(sent):
-            return values
-        got = self._facets.others(values[sent].transpose(1, 2, 0))
-        return np.concatenate([values, got.transpose(2, 0, 1)])
 
     def blocks(
         self, own: np.ndarray, to_trace: np.ndarray, from_trace: np.ndarray, mass: FacetMass
@@ -81,6 +71,8 @@ class FacetCoupling:
         from_hat = product(self._z_t, (w * from_trace.reshape(shape)) * self._hat)
         from_hat = product(from_hat, mass.inverses[self._facet])
         here = product(self._z_t, (w * own.reshape(shape)) * self._z) + product(from_hat, to_hat)
-        there = product(from_hat, self._with_others(to_hat, self._border)[self.across]) * self._inner
+        if len(self._border):
+            to_hat = np.concatenate([to_hat, self.halo.swapped(to_hat[self._border])])
+        there = product(from_hat, to_hat[self.across]) * self._inner
         by_cells = (self.cells, self.sides, self.functions, self.functions)
         return here.reshape(by_cells).sum(axis=1), there.reshape(by_cells)

@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.parallel.exchange import Exchange
+from ngvisco.parallel.halo import Halo
 
 
 class FacetMass:
@@ -29,9 +30,24 @@ class FacetMass:
         count, size = self.unknowns.shape
         facet_of[self.unknowns], place[self.unknowns] = np.arange(count)[:, None], np.arange(size)
         self.facet = facet_of[matrix.indices[matrix.indptr[:-1]]]
+        cell = np.zeros(count, dtype=np.int64)
+        cell[self.facet] = np.arange(len(self.facet)) // max(values.per_cell, 1)
+        self.halo = Halo(self.of_facets, cell[self.of_facets.places], values.cells)
+        """The cells of other ranks across shared facets."""
         entries = matrix.tocoo()
         self.shapes = np.zeros((size, matrix.shape[0]))  # (unknowns, points)
         self.shapes[place[entries.col], entries.row] = entries.data
+
+    def summed_blocks(self, matrix: sp.csr_matrix) -> sp.csr_matrix:
+        """A matrix of blocks of facets, of which each rank has its cells' part, with those of other ranks."""
+        shared = self.unknowns[self.of_facets.places]
+        if not len(shared):
+            return matrix
+        count, size = shared.shape
+        rows, columns = np.repeat(shared, size, axis=1).ravel(), np.tile(shared, (1, size)).ravel()
+        blocks = np.asarray(matrix[rows, columns]).reshape(count, size, size)
+        others = self.of_facets.others(blocks.transpose(1, 2, 0)).transpose(2, 0, 1)
+        return (matrix + sp.csr_matrix((others.ravel(), (rows, columns)), shape=matrix.shape)).tocsr()
 
     def update(self, weights: np.ndarray) -> None:
         """Invert the blocks for the weights (points,)."""

@@ -7,7 +7,7 @@ of the iterated unknowns: they are evaluated, never iterated.  All rows follow f
 matrix times a direction.
 
 Over ranks each evaluates on its own cells: loads of traces are summed up before these are solved for, rows
-of the flow and of the normal derivatives at the end; all others are of cells alone.
+of the flow, of the normal derivatives and of iterated traces at the end; all others are of cells alone.
 """
 
 from __future__ import annotations
@@ -111,9 +111,6 @@ class ReducedResidual:
         self.by_forms = RestrictedForm(step, flow, claims.by_forms) if claims.by_forms else None
         self.density = RestrictedForm(step, density, claims.density) if claims.density else None
         self._density_of_all: RestrictedForm | None = None
-        self.diffusion: FieldDiffusionRows | None = None
-        if claims.diffusion:
-            self.diffusion = FieldDiffusionRows(step, self.op, self.slope, claims.diffusion[0])
         self.hyper: MatrixHyperviscosity | None = None
         if claims.hyperviscosity:
             points = self.op.points, self.side_op.points
@@ -126,9 +123,15 @@ class ReducedResidual:
         """Of the packed unknowns."""
         self.shared_rows = exchange.part(u.places([*u.flow, *u.normals]))
         """Of the flow's unknowns and the normal derivatives."""
+        self.shared_density = exchange.part(u.places(u.density))
+        """Of the density's unknowns: its traces, where its equation is not linear, are iterated."""
         self._traces = exchange.part(u.places(["rho_hat"]))
         self.trace_mass, self.density_mass = (FacetMass(self.side_op.hat, self._traces) for _ in range(2))
         self.trace_mass.update(self.side_op.points.weights * mean_share(self.side_op.inner))
+        self.diffusion: FieldDiffusionRows | None = None
+        if claims.diffusion:
+            term = claims.diffusion[0]
+            self.diffusion = FieldDiffusionRows(step, self.op, self.slope, term, self.trace_mass)
         self._at_points = [*claims.at_points, *claims.continuity]
         self._of_traces = [*claims.traces, *claims.continuity]
         self._through: np.ndarray | None = None
@@ -267,10 +270,11 @@ class ReducedResidual:
         return self._summed(residual)
 
     def _summed(self, residual: Residual) -> Residual:
-        """With the rows that other ranks' cells have of the flow and the normal derivatives."""
+        """With what other ranks' cells have of the flow's, the normal derivatives' and the traces' rows."""
         flow, normals = residual.flow, residual.normals
         rows = self.shared_rows.sum(np.concatenate([flow, *([] if normals is None else [normals.ravel()])]))
         residual.flow = rows[: flow.size]
         if normals is not None:
             residual.normals = rows[flow.size :].reshape(normals.shape)
+        residual.density = self.shared_density.sum(residual.density)
         return residual

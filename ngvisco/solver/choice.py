@@ -15,7 +15,6 @@ from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.reduced.claims import term_obstacle
 from ngvisco.reduced.right_hand_side import source_obstacle
-from ngvisco.reduced.unknowns import density_by_forms
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.strategies import (
     WIDTHS,
@@ -73,17 +72,7 @@ def split_obstacle(step: Step) -> str | None:
         return "the split solver needs a mesh of triangles or tetrahedra only"
     if meets_itself(step.mesh):
         return "a cell of the periodic mesh meets its own image: two cells or more are needed"
-    if ranks.is_distributed and (regularised := _factorised_fields(step)):
-        return f"{regularised} couples cells of different ranks in a system that the split solver factorises"
     return source_obstacle(step) or term_obstacle(step)
-
-
-def _factorised_fields(step: Step) -> str | None:
-    """The regularisation by which a field has an equation that sweeps do not solve, or None."""
-    law = step.model.regularisation
-    if law is not None and law.delta_fields > 0:
-        return "Regularisation.delta_fields"
-    return "Regularisation of the density" if density_by_forms(step) else None
 
 
 def meets_itself(mesh: Mesh) -> bool:

@@ -20,7 +20,10 @@ from tests.parallel.launch import ROOT, run
 
 CASES = [
     f"{name}, {solver}"
-    for name in ("2D", "3D", "slip on a circle", "slip on a sphere", "lid", "creep, nu > 0", "three bodies")
+    for name in (
+        *("2D", "3D", "slip on a circle", "slip on a sphere", "lid", "creep, nu > 0", "three bodies"),
+        *("delta, 2D", "delta, 3D", "cut-off, 2D", "cut-off, 3D"),
+    )
     for solver in ("coupled", "split")
 ]
 LEDGER, GROWTH = 1e-10, 1.3

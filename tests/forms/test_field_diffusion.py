@@ -11,6 +11,8 @@ from ngvisco.errors import ParameterError
 from ngvisco.forms.field_diffusion import FieldDiffusion
 from ngvisco.forms.system import Step
 from ngvisco.geometries import box
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.convexity import StateSampling
 from ngvisco.physics.curvature import curvature_of
 from ngvisco.physics.materials.catalogue import examples
@@ -18,6 +20,7 @@ from ngvisco.physics.pointwise import respond
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.variables import Jacobian
 from ngvisco.reduced.diffusion import FieldDiffusionRows
+from ngvisco.reduced.facet_mass import FacetMass
 from ngvisco.reduced.operators import Operators, SideOperators
 from ngvisco.reduced.slope import PointwiseSlope
 
@@ -39,7 +42,8 @@ class Diffusion:
         self.side = SideOperators(step, op)
         self.slope = PointwiseSlope(step, op.points)
         self.term = next(term for term in step.terms if isinstance(term, FieldDiffusion))
-        self.rows = FieldDiffusionRows(step, op, self.slope, self.term)
+        traces = FacetMass(self.side.hat, Exchange(self.side.hat.width, {}, Communicator()))
+        self.rows = FieldDiffusionRows(step, op, self.slope, self.term, traces)
         mass = mass_matrix(op.z.matrix, op.weights)
         self.inverse_mass = BlockInverse(mass)
         self.inverse_mass.update(mass)

@@ -20,6 +20,8 @@ from ngvisco.reduced.residual import ReducedResidual
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), CF(0))
 SLIP = {"top": nv.Traction(f=(1.0, 0.0), friction=0.2), "left": nv.NavierFriction(0.3)}
 CREEP = {"creep": nv.Creep(G_m=2.0)}
+CUT_OFF = {"regularisation": nv.Regularisation(rho_max=1.0, width=0.5)}
+DELTA = {"regularisation": nv.Regularisation(delta_density=1e-3, r=3.0, delta_fields=1e-2, rho_max=1.0)}
 CREEP_FIELD = {"creep": nv.Creep(G_m=2.0, nu=1e-3, q=4)}
 
 
@@ -40,6 +42,15 @@ def simulation(dim=2, maxh=0.4, k=2, p=4.0, walls=None, **parts) -> nv.Simulatio
         discretisation=nv.Discretisation(k=k),
         solver="coupled",
     )
+
+
+def carried() -> nv.Simulation:
+    """Diffusion of variables in which the energy is linear, beside a parameter's own slope."""
+    theta = nv.Parameter("theta", start=0.5 + 0.4 * sin(3 * x) * cos(2 * y))
+    material = nv.NeoHookean(K_e=10.0, G_e=1 + 4 * theta, epsilon=0.1, elastic_state="B")
+    model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.05, G_v=0.05), **DELTA)
+    initial = nv.Initial(velocity=SWIRL[:2])
+    return nv.Simulation(box((1, 1), maxh=0.4), model, dt=0.02, initial=initial, solver="coupled")
 
 
 def swapped(run: nv.Simulation) -> dict[str, np.ndarray]:
@@ -68,6 +79,10 @@ CASES = {
     "k = 3": lambda: simulation(k=3, maxh=0.6),
     "no hyperviscosity": lambda: simulation(p=None),
     "3D": lambda: simulation(dim=3, maxh=0.9),
+    "a cut-off": lambda: simulation(p=None, **CUT_OFF),
+    "delta": lambda: simulation(p=None, **DELTA),
+    "delta in 3D": lambda: simulation(dim=3, maxh=0.9, p=None, **DELTA),
+    "delta and what does not diffuse": carried,
 }
 
 

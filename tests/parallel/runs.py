@@ -34,6 +34,8 @@ GAMG, HYPRE = (
     for coarse in ("gamg", "hypre")
 )
 REGULARISED = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1, rho_max=1.0)
+DELTA = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2)
+CUT_OFF = nv.Regularisation(rho_max=1.0, width=0.5)
 
 
 def gravity(dim: int) -> nv.Gravity:
@@ -74,6 +76,14 @@ def disc(solver: str) -> nv.Simulation:
         walls={"wall": nv.NoSlip()},
         solver=solver,
     )
+
+
+def regularised(solver: str, dim: int, law: nv.Regularisation, maxh: float, **options) -> nv.Simulation:
+    """A swirl in which half of the body is above the density of the cut-off."""
+    model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY, regularisation=law, loads=[gravity(dim)])
+    initial = nv.Initial(velocity=(*SWIRL, 0.0)[:dim])
+    mesh = box((1,) * dim, maxh=maxh)
+    return nv.Simulation(mesh, model, dt=0.02, initial=initial, solver=solver, **options)
 
 
 def lid(solver: str = "coupled", maxh: float = 0.3) -> nv.Simulation:
@@ -214,6 +224,7 @@ CASES = {
     "split block, hypre": lambda: block("split", 0.5, newton=HYPRE),
     "split lid": lambda: lid("split"),
     "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
+    "split, all regularisations": lambda: creep("split", passive=NAMES),
 } | walls.CASES
 CASES |= own.CASES
 
@@ -228,6 +239,10 @@ def tabulated(solver: str) -> dict[str, Callable[[], nv.Simulation]]:
         "lid": lambda: lid(solver, 0.25),
         "creep, nu > 0": lambda: creep(solver, nv.Regularisation(epsilon=0.1), 0.3),
         "three bodies": lambda: bodies(solver, 0.3),
+        "delta, 2D": lambda: regularised(solver, 2, DELTA, 0.25),
+        "delta, 3D": lambda: regularised(solver, 3, DELTA, 0.45),
+        "cut-off, 2D": lambda: regularised(solver, 2, CUT_OFF, 0.25),
+        "cut-off, 3D": lambda: regularised(solver, 3, CUT_OFF, 0.45),
     }
     return {f"{name}, {solver}": case for name, case in cases.items()}
 

@@ -10,7 +10,10 @@ HERE = Path(__file__).parent
 pytestmark = pytest.mark.skipif(
     not has_petsc(), reason="no MPI or PETSc: see the README's 'Several processes'"
 )
-CASES = ("creep and walls with slip", "a creep rate field", "k = 3", "no hyperviscosity", "3D")
+CASES = (
+    *("creep and walls with slip", "a creep rate field", "k = 3", "no hyperviscosity", "3D"),
+    *("a cut-off", "delta", "delta in 3D", "delta and what does not diffuse"),
+)
 
 
 def found(folder, ranks, names):

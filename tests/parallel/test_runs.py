@@ -96,6 +96,11 @@ SPLIT = (
     "split disc",
     "split lid",
     "split creep",
+    "delta, 2D, split",
+    "delta, 3D, split",
+    "cut-off, 2D, split",
+    "cut-off, 3D, split",
+    "split, all regularisations",
 )
 WALLS = ("turned", "quadrilateral", "ball", "turned ball", "leaning")
 """Oblique and curved, with slip and moving; ``slip disc`` and its like are among the short ones."""
@@ -382,7 +387,6 @@ def test_a_rank_that_metis_leaves_without_cells_is_refused_on_every_rank(tmp_pat
 
 REFUSED = {
     "domain.periodic='x'": "identified boundaries are not distributed",
-    "rheology.regularisation={delta_fields=0.01}; solver.method='split'": "couples cells of different ranks",
     "output.probes=[{name='p',point=[2, 0]}]": "a point of the domain, which lies in",
     "material.G_e=-1": "expected a finite number > 0",
     "initial.density='x - 0.1'": "density rho_0",

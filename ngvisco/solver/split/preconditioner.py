@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from ngvisco.algebra.factorised import Direct, DirectSolver, MakesDirect, TwoLevelSolver
+from ngvisco.algebra.factorised import Direct, MakesDirect, TwoLevelSolver, direct_solver
 from ngvisco.algebra.krylov import gmres
 from ngvisco.algebra.sparse import together
 from ngvisco.forms.mesh_arrays import mask_of, rigid_motions
@@ -77,9 +77,7 @@ class Preconditioner:
     def _solver(self, free: np.ndarray) -> Direct:
         """A solver for the velocity tangent with these free unknowns."""
         exchange, operator = self._of_tangent, self.operator
-        direct: MakesDirect = partial(DirectSolver, inverse=self._inverse)
-        if exchange.is_distributed:
-            direct = partial(SumInverse, exchange=exchange)
+        direct: MakesDirect = partial(direct_solver, inverse=self._inverse, exchange=exchange)
         number = np.arange(len(free))
         is_velocity = number < operator.nv
         count = self.ranks.total(int((free & exchange.owned)[: operator.size].sum()))

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from ngvisco.algebra import precision
-from ngvisco.algebra.factorised import DirectSolver
+from ngvisco.algebra.factorised import direct_solver
 from ngvisco.algebra.sparse import of_blocks
 from ngvisco.reduced.facet_coupling import FacetCoupling
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
@@ -36,9 +36,10 @@ class TransportSweeps:
         self._whole = self._own = None
         if residual.diffusion is not None:
             self._laplacian = residual.diffusion.laplacian(residual.inverse_mass)
-            self._whole = DirectSolver(np.ones(residual.mass.shape[0], dtype=bool), inverse)
+            self._unknowns = residual.diffusion.unknowns
+            self._whole = direct_solver(np.ones(self._unknowns.count, dtype=bool), inverse, self._unknowns)
         if residual.density is not None:
-            self._own = DirectSolver(residual.density.free, inverse)
+            self._own = direct_solver(residual.density.free, inverse, residual.shared_density)
 
     def update(self, at: Evaluation) -> None:
         """Form the matrices and invert at an evaluation."""
@@ -48,7 +49,8 @@ class TransportSweeps:
         own, across = self.coupling.blocks(-carried, f.share.value, carried, r.trace_mass)
         own += storage + convection
         if self._whole is not None:
-            self._whole.factorise((of_blocks(own, across, self._neighbours) + self._laplacian).tocsr())
+            transport = of_blocks(own, across, self._neighbours, self.coupling.halo.count)
+            self._whole.factorise((transport + self._laplacian).tocsr())
         with r.ranks.together(np.linalg.LinAlgError):
             self._cells, self._carried = _sweep(own, across)
         self._blocks = _rows_of(own, across)
@@ -92,8 +94,9 @@ class TransportSweeps:
         if self._whole is not None:
             assert self.residual.diffusion is not None
             result = self._swept(self._cells, self._carried, r)
+            cells = self._unknowns.of_cells
             for i in np.flatnonzero(self.residual.diffusion.strains):
-                result[:, i] = self._whole(r[:, i])
+                result[:, i] = self._whole(self._unknowns.of_cells_alone(r[:, i]))[:cells]
             return result
         return self._swept(self._cells, self._carried, r)
 
@@ -117,7 +120,8 @@ class TransportSweeps:
         rows = self._applied(self._blocks, x)
         if self.residual.diffusion is not None:
             strains = self.residual.diffusion.strains
-            rows[:, strains] += self._laplacian @ x[:, strains]
+            beyond = self._unknowns.with_others(x[:, strains].T).T
+            rows[:, strains] += self._unknowns.added((self._laplacian @ beyond).T).T
         return rows
 
     def density_rows(self, x: np.ndarray) -> np.ndarray:
@@ -131,7 +135,8 @@ class TransportSweeps:
     def _beside(self, x: np.ndarray) -> np.ndarray:
         """The neighbours' values side by side, (cells, sides q, .), of values (cells, q, .)."""
         cells, sides = self._neighbours.shape
-        return self.coupling.with_others(x)[self._neighbours].reshape(cells, sides * x.shape[1], x.shape[2])
+        beside = self.coupling.halo.with_others(x)[self._neighbours]
+        return beside.reshape(cells, sides * x.shape[1], x.shape[2])
 
     def _swept(self, cells: np.ndarray, carried: np.ndarray, r: np.ndarray) -> np.ndarray:
         shape = (*cells.shape[:2], r.shape[1] if r.ndim == 2 else 1)
