@@ -35,6 +35,7 @@ from ngvisco.timestepping.integrator import StepTaken
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
+    from ngvisco.solver.solution import Attempt
 
 _ROUNDING = 1e-9
 
@@ -87,11 +88,15 @@ class AdaptiveSteps:
 
 @dataclass(frozen=True)
 class Rejection:
-    """A step that was not accepted: from ``time`` over ``tau`` (s), and why."""
+    """A step that was not accepted: from ``time`` over ``tau`` (s), and why.
+
+    ``history`` is what was tried to solve it; empty where it was solved, but not exact enough.
+    """
 
     time: float
     tau: float
     reason: str
+    history: tuple[Attempt, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -230,7 +235,7 @@ class FixedStepper:
             except StepError as failure:
                 if efforts == _LAST or (efforts == Effort.ALL and level == self.halvings):
                     raise
-                reason = str(failure.__cause__ or failure)
+                reason, history = str(failure.__cause__ or failure), failure.history
             if level < self.halvings:
                 level += 1
                 reason += f"; taken in parts of {self.dt / (1 << level):.4g} s"
@@ -238,7 +243,7 @@ class FixedStepper:
                 efforts, level = _LAST, self.halvings - _powers_of_two(done or self._parts)
                 reason += f"; {coupled_solver(simulation)}"
             rejections += 1
-            simulation.notify_rejection(Rejection(t, tau, reason))
+            simulation.notify_rejection(Rejection(t, tau, reason, history))
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         return {"start": self._start, "first": float(self._first), "level": float(self._level)}, {}
@@ -301,7 +306,7 @@ class AdaptiveStepper:
             except StepError as failure:
                 # the cause, which does not say again which step it was
                 reason = str(failure.__cause__ or failure)
-                iterations, shorter = failure.history, tau / 2
+                history, shorter = failure.history, tau / 2
             else:
                 if new_time != stop:
                     new_time = t + taken.tau
@@ -312,15 +317,15 @@ class AdaptiveStepper:
                     raise
                 if error is None or tolerance is None or error <= tolerance:
                     break
-                reason, iterations = f"estimated error {error:.2e} is above {tolerance:.2e}", ()
+                reason, history = f"estimated error {error:.2e} is above {tolerance:.2e}", ()
                 fraction = (SAFETY * tolerance / error) ** (1 / (scheme.order + 1))
                 shorter = tau * max(1 / LARGEST_CHANGE, fraction)
                 integrator.undo()
-            rejections.append(Rejection(t, tau, reason))
+            rejections.append(Rejection(t, tau, reason, history))
             simulation.notify_rejection(rejections[-1])
             self.dt, self.streak = shorter, 0
             if self.dt < self.options.dt_min:
-                raise StepError(self._give_up(rejections), iterations)
+                raise StepError(self._give_up(rejections), history)
         if estimate is not None:
             estimate.keep(new_time)
         self._choose(tau, error, scheme.order, bool(rejections))

@@ -6,7 +6,8 @@ import pytest
 
 import ngvisco as nv
 from ngvisco.verification.cases import long_steps
-from ngvisco.verification.cases.long_steps import LongRun, measured, outcome, released
+from ngvisco.verification.cases.impulsive_starts import released
+from ngvisco.verification.cases.long_steps import LongRun, measured, outcome
 
 
 def short(newton=long_steps.ALONE):

@@ -18,17 +18,16 @@ from ngsolve import CF, IfPos, Mesh, cos, pi, x, z
 
 from ngvisco.errors import StepError
 from ngvisco.forms.initial import Initial
-from ngvisco.forms.walls import Conditions
 from ngvisco.geometries import box, structured_box
 from ngvisco.physics.materials import NeoHookean
 from ngvisco.physics.model import Gravity, Model
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
-from ngvisco.physics.walls import NoSlip, PrescribedTangential
 from ngvisco.run.scales import scales
 from ngvisco.run.simulation import Simulation
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.verification.case import Bound, Case, Outcome, Table
 from ngvisco.verification.cases import in_space, riemann, robustness
+from ngvisco.verification.cases.impulsive_starts import STIFF, cavity, released
 from ngvisco.verification.setups import KINDS, SWIRL, block
 
 ALONE = NewtonOptions(method="split", retry_seconds=1e-3)
@@ -45,8 +44,8 @@ TAUS = {2: (0.014, 0.14, 0.4, 1.0), 3: (0.03, 0.3, 1.0, 3.0)}
 
 GRID_STEPS = 8
 
-STIFF, SOFT = Creep(G_m=1e-4), Creep(G_m=0.2)
-"""Maxwell times far below a step, and of half a step."""
+SOFT = Creep(G_m=0.2)
+"""A Maxwell time of half a step."""
 
 
 @dataclass(frozen=True)
@@ -176,23 +175,6 @@ def grid(kind: str, dim: int) -> Iterator[LongRun]:
         yield LongRun(f"grid {dim}D, {kind}", name, partial(block_of, kind, dim, point), GRID_STEPS)
 
 
-def cavity(
-    p: float, dim: int, creep: Creep | None, dt: float, options: NewtonOptions, mesh: Mesh | None = None
-) -> Simulation:
-    """The body of demos/cavity under a lid of full speed; in 3D the lid of a cube of 384 tetrahedra."""
-    model = Model(
-        material=NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1, elastic_state="B" if creep else "F"),
-        viscosity=StokesViscosity(K_v=0.01, G_v=0.01),
-        hyperviscosity=HyperViscosity(mu=1e-5, p=p),
-        creep=creep,
-    )
-    if mesh is None:
-        mesh = box((1, 1), 0.1) if dim == 2 else structured_box((1, 1, 1), (4, 4, 4))
-    others = tuple(sorted(set(mesh.GetBoundaries()) - {"top"}))
-    walls: Conditions = {"top": PrescribedTangential((1.0, *(0.0,) * (dim - 1))), others: NoSlip()}
-    return Simulation(mesh, model, dt=dt, walls=walls, newton=options)
-
-
 def recoil(dim: int, scheme: str, dt: float, creep: Creep | None, options: NewtonOptions) -> Simulation:
     """The swirl of demos/swirl and demos/swirl3d, which its elasticity brings to rest and back."""
     model = Model(
@@ -205,18 +187,6 @@ def recoil(dim: int, scheme: str, dt: float, creep: Creep | None, options: Newto
     velocity = CF(SWIRL) if dim == 2 else CF((*((1 + z) / 2 * v for v in SWIRL), 0.0))
     mesh = box((1, 1), 0.12) if dim == 2 else structured_box((1, 1, 1), (4, 4, 4))
     return Simulation(mesh, model, dt=dt, scheme=scheme, initial=Initial(velocity=velocity), newton=options)
-
-
-def released(p: float, dt: float, options: NewtonOptions) -> Simulation:
-    """A body of which one half is sheared at first, without anything that would hold it so."""
-    model = Model(
-        material=NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
-        viscosity=StokesViscosity(K_v=0.01, G_v=0.01),
-        hyperviscosity=HyperViscosity(mu=1e-5, p=p),
-    )
-    shear = IfPos(x - 0.5, 0.3, 0.0)
-    F = CF((1, shear, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
-    return Simulation(box((1, 1), 0.1), model, dt=dt, initial=Initial(values={"F": F}), newton=options)
 
 
 def impact(scheme: str, options: NewtonOptions) -> Simulation:
