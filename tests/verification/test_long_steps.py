@@ -5,6 +5,7 @@ import time
 import pytest
 
 import ngvisco as nv
+from ngvisco.solver.split import iteration
 from ngvisco.verification.cases import long_steps
 from ngvisco.verification.cases.impulsive_starts import released
 from ngvisco.verification.cases.long_steps import LongRun, measured, outcome
@@ -20,6 +21,21 @@ def test_a_released_load_is_solved_in_whole_steps():
     assert (costs.own, costs.halved, costs.failure) == (2, 0, "")
     assert len(costs.iterations) == 2 and max(costs.iterations) <= 30
     assert costs.closure <= 1e-12
+
+
+def test_a_facet_that_increments_go_to_and_fro_across_takes_no_widths(monkeypatch):
+    """The eighth step took 26 iterations, 14 of them with widened upwinding."""
+    monkeypatch.setattr(iteration, "narrowed", lambda *arguments: pytest.fail("widened"))
+    costs = measured(short(), 8)
+    assert costs.own == 8 and max(costs.iterations) <= 18
+
+
+@pytest.mark.long
+def test_a_facet_that_comes_out_of_its_jump_takes_no_widths(monkeypatch):
+    """The tenth step took 37 iterations, 25 of them with widened upwinding."""
+    monkeypatch.setattr(iteration, "narrowed", lambda *arguments: pytest.fail("widened"))
+    costs = measured(long_steps.cavity(2.0, 3, None, 0.02, long_steps.ALONE), 10)
+    assert costs.own == 10 and max(costs.iterations) <= 18
 
 
 def test_a_step_that_is_given_up_is_not_its_own_and_named():
