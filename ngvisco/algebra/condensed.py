@@ -48,7 +48,7 @@ class CondensedJacobian:
                 failure = error
             together = self.ranks.agree(failure)
             if together is not None:
-                self._inverse = None
+                self.forget()
                 message = f"the linearised step has no factorisation: {str(together).strip()}"
                 if "CalcLU" in message:  # of a cell, whose rows and columns NGSolve does not scale
                     message += _UNITS
@@ -75,7 +75,9 @@ class CondensedJacobian:
                 SetHeapSize(size)
 
     def forget(self) -> None:
-        """Drop the factorisation, so that the next solve makes a new one."""
+        """Drop the factorisation, so that the next solve makes a new one; collective."""
+        if isinstance(self._inverse, Direct):
+            self._inverse.release()
         self._inverse = None
 
     def solve(self, residual: BaseVector, increment: BaseVector) -> None:

@@ -27,6 +27,9 @@ class Direct(Protocol):
 
     def __call__(self, r: np.ndarray) -> np.ndarray: ...
 
+    def release(self) -> None:
+        """Give its memory back; over ranks collective."""
+
 
 class MakesDirect(Protocol):
     """Makes a solver for the free unknowns; of the matrix's symmetric part where that is said."""
@@ -69,6 +72,10 @@ class DirectSolver:
         result = np.zeros_like(r)
         result[self.free] = self._x.FV().NumPy()
         return result
+
+    def release(self) -> None:
+        """Drop matrix and factorisation."""
+        self._matrix = self._inverse = None
 
 
 def direct_solver(
@@ -113,6 +120,7 @@ class TwoLevelSolver:
         self.free, self.vertices, self.others = free, vertices, others
         self.direct, self.exchange = direct, exchange
         self.sweeps, self.damping, self.dropped = sweeps, damping, dropped
+        self.coarse: Direct | None = None
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
         """Raises StepError if the coarse block is singular."""
@@ -123,6 +131,7 @@ class TwoLevelSolver:
         if beside:
             is_coarse[matrix[self.others].indices] = True
             is_coarse = exchange.sum(is_coarse.astype(float)) > 0
+        self.release()
         self.coarse = self.direct(self.free & is_coarse, symmetric=not beside)
         self.coarse.factorise(matrix)
         own_diagonal = matrix.diagonal()
@@ -140,6 +149,7 @@ class TwoLevelSolver:
         self._smoother = smoother.astype(precision.SINGLE)
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
+        assert self.coarse is not None
         r_fine = r[self._fine].astype(precision.SINGLE)
         x = self._smoothed(r_fine)
         r_coarse = r.copy()
@@ -149,6 +159,11 @@ class TwoLevelSolver:
         r_fine -= self._of_fine.sum(change)
         result[self._fine] = x + self._smoothed(r_fine)
         return result
+
+    def release(self) -> None:
+        """Give back the memory of the coarse factorisation."""
+        if self.coarse is not None:
+            self.coarse.release()
 
     def _smoothed(self, r: np.ndarray) -> np.ndarray:
         """Sweeps from zero with the fine functions' residual ``r``."""

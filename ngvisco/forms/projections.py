@@ -22,7 +22,7 @@ from ngvisco.forms.context import Context
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.petsc import inverse_of
+from ngvisco.parallel.petsc import Direct, inverse_of
 
 
 class FacetProjection:
@@ -48,6 +48,11 @@ class FacetProjection:
         load = LinearForm(value * self._test * self.quadrature.facets).Assemble()
         return (self._inverse * load.vec).Evaluate()
 
+    def release(self) -> None:
+        """Give the factorisation's memory back; collective."""
+        if isinstance(self._inverse, Direct):
+            self._inverse.release()
+
 
 def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature: Quadrature) -> None:
     """Traces of the state as the means of both sides' values of rho, z, ... and d_n v."""
@@ -72,6 +77,8 @@ def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature
         for i in range(value.dim):
             row = projections[key](value[i] if value.dim > 1 else value)
             parts[name].vec[i * len(row) : (i + 1) * len(row)] = row
+    for projection in projections.values():
+        projection.release()
 
 
 def _identified(layout: Layout, space: FESpace) -> FESpace:

@@ -7,6 +7,9 @@ part: it would only keep a processor busy.
 MUMPS over ranks adds what ranks send it in the order in which it comes: its factors and solutions differ in
 the last digits from one run to the next.  Up to some thousand unknowns one rank has all rows; its solutions
 are the same to the bit.
+
+What petsc4py lets go of PETSc keeps (3.18, and ``garbage_cleanup`` does not change it): all is destroyed here
+by name, collectively; ``release`` of those that own it is for whoever takes another one.
 """
 
 from __future__ import annotations
@@ -123,6 +126,14 @@ class Rows:
         self._solution = self._right.duplicate()
         self._scatter = module.Scatter().create(self._own, None, self._right, self._rows)
 
+    def release(self) -> None:
+        """Give back what PETSc holds; collective."""
+        held = [self._rows, self._own]
+        if not self.exchange.communicator.is_idle:
+            held += [self._right, self._solution, self._scatter]
+        for each in held:
+            each.destroy()
+
     @property
     def solving(self) -> Any:
         """The communicator that a system is solved on; None on a rank that has no rows of it."""
@@ -172,6 +183,8 @@ class Rows:
         own = module.Vec().createWithArray(np.ascontiguousarray(values[self.free]), comm=module.COMM_SELF)
         scatter = module.Scatter().create(own, None, vector, self._rows)
         scatter.scatter(own, vector, addv=module.InsertMode.INSERT)
+        scatter.destroy()
+        own.destroy()
         vector.normalize()
         return vector
 
@@ -196,14 +209,18 @@ class Rows:
     def _failure(self, solver: Any) -> str | None:
         """Solve with what is in the right-hand side; why there is no solution, or None."""
         module, vectors = petsc(), (self._right, self._solution)
-        if self.on_one:  # the same numbers as vectors of this rank alone
-            vectors = tuple(
-                module.Vec().createWithArray(vector.getArray(), comm=module.COMM_SELF) for vector in vectors
-            )
+        own = [
+            module.Vec().createWithArray(vector.getArray(), comm=module.COMM_SELF)
+            for vector in vectors
+            if self.on_one  # the same numbers as vectors of this rank alone
+        ]
         try:
-            solver.solve(*vectors)
+            solver.solve(*(own or vectors))
         except module.Error as error:
             return str(error)
+        finally:
+            for vector in own:
+                vector.destroy()
         return _reason(solver) if solver.getConvergedReason() < 0 else None
 
 
@@ -212,10 +229,13 @@ def _reason(solver: Any) -> str:
     number, names = solver.getConvergedReason(), vars(petsc().KSP.ConvergedReason)
     name = next((name for name, value in names.items() if value == number), f"reason {number}")
     preconditioner = solver.getPC()
-    if preconditioner.getType() != "lu":
-        return f"{name} by {preconditioner.getType()}"
-    matrix = preconditioner.getFactorMatrix()
-    return f"{name}, MUMPS's INFOG(1) = {matrix.getMumpsInfog(1)}, INFOG(2) = {matrix.getMumpsInfog(2)}"
+    kind = preconditioner.getType()
+    if kind == "lu":
+        matrix = preconditioner.getFactorMatrix()
+        numbers = [f"INFOG({i}) = {matrix.getMumpsInfog(i)}" for i in (1, 2)]
+        matrix.destroy()
+    preconditioner.destroy()
+    return f"{name}, MUMPS's {', '.join(numbers)}" if kind == "lu" else f"{name} by {kind}"
 
 
 class SumInverse:
@@ -261,6 +281,7 @@ class SumInverse:
                 self._factorise(0.5 * (own + own.T) if self.symmetric else own)
 
     def _factorise(self, own: sp.csr_matrix) -> None:
+        self._drop()  # first: two factorisations are the most memory
         matrix, failure = self.rows.matrix(own), None
         if self.rows.solving is not None:
             failure = self._set_up(matrix)
@@ -287,12 +308,27 @@ class SumInverse:
             preconditioner.setType(self.method)
             if self.kernel is not None:
                 vectors = [self.rows.vector(matrix, each) for each in self.kernel]
-                matrix.setNearNullSpace(module.NullSpace().create(vectors=vectors, comm=self.rows.comm))
+                space = module.NullSpace().create(vectors=vectors, comm=self.rows.comm)
+                matrix.setNearNullSpace(space)
+                for each in (*vectors, space):
+                    each.destroy()
+        for each in (preconditioner, matrix):  # the solver has them
+            each.destroy()
         try:
             self._solver.setUp()
         except module.Error as error:
             return str(error)
         return None
+
+    def _drop(self) -> None:
+        if self._solver is not None:
+            self._solver.destroy()
+            self._solver = None
+
+    def release(self) -> None:
+        """Give back what PETSc holds, as before another one takes its place; collective."""
+        self._drop()
+        self.rows.release()
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """The solution for a summed right-hand side; collective."""
@@ -326,6 +362,10 @@ class Direct(BaseMatrix):
     def Update(self) -> None:
         """Factorise again, as NGSolve's inverses do, where the matrix has changed."""
         self._inverse.factorise(own_part(self.matrix))
+
+    def release(self) -> None:
+        """As of ``SumInverse``."""
+        self._inverse.release()
 
     def Mult(self, rows: BaseVector, unknowns: BaseVector) -> None:
         """unknowns = matrix^{-1} rows, 0 where not free; collective."""
