@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -85,6 +86,39 @@ def direct_solver(
     if exchange.is_distributed:
         return SumInverse(free, exchange, symmetric)
     return DirectSolver(free, inverse, symmetric)
+
+
+class Fallback:
+    """A solver, and in its place another one for matrices that it does not take."""
+
+    def __init__(
+        self,
+        first: MakesDirect,
+        other: MakesDirect,
+        say: Callable[[str], None],
+        free: np.ndarray,
+        *,
+        symmetric: bool,
+    ) -> None:
+        """``say`` is told once why the other one, which is made where it is needed, has to solve."""
+        self.first = self._present = first(free, symmetric=symmetric)
+        self._make_other, self._say = partial(other, free, symmetric=symmetric), say
+        self._other: Direct | None = None
+
+    def factorise(self, matrix: sp.csr_matrix) -> None:
+        """Raises StepError if the matrix is singular."""
+        try:
+            self.first.factorise(matrix)
+            self._present = self.first
+        except StepError as error:
+            is_new = self._other is None
+            self._other = self._present = self._other or self._make_other()
+            self._other.factorise(matrix)
+            if is_new:
+                self._say(str(error))
+
+    def __call__(self, r: np.ndarray) -> np.ndarray:
+        return self._present(r)
 
 
 class TwoLevelSolver:

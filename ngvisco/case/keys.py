@@ -353,6 +353,11 @@ KEYS: dict[str, Key] = {
         "s", "what the coupled solver may take for a step that the split one has failed at", 120.0
     ),
     "inverse": Key("", 'sparse direct solver, "umfpack", "pardiso" or "mumps"', "umfpack"),
+    "coarse": Key(
+        "",
+        'for the velocities of vertices on large meshes: "direct", or multigrid of PETSc, "gamg" or "hypre"',
+        "direct",
+    ),
     "method": Key(
         "", '"coupled" (small meshes), "split" (large ones) or "auto"; both solve the same equations', "auto"
     ),

@@ -224,6 +224,14 @@ class Rows:
         return _reason(solver) if solver.getConvergedReason() < 0 else None
 
 
+def _may_be_definite(matrix: Any) -> bool:
+    """Whether all entries are finite and those of the diagonal positive: multigrid's smoothers divide by
+    these, and end the process where there is a zero; collective."""
+    diagonal = matrix.getDiagonal()
+    diagonal.setArray(diagonal.getArray() > 0)
+    return bool(np.isfinite(matrix.norm())) and diagonal.min()[1] > 0
+
+
 def _reason(solver: Any) -> str:
     """Why a solver of PETSc's has given up, by PETSc's names, with MUMPS's own number where it is that."""
     number, names = solver.getConvergedReason(), vars(petsc().KSP.ConvergedReason)
@@ -304,6 +312,8 @@ class SumInverse:
         if self.method == "mumps":
             preconditioner.setType("lu")
             preconditioner.setFactorSolverType("mumps")
+        elif not _may_be_definite(matrix):
+            return "it is not positive definite"
         else:
             preconditioner.setType(self.method)
             if self.kernel is not None:

@@ -16,6 +16,7 @@ from ngvisco.errors import (
     require_positive,
     require_type,
 )
+from ngvisco.parallel.petsc import obstacle
 
 METHODS = ("auto", "coupled", "split")
 COARSE = ("direct", "gamg", "hypre")
@@ -97,14 +98,9 @@ class TwoLevelOptions(_Checked):
     """In units of 1/(largest eigenvalue of D^{-1} A), below 2; the eigenvalue depends on the mesh."""
     dropped: float = 1e-2
     """Entries left out, relative to the diagonal: two thirds, for a hundredth more of GMRES's iterations."""
-    coarse: str = "direct"
-    """What solves for the vertices: a factorisation, or a cycle of PETSc's algebraic multigrid, ``"gamg"`` or
-    ``"hypre"``, which vertices too many to be factorised need.  Beside walls' stresses and creep rates, where
-    the matrix is not positive definite, it is factorised."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_choice(self, COARSE, coarse=self.coarse)
         if self.damping >= 2:
             raise ParameterError("TwoLevelOptions.damping", self.damping, "a number in (0, 2)")
 
@@ -235,6 +231,12 @@ class NewtonOptions(_Checked):
     inverse: str = "umfpack"
     """NGSolve's name of a sparse direct solver for nonsymmetric matrices: ``"umfpack"``, and ``"pardiso"``
     (``pip install mkl``) or ``"mumps"`` where the installation has them."""
+    coarse: str = "direct"
+    """What solves for the velocities of the vertices in the split solver's two levels: a factorisation, or a
+    cycle of PETSc's algebraic multigrid, ``"gamg"`` or ``"hypre"`` (BoomerAMG), which vertices too many to be
+    factorised need.  Where it has no part in a run, an ``InputWarning`` says why: the coupled solver, a
+    velocity of few unknowns (``SplitOptions.direct_up_to``), and walls' stresses or creep rates beside it,
+    with which the matrix is not positive definite."""
     method: str = "auto"
     """``"coupled"``: all unknowns at once; ``"split"``: one problem for the velocity, with the fields as
     functions of it, whose cost grows like the mesh; ``"auto"``: the faster one for the mesh's dimension and
@@ -263,3 +265,10 @@ class NewtonOptions(_Checked):
             expected = f"{have}: this installation of NGSolve has no other one ready"
             raise ParameterError("NewtonOptions.inverse", self.inverse, expected)
         require_choice(self, METHODS, method=self.method)
+        require_choice(self, COARSE, coarse=self.coarse)
+        if self.coarse != "direct":
+            if self.method == "coupled":
+                expected = "'direct' with the method 'coupled', which factorises one system of all unknowns"
+                raise ParameterError("NewtonOptions.coarse", self.coarse, expected)
+            if (missing := obstacle(self.coarse)) is not None:
+                raise ParameterError("NewtonOptions.coarse", self.coarse, f"'direct': {missing}")

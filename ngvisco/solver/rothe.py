@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from ngsolve import BaseVector
 
-from ngvisco.errors import ParameterError, StepError, require_type
+from ngvisco.errors import InputWarning, ParameterError, StepError, require_type
 from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
 from ngvisco.forms.term_rows import TermRows
@@ -76,6 +76,7 @@ class RotheSolver:
         self.method = (tried or self.strategies)[0].solver
         """The first strategy's solver: it is kept, the other one made where it is needed."""
         self.newton = self.made(self.method)
+        self._warn_without_multigrid()
         self.retried = 0
         """Steps that this solver gave up and the other one was asked for."""
         self._last_tau: float | None = None
@@ -84,6 +85,17 @@ class RotheSolver:
         self._start = step.state.vec.CreateVector()
         self.extrapolation = Extrapolation(step)
         self._extrapolates = any(one.extrapolates for one in self.strategies)
+
+    def _warn_without_multigrid(self) -> None:
+        """Say why the options' multigrid has no part in the steps."""
+        if self.options.coarse == "direct":
+            return
+        reason: str | None = "the coupled solver, which takes the steps, factorises all unknowns"
+        if isinstance(self.newton, Split):
+            reason = self.newton.preconditioner.without_multigrid
+        if reason is not None:
+            message = f"coarse = {self.options.coarse!r} of the solver has no effect: {reason}"
+            self.exchange.communicator.warn(message, InputWarning, stacklevel=6)
 
     def made(self, solver: str, allowance: Allowance | None = None) -> NonlinearSolver:
         """A new solver of this step's equations, ``"coupled"``, which may have an allowance, or

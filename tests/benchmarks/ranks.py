@@ -28,7 +28,7 @@ from ngvisco.parallel.communicator import TRAFFIC, Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.working import Working
-from ngvisco.solver.options import SplitOptions, TwoLevelOptions
+from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.split.preconditioner import Preconditioner
 from tests.benchmarks.case import swirl_on
 
@@ -43,10 +43,8 @@ def resident(field: str = "VmHWM") -> float:
 
 def newton(coarse: str, unknowns: int | None) -> nv.NewtonOptions:
     """Two levels with this solver for the vertices, from so many unknowns of v if not the default."""
-    of_two_levels: dict[str, Any] = {"two_level": TwoLevelOptions(coarse=coarse)}
-    if unknowns is not None:
-        of_two_levels["direct_up_to"] = (unknowns, unknowns)
-    return nv.NewtonOptions(split=SplitOptions(**of_two_levels))
+    split = SplitOptions() if unknowns is None else SplitOptions(direct_up_to=(unknowns, unknowns))
+    return nv.NewtonOptions(coarse=coarse, split=split)
 
 
 def timed(waits: list[float], owner: type, name: str) -> None:

@@ -92,6 +92,11 @@ def simulation(text):
             'until = 0.1\n[solver]\ninverse = "lu"',
             "solver.inverse: 'lu': expected one of umfpack",
         ),
+        (
+            "until = 0.1",
+            'until = 0.1\n[solver]\ncoarse = "amg"',
+            "solver.coarse: 'amg': expected one of direct, gamg, hypre",
+        ),
         ("until = 0.1", "until = 0.1\n[discretisation]\nk = 9", "discretisation.k: 9: expected one of 2, 3"),
         (
             "until = 0.1",

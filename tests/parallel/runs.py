@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import own
@@ -22,17 +23,13 @@ from ngvisco.parallel.communicator import TRAFFIC, Communicator
 from ngvisco.physics.variables import Jacobian
 from ngvisco.reduced.residual import Evaluation
 from ngvisco.run.passive import NAMES
-from ngvisco.solver.options import SplitOptions, TwoLevelOptions
+from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.split.preconditioner import Preconditioner
 
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 VISCOSITY = nv.StokesViscosity(K_v=0.05, G_v=0.05)
 KRYLOV = nv.NewtonOptions(split=SplitOptions(slow=4))
-GAMG, HYPRE = (
-    nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100), two_level=TwoLevelOptions(coarse=coarse)))
-    for coarse in ("gamg", "hypre")
-)
 REGULARISED = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1, rho_max=1.0)
 DELTA = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2)
 CUT_OFF = nv.Regularisation(rho_max=1.0, width=0.5)
@@ -220,8 +217,8 @@ CASES = {
     "split, long steps": lambda: swirl(0.25, dt=0.15, solver="split"),
     "split block": lambda: block("split"),
     "split block, two levels": lambda: block("split", 0.5, newton=TWO_LEVELS),
-    "split block, gamg": lambda: block("split", 0.5, newton=GAMG),
-    "split block, hypre": lambda: block("split", 0.5, newton=HYPRE),
+    "split block, gamg": lambda: block("split", 0.5, newton=replace(TWO_LEVELS, coarse="gamg")),
+    "split block, hypre": lambda: block("split", 0.5, newton=replace(TWO_LEVELS, coarse="hypre")),
     "split lid": lambda: lid("split"),
     "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
     "split, all regularisations": lambda: creep("split", passive=NAMES),

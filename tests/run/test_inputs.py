@@ -184,6 +184,7 @@ WRONG = {
             {"inverse": 1},
             {"inverse": "mumps"},
             {"method": 1},
+            {"coarse": 1},
             {"refresh": None},
         )
     ],

@@ -9,9 +9,10 @@ from functools import partial
 
 import numpy as np
 
-from ngvisco.algebra.factorised import Direct, MakesDirect, TwoLevelSolver, direct_solver
+from ngvisco.algebra.factorised import Direct, Fallback, MakesDirect, TwoLevelSolver, direct_solver
 from ngvisco.algebra.krylov import gmres
 from ngvisco.algebra.sparse import together
+from ngvisco.errors import InputWarning
 from ngvisco.forms.mesh_arrays import mask_of, rigid_motions
 from ngvisco.parallel.petsc import SumInverse
 from ngvisco.reduced.hyper_derivative import HyperDerivative
@@ -35,7 +36,9 @@ class Preconditioner:
     def __init__(self, residual: ReducedResidual, options: NewtonOptions) -> None:
         step, unknowns = residual.step, residual.unknowns
         self.unknowns, self.options, self.dim = unknowns, options.split, step.mesh.dim
-        self._inverse = options.inverse
+        self._inverse, self._coarse = options.inverse, options.coarse
+        self.without_multigrid: str | None = None
+        """Why vertices are factorised where the options have a multigrid for them."""
         k, m = step.discretisation.k, step.discretisation.m
         self.op = Operators(step, max(k - 1, m))
         self.sweep = TransportSweeps(residual, options.inverse, self.options.sweeps)
@@ -80,17 +83,29 @@ class Preconditioner:
         direct: MakesDirect = partial(direct_solver, inverse=self._inverse, exchange=exchange)
         number = np.arange(len(free))
         is_velocity = number < operator.nv
-        count = self.ranks.total(int((free & exchange.owned)[: operator.size].sum()))
-        if count <= self.options.direct_up_to[self.dim - 2]:
+        count = int(self.ranks.total(int((free & exchange.owned)[: operator.size].sum())))
+        if count <= (largest := self.options.direct_up_to[self.dim - 2]):
+            self.without_multigrid = f"up to {largest} unknowns of v are factorised as a whole, here {count}"
             return direct(free, symmetric=self.unknowns.flow == ["v"])
         others = (number >= operator.nv) & (number < operator.size)
         vertices = is_velocity & (number % operator.op.v.width < operator.residual.step.mesh.nv)
-        options = asdict(self.options.two_level)
-        coarse = options.pop("coarse")
-        if coarse != "direct" and not self.ranks.any(others.any()):
+        if self.ranks.any(others.any()):
+            layout, beside = operator.residual.step.layout, []
+            if layout.names_of("walls"):
+                beside.append("stresses of oblique or curved walls")
+            if layout.names_of("continuous"):
+                beside.append("a creep rate field")
+            known = " and ".join(beside)
+            self.without_multigrid = f"with {known} beside v the matrix is not positive definite"
+        elif self._coarse != "direct":
             kernel = rigid_motions(operator.residual.step.mesh, operator.op.v.width, len(free))
-            direct = partial(SumInverse, exchange=exchange, method=coarse, kernel=kernel)
-        return TwoLevelSolver(free, vertices, others, direct, exchange, **options)
+            multigrid = partial(SumInverse, exchange=exchange, method=self._coarse, kernel=kernel)
+            direct = partial(Fallback, multigrid, direct, self._say)
+        return TwoLevelSolver(free, vertices, others, direct, exchange, **asdict(self.options.two_level))
+
+    def _say(self, reason: str) -> None:
+        message = f"coarse = {self._coarse!r}: {reason}; the velocities of the vertices are factorised"
+        self.ranks.warn(message, InputWarning)
 
     def update(self, at: Evaluation, clock: Callable[[str], AbstractContextManager[None]]) -> None:
         """Form and factorise everything at an evaluation, which is that of the step's state.

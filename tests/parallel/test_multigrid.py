@@ -1,0 +1,34 @@
+"""PETSc's multigrid for the velocities at vertices: what it needs to know, and what is done without it."""
+
+import json
+from functools import cache
+from pathlib import Path
+
+import pytest
+from launch import has_petsc, run
+
+pytestmark = pytest.mark.skipif(
+    not has_petsc(), reason="no MPI or PETSc: see the README's 'Several processes'"
+)
+
+
+@cache
+def found():
+    result = run(Path(__file__).with_name("multigrid.py"))
+    assert result.returncode == 0, result.stderr[-2000:]
+    return json.loads(result.stdout.splitlines()[-1])
+
+
+def test_rigid_motions_halve_the_iterations():
+    """9 for 27 on 512 triangles: coarse spaces of constants alone hold no rotation of an elastic body."""
+    assert found()["cells"] == 512 and found()["with"] <= 12
+    assert found()["with"] < 0.5 * found()["without"]
+
+
+def test_a_matrix_that_multigrid_does_not_take_is_factorised():
+    assert found()["left"] < 1e-10
+    (said,) = found()["said"]
+    assert said == (
+        "coarse = 'gamg': gamg did not take the matrix (it is not positive definite); the velocities of the "
+        "vertices are factorised"
+    )
