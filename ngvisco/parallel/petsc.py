@@ -246,6 +246,7 @@ class SumInverse:
                 self._factorise(0.5 * (own + own.T) if self.symmetric else own)
 
     def _factorise(self, own: sp.csr_matrix) -> None:
+        self._solver = None  # let go of the factors before, for their memory
         matrix, failure = self.rows.matrix(own), None
         if self.rows.solving is not None:
             failure = self._set_up(matrix)
