@@ -16,12 +16,13 @@ import sys
 from itertools import product
 from pathlib import Path
 
-from tests.benchmarks.case import FIFTY_THOUSAND
+from tests.benchmarks.case import FIFTY_THOUSAND, STRUCTURED
 from tests.benchmarks.table import markdown, markdown_of_schemes, summary, summary_of_schemes
 
 SIZES = {
     "2D": [0.1, 0.055, 0.032],
     "3D": [0.3, 0.18, 0.13, 0.112, 0.07, 0.0515, FIFTY_THOUSAND],
+    "3D structured": list(STRUCTURED)[1:],
     "2D coupled": [0.1, 0.055, 0.032],
     "3D coupled": [0.5, 0.3],
     "2D creep": [0.055],
@@ -32,6 +33,7 @@ SIZES = {
 QUICK = {
     "2D": [0.3],
     "3D": [0.7],
+    "3D structured": list(STRUCTURED)[:1],
     "2D coupled": [0.3],
     "3D coupled": [0.7],
     "2D creep": [0.3],
@@ -101,7 +103,7 @@ def main(arguments: list[str] | None = None) -> int:
         for maxh, creeping in product(sizes, forms):
             rows.append(measure(dim, maxh, method, chosen.threads, chosen.steps, chosen.timeout, creeping))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)
-        if method == "split" and series[3:] not in FORMS:  # two threads over one, in the middle of the series
+        if series in ("2D", "3D"):  # two threads over one, in the middle of the series
             middle, others = sizes[len(sizes) // 2], 3 - chosen.threads
             rows.append(measure(dim, middle, method, others, chosen.steps, chosen.timeout))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)

@@ -12,7 +12,7 @@ from ngsolve import CF, Mesh, SetNumThreads, TaskManager, cos, pi, sin, x, y, z
 
 import ngvisco as nv
 from ngvisco.algebra.factorised import DirectSolver
-from ngvisco.geometries import box
+from ngvisco.geometries import box, structured_box
 
 DIRECT_UP_TO = 5_000
 """Cells up to which the split solver's tangent is factorised as a whole too, for comparison."""
@@ -22,9 +22,18 @@ FIFTY_THOUSAND = 0.0405
 """Size of cells of the largest mesh, see `domain`."""
 
 
+STRUCTURED = {1 / n: n for n in (4, 13, 17)}
+"""Cubes along an edge of the box, each of six tetrahedra, by the size of a cube."""
+
+
 def domain(dim: int, maxh: float) -> Mesh:
-    """The unit box.  Netgen's boxes jump from 45 to 95 thousand cells: for 50,552 of them, one a hundredth
-    taller is meshed with twice the size and refined."""
+    """The unit box; structured where the size says so, see `STRUCTURED`.
+
+    Netgen's boxes jump from 45 to 95 thousand cells: for 50,552 of them, one a hundredth taller is meshed
+    with twice the size and refined.
+    """
+    if dim == 3 and maxh in STRUCTURED:
+        return structured_box((1, 1, 1), (STRUCTURED[maxh],) * 3)
     if (dim, maxh) != (3, FIFTY_THOUSAND):
         return box((1,) * dim, maxh=maxh)
     mesh = box((1, 1, 1.01), maxh=2 * maxh)
@@ -93,6 +102,7 @@ def main(dim: int, maxh: float, method: str, threads: int, steps: int, creeping:
         "creeping": creeping,
         "dim": dim,
         "maxh": maxh,
+        "structured": dim == 3 and maxh in STRUCTURED,
         "method": method,
         "threads": threads,
         "cells": run.mesh.ne,
@@ -100,7 +110,9 @@ def main(dim: int, maxh: float, method: str, threads: int, steps: int, creeping:
     row["set-up"] = time.perf_counter() - began
     newton = run.solver.newton
     row["unknowns"] = run.rothe_step.layout.space.ndof
+    began = time.perf_counter()
     run.advance()
+    row["first"] = time.perf_counter() - began
     before = dict(getattr(newton, "seconds", {}))
     began, iterations = time.perf_counter(), 0
     for _ in range(steps):

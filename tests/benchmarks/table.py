@@ -18,7 +18,7 @@ def markdown(rows: list[dict]) -> str:
     """A Markdown table: seconds a step, split into parts where the solver has them, and GB.
 
     "floor" is one assembly, factorisation and solve with the solver's own tangent, "direct" the same with a
-    factorisation of it as a whole.
+    factorisation of it as a whole; "step" is the mean of those after the first.
     """
     head = [
         "case",
@@ -31,6 +31,8 @@ def markdown(rows: list[dict]) -> str:
         "floor, s",
         "step/floor",
         "step/direct",
+        "set-up/step",
+        "first/step",
         "GB",
         "closure",
     ]
@@ -54,6 +56,8 @@ def markdown(rows: list[dict]) -> str:
             f"{row['floor']:.2f}",
             f"{row['step'] / row['floor']:.1f}",
             f"{row['step'] / row['direct']:.1f}" if "direct" in row else "",
+            f"{row['set-up'] / row['step']:.1f}",
+            f"{row['first'] / row['step']:.1f}",
             f"{row['memory']:.2f}",
             f"{row['closure']:.0e}",
         ]
@@ -94,7 +98,9 @@ def summary(rows: list[dict]) -> str:
             ratio = single[0]["step"] / row["step"]
             lines.append(f"- {row['dim']}D, {row['cells']:,} cells: one thread over two {ratio:.2f}")
     for dim in (2, 3):
-        split = [r for r in done if r["dim"] == dim and r["method"] == "split"]
+        split = [
+            r for r in done if r["dim"] == dim and r["method"] == "split" and not r.get("structured", False)
+        ]
         threads = [r["threads"] for r in split]
         series = [r for r in split if r["threads"] == max(threads, key=threads.count)]
         if len(fitted := [r for r in series if FITTED[0] <= r["cells"] <= FITTED[1]]) >= 3:
