@@ -1,4 +1,4 @@
-"""Rows of the split solver's residual and of its derivative, by one process or several.
+"""Rows of the split solver's residual and of its derivative, and what it factorises, by any number of ranks.
 
 Run by ``test_reduced``: the first rank writes them into a file, in the numbering of one process.
 """
@@ -15,7 +15,9 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.mesh import cell_numbers
-from ngvisco.reduced.residual import ReducedResidual
+from ngvisco.reduced.residual import Evaluation, ReducedResidual
+from ngvisco.solver.options import SweepOptions
+from ngvisco.solver.split.transport_sweeps import TransportSweeps
 
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), CF(0))
 SLIP = {"top": nv.Traction(f=(1.0, 0.0), friction=0.2), "left": nv.NavierFriction(0.3)}
@@ -104,14 +106,28 @@ def rows(run: nv.Simulation) -> dict[str, np.ndarray]:
     reduced.start()
     at = reduced(unknowns.pack())
     found = {}
-    for kind, of in (("residual", at.residual), ("derivative", reduced.derivative(at)(d))):
+    made = {"residual": at.residual.parts(), "derivative": reduced.derivative(at)(d).parts()}
+    names = dict.fromkeys(made, unknowns.names)
+    if reduced.diffusion is not None:
+        made["inverse"], names["inverse"] = factorised(reduced, at, d), [*unknowns.density, "z"]
+    for kind, parts in made.items():
         values = np.zeros(step.layout.space.ndof)
-        values[unknowns.places(unknowns.names)] = np.concatenate(of.parts())
+        values[unknowns.places(names[kind])] = np.concatenate([part.ravel() for part in parts])
         whole = numbering.whole(values)
         if ranks.is_first:
-            for name in unknowns.names:
+            for name in names[kind]:
                 found[f"{kind} of {name}"] = whole[numbering.layout.ranges[name]]
     return found
+
+
+def factorised(reduced: ReducedResidual, at: Evaluation, d: np.ndarray) -> list[np.ndarray]:
+    """Solutions of the density's and the diffusing fields' systems for rows ``d``, packed."""
+    unknowns, sweep = reduced.unknowns, TransportSweeps(reduced, "umfpack", SweepOptions())
+    sweep.update(at)
+    sweep.linearise()
+    z = d[unknowns.slices["z"]].reshape(unknowns.components["z"], -1)
+    dz = sweep.fields(np.ascontiguousarray(z.T)).T
+    return [sweep.density(d[unknowns.density_slice]), dz * reduced.diffusion.strains[:, None]]
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import own
 import walls
-from ngsolve import cos, pi, sin, x, y
+from ngsolve import CoefficientFunction, IfPos, cos, pi, sin, x, y
 from walls import TWO_LEVELS
 
 import ngvisco as nv
@@ -75,12 +75,19 @@ def disc(solver: str) -> nv.Simulation:
     )
 
 
-def regularised(solver: str, dim: int, law: nv.Regularisation, maxh: float, **options) -> nv.Simulation:
+def regularised(
+    solver: str, dim: int, law: nv.Regularisation, maxh: float, density: CoefficientFunction | None = None
+) -> nv.Simulation:
     """A swirl in which half of the body is above the density of the cut-off."""
     model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY, regularisation=law, loads=[gravity(dim)])
-    initial = nv.Initial(velocity=(*SWIRL, 0.0)[:dim])
-    mesh = box((1,) * dim, maxh=maxh)
-    return nv.Simulation(mesh, model, dt=0.02, initial=initial, solver=solver, **options)
+    initial = nv.Initial(velocity=(*SWIRL, 0.0)[:dim], density=density)
+    return nv.Simulation(box((1,) * dim, maxh=maxh), model, dt=0.02, initial=initial, solver=solver)
+
+
+def crowded(solver: str) -> nv.Simulation:
+    """A jump of the density near the largest that a cut-off lets be, beyond which it is limited."""
+    law = nv.Regularisation(delta_density=1e-4, delta_fields=1e-4, rho_max=1.0, width=0.25)
+    return regularised(solver, 2, law, 0.25, density=1 + 0.2 * IfPos(x - 0.5, 1, 0))
 
 
 def lid(solver: str = "coupled", maxh: float = 0.3) -> nv.Simulation:
@@ -221,6 +228,7 @@ CASES = {
     "split block, hypre": lambda: block("split", 0.5, newton=replace(TWO_LEVELS, coarse="hypre")),
     "split lid": lambda: lid("split"),
     "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
+    "split crowded": lambda: crowded("split"),
     "split, all regularisations": lambda: creep("split", passive=NAMES),
 } | walls.CASES
 CASES |= own.CASES

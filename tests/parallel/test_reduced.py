@@ -1,4 +1,4 @@
-"""The split solver's residual over ranks is that of one process, row by row, and so is its derivative."""
+"""The split solver's residual, its derivative and what is factorised are those of one process, over ranks."""
 
 from pathlib import Path
 

@@ -50,6 +50,17 @@ passive = ["reference_map"]
 """
 
 
+REGULARISED = CASE.replace(
+    "[initial]",
+    "[rheology]\nregularisation = { delta_density = 1e-3, delta_fields = 1e-2, rho_max = 1.0 }\n[initial]",
+)
+CASES = {
+    "split": CASE.replace("coupled", "split"),
+    "coupled": CASE,
+    "regularised": REGULARISED.replace("coupled", "split"),
+}
+
+
 @cache
 def found(ranks, *names):
     result = run(HERE / "runs.py", *names, ranks=ranks)
@@ -101,6 +112,7 @@ SPLIT = (
     "cut-off, 2D, split",
     "cut-off, 3D, split",
     "split, all regularisations",
+    "split crowded",
 )
 WALLS = ("turned", "quadrilateral", "ball", "turned ball", "leaning")
 """Oblique and curved, with slip and moving; ``slip disc`` and its like are among the short ones."""
@@ -169,6 +181,22 @@ def test_ledgers_of_the_split_solver_are_those_of_one_process(ranks):
         # whether the last one is wanted is decided by a contraction that linear systems leave open
         assert_same_ledger(one["rows"], several["rows"], spare=1)
         assert several["linear"] <= 1.1 * one["linear"], name
+    assert found(ranks, *SPLIT)["split crowded"]["rows"][-1]["limited_cells"] > 0
+    assert found(ranks, *SPLIT)["cut-off, 3D, split"]["rows"][-1]["cutoff_volume"] > 0
+
+
+@pytest.mark.long
+@pytest.mark.ci
+def test_small_systems_may_be_over_ranks_too(monkeypatch):
+    """Those of the flow, of fields that diffuse and of the density, which else one rank has the rows of."""
+    name = "split, all regularisations"
+    one = found(1, *SPLIT)[name]
+    monkeypatch.setenv("PETSC_OPTIONS", "-ngvisco_on_one_rank_up_to 0")
+    result = run(HERE / "runs.py", name, ranks=4)
+    assert result.returncode == 0, result.stderr[-2000:]
+    several = json.loads(result.stdout.splitlines()[-1])[name]
+    assert_same_ledger(one["rows"], several["rows"], spare=1)
+    assert several["linear"] <= 1.1 * one["linear"]
 
 
 @pytest.mark.long
@@ -229,10 +257,10 @@ def read(table):
 
 @pytest.mark.long
 @pytest.mark.ci
-@pytest.mark.parametrize("solver", ["split", "coupled"])
-def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, solver):
+@pytest.mark.parametrize("case", CASES)
+def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
     alone, several = tmp_path / "alone", tmp_path / "several"
-    case_file.write_text(CASE.replace("coupled", solver))
+    case_file.write_text(CASES[case])
     assert ngvisco("run", case_file, "-o", alone, "--quiet").returncode == 0
     begun = ngvisco("run", case_file, "-o", several, "--set", "time.until=0.02", ranks=3)
     assert begun.returncode == 0, begun.stderr
@@ -265,17 +293,19 @@ for words in json.loads(sys.argv[1]):
 
 
 @pytest.mark.parametrize(
-    ("solver", "ranks"),
+    ("case", "ranks"),
     [
         ("split", 3),
-        pytest.param("coupled", 3, marks=[pytest.mark.long, pytest.mark.ci]),
-        pytest.param("coupled", 4, marks=[pytest.mark.long, pytest.mark.ci]),
+        *(
+            pytest.param(case, ranks, marks=[pytest.mark.long, pytest.mark.ci])
+            for case, ranks in (("coupled", 3), ("coupled", 4), ("regularised", 3))
+        ),
         pytest.param("split", 4, marks=pytest.mark.long),
     ],
 )
-def test_a_run_goes_on_to_the_bit_with_as_many_ranks(case_file, tmp_path, solver, ranks):
+def test_a_run_goes_on_to_the_bit_with_as_many_ranks(case_file, tmp_path, case, ranks):
     """Ledger, samples and states; no sum is in the order in which messages come."""
-    case_file.write_text(CASE.replace("coupled", solver).replace("dt = ", 'scheme = "midpoint"\ndt = '))
+    case_file.write_text(CASES[case].replace("dt = ", 'scheme = "midpoint"\ndt = '))
     whole, parted, until = tmp_path / "whole", tmp_path / "parted", "time.until=0.02"
     commands = [
         ["run", str(case_file), "-o", str(whole), "--quiet"],
@@ -497,8 +527,10 @@ class Fails:
             raise OSError(28, "No space left on device", "somewhere")
 
 steps = nv.AdaptiveSteps(dt_min=0.02, dt_max=0.02, tolerance=1e-12) if sys.argv[1] == "refused" else None
-model = nv.Model(material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1), loads=[nv.Gravity((0, -1))])
-alone = sys.argv[1] in ("singular", "unsolved", "petsc")
+law = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, rho_max=1.0) if sys.argv[2:] else None
+material = nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1)
+model = nv.Model(material=material, loads=[nv.Gravity((0, -1))], regularisation=law)
+alone = sys.argv[1] in ("singular", "unsolved", "petsc", "density")
 only = [FromStartValue(name="split", solver="split")] if alone else None
 options = {"stepping": steps, "observers": [Fails()], "strategies": only, "halvings": 0}
 options["initial"] = nv.Initial(velocity=(1e-3, 0.0))  # through walls: that is warned of
@@ -515,6 +547,10 @@ if sys.argv[1] == "step" and run.ranks.rank == 1:
 if sys.argv[1] in ("singular", "retried") and run.ranks.rank == 1:
     def singular(at): raise numpy.linalg.LinAlgError("Singular matrix")
     run.solver.newton.preconditioner.operator.tangent.update = singular
+if sys.argv[1] == "density" and run.ranks.rank == 1:
+    equation = run.solver.newton.residual.density
+    formed = equation.jacobian
+    equation.jacobian = lambda: 0.0 * formed()
 if sys.argv[1] == "petsc":
     def fails(self, solver, rows):
         if rows.any():  # not what a factorisation is tried with
@@ -544,13 +580,23 @@ sys.exit(code)
             r"at step 0: .* the split solver did not converge .*; mumps: PETSc .* \(DIVERGED_PC_FAILED\)",
             marks=[pytest.mark.long, pytest.mark.ci],
         ),
+        pytest.param(
+            "petsc regularised",
+            r"at step 0: .* the split solver did not converge .*; mumps: PETSc .* \(DIVERGED_PC_FAILED\)",
+            marks=[pytest.mark.long, pytest.mark.ci],
+        ),
+        pytest.param(
+            "density regularised",
+            r"at step 0: .* mumps did not take the matrix \(PETSc did not solve a linear system \(DIVERGED",
+            marks=[pytest.mark.long, pytest.mark.ci],
+        ),
         ("refused", "at step 1: no step of at least dt_min = 0.02 s from t = 0.02 s is accepted; tried"),
     ],
 )
 def test_an_error_is_that_of_all_ranks(tmp_path, fault, message):
     """A full disk or a singular matrix on one of them, and a step that all refuse; a warning is said once."""
     (tmp_path / "failing.py").write_text(FAILING)
-    result = run(tmp_path / "failing.py", fault, ranks=3)
+    result = run(tmp_path / "failing.py", *fault.split(), ranks=3)
     assert result.returncode == 7, result.stderr
     said = [line for line in result.stdout.splitlines() if line.startswith("rank")]
     assert len(said) == 3 and len({line.split(" of 3 ")[1] for line in said}) == 1
