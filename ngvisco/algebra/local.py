@@ -53,8 +53,9 @@ class LocalMatrix:
         self.local = int(counts.max(initial=1))
         first = np.cumsum(counts) - counts
         place = np.arange(len(keys)) - first[of_cell]
-        # cells with fewer unknowns are filled up with the first one and with zeros
+        # cells with fewer unknowns are filled up with their first one and with zeros
         self.unknowns = np.zeros((cells, self.local), dtype=np.int64)
+        self.unknowns[counts > 0] = unknown[first[counts > 0], None]
         self.unknowns[of_cell, place] = unknown
         self._blocks = np.zeros((cells, self.local, self.per_cell), dtype)
         self._blocks[cell, place[position], row] = entries.data

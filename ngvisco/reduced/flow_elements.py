@@ -12,7 +12,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.algebra import precision
-from ngvisco.errors import MeshError
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.point_tangent import PointTangent
 from ngvisco.threads import product
@@ -25,22 +24,17 @@ class FlowElements:
         """``points`` has the rule of the matrices, ``fine`` that of inertia."""
         self.tangent, self.fine = points, fine
         op = points.op
-        v, z = op.v.matrix, op.z.matrix
         self.cells, self.per, self.local, self.functions = op.v.cells, op.v.per_cell, op.v.local, op.z.local
         self.dim, self.components = len(op.dv), points.components
-        if not (np.diff(v.indptr) == self.local).all():
-            raise MeshError("a cell of a periodic mesh meets its own image: expected two cells or more")
-        self.dofs = v.indices.reshape(self.cells, self.per * self.local)[:, : self.local]
-        count = self.cells * self.per
-        shapes = np.stack([each.matrix.data.reshape(count, self.local) for each in (op.v, *op.dv)], axis=1)
+        # of a periodic strip of one cell, which has an unknown twice, by blocks that are filled up with zeros
+        self.dofs, count = op.v.unknowns, self.cells * self.per
+        shapes = np.stack([each.blocks.reshape(count, self.local) for each in (op.v, *op.dv)], axis=1)
         self.shapes = shapes.astype(precision.SINGLE)  # (points, 1 + d, local)
         tests = (shapes * op.weights[:, None, None]).reshape(
             self.cells, self.per * (1 + self.dim), self.local
         )
         self._tests = _single(tests.transpose(0, 2, 1))  # (cells, local, points (1 + d))
-        z_tests = z.data.reshape(self.cells, self.per, self.functions) * op.weights.reshape(
-            self.cells, self.per, 1
-        )
+        z_tests = op.z.blocks * op.weights.reshape(self.cells, self.per, 1)
         self._z_tests = _single(z_tests.transpose(0, 2, 1))  # (cells, q, points)
         places = np.arange(self.dofs.size)
         ones = np.ones(places.size)
@@ -88,7 +82,7 @@ class FlowElements:
     def _inertia(self, density: np.ndarray) -> np.ndarray:
         op = self.fine
         weighted = (density * op.weights).reshape(self.cells, op.v.per_cell, 1)
-        shapes = op.v.matrix.data.reshape(*weighted.shape[:2], self.local)
+        shapes = op.v.blocks
         return product(shapes.transpose(0, 2, 1), weighted * shapes)
 
     @property

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-from ngsolve import VERTEX, Mesh
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-
 from ngvisco.errors import ParameterError
-from ngvisco.forms.mesh_arrays import is_simplicial, vertices
+from ngvisco.forms.mesh_arrays import is_simplicial
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.reduced.claims import term_obstacle
@@ -70,17 +65,4 @@ def split_obstacle(step: Step) -> str | None:
     ranks = Communicator.of(step.mesh)
     if not ranks.all(is_simplicial(step.mesh)):
         return "the split solver needs a mesh of triangles or tetrahedra only"
-    if meets_itself(step.mesh):
-        return "a cell of the periodic mesh meets its own image: two cells or more are needed"
     return source_obstacle(step) or term_obstacle(step)
-
-
-def meets_itself(mesh: Mesh) -> bool:
-    """Whether a cell has two vertices that the mesh identifies with each other."""
-    pairs = np.array([pair for pair, _ in mesh.GetPeriodicNodePairs(VERTEX)])
-    if not len(pairs):
-        return False
-    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(mesh.nv, mesh.nv))
-    _, label = connected_components(graph, directed=False)
-    of_cells = np.sort(label[vertices(mesh)], axis=1)
-    return bool((np.diff(of_cells, axis=1) == 0).any())

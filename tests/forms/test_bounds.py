@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ngsolve import CF, VOL, Integrate, x, y, z
+from ngsolve import CF, VOL, Det, Integrate, x, y, z
 
 import ngvisco as nv
 from ngvisco.forms.bounds import OF_CUT_OFF, SHARE, Bounds
@@ -12,13 +12,21 @@ from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.geometries import box, disc
 from ngvisco.physics.tensors import square
-from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen
+from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, LeftCauchyGreen, ReciprocalJacobian
 
 CONVEX = nv.CustomMaterial(
     transported=(Distortion(), Jacobian()),
     stored_energy=lambda F, J: 3 * (J - 1) * (J - 1) + 2 * square(F) + 0.5 * square(F) * square(F),
 )
 """Convex and finite for all (F, J), so that energies of states out of bounds can be compared."""
+
+BY_ALL = nv.CustomMaterial(
+    transported=(Distortion(), Cofactor(), Jacobian(), ReciprocalJacobian()),
+    stored_energy=lambda F, H, J, A: (
+        3 * (J - 1) * (J - 1) + 3 * (A - 1) * (A - 1) + square(F) + square(H) + 0.5 * square(H) * square(H)
+    ),
+)
+"""The same with Cof F and 1/J."""
 
 BY_B = nv.NeoHookean(K_e=3.0, G_e=1.0, epsilon=0.2, elastic_state="B")
 MESHES = {
@@ -35,9 +43,15 @@ def step_of(mesh=None, material=CONVEX, m=1, regularisation=None):
     return step
 
 
-def shaken(step, share=0.3, size=2.0, seed=0):
-    """Add random polynomials without a mean to rho and z in a share of the cells; gives these cells."""
+def shaken(step, share=0.3, size=2.0, seed=0, variable=None):
+    """Add random polynomials without a mean to rho and z in a share of the cells; gives these cells.
+
+    With ``variable`` to this one of z alone.
+    """
     rng = np.random.default_rng(seed)
+    chosen_rows = {"rho": slice(None), "z": slice(None)}
+    if variable is not None:
+        chosen_rows = {"rho": slice(0), "z": step.layout.states.slices[variable]}
     layout, state = step.layout, step.state.vec.FV().NumPy()
     space = layout.blocks["rho"]
     chosen = np.flatnonzero(rng.uniform(size=step.mesh.ne) < share)
@@ -46,7 +60,8 @@ def shaken(step, share=0.3, size=2.0, seed=0):
         values = state[layout.ranges[name]].reshape(-1, space.ndof)
         for cell in chosen:
             dofs = np.array(space.GetDofNrs(list(step.mesh.Elements(VOL))[cell]))
-            values[:, dofs] += size * rng.uniform(-1, 1, (len(values), len(dofs)))
+            rows = values[chosen_rows[name]]
+            rows[:, dofs] += size * rng.uniform(-1, 1, (len(rows), len(dofs)))
     one = Bounds(step, Sampler(step.mesh, step.quadrature))._means.one
     volume = step.quadrature
     volumes = np.array(Integrate(CF(1.0), step.mesh, element_wise=True, order=volume.volume_degree))
@@ -104,15 +119,39 @@ def test_stored_energy_falls_in_every_cell_where_it_is_convex(name):
     step = step_of(MESHES[name]())
     shaken(step, share=1.0)
 
-    def energies():
-        phi = step.energy.density(step.now)
-        return np.array(Integrate(phi, step.mesh, element_wise=True, order=step.quadrature.volume_degree))
-
-    before = energies()
+    before = energies_of(step)
     limited = bounds_of(step).limit()
-    lost = before - energies()
+    lost = before - energies_of(step)
     assert limited > step.mesh.ne / 3 and (lost > 1e-6).sum() > step.mesh.ne / 3
     assert lost.min() >= -1e-14 * before.max()
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+@pytest.mark.parametrize(("quantity", "variable"), [("A", "A"), ("det H", "H"), ("det F", "F"), ("J", "J")])
+def test_each_variable_is_held_to_its_own_bound(quantity, variable, mesh):
+    """Only it leaves its bounds: they are found, restored as far as needed, and means and rho are kept."""
+    step = step_of(MESHES[mesh](), material=BY_ALL)
+    chosen = shaken(step, variable=variable)
+    bounds, state = bounds_of(step), step.state.vec.FV().NumPy()
+    found = bounds.violation(everywhere=True)
+    assert found.quantity == quantity and not found.is_mean and bounds.violation() is None
+    before, was, energy = means_of(step), state.copy(), energies_of(step)
+    assert 0 < bounds.limit() <= len(chosen)
+    value = step.now.z_tensors[variable]
+    least = bounds.sampler.extrema(value if variable == quantity else Det(value))[0]
+    assert least == pytest.approx(SHARE, rel=1e-6)  # of one, which the means have; no more than needed
+    for name, means in means_of(step).items():
+        assert np.abs(means - before[name]).max() <= 1e-13 * np.abs(before[name]).max()
+    rho = step.layout.ranges["rho"]
+    assert (state[rho] == was[rho]).all()
+    lost = energy - energies_of(step)
+    assert lost.max() > 1e-6 and lost.min() >= -1e-14 * energy.max()
+
+
+def energies_of(step):
+    """Stored energies of the cells, J."""
+    degree = step.quadrature.volume_degree
+    return np.array(Integrate(step.energy.density(step.now), step.mesh, element_wise=True, order=degree))
 
 
 def test_a_state_within_its_bounds_is_not_touched():

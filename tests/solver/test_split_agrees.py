@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ngsolve import CF, cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.forms.mesh_arrays import mask_of
-from ngvisco.geometries import box, disc
+from ngvisco.geometries import box, disc, structured_box
 from ngvisco.physics.materials import examples
 from ngvisco.solver.options import KrylovOptions, SplitOptions
 from ngvisco.verification.manufactured import Exact
@@ -123,6 +125,33 @@ PARTS = {
     "no hyperviscosity": {"hyperviscosity": None},
     "neither viscosity nor creep": {"viscosity": None, "creep": None},
 }
+
+
+STRIP = (
+    *("hyperviscosity and creep", "a creep rate field", "delta of the fields"),
+    pytest.param("delta of the density", marks=pytest.mark.long),
+)
+
+
+@pytest.mark.parametrize("name", STRIP)
+def test_on_a_periodic_strip_that_is_one_cell_wide(name):
+    """A cell has a vertex twice there, and meets one neighbour across two of its sides."""
+    regularisation = REGULARISED.get(name)
+    assert_on_strip((6, 1), model(regularisation=regularisation, **PARTS.get(name, {})))
+
+
+@pytest.mark.parametrize("cells", [(4, 1, 1), pytest.param((4, 2, 1), marks=pytest.mark.long)])
+def test_on_a_periodic_bar_that_is_one_cell_wide(cells):
+    assert_on_strip(cells, model(dim=3, hyperviscosity=None, creep=None))
+
+
+def assert_on_strip(cells, physics):
+    """Both agree, where matter moves along and across a strip without gravity."""
+    dim = len(cells)
+    mesh = structured_box((1, 0.2, 0.2)[:dim], cells, periodic="yz"[: dim - 1])
+    wave = CF((sin(pi * x), 0.5 * sin(2 * pi * x), 0.3 * sin(pi * x))[:dim])
+    initial = nv.Initial(density=1 + 0.2 * cos(pi * x), velocity=wave)
+    assert_both_agree(mesh, replace(physics, loads=()), initial=initial, rows_within=1e-10)
 
 
 @pytest.mark.parametrize("name", PARTS)

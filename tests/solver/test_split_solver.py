@@ -13,8 +13,7 @@ from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import TwoLevelSolver
 from ngvisco.errors import StepError
 from ngvisco.forms.term import Integrand
-from ngvisco.geometries import box, disc
-from ngvisco.solver.choice import meets_itself
+from ngvisco.geometries import box, disc, structured_box
 from ngvisco.solver.options import KrylovOptions, SplitOptions, SweepOptions
 from ngvisco.solver.rothe import Interval
 from ngvisco.solver.solution import Solution, Status
@@ -267,13 +266,16 @@ def test_quadrilaterals_are_for_the_coupled_solver():
         simulation(mesh=mesh)
 
 
-def test_cells_that_meet_their_own_image_are_for_the_coupled_solver():
-    wide, narrow = (box((1, 1), maxh=maxh, periodic="x") for maxh in (0.3, 2))
-    assert not meets_itself(wide)
-    assert meets_itself(narrow)
-    with pytest.raises(nv.ParameterError, match="meets its own image"):
-        simulation(mesh=narrow)
-    assert not isinstance(simulation(mesh=narrow, solver="auto").solver.newton, Split)
+def test_two_levels_solve_on_a_strip_that_is_one_cell_wide():
+    """A cell has a vertex twice there: the one that its images have."""
+    strip = structured_box((1, 0.2), (5, 1), periodic="y")
+    runs = [simulation(mesh=strip, newton=newton) for newton in (None, TWO_LEVELS)]
+    for run in runs:
+        assert isinstance(run.solver.newton, Split)
+        run.run(2 * run.dt)
+        assert run.solver.retried == 0 and len(run.ledger.rows) == 3
+    direct, two_levels = (state(run) for run in runs)
+    assert np.linalg.norm(two_levels - direct) <= 1e-9 * np.linalg.norm(direct)
 
 
 def test_unknown_method_is_refused():

@@ -1,11 +1,13 @@
 """Runs whose steps end out of bounds at points: limited, with closed books, or ended if so asked for."""
 
+import contextlib
+
 import numpy as np
 import pytest
-from ngsolve import CF, x, y, z
+from ngsolve import CF, pi, sin, x, y, z
 
 import ngvisco as nv
-from ngvisco.geometries import box
+from ngvisco.geometries import box, structured_box
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian
 
@@ -163,10 +165,11 @@ def test_relaxed_steps_are_limited_too():
     assert np.abs(numerical[as_it_is]).max() <= 1e-11 * ledger.column("stored").max()
 
 
+CONTINUED_SOLID = nv.Yosida(
+    material=nv.NeoHookean(K_e=2.0, G_e=0.05, epsilon=0.1, elastic_state="F"), eps=0.1
+)
 CONTINUED = {
-    "Yosida approximation": nv.Yosida(
-        material=nv.NeoHookean(K_e=2.0, G_e=0.05, epsilon=0.1, elastic_state="F"), eps=0.1
-    ),
+    "Yosida approximation": CONTINUED_SOLID,
     "J_min": nv.NeoHookean(K_e=2.0, G_e=0.05, epsilon=0.01, J_min=0.3, elastic_state="B"),
 }
 
@@ -187,6 +190,35 @@ def test_a_continued_energy_lets_a_run_pass_J_of_zero(name):
     ledger = run.run(3 * DT)
     assert ledger.column("J_min")[-1] < 0 and ledger.column("limited_cells").max() == 0
     assert np.abs(ledger.column("closure_relative")[-2:]).max() <= 1e-10
+
+
+def squeezed(material, speed, dt):
+    """A strip of twelve triangles whose matter runs to its middle and leaves a void on both sides."""
+    mesh = structured_box((1, 1 / 6), (6, 1), periodic="y")
+    model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01))
+    initial = nv.Initial(velocity=(speed * sin(2 * pi * x), 0.0))
+    return nv.Simulation(mesh, model, dt=dt, initial=initial)
+
+
+def test_J_of_a_fluid_passes_zero_by_its_motion_and_comes_back():
+    """With J_min; without, the limiter holds the same fluid's J above zero, or the run ends."""
+    ledger = squeezed(nv.BarotropicFluid(B=0.1, gamma=1.4, J_min=0.3), 2.0, 0.05).run(6 * 0.05)
+    J = ledger.column("J_min")
+    assert J[0] == pytest.approx(1.0) and J[1] > 0.3 and J[2:5].min() < -0.1 and J[-1] > 0.2
+    require_closed(ledger)
+    bounded = squeezed(nv.BarotropicFluid(B=0.1, gamma=1.4), 2.0, 0.05)
+    with contextlib.suppress(nv.StepError):
+        bounded.run(6 * 0.05)
+    assert bounded.ledger.column("J_min").min() > 0
+
+
+def test_J_of_a_solid_with_a_yosida_approximation_passes_zero_by_its_motion():
+    run = squeezed(CONTINUED_SOLID, 5.0, 0.02)
+    ledger = run.run(4 * 0.02)
+    J = ledger.column("J_min")
+    assert J[0] == pytest.approx(1.0) and J[1] > 0.2 and J[3:].max() < -0.03
+    assert all(bound == "rho" for bound in run.bounds.names)
+    require_closed(ledger)
 
 
 def test_a_variable_that_the_energy_does_not_read_never_ends_a_run():
