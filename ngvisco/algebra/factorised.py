@@ -120,6 +120,12 @@ class Fallback:
     def __call__(self, r: np.ndarray) -> np.ndarray:
         return self._present(r)
 
+    def release(self) -> None:
+        """Give back the memory of both; over ranks collective."""
+        self.first.release()
+        if self._other is not None:
+            self._other.release()
+
 
 class TwoLevelSolver:
     """An approximate inverse for large meshes: vertices solved as a whole, all other functions smoothed.
