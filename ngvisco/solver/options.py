@@ -202,6 +202,9 @@ class SplitOptions(_Checked):
     """Iterations for it at most."""
     direct_up_to: tuple[int, int] = (3_000, 3_000)
     """Unknowns of v up to which its tangent is factorised as a whole; above, two levels are faster."""
+    direct_at_most: tuple[int, int] = (100_000, 15_000)
+    """Unknowns of v up to which it is so in what is left of a step, where ``flow_iterations`` by two levels
+    do not solve the flow's system."""
     krylov: KrylovOptions = KrylovOptions()
     two_level: TwoLevelOptions = TwoLevelOptions()
     fields: FieldOptions = FieldOptions()

@@ -197,3 +197,40 @@ def test_a_first_increment_tells_no_contraction(no_krylov):
     history = []
     assert iteration.iterate(split, Posed(), history) is Status.CONVERGED
     assert len(history) == 2
+
+
+class Domain(Increments):
+    """Increments of which one leads to where there is no number, by what is left of it."""
+
+    def __init__(self, sizes, outside):
+        super().__init__(sizes)
+        self.outside, self.at = outside, []
+
+    def increment(self, problem, x, last):
+        self.at.append(x.copy())
+        _, f, size = super().increment(problem, x, last)
+        return None, f * (self.number + 1), np.inf if self.number == self.outside else size
+
+    def reset(self):
+        """The tangent is not asked for."""
+
+
+def test_where_there_is_no_number_the_last_increment_is_halved():
+    """Not that of the best iterate, which is the start."""
+    split = Domain(lambda n: (0.6, 0.9, 0.0, 0.1, 1e-3, 1e-6, 1e-12, 1e-14)[n], outside=2)
+    history = []
+    assert iteration.iterate(split, Posed(), history) is Status.CONVERGED
+    start, first, outside, again = (float(x[0]) for x in split.at[:4])
+    assert (start, first, outside) == (0.0, -1.0, -3.0) and again == -2.0
+
+
+@pytest.mark.parametrize(("smallest", "restarts"), [(0.02, 0), (0.009, 1)])
+def test_increments_may_grow_more_far_from_the_solution(smallest, restarts):
+    """Three times the smallest one, above and below 1e-2."""
+    sizes = (0.3, smallest, 3 * smallest, 1e-3, 1e-6, 1e-12, 1e-14, 1e-15)
+    split = Domain(lambda n: sizes[n], outside=None)
+    split.options = replace(NewtonOptions(), split=SplitOptions(narrowing=NarrowingOptions(largest=1e-3)))
+    split.resets = 0
+    split.reset = lambda: setattr(split, "resets", split.resets + 1)
+    assert iteration.iterate(split, Posed(), []) is Status.CONVERGED
+    assert split.resets == restarts

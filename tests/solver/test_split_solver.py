@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ngsolve import cos, pi, sin, x, y
@@ -10,7 +12,7 @@ from scipy.sparse.linalg import LinearOperator, gmres
 
 import ngvisco as nv
 from ngvisco.algebra import precision
-from ngvisco.algebra.factorised import TwoLevelSolver
+from ngvisco.algebra.factorised import DirectSolver, TwoLevelSolver
 from ngvisco.errors import StepError
 from ngvisco.forms.term import Integrand
 from ngvisco.geometries import box, disc, structured_box
@@ -324,6 +326,42 @@ def test_two_levels_lead_to_the_same_solution(k):
         run.run(0.04)
     assert np.linalg.norm(state(two_level) - state(direct)) <= 1e-9 * np.linalg.norm(state(direct))
     assert two_level.solver.retried == 0
+
+
+def test_where_two_levels_do_not_solve_the_flow_the_tangent_is_factorised_as_a_whole():
+    """In what is left of the step, up to so many unknowns; the next step begins with two levels."""
+    few = SplitOptions(direct_up_to=(0, 0), flow_iterations=4)
+    runs = [
+        simulation(newton=nv.NewtonOptions(split=options))
+        for options in (SplitOptions(), few, replace(few, direct_at_most=(10, 10)))
+    ]
+    used = [updates(run) for run in runs]
+    for run in runs:
+        run.advance()
+    whole, helped = (state(run) for run in runs[:2])
+    assert np.linalg.norm(helped - whole) <= 1e-9 * np.linalg.norm(whole)
+    took = [run.ledger.column("newton_iterations")[-1] for run in runs]
+    assert took[1] <= 1.5 * took[0] < took[2]
+    assert set(used[0]) == {DirectSolver} and set(used[2]) == {TwoLevelSolver}
+    first = used[1].index(DirectSolver)
+    assert first > 0 and set(used[1][:first]) == {TwoLevelSolver} and set(used[1][first:]) == {DirectSolver}
+    assert not runs[1].solver.newton.is_factorised
+    used[1].clear()
+    runs[1].advance()
+    assert used[1][0] is TwoLevelSolver
+
+
+def updates(run):
+    """The kinds of solver of the velocity tangent, at each time that it is made anew."""
+    preconditioner, kinds = run.solver.newton.preconditioner, []
+    update = preconditioner.update
+
+    def noted(*arguments):
+        kinds.append(type(preconditioner.solver))
+        update(*arguments)
+
+    preconditioner.update = noted
+    return kinds
 
 
 def test_two_levels_take_as_many_iterations_on_finer_meshes():

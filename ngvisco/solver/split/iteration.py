@@ -32,6 +32,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
     may_narrow = problem.width == 1.0
     last, best, turned = np.inf, np.inf, 0.0
     best_x, best_f = None, None
+    within: tuple[np.ndarray, np.ndarray] | None = None  # the last iterate at which R is a number, and its f
     since, restarts = 0, 0  # iterations since the start or a restart, and restarts
     before: np.ndarray | None = None  # the increment by which x was reached
     nearest, swings = np.inf, 0  # the increment that none has halved since, leaps and secants since it
@@ -53,7 +54,9 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
         is_slow = 0.5 * last < size <= options.narrowing.largest and size > options.rounding
         if is_slow and before is not None and swings < options.window:
             two = Successive.of(split, x, f, before)
-        diverges = not size <= (0.5 * leapt if leapt < np.inf else 2 * max(best, wanted))
+        # far from the solution increments need not fall: those of p = 4 in an impulsive start do not
+        most = (4 if best > options.linearised_above else 2) * max(best, wanted)
+        diverges = not size <= (0.5 * leapt if leapt < np.inf else most)
         leaps = diverges and two is not None and two.lead_on and best <= options.linearised_above
         if leapt < np.inf and not diverges:  # beyond a jump, where those before it are no measure
             best, sizes, since = np.inf, [], 0
@@ -69,6 +72,8 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
             sizes.append(size)
         if best_x is None or best_f is None:
             return Status.NOT_FINITE
+        if np.isfinite(size):
+            within = x, f
         stalled = (
             not leaps
             and since > 2 * options.window
@@ -88,8 +93,10 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
             restarts += 1
             if restarts > (options.restarts if best <= options.afar else options.restarts_afar):
                 return _by_krylov(split, problem, best_x, best, history)
-            # from half the step of the best iterate, with a preconditioner of its own
-            x = best_x - 0.5**restarts * best_f
+            # from half the step of the best iterate, or of the one that led to where R is no number, with a
+            # preconditioner of its own
+            from_x, of_f = (best_x, best_f) if np.isfinite(size) or within is None else within
+            x = from_x - 0.5**restarts * of_f
             split.reset()
             since, last, before = 0, np.inf, None
             continue

@@ -75,6 +75,7 @@ class Split:
             return Solution(Status.NOT_TRIED, (), "the split solver has no iteration by full steps only")
         history: list[NewtonIteration] = []
         self._best = None
+        self._relax()
         self.step.state.vec.data = guess
         problem.pose()
         if not np.isfinite(guess.Norm()):
@@ -91,6 +92,7 @@ class Split:
         if status is Status.CONVERGED:
             # an energy that is kept at the quadrature points is asked for by the ledger and the output
             self.step.eliminate.refresh()
+            self._relax()  # now, so that a run that is resumed here begins its next step alike
             return Solution(status, tuple(history))
         last = history[-1].increment if history else np.inf
         reason = (
@@ -128,13 +130,32 @@ class Split:
             f = self.preconditioner(at, options.forcing)
         size = self.size(f)
         worn = self.preconditioner.iterations > options.renewed_after[self.step.mesh.dim - 2]
-        if worn and not fresh and max(size, last) > options.renewed_at_once_above:
-            self.renew(problem, at)
-            with self._clock("solves"):
-                f = self.preconditioner(at, options.forcing)
-            size = self.size(f)
+        matters = max(size, last) > options.renewed_at_once_above
+        if not fresh and ((worn and matters) or self._may_be_better):
+            f, size = self._with_anew(problem, at)
+        if self._may_be_better:
+            self.preconditioner.strengthen()
+            f, size = self._with_anew(problem, at)
         self.note(at, f, size)
         return at, f, size
+
+    def _relax(self) -> None:
+        if self.preconditioner.relax():
+            self.reset()
+
+    @property
+    def _may_be_better(self) -> bool:
+        """Whether the flow's linear system was left unsolved, so that its increment is none, and need not be
+        so."""
+        unsolved = self.preconditioner.iterations >= self.options.split.flow_iterations
+        return unsolved and self.preconditioner.has_more
+
+    def _with_anew(self, problem: Problem, at: Evaluation) -> tuple[np.ndarray, float]:
+        """The increment by a tangent made anew, and its size."""
+        self.renew(problem, at)
+        with self._clock("solves"):
+            f = self.preconditioner(at, self.options.split.forcing)
+        return f, self.size(f)
 
     def note(self, at: Evaluation, f: np.ndarray, size: float) -> None:
         """Keep the best iterate, for what is said of a failure."""
