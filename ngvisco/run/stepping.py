@@ -252,8 +252,8 @@ class FixedStepper:
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
         t = simulation.t
-        self.begin(numbers.get("start", t), int(numbers.get("first", 0)))
-        if "start" not in numbers or self._time(self._position(t)) != t:  # steps of other lengths led here
+        self.begin(numbers.get("start", t), int(numbers.get("first", simulation.number)))
+        if "first" not in numbers or self._time(self._position(t)) != t:  # steps of other lengths led here
             self.begin(t, simulation.number)
         self._level = min(int(numbers.get("level", 0)), self.halvings)
 
