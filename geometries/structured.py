@@ -27,7 +27,7 @@ def structured_box(
     """A box [0, size_1] x [0, size_2] (x [0, size_3]) of rows of cells, with the walls of ``box``.
 
     A rectangle of the grid is two triangles, a cuboid six tetrahedra.  A column that is uniform across, the
-    set-up of problems in one dimension, is two periodic cells wide: with one a cell meets its own image.
+    set-up of problems in one dimension, is one or two periodic cells wide.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def structured_box(
 _FIELD = "structured_box.periodic"
 
 _STEEPEST = 1e6
-"""Longest over shortest row: above it cells' volumes leave the range in which a step can be solved."""
+"""Last row over the first one, or the other way round; with 1e14 Newton's iteration fails."""
 
 
 def _spacing(axis: str, rows: int, grading: Mapping[str, float] | None) -> Callable[[float], float]:

@@ -19,6 +19,7 @@ from ngvisco.forms.locating import nearest_wall
 from ngvisco.parallel.mesh import number_of
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically
+from ngvisco.run.stepping import step_under_way
 from ngvisco.run.vtk import shown_by, write_vtu
 from ngvisco.solver.solution import Attempt, iterations
 
@@ -116,7 +117,7 @@ def failure_report(
     return FailureReport(
         simulation.t,
         tau,
-        simulation.step_number + simulation.is_due(1),
+        step_under_way(simulation),
         reason,
         violation,
         state,

@@ -30,6 +30,7 @@ from ngvisco.errors import (
 from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.files import append, write_atomically
 from ngvisco.run.further_fields import usual
+from ngvisco.run.stepping import step_under_way
 from ngvisco.run.vtk import shown_by, write_vtu
 
 if TYPE_CHECKING:
@@ -82,17 +83,13 @@ class Progress:
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
         """A line for each rejected step."""
         self._print(
-            f"step {self._under_way(simulation):5d}{self._total}  t {rejection.time:.4g} s  rejected "
+            f"step {step_under_way(simulation):5d}{self._total}  t {rejection.time:.4g} s  rejected "
             f"dt {rejection.tau:.4g} s: {rejection.reason}"
         )
 
     def noticed(self, simulation: Simulation, text: str) -> None:
         """A line within a step that takes long."""
-        self._print(f"step {self._under_way(simulation):5d}{self._total}  {text}")
-
-    @staticmethod
-    def _under_way(simulation: Simulation) -> int:
-        return simulation.step_number + simulation.is_due(1)
+        self._print(f"step {step_under_way(simulation):5d}{self._total}  {text}")
 
     def finish(self, simulation: Simulation) -> None:
         finished = simulation.t >= self.until * (1 - 1e-9)

@@ -258,6 +258,11 @@ class FixedStepper:
         self._level = min(int(numbers.get("level", 0)), self.halvings)
 
 
+def step_under_way(simulation: Simulation) -> int:
+    """Number of the step that a run takes next, or is within."""
+    return simulation.step_number + simulation.is_due(1)
+
+
 def _powers_of_two(number: int) -> int:
     """How often 2 divides a number > 0."""
     return (number & -number).bit_length() - 1

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 import tomllib
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -17,6 +18,8 @@ from ngsolve import GridFunction
 import ngvisco as nv
 from ngvisco.case.directory import RunDirectory
 from ngvisco.cli.main import main, parser
+from ngvisco.cli.run import ProgressBar
+from ngvisco.run.stepping import Rejection
 
 
 def ended(*words):
@@ -146,6 +149,19 @@ def test_progress_bar_shows_time_energy_closure_and_what_is_left(capsys, case_fi
     bars = capsys.readouterr().out.split("\r")
     assert re.search(r"\[#+\.+\] t 0.02/0.04 s  step 1  energy \S+ J  closure \S+  \d+ s left", bars[-2])
     assert re.search(r"\[#+\] t 0.04/0.04 s  step 2", bars[-1])
+
+
+def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
+    ledger = SimpleNamespace(rows=[{}])
+    simulation = SimpleNamespace(t=0.02, step_number=1, ledger=ledger)
+    row = {"kinetic": 1.0, "stored": 2.0, "closure_relative": 1e-15, "limited_cells": 3.0}
+    bar = ProgressBar(0.04)
+    bar._began, bar._from = 0.0, 0.0
+    bar.step(simulation, row)
+    bar.rejected(simulation, Rejection(0.02, 0.02, "stalled; taken in parts of 0.01 s"))
+    out = capsys.readouterr().out
+    assert "step 1  " in out and "limited 3 cells" in out
+    assert "rejected dt 0.02 s at t 0.02 s: stalled; taken in parts of 0.01 s\n" in out
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,8 @@
 """Iterations of conjugate gradients by GAMG for the velocities at vertices, with rigid motions and without.
 
-Run by ``test_multigrid``.  The matrix and the cycle with rigid motions are those of the split solver.  Then
-what this does with a matrix that is not positive definite: the residual of its solution, and its words.
+Run by ``test_multigrid_over_ranks``.  The matrix and the cycle with rigid motions are those of the split
+solver.  Then what this does with a matrix that is not positive definite: the residual of its solution, and
+its words.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What does not depend on which rank is late: the first rank prints what each came to, as JSON.
 
-Run by ``test_order``.  Ranks are late, one after another, with all that NGSolve may add up over ranks, and
-with our own sums.
+Run by ``test_order_of_sums``.  Ranks are late, one after another, with all that NGSolve may add up over
+ranks, and with our own sums.
 """
 
 from __future__ import annotations

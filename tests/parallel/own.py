@@ -29,7 +29,7 @@ ADAPTIVE = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-2)
 
 @dataclass(frozen=True)
 class Drag(PointTerm):
-    """int c rho v . w: a resistance of the body's surroundings."""
+    """int c rho v . w: a resistance of the body's surroundings, which no solver of ours has heard of."""
 
     c: float  # 1/s
 

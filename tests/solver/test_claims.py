@@ -12,19 +12,7 @@ from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, log, square
 from ngvisco.reduced import claims
-
-
-@dataclass(frozen=True)
-class Drag(PointTerm):
-    """int c rho v . w: a resistance of the body's surroundings, which no solver of ours has heard of."""
-
-    c: float  # 1/s
-
-    def cells(self, u, w):
-        return [self.c * u.rho * inner(u.v, w.v)]
-
-    def entries(self, u):
-        return [Entry("dissipation_drag", "dissipation", Integrand(self.c * u.rho * square(u.v)))]
+from tests.parallel.own import Drag
 
 
 @dataclass(frozen=True)
