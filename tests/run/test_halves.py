@@ -109,12 +109,13 @@ def test_what_is_written_every_so_many_steps_counts_whole_steps(monkeypatch, tmp
     text = lines.getvalue()
     assert "step     2/6  t 0.08 s" in text and "step     2/6  t 0.04 s  rejected" in text
     assert "after 6 steps in 10 parts" in text and "step     3/6" not in text
-    probes = nv.Probes({"a": (0.4, 0.3)}, ["velocity"], tmp_path / "probes.csv", every=2)
-    again = simulation(observers=[probes])
-    again.restore(tmp_path / "run.h5", step=4)
-    assert again.step_number == 2 and again.t == pytest.approx(1.75 * DT)
-    again.run(6 * DT)
-    assert probes.column("time").tolist() == pytest.approx(whole)
+    for row, step, end in ((8, 4, 4.0), (4, 2, 1.75)):
+        probes = nv.Probes({"a": (0.4, 0.3)}, ["velocity"], tmp_path / "probes.csv", every=2)
+        again = simulation(observers=[probes])
+        again.restore(tmp_path / "run.h5", step=row)
+        assert again.step_number == step and again.t == pytest.approx(end * DT)
+        again.run(6 * DT)
+        assert probes.column("time").tolist() == pytest.approx(whole)
 
 
 def test_parts_are_the_steps_of_a_run_with_that_length(monkeypatch):
