@@ -74,7 +74,7 @@ class StepError(NgviscoError, RuntimeError):
     Attributes
     ----------
     history : tuple of Attempt
-        What was tried: each solve's strategy, its iterations and why it failed.
+        What was tried: each solve's start values, its iterations and why it failed.
     report : FailureReport or None
         Where and why, and what to change, of a step of a ``Simulation``.
     """

@@ -75,10 +75,6 @@ class ProgressBar:
             f"\r\x1b[Krejected dt {rejection.tau:.4g} s at t {rejection.time:.4g} s: {rejection.reason}\n"
         )
 
-    def noticed(self, simulation: Simulation, text: str) -> None:
-        """A line of its own too."""
-        streams.write(f"\r\x1b[K{text}\n")
-
     def finish(self, simulation: Simulation) -> None:
         advice = dissipation_advice(simulation)
         streams.write("\n" if advice is None else f"\n{advice}\n")

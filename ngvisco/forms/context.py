@@ -1,4 +1,4 @@
-"""What is known at a point of a Rothe step: old fields, step length, upwinding's width, loads."""
+"""What is known at a point of a Rothe step: old fields, step length, upwinding, loads."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.facets import boundary_facets, facets_with_two_sides
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Rates
+from ngvisco.forms.upwinding import Upwinding
 from ngvisco.physics.model import Model
 from ngvisco.physics.time import time
 
@@ -41,10 +42,13 @@ class Context:
         mesh: Mesh,
         model: Model,
         old: Fields,
+        wind: CoefficientFunction,
         energy: StoredEnergy | None = None,
         momentum_old: CoefficientFunction | None = None,
     ) -> None:
-        """``energy`` may be None where the material's energy has an expression.
+        """``wind`` is the velocity v* of the upwinding, m/s.
+
+        ``energy`` may be None where the material's energy has an expression.
 
         ``momentum_old`` are the values of m_old at the points of the forms' rule, kg/(m^2 s); None for
         rho_old v_old.
@@ -58,12 +62,14 @@ class Context:
         self.loads_from, self.loads_over = Parameter(0.0), Parameter(1.0)
         """Start and length of the interval over which loads are averaged, s."""
         self.eta = Parameter(1e-6)
-        """Width of the smoothed sign sigma(v.n), m/s."""
+        """Width of the smoothed sign of v* . n, m/s."""
         self.curvature = Parameter(1e-6)
         """Curvature of v below which the interior penalty stops following hess v, 1/(m s)."""
         self.normal = specialcf.normal(mesh.dim)
         self.inner = inner_facets(mesh)
         self.h = cell_size(mesh)
+        self.upwinding = Upwinding(wind * self.normal, self.inner, self.eta)
+        """On a cell's boundary only."""
 
     @property
     def momentum_old(self) -> CoefficientFunction:

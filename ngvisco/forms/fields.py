@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Grad, specialcf
 
-from ngvisco.forms.upwinding import Upwinding
 from ngvisco.physics.tensors import embed_gradient, trace_free_tensors
 from ngvisco.physics.variables import Values
 
@@ -57,14 +56,8 @@ class Fields:
 
     @property
     def context(self) -> Context:
-        """What is known where these values are: old fields, step length, normal, upwinding's width."""
+        """What is known where these values are: old fields, step length, normal, upwinding."""
         return self.layout.context if self._context is None else self._context
-
-    @cached_property
-    def upwinding(self) -> Upwinding:
-        """That of this velocity; on a cell's boundary only."""
-        c = self.context
-        return Upwinding(self.v * c.normal, c.inner, c.eta)
 
     @property
     def v(self) -> CoefficientFunction:

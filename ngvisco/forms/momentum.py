@@ -31,29 +31,24 @@ from ngvisco.physics.tensors import inner, square, sym
 
 @dataclass(frozen=True)
 class Continuity(PointTerm):
-    """int (rho - rho_old)/tau q - rho v . grad q + sum_K int_{dK} F_hat (q - q_hat) = 0
+    """int (rho - rho_old)/tau q - rho v . grad q + sum_K int_{dK} (v . n) rho_hat q = 0
     (paper: Euler-small-viscoelastodyn+0disc; its delta-term is ``DensityDiffusion``).
 
-    With a cut-off, rho is f(rho) = K(rho) rho here, which falls where rho > rho_max: an upwind flux would go
-    on filling full cells.  The flux is that of Engquist and Osher (Math. Comp. 36, 1981) instead, with the
-    rising part f^+ of f of the side that the flow leaves and the falling part f^- of the one that it enters,
+    rho_hat is the upwind trace, sum_K int_{dK} (1 - n^-) (rho_hat - rho) q_hat = 0 with the weights of the
+    step (``ngvisco.forms.upwinding``), a convex combination of both sides' densities.  The flux through a facet is
+    single-valued and zero on walls: q = 1 conserves mass to rounding (paper: Euler-small-est-1+).
 
-        F_hat = 2 (F - rho_hat),    F = a^+ f^+(rho) - a^- f^-(rho),    rho_hat = (F_1 + F_2)/2,
+    With a cut-off, rho is f(rho) = K(rho) rho in the fluxes, which falls where rho > rho_max: an upwind flux
+    would go on filling full cells.  The trace is then that of Engquist and Osher (Math. Comp. 36, 1981), the
+    rising part f^+ of f upstream and the falling part f^- downstream,
 
-    the same as above below the density of the largest f.  It grows with the density of its own side and falls
-    with that of the other; a cell of constant density rho_max + width gets nothing, and its density never
-    passes that (paper: Euler-small-est3+++).
+        sum_K int_{dK} [(1 - n^-) (rho_hat - f^+(rho)) - n^- f^-(rho)] q_hat = 0,
 
-    F_hat = a^+ rho - a^- rho_hat with a = v.n and a^{+-} = (sqrt(a^2 + eta^2) +- a)/2 > 0.  The test q_hat
-    makes the flux single-valued, i.e. rho_hat the upwind value n^+ rho_1 + n^- rho_2, a convex
-    combination whatever v.n; q = q_hat = 1 conserves mass to rounding (paper: Euler-small-est-1+).
-
-    With ``by_trace`` F_hat = a rho_hat and rho_hat is the upwind value by ``UpwindTrace``'s equation: the
-    flux of conserved variables (``ngvisco.forms.transport``), so that rho stays the sum rho_i n_i of bodies.
+    the same as above below the density of the largest f.  A cell of constant density rho_max + width gets
+    nothing, and its density never passes that (paper: Euler-small-est3+++).
     """
 
     regularisation: Regularisation | None = None
-    by_trace: bool = False
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         order = setting.m
@@ -65,15 +60,13 @@ class Continuity(PointTerm):
         return [c.rate(u.rho - c.old.rho) * w.rho, -carried * (u.v * w.grad_rho)]
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        a, law = u.upwinding, self.regularisation
-        if self.by_trace:
-            trace = a.share * (u.rho_hat - carried_density(u, law))
-            return [a.normal_velocity * u.rho_hat * w.rho, trace * w.rho_hat]
+        c, law = u.context, self.regularisation
+        share, inflow = c.upwinding.share, c.upwinding.inflow
         if law is None or law.rho_max is None:
-            flux = a.outward * u.rho - a.inward * u.rho_hat
+            trace = share * (u.rho_hat - u.rho)
         else:
-            flux = 2 * (a.outward * law.rising(u.rho) - a.inward * law.falling(u.rho) - u.rho_hat)
-        return [flux * (w.rho - w.rho_hat)]
+            trace = share * (u.rho_hat - law.rising(u.rho)) - inflow * law.falling(u.rho)
+        return [c.inner * (u.v * c.normal) * u.rho_hat * w.rho, trace * w.rho_hat]
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ from ngvisco.physics.model import Model
 def equations(model: Model, dim: int) -> tuple[Term, ...]:
     """The terms of a model's equations, without walls."""
     terms: list[Term] = [
-        Continuity(model.regularisation, by_trace=bool(model.bodies)),
+        Continuity(model.regularisation),
         Inertia(),
         Convection(model.regularisation),
         ElasticForce(),
@@ -137,7 +137,11 @@ class Step:
         points = IntegrationRuleSpace(mesh, order=self.quadrature.volume_degree // 2)
         self.momentum_old = GridFunction(VectorValued(points, mesh.dim), name="momentum_old")
         self._momentum = GridFunction(VectorValued(points, mesh.dim))
-        self.context = self.layout.context = Context(mesh, model, self.old, self.energy, self.momentum_old)
+        self.wind = GridFunction(self.layout.blocks["v"], name="wind")
+        """v*, which says what side of a facet is upstream, m/s; known before a step is solved."""
+        self.context = self.layout.context = Context(
+            mesh, model, self.old, self.wind, self.energy, self.momentum_old
+        )
         self.ranges: dict[str, tuple[float, float]] = {}
         """Least and largest start values of the material's parameters, by name."""
         self.residual = self._residual()

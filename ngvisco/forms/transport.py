@@ -1,9 +1,11 @@
 """Transport of the material's variables and the elastic force: one bilinear operator used twice.
 
     B_h(w; z, G) = sum_K int_K (rate(grad w; z) - (w . grad) z) : G
-                 - sum_K int_{dK} (w . n) n^- (z_hat - z) : G
+                 - sum_K int_{dK} (w . n) (z_hat - z) : G
 
-with n^- = (1 - sigma(v . n))/2 of the step's velocity v and the upwind trace z_hat.  For a variable that is
+with the upwind trace z_hat = (1 - n^-_1) z_1 + (1 - n^-_2) z_2 of both sides' values, n^- by a velocity v*
+that is known before the step is solved (``ngvisco.forms.upwinding``).  The two sides weigh their conjugates
+by n^-_1 and n^-_2, which sum up to one whatever v*: the force of a jump is whole.  For a variable that is
 conserved, rate = -(div w) z, it is
 
     B_h(w; z, G) = sum_K int_K z w . grad G - sum_K int_{dK} (w . n) z_hat G,
@@ -49,7 +51,7 @@ def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> 
 def transport_through_facets(along: Fields, u: Fields, G: Fields, name: Conjugate) -> CoefficientFunction:
     """The facets' part of B_h(w; z, G), of both sides."""
     c, conserved = u.context, u.layout.states.conserved
-    carried = u.upwinding.inflow * u.z_jump
+    carried = c.inner * u.z_jump
     if conserved.any():
         carried = masked(carried, ~conserved) + c.inner * masked(u.z_hat, conserved)
     return -((along.v * c.normal) * inner(carried, G.parts[name]))
@@ -101,13 +103,13 @@ class Kinematics(PointTerm):
 
 
 class UpwindTrace(PointTerm):
-    """sum_K int_{dK} (1 - n^-)(z_hat - z) : G_hat = 0: the trace is the upwind value n^+ z_1 + n^- z_2."""
+    """sum_K int_{dK} (1 - n^-)(z_hat - z) : G_hat = 0: the trace is the upwind value, by v* of the step."""
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         return (Unknown("z_hat", "facets", setting.m, setting.states.size, trace_of="z"),)
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return [u.upwinding.share * inner(u.z_hat - u.z, w.z_hat)]
+        return [u.context.upwinding.share * inner(u.z_hat - u.z, w.z_hat)]
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.rate_tensors import TabulatedRates
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm
+from ngvisco.forms.upwinding import Upwinding
 from ngvisco.physics.arrays import Array, Linear, slots
 from ngvisco.physics.tensors import trace_free_tensors
 from ngvisco.reduced.operators import Operators, SideOperators
@@ -133,7 +134,7 @@ class SideContext:
     """What is known on the cells' sides."""
 
     def __init__(self, step: Step, operators: SideOperators) -> None:
-        self._step, self._points = step, operators.points
+        self._step, self._op, self._points = step, operators, operators.points
         self._given = WeakKeyDictionary[CoefficientFunction, Array]()
         self.normal = Array(operators.points.normals, None)
         self.inner = Array(operators.inner, None)
@@ -144,8 +145,12 @@ class SideContext:
         return _rate(self._step, difference)
 
     def start(self) -> None:
-        """Let what is given be that of the step."""
+        """Let what is given, and the side of upwinding, be that of the step."""
         self._given.clear()
+        wind = self._op.v(self._step.wind.vec.FV().NumPy().reshape(self._step.mesh.dim, -1))
+        through = (self._op.points.normals * wind).sum(axis=0)
+        eta = self._step.context.eta.Get()
+        self.upwinding = Upwinding(Array(through, None), self.inner, eta)
 
     def given(self, value: CoefficientFunction) -> Array:
         """A scalar, a vector or a matrix at the end of the step, see ``Context.given``."""
@@ -154,11 +159,6 @@ class SideContext:
             values = np.stack([self._points.sample(entry) for entry in entries])
             self._given[value] = Array(values.reshape(*value.dims, -1), None)
         return self._given[value]
-
-    @property
-    def eta(self) -> float:
-        """Width of the smoothed sign, m/s."""
-        return self._step.context.eta.Get()
 
     @property
     def curvature(self) -> float:
@@ -267,16 +267,8 @@ def _values(op: Operators | SideOperators, c: Coefficients) -> dict[str, Callabl
     return {name: partial(lambda name, space: space(c[name]), name, space) for name, space in spaces.items()}
 
 
-def with_parts(u: Fields, **given: np.ndarray) -> Fields:
-    """The same fields with other values of some unknowns on facets: the upwinding is that of ``u``."""
-    parts = {name: Array(values, None) for name, values in given.items()}
-    other = Fields(u.layout, ChainMap(parts, u.parts), u.context, u.gradient)  # type: ignore[arg-type]
-    other.__dict__["upwinding"] = u.upwinding
-    return other
-
-
 def with_values(u: Fields, grad_v: np.ndarray | None = None, **given: np.ndarray) -> Fields:
-    """The same fields with other values of some unknowns, or of grad v, in cells."""
+    """The same fields with other values of some unknowns, or of grad v."""
     parts = {name: Array(values, None) for name, values in given.items()}
     other = Fields(u.layout, ChainMap(parts, u.parts), u.context, u.gradient)  # type: ignore[arg-type]
     if grad_v is not None:

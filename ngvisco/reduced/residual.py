@@ -27,7 +27,7 @@ from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.increments import TINY
 from ngvisco.reduced.claims import Claims
 from ngvisco.reduced.diffusion import FieldDiffusionRows
-from ngvisco.reduced.evaluation import CellTerms, FacetTerms, with_parts
+from ngvisco.reduced.evaluation import CellTerms, FacetTerms, with_values
 from ngvisco.reduced.facet_mass import FacetMass
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity
 from ngvisco.reduced.operators import Operators, SideOperators
@@ -78,8 +78,6 @@ class Evaluation:
         Arrays of values at the points of cells and of sides.
     hyper : HyperValues or None
     residual : Residual
-    moved : (sides' points,) array or None
-        |change of v . n| since the evaluation before, m/s; None at the first one after ``start``.
     """
 
     x: np.ndarray
@@ -88,7 +86,6 @@ class Evaluation:
     facets: Fields
     hyper: HyperValues | None
     residual: Residual
-    moved: np.ndarray | None = None
 
 
 class ReducedResidual:
@@ -126,7 +123,7 @@ class ReducedResidual:
         self.shared_density = exchange.part(u.places(u.density))
         """Of the density's unknowns: its traces, where its equation is not linear, are iterated."""
         self._traces = exchange.part(u.places(["rho_hat"]))
-        self.trace_mass, self.density_mass = (FacetMass(self.side_op.hat, self._traces) for _ in range(2))
+        self.trace_mass = FacetMass(self.side_op.hat, self._traces)
         self.trace_mass.update(self.side_op.points.weights * mean_share(self.side_op.inner))
         self.diffusion: FieldDiffusionRows | None = None
         if claims.diffusion:
@@ -134,14 +131,12 @@ class ReducedResidual:
             self.diffusion = FieldDiffusionRows(step, self.op, self.slope, term, self.trace_mass)
         self._at_points = [*claims.at_points, *claims.continuity]
         self._of_traces = [*claims.traces, *claims.continuity]
-        self._through: np.ndarray | None = None
         self._zeros = {"z_hat": np.zeros((step.layout.states.size, 1)), "rho_hat": np.zeros(1)}
 
     def start(self) -> None:
         """Evaluate what is known through the step."""
         self.cell_terms.context.start()
         self.facet_terms.context.start()
-        self._through = None
         if self.right_hand_side is not None:
             self.right_hand_side.start()
 
@@ -164,13 +159,7 @@ class ReducedResidual:
             self.step.eliminate.refresh()
         with self._clock("forms"):
             residual = self._joined(x, rows)
-        moved = None if np.iscomplexobj(x) else self._moved(s)
-        return Evaluation(x, c, u, s, hyper, residual, moved)
-
-    def _moved(self, s: Fields) -> np.ndarray | None:
-        through, before = s.upwinding.through.value, self._through
-        self._through = through
-        return None if before is None else abs(through - before)
+        return Evaluation(x, c, u, s, hyper, residual)
 
     def put(self, x: np.ndarray) -> None:
         """Make ``x``, real, and what is derived from it, the step's state."""
@@ -221,24 +210,12 @@ class ReducedResidual:
 
     def _set_traces(self, c: dict[str, np.ndarray], s: Fields) -> None:
         """Solve for the upwind traces of z and rho."""
-        op, weights = self.side_op, self.side_op.points.weights
-        at_zero = with_parts(s, **self._zeros)
         terms = self.claims.traces if self.density is not None else self._of_traces
-        found = self.facet_terms.slots(terms, at_zero)
-        c["z_hat"] = -self.trace_mass.solve(self._traces.sum(op.hat.test(found["z_hat"])))
-        if self.density is not None:
-            return
-        # the rows of rho_hat are linear in it: what multiplies it is their value for rho = 0, rho_hat = 1
-        unit = with_parts(s, rho=np.zeros(1), rho_hat=np.ones(1))
-        factor = self.facet_terms.slots(self.claims.continuity, unit)["rho_hat"]
-        load = -self._traces.sum(op.hat.test(found["rho_hat"]))
-        if not np.iscomplexobj(factor):
-            self.density_mass.update(weights * factor)
-            c["rho_hat"] = self.density_mass.solve(load)
-            return
-        real = self.density_mass.solve(np.ascontiguousarray(load.real))
-        change = load.imag - self._traces.sum(op.hat.test(factor.imag * op.hat(real)))
-        c["rho_hat"] = real + 1j * self.density_mass.solve(change)
+        loads = self.facet_terms.slots(terms, with_values(s, **self._zeros))
+        names = ["z_hat"] if self.density is not None else ["z_hat", "rho_hat"]
+        for name in names:
+            tested = self._traces.sum(self.side_op.hat.test(loads[name]))
+            c[name] = -self.trace_mass.solve(tested)
 
     def _joined(self, x: np.ndarray, rows: dict[str, np.ndarray]) -> Residual:
         u, dtype, is_real = self.unknowns, x.dtype, not np.iscomplexobj(x)

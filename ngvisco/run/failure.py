@@ -53,7 +53,7 @@ class FailureReport:
         Largest tau |v|/h at the state before, in cell ``fastest`` at ``place`` (m), near ``wall``.  Cells
         have their numbers in the whole mesh, or None where that is not known.
     history : tuple of Attempt
-        What was tried, by which strategy.
+        What was tried, from which start values.
     advice : tuple of str
         What to change.
     """
@@ -88,15 +88,11 @@ class FailureReport:
 
 def _described(attempt: Attempt) -> str:
     """An attempt in a line."""
-    solution, which = attempt.solution, attempt.strategy
-    if attempt.width != 1.0:
-        which += f", upwinding {attempt.width:g} times as wide"
-    if attempt.length != 1.0:
-        which += f", {attempt.length:.3g} of the step"
+    solution = attempt.solution
     increments = ", ".join(f"{one.increment:.1e}" for one in solution.history[-_SHOWN:])
     last = f", the last increments {increments}" if increments else ""
-    against = f"; {solution.against}" if solution.against else ""
-    return f"{which}: {len(iterations([attempt]))} iterations{last}; {solution.reason or 'solved'}{against}"
+    count = len(iterations([attempt]))
+    return f"{attempt.start}: {count} iterations{last}; {solution.reason or 'solved'}"
 
 
 def failure_report(

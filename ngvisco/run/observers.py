@@ -87,10 +87,6 @@ class Progress:
             f"dt {rejection.tau:.4g} s: {rejection.reason}"
         )
 
-    def noticed(self, simulation: Simulation, text: str) -> None:
-        """A line within a step that takes long."""
-        self._print(f"step {step_under_way(simulation):5d}{self._total}  {text}")
-
     def finish(self, simulation: Simulation) -> None:
         finished = simulation.t >= self.until * (1 - 1e-9)
         word = "finished" if finished else "stopped"

@@ -207,11 +207,10 @@ class _Carrier:
         convected = Grad(f) * v if vector else inner(Grad(f), v)
         if rate is not None:
             convected = convected - rate * f
-        inflow, rules = step.now.upwinding.inflow, step.quadrature
+        rules = step.quadrature
         cells = c.rate(inner(f, g)) + inner(convected, g)
-        # the cell that v enters takes the trace, and the trace is what the other cell has
-        entering = (v * c.normal) * inflow * inner(f_hat - f, g)
-        trace = inner(mean_share(c.inner) * f_hat - (1 - inflow) * f, g_hat)
+        entering = c.inner * (v * c.normal) * inner(f_hat - f, g)
+        trace = inner(mean_share(c.inner) * f_hat - c.upwinding.share * f, g_hat)
         self.form = BilinearForm(self.space, condense=True)
         self.form += cells.Compile() * rules.cells
         self.form += (entering + trace).Compile() * rules.facets

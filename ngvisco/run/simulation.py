@@ -62,14 +62,12 @@ from ngvisco.run.stepping import (
     HALVINGS,
     AdaptiveStepper,
     AdaptiveSteps,
-    NoticeObserver,
     Rejection,
     RejectionObserver,
     make_stepper,
 )
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
-from ngvisco.solver.strategies import Strategy
 from ngvisco.threads import computing
 from ngvisco.timestepping.integrator import Integrator
 from ngvisco.timestepping.scheme import TimeScheme
@@ -121,8 +119,6 @@ class Simulation:
     newton : NewtonOptions, optional
     solver : str, optional
         ``"auto"``, ``"coupled"`` or ``"split"``: short for ``NewtonOptions(method=...)``.
-    strategies : sequence of Strategy, optional
-        What is tried to solve a step, in order, in place of the solver's own list (``RotheSolver``).
     observers : sequence of Observer
     velocity_scale : float, optional
         A typical velocity, m/s; sets the width of the smoothed upwinding (1e-4 of it).  Default: the
@@ -143,8 +139,7 @@ class Simulation:
         a run.  It changes no other state; the ledger has its energy as ``limiter``.
 
     halvings : int
-        With steps of one length: how often a step that is not solved is halved before the coupled solver is
-        asked (``FixedStepper``); 0 asks at once.
+        With steps of one length: how often a step that is not solved is halved (``FixedStepper``).
 
     Raises
     ------
@@ -172,7 +167,6 @@ class Simulation:
         discretisation: Discretisation | None = None,
         newton: NewtonOptions | None = None,
         solver: str | None = None,
-        strategies: Sequence[Strategy] | None = None,
         observers: Sequence[Observer] = (),
         velocity_scale: float | None = None,
         sources: Term | None = None,
@@ -225,7 +219,7 @@ class Simulation:
         options = newton or NewtonOptions()
         if solver is not None:
             options = replace(options, method=solver)
-        self.solver = RotheSolver(self.rothe_step, options, self.defect, strategies, self.notify)
+        self.solver = RotheSolver(self.rothe_step, options, self.defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.closure_check = ClosureCheck(options.tolerance)
         self.bounds = Bounds(self.rothe_step, self.sampler, limiter)
@@ -409,12 +403,6 @@ class Simulation:
         for observer in self.observers:
             if isinstance(observer, RejectionObserver):
                 tell(self, observer, observer.rejected, rejection)
-
-    def notify(self, text: str) -> None:
-        """Tell the observers that ask for it what goes on within a step."""
-        for observer in self.observers:
-            if isinstance(observer, NoticeObserver):
-                observer.noticed(self, text)
 
     def _observed(self, targets: Sequence[float]) -> BaseException | None:
         """Start the observers and step through the targets; what ended it early, if anything did."""

@@ -1,7 +1,6 @@
 """How the time loop chooses its steps: fixed, as in the paper, or adaptive.
 
-Fixed.  A step that the split solver does not solve is taken in halves, quarters, eighths before other
-strategies are asked (``FixedStepper``).
+Fixed.  A step that is not solved is taken in halves, quarters, eighths (``FixedStepper``).
 
 Adaptive.  A step is rejected, and its length halved, when Newton fails, or when rho, J (or A) is not
 positive at a sampling point.  With a tolerance, the estimated relative error e of each step
@@ -29,7 +28,6 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 from ngvisco.errors import ParameterError, StepError, as_integer, require_count, require_positive
-from ngvisco.solver.strategies import Effort
 from ngvisco.timestepping.error import ErrorEstimate
 from ngvisco.timestepping.integrator import StepTaken
 
@@ -49,10 +47,7 @@ LARGEST_CHANGE, UNCHANGED = 2.0, 0.1
 """Factor by which a length changes at most, and the share of it below which it is kept."""
 
 HALVINGS, MOST_HALVINGS = 3, 20
-"""Of a step of fixed length, before the coupled solver is asked: by default, and at most."""
-
-_LAST = Effort.CONTINUATION | Effort.OTHER_SOLVER | Effort.NAMES
-"""What is asked where no part of a step is solved from start values at hand."""
+"""Of a step of fixed length that is not solved: by default, and at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,14 +112,6 @@ class RejectionObserver(Protocol):
         """After a step was rejected; the state is that before the step."""
 
 
-@runtime_checkable
-class NoticeObserver(Protocol):
-    """An observer that wants to know what goes on within a step that takes long."""
-
-    def noticed(self, simulation: Simulation, text: str) -> None:
-        """Within a step: a line for the user."""
-
-
 class Stepper(Protocol):
     """Chooses and takes steps for a simulation."""
 
@@ -176,9 +163,7 @@ class FixedStepper:
 
     A step that it does not solve is taken in halves, these in quarters, down to 2^-``halvings`` of it: each
     part is a step of the scheme with a row of the ledger of its own, and observers are told of the rejection.
-    Only where the shortest part is not solved either the other strategies are asked, continuation and the
-    coupled solver, for as much of the step as can be made up of halves.  The step after begins with parts
-    twice as long.
+    The step after begins with parts twice as long.
     """
 
     def __init__(self, dt: float, halvings: int = HALVINGS) -> None:
@@ -222,26 +207,20 @@ class FixedStepper:
         t, position = simulation.t, self._position(simulation.t)
         whole, done = divmod(position, self._parts)
         level = self._level if done else max(0, self._level - 1)
-        others = any(one.effort is Effort.OTHER_SOLVER for one in simulation.solver.strategies)
-        efforts, rejections = Effort.DIRECT if others and self.halvings else Effort.ALL, 0
+        rejections = 0
         while True:
             size = self._parts >> level
             tau = self.dt * size / self._parts
             try:
-                asked = efforts | Effort.NAMES if level == self.halvings else efforts
-                taken = simulation.integrator.advance(t, tau, self._first + whole, asked)
+                taken = simulation.integrator.advance(t, tau, self._first + whole)
                 self._level = level
                 return Accepted(self._time(position + size), taken, rejections)
             except StepError as failure:
-                if efforts == _LAST or (efforts == Effort.ALL and level == self.halvings):
+                if level == self.halvings:
                     raise
                 reason, history = str(failure.__cause__ or failure), failure.history
-            if level < self.halvings:
-                level += 1
-                reason += f"; taken in parts of {self.dt / (1 << level):.4g} s"
-            else:  # as much of the step as is made up of halves
-                efforts, level = _LAST, self.halvings - _powers_of_two(done or self._parts)
-                reason += f"; {coupled_solver(simulation)}"
+            level += 1
+            reason += f"; taken in parts of {self.dt / (1 << level):.4g} s"
             rejections += 1
             simulation.notify_rejection(Rejection(t, tau, reason, history))
 
@@ -261,19 +240,6 @@ class FixedStepper:
 def step_under_way(simulation: Simulation) -> int:
     """Number of the step that a run takes next, or is within."""
     return simulation.step_number + simulation.is_due(1)
-
-
-def _powers_of_two(number: int) -> int:
-    """How often 2 divides a number > 0."""
-    return (number & -number).bit_length() - 1
-
-
-def coupled_solver(simulation: Simulation) -> str:
-    """That the coupled solver is asked next, or why it is not, in words."""
-    largest = simulation.solver.options.split.coupled_up_to[simulation.mesh.dim - 2]
-    if simulation.cells > largest:
-        return f"the coupled solver is for meshes up to {largest} cells (NewtonOptions.split.coupled_up_to)"
-    return "the coupled solver is asked"
 
 
 class AdaptiveStepper:
@@ -304,10 +270,8 @@ class AdaptiveStepper:
         estimate = self._estimate_of(simulation)
         while True:
             tau, new_time = self._length(t, stop)
-            is_last = tau / 2 < self.options.dt_min
-            efforts = Effort.DIRECT | Effort.NAMES if is_last else Effort.DIRECT
             try:
-                taken = integrator.advance(t, tau, simulation.number, efforts=efforts, meets=new_time == stop)
+                taken = integrator.advance(t, tau, simulation.number, meets=new_time == stop)
             except StepError as failure:
                 # the cause, which does not say again which step it was
                 reason = str(failure.__cause__ or failure)

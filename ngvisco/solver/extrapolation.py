@@ -1,4 +1,4 @@
-"""Start values by extrapolation in time through the last two solutions."""
+"""Extrapolation in time through the last two solutions: of start values, and of the velocity alone."""
 
 from __future__ import annotations
 
@@ -7,6 +7,12 @@ from ngsolve import BaseVector
 
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
+
+FARTHEST = 3.0
+"""Distance of the step's end from the last solution, in units of that between the two."""
+
+LARGEST_CHANGE = 0.5
+"""Of density and elastic variables, in units of their size: to stay in the energy's domain."""
 
 
 class Extrapolation:
@@ -34,19 +40,30 @@ class Extrapolation:
         """Forget: the states at hand do not follow from each other."""
         self._times.clear()
 
-    def guess(self, time: float, farthest: float, largest_change: float) -> BaseVector | None:
-        """The state extrapolated to ``time``, s; None if there is nothing to do so from.
-
-        It is not farther from the last solution than ``farthest``, in units of the time between the two, and
-        changes densities and elastic variables by less than ``largest_change``, in units of their size.
-        """
+    def _reach(self, time: float) -> float | None:
+        """Distance of ``time`` from the last solution in units of the time between the two; None where it is
+        too far, or nothing is known to extrapolate from."""
         if len(self._times) < 2:
             return None
         earlier, last = self._times
         if last <= earlier:  # stages of a tableau need not go forward in time
             return None
         reach = (time - last) / (last - earlier)
-        if not 0 < reach <= farthest:
+        return reach if 0 < reach <= FARTHEST else None
+
+    def velocity(self, time: float) -> np.ndarray | None:
+        """Coefficients of v extrapolated to ``time``, s; None if there is nothing to do so from."""
+        reach, v = self._reach(time), self.step.layout.ranges["v"]
+        if reach is None:
+            return None
+        earlier, last = (state[v] for state in self._states)
+        return last + reach * (last - earlier)
+
+    def guess(self, time: float) -> BaseVector | None:
+        """The state extrapolated to ``time``, s; None if there is nothing to do so from, or it would change
+        densities and elastic variables by more than ``LARGEST_CHANGE`` of their size."""
+        reach = self._reach(time)
+        if reach is None:
             return None
         change = reach * (self._states[1] - self._states[0])
         for name in ("rho", "z"):
@@ -54,7 +71,7 @@ class Extrapolation:
             size, change_of = (
                 self._ranks.most(abs(values[where]).max(initial=0.0)) for values in (self._states[1], change)
             )
-            if not change_of < largest_change * size:
+            if not change_of < LARGEST_CHANGE * size:
                 return None
         guess = self.step.state.vec.CreateVector()
         guess.FV().NumPy()[:] = self._states[1] + change

@@ -19,7 +19,6 @@ increment of that size, or one below the tolerance with the norm's coarse floor 
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Callable
 
 import numpy as np
@@ -27,17 +26,11 @@ from ngsolve import BaseVector, BilinearForm
 
 from ngvisco.algebra.condensed import CondensedJacobian
 from ngvisco.errors import StepError
-from ngvisco.forms.term_rows import TermRows, in_words
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.solver.cost import Allowance
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status
-
-
-class _TooCostlyError(StepError):
-    """The time that the solver may take does not suffice for another factorisation."""
 
 
 class Newton:
@@ -51,18 +44,16 @@ class Newton:
         eliminate: Callable[[], None],
         options: NewtonOptions,
         refresh: Callable[[], None] = lambda: None,
-        allowance: Allowance | None = None,
         exchange: Exchange | None = None,
     ) -> None:
-        """``allowance`` bounds the time of all solves together; ``eliminate`` recomputes the local unknowns
-        of ``state`` from the others.
+        """``eliminate`` recomputes the local unknowns of ``state`` from the others.
 
         ``refresh`` is called before the form is used at a state that ``eliminate`` was not just called at.
         ``exchange`` is that of the form's space, where it may be distributed.
         """
         self.exchange = exchange or Exchange.of(form.space, Communicator())
         self.form, self.state, self.norm, self.options = form, state, norm, options
-        self.eliminate, self.refresh, self.allowance = eliminate, refresh, allowance
+        self.eliminate, self.refresh = eliminate, refresh
         self.jacobian = CondensedJacobian(
             form, options.inverse, options.coupled.heap_sizes, self.exchange.communicator
         )
@@ -71,10 +62,6 @@ class Newton:
         self._increment = state.CreateVector()
         self._next = state.CreateVector()
         self._base = state.CreateVector()
-        self.rows: Callable[[], TermRows] | None = None
-        """Makes the rows by terms, where they are known."""
-        self._best: tuple[BaseVector, BaseVector, float] | None = None
-        """Of a solve, the state with the smallest increment, that increment and its size."""
 
     @property
     def is_factorised(self) -> bool:
@@ -90,35 +77,17 @@ class Newton:
         self._factorise(problem)
 
     def _factorise(self, problem: Problem) -> None:
-        began, allowance = clock.perf_counter(), self.allowance
-        refusal = None if allowance is None else allowance.refusal()
-        if refusal is not None:
-            raise _TooCostlyError(refusal)
         self.refresh()
         self.jacobian.factorise(self.state)
-        if allowance is not None:
-            allowance.measured(clock.perf_counter() - began)
         problem.factorised()
 
-    def solve(self, problem: Problem, guess: BaseVector, full_steps: int | None = None) -> Solution:
-        """Iterate from ``guess``; ``state`` is then the solution, or some iterate where there is none.
-
-        Parameters
-        ----------
-        problem : Problem
-        guess : BaseVector
-        full_steps : int, optional
-            Take at most so many full steps whatever the increments, as for a semismooth equation, in
-            place of damped ones: they may lead to a solution that no path of smaller increments joins.
-        """
+    def solve(self, problem: Problem, guess: BaseVector) -> Solution:
+        """Iterate from ``guess``; ``state`` is then the solution, or some iterate where there is none."""
         history: list[NewtonIteration] = []
-        self._best = None
         self.state.data = guess
         problem.pose()
         try:
-            status = self._iterate(problem, history, full_steps)
-        except _TooCostlyError as error:
-            return Solution(Status.TOO_COSTLY, tuple(history), str(error))
+            status = self._iterate(problem, history)
         except StepError as error:  # of a factorisation
             return Solution(Status.SINGULAR, tuple(history), str(error))
         reason = ""
@@ -132,7 +101,7 @@ class Newton:
             )
         return Solution(status, tuple(history), reason)
 
-    def _iterate(self, problem: Problem, history: list[NewtonIteration], full_steps: int | None) -> Status:
+    def _iterate(self, problem: Problem, history: list[NewtonIteration]) -> Status:
         options, u, jacobian = self.options, self.state, self.jacobian
         self.refresh()
         self.form.Apply(u, self._residual)
@@ -141,14 +110,12 @@ class Newton:
         fresh = not jacobian.exists
         self._set_increment(problem, fresh)
         damping = 1.0
-        while len(history) < (full_steps or options.max_iterations):
+        while len(history) < options.max_iterations:
             self._base.data = u
             u.data -= damping * self._increment
             self.eliminate()
             self.form.Apply(u, self._trial_residual)
             size = self.norm(self._increment, self._base, u)
-            if 0 < size < (np.inf if self._best is None else self._best[2]):
-                self._best = self._base.Copy(), self._increment.Copy(), size
             next_size = contraction = np.inf
             if self._is_finite(self._trial_residual):
                 jacobian.solve(self._trial_residual, self._next)
@@ -156,6 +123,12 @@ class Newton:
                 # NaN where an increment is not finite, which passes no test below
                 contraction = self.norm(self._next, self._base, u) / size if size != 0 else 0.0
             history.append(NewtonIteration(size, contraction, damping, fresh))
+            if next_size <= options.sides and problem.turns():
+                self.eliminate()
+                self.form.Apply(u, self._residual)
+                fresh, damping = True, 1.0
+                self._set_increment(problem, fresh)
+                continue
             # not where the residual is no number: the next increment is then an old one
             stalled = fresh and options.refresh < contraction < np.inf
             if damping == 1.0 and (next_size <= options.tolerance or (stalled and self._is_rounding())):
@@ -163,7 +136,7 @@ class Newton:
                     u.data -= self._next
                     self.eliminate()
                 return Status.CONVERGED
-            if not contraction <= (np.finfo(float).max if full_steps else 1 - damping / 4):
+            if not contraction <= 1 - damping / 4:
                 u.data = self._base
                 if not fresh:
                     fresh, damping = True, 1.0
@@ -181,25 +154,6 @@ class Newton:
                 self._increment.data = self._next
             damping = min(1.0, 2 * damping)
         return Status.TOO_MANY_ITERATIONS
-
-    def against(self, problem: Problem) -> str:
-        """One more factorisation and a residual for each term, at the best iterate."""
-        if self._best is None or self.rows is None:
-            return ""
-        u, f, size = self._best
-        problem.pose()
-        self.state.data = u
-        try:
-            self._factorise(problem)
-            parts = self.rows().left_by(u, f, size)
-        except StepError:  # a state that has no tangent, or no time for it
-            return ""
-        sizes = {}
-        for name, part in parts.items():
-            self.jacobian.solve(part, self._next)
-            of_part = self.norm(self._next, u)
-            sizes[name] = of_part if np.isfinite(of_part) else np.inf
-        return in_words(sizes, size)
 
     def _set_increment(self, problem: Problem, fresh: bool) -> None:
         """The increment of the present residual, by a Jacobian of the present state if ``fresh``."""

@@ -74,21 +74,6 @@ class CoupledOptions(_Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class KrylovOptions(_Checked):
-    """Newton-Krylov iteration of the split solver, where its own is slow."""
-
-    tolerance: float = 0.01
-    """Of an increment's linear system; with 0.1 one of six long steps failed."""
-    directions: int = 40
-    """Derivatives taken for one increment at most."""
-    largest: float = 0.05
-    """Increment up to which it takes over: farther off half of the step is solved at once (Courant number 3;
-    with 0.3 such a step took 24 times the median)."""
-    min_damping: float = 0.05
-    """Smallest step length tried."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class TwoLevelOptions(_Checked):
     """The smoother of ``TwoLevelSolver``."""
 
@@ -133,55 +118,20 @@ class FieldOptions(_Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NarrowingOptions(_Checked):
-    """Widths of the upwinding, from wide to the scheme's, where an iteration jumps to and fro
-    (``ngvisco.solver.split.narrowing``)."""
-
-    largest: float = 0.1
-    """Increment of the best iterate up to which they are tried; before them, that up to which secants are."""
-    least: float = 1e-6
-    """And from which: smaller ones, where the body is at rest, are for Newton-Krylov."""
-    widest: tuple[int, int] = (64, 1024)
-    """In units of the scheme's; the second one is tried where the first is not solved."""
-    ratio: float = 4.0
-    """Of a width to the next one, which is taken nearer after a failure."""
-    smallest: float = 0.25
-    """Power of ``ratio`` below which no nearer width is tried."""
-    tolerance: float = 1e-3
-    """Increment to which a width is solved, the last one of a contraction below ``contraction``."""
-    last: float = 1e-5
-    """The same for the scheme's width: an iteration that goes to and fro there wants a nearer width first."""
-    contraction: float = 0.5
-    window: int = 3
-    """Iterations that shorten the increment by half, or the width is given up."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class SplitOptions(_Checked):
     """The split solver's choice, iteration and linear systems."""
 
     chosen_from: tuple[int, int] = (60, 10)
     """Cells from which ``method = "auto"`` takes it: from there it is the faster one (tests/benchmarks)."""
-    coupled_up_to: tuple[int, int] = (20_000, 1_000)
-    """Cells up to which the coupled solver is asked where this one fails: it has to fit a workstation."""
     margin: float = 0.1
     """What may be left, in tolerances, when the last increment, which is below one, has been added: by the
     contraction of the last iterations.  A last increment as small as that costs an iteration in ten more, and
     the ledger closes to rounding without."""
-    slow: int = 24
-    """Iterations after which Newton-Krylov takes over."""
-    stall: float = 0.2
-    """So it does where ``window`` iterations shorten an increment below ``linearised_above`` by less; and
-    there it gives up itself.  Larger increments need not fall: those of p = 4 in an impulsive start do
-    not."""
-    window: int = 4
-    """So many secants, and increments through a jump, may also follow each other and none be halved."""
-    restarts: int = 4
-    """New starts from the best iterate within a step, after which Newton-Krylov takes over."""
-    afar: float = 0.5
-    """Increment of the best iterate above which only ``restarts_afar`` are made: further ones fail all the
-    same, and half of the step is solved at once."""
-    restarts_afar: int = 1
+    growth: float = 4.0
+    """Of an increment over the smallest one, above which the iterate is given up for one half as far from the
+    best one."""
+    halvings: int = 5
+    """Of such steps, at most."""
     renewed_after: tuple[int, int] = (8, 12)
     """Iterations for the flow's linear system after which its preconditioner is made anew."""
     renewed_above: float = 0.5
@@ -193,7 +143,7 @@ class SplitOptions(_Checked):
     """Increment, it or the one before, above which a worn preconditioner is made anew before the increment is
     taken: an impulsive start with p = 4 fails otherwise, while a smooth run wastes a twentieth on it."""
     linearised_above: float = 1e-2
-    """Increment below which only hyperviscosity and upwinding, which change suddenly, are linearised anew."""
+    """Increment below which only hyperviscosity, which changes suddenly, is linearised anew."""
     rounding: float = 1e-8
     """Increment, relative to the smallest velocities, from which a stall may be rounding."""
     forcing: float = 0.03
@@ -205,14 +155,9 @@ class SplitOptions(_Checked):
     direct_at_most: tuple[int, int] = (100_000, 15_000)
     """Unknowns of v up to which it is so in what is left of a step, where ``flow_iterations`` by two levels
     do not solve the flow's system."""
-    krylov: KrylovOptions = KrylovOptions()
     two_level: TwoLevelOptions = TwoLevelOptions()
     fields: FieldOptions = FieldOptions()
     sweeps: SweepOptions = SweepOptions()
-    narrowing: NarrowingOptions = NarrowingOptions()
-    switch_share: float = 1e-5
-    """Share of a cell's inertia rho h/tau, in the force by v . n, from which a facet where the flow turns
-    round counts in the linearisation: with 2e-4 increments of 1e-6 stall near facets that are left out."""
     penalty_degree: int = 4
     """Of the rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight cells: right for
     p = 4, where it takes (P_1 jumps)^4; degree 2 leaves an eigenvalue of 0.5 of the preconditioned error on
@@ -225,6 +170,9 @@ class NewtonOptions(_Checked):
 
     tolerance: float = 1e-10
     """The iteration ends when an increment is below it; that increment is still added."""
+    sides: float = 1e-6
+    """Increment from which the side of upwinding is looked at (``ngvisco.solver.sides``): small enough that
+    both solvers, and any number of ranks, find the same sides."""
     max_iterations: int = 60
     """Residual evaluations of one attempt to solve a Rothe step, after which it has failed."""
     refresh: float = 0.25
@@ -244,10 +192,6 @@ class NewtonOptions(_Checked):
     """``"coupled"``: all unknowns at once; ``"split"``: one problem for the velocity, with the fields as
     functions of it, whose cost grows like the mesh; ``"auto"``: the faster one for the mesh's dimension and
     size.  Both solve the same equations."""
-    retry_seconds: float = 120.0
-    """Seconds that the coupled solver may take for a step that the split one has failed at.  It is not
-    asked where a few iterations would take longer, by an estimate, and begins none that would not end in
-    time."""
     norm: NormOptions = NormOptions()
     coupled: CoupledOptions = CoupledOptions()
     split: SplitOptions = SplitOptions()
@@ -258,7 +202,7 @@ class NewtonOptions(_Checked):
             raise ParameterError(
                 "NewtonOptions.tolerance", self.tolerance, f"at least {_ROUNDING:g}, which rounding leaves"
             )
-        for name in ("tolerance", "refresh", "min_damping"):
+        for name in ("tolerance", "sides", "refresh", "min_damping"):
             if getattr(self, name) >= 1:
                 raise ParameterError(f"NewtonOptions.{name}", getattr(self, name), "a number in (0, 1)")
         # sparsecholesky returns nonsense for nonsymmetric matrices, silently

@@ -1,12 +1,13 @@
-"""The problem of one Rothe step, and those on the continuation paths to it."""
+"""The problem of one Rothe step."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ngvisco.forms.system import Step
 from ngvisco.solver.norm import BlockNorm
+from ngvisco.solver.sides import Sides
 
 
 @dataclass(frozen=True)
@@ -24,12 +25,6 @@ class Interval:
     loads_from: float
     loads_over: float
 
-    def shortened(self, fraction: float) -> Interval:
-        """The step with a part of the length, as a start value of the whole one."""
-        end = self.end if fraction == 1.0 else self.begin + fraction * (self.end - self.begin)
-        loads_from = self.loads_from if self.loads_over > 0 else end
-        return Interval(fraction * self.tau, self.begin, end, loads_from, fraction * self.loads_over)
-
 
 @dataclass(frozen=True)
 class RotheProblem:
@@ -40,34 +35,22 @@ class RotheProblem:
     """Its unit of velocity becomes ``h_min``/tau."""
     h_min: float
     """Smallest cell size, m."""
-    whole: Interval
-    eta: float
-    """The scheme's width of the smoothed upwinding, m/s."""
+    interval: Interval
+    sides: Sides
     on_factorise: Callable[[RotheProblem], None]
     """Called when the problem's derivative has been factorised at the present state."""
-    width: float = 1.0
-    """The problem's width of upwinding in units of ``eta``."""
-    length: float = 1.0
-    """The problem's length as a share of that of the whole step."""
-
-    def widened(self, width: float) -> RotheProblem:
-        return replace(self, width=width)
-
-    def shortened(self, length: float) -> RotheProblem:
-        return replace(self, length=length)
-
-    @property
-    def interval(self) -> Interval:
-        return self.whole.shortened(self.length)
 
     def pose(self) -> None:
         """Set the step's parameters, the time and the velocities of walls."""
-        interval, context = self.interval, self.step.context
-        context.set_step(interval.tau, interval.end, interval.loads_from, interval.loads_over)
-        context.eta.Set(self.width * self.eta)
+        interval = self.interval
+        self.step.context.set_step(interval.tau, interval.end, interval.loads_from, interval.loads_over)
         self.step.moving_walls.set_values()
         self.norm.units["v"] = self.h_min / interval.tau
         self.norm.units |= dict.fromkeys(self.norm.shared, 1 / interval.tau)
+
+    def turns(self) -> bool:
+        """Whether the equations have changed, since the state's flow comes from other sides than theirs."""
+        return self.sides.turn()
 
     def factorised(self) -> None:
         self.on_factorise(self)

@@ -23,8 +23,6 @@ class Status(Enum):
     NOT_FINITE = "the residual is not finite"
     SINGULAR = "a linear system has no factorisation"
     INADMISSIBLE = "the solution of the equations is not admissible"
-    NOT_TRIED = "not tried"
-    TOO_COSTLY = "the time that it may take is used up"
 
 
 @dataclass(frozen=True)
@@ -47,14 +45,11 @@ class Solution:
     history : tuple of NewtonIteration
     reason : str
         Why it failed, with figures and what may help; empty where it converged.
-    against : str
-        Which terms of the equations stand against convergence, where that is known.
     """
 
     status: Status
     history: tuple[NewtonIteration, ...] = ()
     reason: str = ""
-    against: str = ""
 
     @property
     def converged(self) -> bool:
@@ -63,16 +58,10 @@ class Solution:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One entry of a step's history: a solution, the strategy that asked for it, and for which problem.
+    """One entry of a step's history: from which start values a solution was sought, and what came of it."""
 
-    ``width`` is that of the smoothed upwinding in units of the scheme's, ``length`` the share of the step's
-    length: both are 1 for the step itself.
-    """
-
-    strategy: str
+    start: str
     solution: Solution
-    width: float = 1.0
-    length: float = 1.0
 
 
 def iterations(attempts: Iterable[Attempt]) -> list[NewtonIteration]:
@@ -83,17 +72,13 @@ def iterations(attempts: Iterable[Attempt]) -> list[NewtonIteration]:
 class Problem(Protocol):
     """A choice of the parameters of the equations that a solver was made for."""
 
-    @property
-    def width(self) -> float:
-        """Of the smoothed upwinding, in units of the scheme's; 1 by default."""
-        return 1.0
-
-    def widened(self, width: float) -> Problem:
-        """The same with such a width; by default, where there is no upwinding, itself."""
-        return self
-
     def pose(self) -> None:
         """Give the equations these parameters, and the state the values that they prescribe."""
+
+    def turns(self) -> bool:
+        """Whether the equations have changed, as they may once the increments are small: the iteration goes
+        on with the new ones.  By default they have not."""
+        return False
 
     def factorised(self) -> None:
         """Called when the derivative has been factorised at the present state; nothing by default."""
@@ -107,15 +92,8 @@ class NonlinearSolver(Protocol):
     def is_factorised(self) -> bool:
         """Whether the next solve begins with a factorisation at hand."""
 
-    def solve(self, problem: Problem, guess: BaseVector, full_steps: int | None = None) -> Solution:
-        """Iterate from ``guess``; the state is then the solution, or some iterate where there is none.
-
-        ``full_steps`` asks for at most so many undamped steps, whatever the increments.
-        """
-
-    def against(self, problem: Problem) -> str:
-        """The terms that stand against the solution of ``problem``, which the last solve did not find, in
-        words; empty where they are not known."""
+    def solve(self, problem: Problem, guess: BaseVector) -> Solution:
+        """Iterate from ``guess``; the state is then the solution, or some iterate where there is none."""
 
     def factorise(self, problem: Problem) -> None:
         """Factorise the derivative at the present state; raises StepError if it is singular."""

@@ -40,7 +40,6 @@ from ngvisco.forms.velocity import VelocityOfMomentum
 from ngvisco.solver.problem import Interval
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.solver.solution import Attempt, iterations
-from ngvisco.solver.strategies import Effort
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler
 
 _RELAXED = (1.5, 2.5)
@@ -76,8 +75,8 @@ class Carried(Protocol):
 class StepTaken:
     """What a step exchanged, besides the state that it left.
 
-    ``tau`` is its length, s; ``history`` what was tried, by which strategy; ``rates`` are dissipations and
-    powers, W, weighted as the scheme does; ``numerical`` is R by ledger columns, J, and what the limiter
+    ``tau`` is its length, s; ``history`` what was tried, from which start values; ``rates`` are dissipations
+    and powers, W, weighted as the scheme does; ``numerical`` is R by ledger columns, J, and what the limiter
     took in ``limited`` cells.
     """
 
@@ -152,20 +151,11 @@ class Integrator:
         """The scheme of the step after step ``number``."""
         return backward_euler() if number < self.startup else self.scheme
 
-    def advance(
-        self,
-        t: float,
-        tau: float,
-        number: int = 0,
-        efforts: Effort = Effort.ALL,
-        meets: bool = False,
-    ) -> StepTaken:
+    def advance(self, t: float, tau: float, number: int = 0, meets: bool = False) -> StepTaken:
         """Take the step after step ``number`` from ``t`` over ``tau``, s.
 
         Parameters
         ----------
-        efforts : Effort
-            As of ``RotheSolver.solve``.
         meets : bool
             Whether a relaxed step has to end at t + tau.
 
@@ -180,8 +170,8 @@ class Integrator:
         try:
             scheme = self.scheme_of(number)
             if not (self.relaxed and scheme is self.scheme):
-                return self._taken(scheme, t, tau, history, efforts)
-            return self._relaxed(scheme, t, tau, history, efforts, meets)
+                return self._taken(scheme, t, tau, history)
+            return self._relaxed(scheme, t, tau, history, meets)
         except BaseException as error:  # also an interrupt: never leave half a step behind
             self.undo()
             if isinstance(error, StepError):
@@ -209,9 +199,8 @@ class Integrator:
         t: float,
         tau: float,
         history: list[Attempt],
-        efforts: Effort,
     ) -> StepTaken:
-        states, rates = self._stages(scheme, t, tau, history, efforts)
+        states, rates = self._stages(scheme, t, tau, history)
         numerical = self._stage_distances(scheme, states)
         self._end = scheme.end
         if not scheme.ends_at_last_stage:
@@ -232,7 +221,6 @@ class Integrator:
         t: float,
         tau: float,
         history: list[Attempt],
-        efforts: Effort,
     ) -> tuple[list[Evolved], dict[str, float]]:
         """y_0 ... y_s and the weighted rates of the stages; the state is that of the last one."""
         states = [self.step.evolved()]
@@ -245,7 +233,7 @@ class Integrator:
             own, end = scheme.A[i][i] * tau, t + scheme.c[i] * tau
             window = (t, tau) if scheme.averages_loads else (end, 0.0)
             self.step.start_from(list(zip(scheme.starts[i], states, strict=False)))
-            history += self.rothe.solve(Interval(own, begin, end, *window), efforts)
+            history += self.rothe.solve(Interval(own, begin, end, *window))
             begin = end
             states.append(self.step.evolved())
             _add(rates, scheme.b[i], self.meter())
@@ -322,14 +310,13 @@ class Integrator:
         t: float,
         tau: float,
         history: list[Attempt],
-        efforts: Effort,
         meets: bool,
     ) -> StepTaken:
         """A midpoint step that ends at u_0 + omega (U - u_0), omega near 2, where R = 0."""
         own = scheme.A[0][0] * tau
         for _ in range(_MEETINGS):
             # of a step of two Rothe steps' length, over which loads are averaged
-            states, rates = self._stages(scheme, t, own / scheme.A[0][0], history, efforts)
+            states, rates = self._stages(scheme, t, own / scheme.A[0][0], history)
             wanted = tau / own if meets else None
             omega, numerical, rates, limited = self._relaxed_end(states, t, own, rates, wanted)
             if not meets or abs(omega * own - tau) <= _MEETING * tau:

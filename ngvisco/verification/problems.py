@@ -103,7 +103,7 @@ class Problem:
         old = Exact(model, mesh.dim, time - tau) if given else None
         self.now = layout.with_given(self.state.components, new)
         self.context = layout.context = Context(
-            mesh, model, layout.with_given(self.state_old.components, old)
+            mesh, model, layout.with_given(self.state_old.components, old), Exact(model, mesh.dim, time).v
         )
         self.context.tau.Set(tau)
         self.context.eta.Set(1e-4)

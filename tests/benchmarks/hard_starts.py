@@ -152,7 +152,7 @@ def take_steps(name: str, mesh_file: str) -> None:
             "seconds": time.process_time() - began,
             "iterations": int(sum(row["newton_iterations"] for row in of_step)),
             "parts": len(of_step) > 1,
-            "retried": run.solver.retried,
+            "retried": getattr(run.solver, "retried", 0),
             "limited": int(sum(row.get("limited_cells", 0) for row in of_step)),
         }
         print(json.dumps(found), flush=True)

@@ -46,9 +46,7 @@ class Preconditioner:
             None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
         )
         tangent = PointTangent(residual, self.op)
-        self.operator = FlowSchurComplement(
-            residual, tangent, self.sweep, derivative, self.options.switch_share
-        )
+        self.operator = FlowSchurComplement(residual, tangent, self.sweep, derivative)
         self.ranks, self.exchange = residual.ranks, residual.shared_rows
         places, kept = np.arange(unknowns.flow_slice.stop), np.zeros(0, dtype=np.int64)
         self.hyper_tangent: HyperTangent | None = None

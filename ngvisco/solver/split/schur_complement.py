@@ -18,7 +18,6 @@ from ngvisco.reduced.hyper_derivative import HyperDerivative
 from ngvisco.reduced.point_tangent import PointTangent
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.restricted import RestrictedForm
-from ngvisco.reduced.upwind_switch import UpwindSwitchJacobian
 from ngvisco.solver.split.transport_sweeps import TransportSweeps
 from ngvisco.threads import concurrently, product
 
@@ -32,14 +31,11 @@ class FlowSchurComplement:
         points: PointTangent,
         sweep: TransportSweeps,
         derivative: HyperDerivative | None,
-        switch_share: float,
     ) -> None:
-        """``switch_share`` is that of ``SplitOptions``."""
         self.residual, self.tangent, self.sweep, self.derivative = residual, points, sweep, derivative
         step, u = residual.step, residual.unknowns
         self.op, self.dim = points.op, step.mesh.dim
         self.elements = FlowElements(points, residual.op)
-        self.switch = UpwindSwitchJacobian(residual, switch_share)
         self.nv, self.size = u.slices["v"].stop, u.flow_slice.stop
         claims = residual.claims
         others = claims.beside_the_points()
@@ -50,10 +46,9 @@ class FlowSchurComplement:
     def update(self, at: Evaluation, everything: bool = True) -> None:
         """Linearise at an evaluation.
 
-        Without ``everything`` only hyperviscosity, upwinding and a density equation that is not linear.
+        Without ``everything`` only hyperviscosity and a density equation that is not linear.
         """
         self.sweep.linearise()
-        self.switch.update(at)
         if self.derivative is not None and at.hyper is not None:
             self.derivative.update(at.hyper)
         if not everything:
@@ -138,20 +133,10 @@ class FlowSchurComplement:
         """Rows of v, (dim, .), without hyperviscosity, with the fields carried along."""
         e = self.elements
         rows, own = product(e.of_velocity, e.gathered(dv)), self.dim * e.local
-        force, through = self.switch(dv) if self.switch.exists else (0.0, None)
-        carried = self._carried(rows[:, own:].reshape(e.cells * e.functions, e.components), through)
+        carried = self.sweep.fields(-rows[:, own:].reshape(e.cells * e.functions, e.components))
         of_cells = np.ascontiguousarray(rows[:, :own])
         of_cells += product(e.from_fields, carried.reshape(e.cells, e.functions * e.components, 1))
-        return e.scattered(of_cells) + force
-
-    def _carried(self, rows: np.ndarray, through: np.ndarray | None) -> np.ndarray:
-        """What increments of v change z by, before rates and creep, (cells' unknowns, n).
-
-        They change the rows of z, (cells' unknowns, n), by ``rows`` and, at the facets, by ``through``.
-        """
-        if through is not None:
-            rows += through.T
-        return self.sweep.fields(-rows)
+        return e.scattered(of_cells)
 
     def force(self, dz: np.ndarray) -> np.ndarray:
         """Rows of v in parts, (dim, .), of what sweeps make of the fields' rows, (cells' unknowns, n)."""
@@ -165,8 +150,6 @@ class FlowSchurComplement:
         if dPi is not None:
             values = at_points(self.tangent.columns[:, :, self.dim**2 :], dPi)
             rows -= self.op.z.test(values).T
-        if self.switch.exists:
-            rows += self.switch(dv)[1].T
         return rows
 
     def resolved(self, dz: np.ndarray) -> np.ndarray:

@@ -6,8 +6,7 @@ unknowns - put in exactly, at the points of cells and sides (``ReducedResidual``
 of the transport and one linear system of the flow, into which the change of the fields is carried
 (``FlowSchurComplement``), solved by GMRES to 3 per cent (``Preconditioner``): Newton's method but for a
 coarser rule and a fixed number of sweeps.  The operator follows the state, its preconditioner is made anew
-where it wears out.  Where the iteration is slow the whole derivative of R takes its place
-(``newton_krylov``).
+where it wears out.
 Measurements are in ``ngvisco/solver/NOTES.md``.
 """
 
@@ -23,7 +22,6 @@ from ngsolve import BaseVector
 
 from ngvisco.errors import StepError
 from ngvisco.forms.system import Step
-from ngvisco.forms.term_rows import in_words
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.norm import BlockNorm
@@ -31,7 +29,6 @@ from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status
 from ngvisco.solver.split.iteration import iterate
 from ngvisco.solver.split.preconditioner import Preconditioner
-from ngvisco.solver.split.resistance import resistance
 from ngvisco.threads import on_arrays
 
 
@@ -48,8 +45,8 @@ class Split:
         self.unknowns = self.residual.unknowns
         self.preconditioner = Preconditioner(self.residual, options)
         self._full = step.state.vec.CreateVector()
-        self._best: tuple[Evaluation, np.ndarray, float] | None = None
-        """The evaluation of a solve with the smallest increment, that increment and its size."""
+        self._turned = 0.0
+        """Relative increment of a creep rate field, the last one."""
 
     def reset(self) -> None:
         """Drop the tangent, so that the next solve makes a new one."""
@@ -69,12 +66,10 @@ class Split:
         yield
         self.seconds[name] += clock.perf_counter() - began
 
-    def solve(self, problem: Problem, guess: BaseVector, full_steps: int | None = None) -> Solution:
+    def solve(self, problem: Problem, guess: BaseVector) -> Solution:
         """Iterate from ``guess``; the step's state is then the solution, or some iterate."""
-        if full_steps is not None:
-            return Solution(Status.NOT_TRIED, (), "the split solver has no iteration by full steps only")
         history: list[NewtonIteration] = []
-        self._best = None
+        self._turned = 0.0
         self._relax()
         self.step.state.vec.data = guess
         problem.pose()
@@ -102,24 +97,14 @@ class Split:
         )
         return Solution(status, tuple(history), reason)
 
-    def against(self, problem: Problem) -> str:
-        if self._best is None:
-            return ""
-        at, f, size = self._best
-        try:
-            with on_arrays(), np.errstate(all="ignore"):  # x - f may leave the energy's domain
-                return in_words(resistance(self, at, f), size)
-        except (StepError, FloatingPointError, np.linalg.LinAlgError):  # a state that has no tangent
-            return ""
-
-    def increment(self, problem: Problem, x: np.ndarray, last: float) -> tuple[Evaluation, np.ndarray, float]:
-        """What R is at the unknowns x, their increment and its size, infinite where R is no number.
+    def increment(self, problem: Problem, x: np.ndarray, last: float) -> tuple[np.ndarray, float]:
+        """The increment at the unknowns x and its size, infinite where R is no number.
 
         ``last`` is the size of the one before.
         """
         at = self.residual(x)
         if not self.residual.ranks.all(at.residual.is_finite):
-            return at, np.zeros_like(x), np.inf
+            return np.zeros_like(x), np.inf
         options, fresh = self.options.split, not self.is_factorised
         if fresh:
             self.renew(problem, at)
@@ -136,8 +121,30 @@ class Split:
         if self._may_be_better:
             self.preconditioner.strengthen()
             f, size = self._with_anew(problem, at)
-        self.note(at, f, size)
-        return at, f, size
+        return f, size
+
+    def has_converged(self, f: np.ndarray, size: float, last: float, best: float) -> bool:
+        """Whether x - f solves the equations: by the size of f, the one before and the smallest one."""
+        options, tolerance = self.options.split, self.options.tolerance
+        # when f has been added, if the contraction stays what it is
+        left = size if last == np.inf else min(size * size / last, size)
+        if size <= tolerance and left <= options.margin * tolerance:
+            return True
+        if not 0.5 * min(last, best) < size <= options.rounding:
+            return False
+        # slow by rounding; or slow, and then this and all that would follow are to be small
+        gained = max(1 - size / last, 0.0) or 1.0
+        return last < np.inf and self.size(f, coarse=True) <= gained * tolerance
+
+    def wear(self, f: np.ndarray, size: float) -> None:
+        """Let the tangent be made anew for the next increment where this one, f, says that it wears out."""
+        options, dim = self.options.split, self.step.mesh.dim
+        slow = self.preconditioner.iterations > options.renewed_after[dim - 2]
+        worn = slow and size > 1e3 * options.margin * self.options.tolerance
+        before, self._turned = self._turned, self.sizes(f)[1] if self.norm.shared else 0.0
+        bends = self._turned > max(options.bends_above, 0.3 * before)  # and the chord does not contract
+        if worn or bends or size > options.renewed_above:
+            self.reset()
 
     def _relax(self) -> None:
         if self.preconditioner.relax():
@@ -156,11 +163,6 @@ class Split:
         with self._clock("solves"):
             f = self.preconditioner(at, self.options.split.forcing)
         return f, self.size(f)
-
-    def note(self, at: Evaluation, f: np.ndarray, size: float) -> None:
-        """Keep the best iterate, for what is said of a failure."""
-        if 0 < size < (np.inf if self._best is None else self._best[2]):
-            self._best = at, f, size
 
     def renew(self, problem: Problem, at: Evaluation) -> None:
         """Make the tangent anew at an evaluation, which is that of the step's state."""

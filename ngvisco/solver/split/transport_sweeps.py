@@ -44,9 +44,9 @@ class TransportSweeps:
     def update(self, at: Evaluation) -> None:
         """Form the matrices and invert at an evaluation."""
         r, storage = self.residual, self.residual.step.context.rate(self._mass)
-        convection, f = self._convection(at), at.facets.upwinding
-        carried = f.carried.value
-        own, across = self.coupling.blocks(-carried, f.share.value, carried, r.trace_mass)
+        convection, share = self._convection(at), at.facets.context.upwinding.share.value
+        through = r.side_op.inner * (r.side_op.points.normals * at.facets.v.value).sum(axis=0)
+        own, across = self.coupling.blocks(-through, share, through, r.trace_mass)
         own += storage + convection
         if self._whole is not None:
             transport = of_blocks(own, across, self._neighbours, self.coupling.halo.count)
@@ -56,10 +56,7 @@ class TransportSweeps:
         self._blocks = _rows_of(own, across)
         self._count_sweeps()
         if self._own is None:
-            of_facets = f.outward.value, f.outward.value, -f.inward.value
-            if r.claims.continuity[0].by_trace:
-                of_facets = np.zeros_like(carried), f.share.value, f.normal_velocity.value
-            own, across = self.coupling.blocks(*of_facets, r.density_mass)
+            own, across = self.coupling.blocks(np.zeros_like(through), share, through, r.trace_mass)
             own += storage - convection.transpose(0, 2, 1)
             with r.ranks.together(np.linalg.LinAlgError):
                 self._rho_cells, self._rho_carried = _sweep(own, across)

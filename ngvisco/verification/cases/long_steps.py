@@ -30,7 +30,7 @@ from ngvisco.verification.cases import in_space, riemann, robustness
 from ngvisco.verification.cases.impulsive_starts import STIFF, cavity, released
 from ngvisco.verification.setups import KINDS, SWIRL, block
 
-ALONE = NewtonOptions(method="split", retry_seconds=1e-3)
+ALONE = NewtonOptions(method="split")
 """The split solver, which has no other one to ask: so short a retry is refused."""
 
 SHARE, DEAREST = 0.99, 3.0

@@ -17,7 +17,6 @@ from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean
 from ngvisco.run.simulation import Simulation
 from ngvisco.run.stepping import Accepted, FixedStepper
-from ngvisco.solver.strategies import Effort
 from ngvisco.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from ngvisco.verification.setups import KINDS, block
 
@@ -59,7 +58,7 @@ class FirstTry(FixedStepper):
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
         integrator = simulation.integrator
         try:
-            taken = integrator.advance(simulation.t, self.dt, efforts=Effort.DIRECT)
+            taken = integrator.advance(simulation.t, self.dt)
             self.directly += 1
         except StepError:
             taken = integrator.advance(simulation.t, self.dt)
