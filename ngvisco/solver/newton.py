@@ -123,7 +123,7 @@ class Newton:
                 # NaN where an increment is not finite, which passes no test below
                 contraction = self.norm(self._next, self._base, u) / size if size != 0 else 0.0
             history.append(NewtonIteration(size, contraction, damping, fresh))
-            if next_size <= options.sides and problem.turns():
+            if contraction <= 1 - damping / 4 and problem.changes(next_size):
                 self.eliminate()
                 self.form.Apply(u, self._residual)
                 fresh, damping = True, 1.0

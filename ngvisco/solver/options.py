@@ -170,9 +170,6 @@ class NewtonOptions(_Checked):
 
     tolerance: float = 1e-10
     """The iteration ends when an increment is below it; that increment is still added."""
-    sides: float = 1e-6
-    """Increment from which the side of upwinding is looked at (``ngvisco.solver.sides``): small enough that
-    both solvers, and any number of ranks, find the same sides."""
     max_iterations: int = 60
     """Residual evaluations of one attempt to solve a Rothe step, after which it has failed."""
     refresh: float = 0.25
@@ -202,7 +199,7 @@ class NewtonOptions(_Checked):
             raise ParameterError(
                 "NewtonOptions.tolerance", self.tolerance, f"at least {_ROUNDING:g}, which rounding leaves"
             )
-        for name in ("tolerance", "sides", "refresh", "min_damping"):
+        for name in ("tolerance", "refresh", "min_damping"):
             if getattr(self, name) >= 1:
                 raise ParameterError(f"NewtonOptions.{name}", getattr(self, name), "a number in (0, 1)")
         # sparsecholesky returns nonsense for nonsymmetric matrices, silently

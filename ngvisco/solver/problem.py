@@ -41,16 +41,16 @@ class RotheProblem:
     """Called when the problem's derivative has been factorised at the present state."""
 
     def pose(self) -> None:
-        """Set the step's parameters, the time and the velocities of walls."""
+        """Set the step's parameters, the time and the velocities of walls, also those of v*."""
         interval = self.interval
         self.step.context.set_step(interval.tau, interval.end, interval.loads_from, interval.loads_over)
         self.step.moving_walls.set_values()
+        self.sides.take_walls()
         self.norm.units["v"] = self.h_min / interval.tau
         self.norm.units |= dict.fromkeys(self.norm.shared, 1 / interval.tau)
 
-    def turns(self) -> bool:
-        """Whether the equations have changed, since the state's flow comes from other sides than theirs."""
-        return self.sides.turn()
+    def changes(self, increment: float) -> bool:
+        return self.sides.change(increment)
 
     def factorised(self) -> None:
         self.on_factorise(self)

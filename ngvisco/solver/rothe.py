@@ -73,7 +73,7 @@ class RotheSolver:
         self._factorised_at = dict.fromkeys(_PARAMETERS, 0.0)
         self._start = step.state.vec.CreateVector()
         self.extrapolation = Extrapolation(step)
-        self.sides = Sides(step)
+        self.sides = Sides(step, self.h_min)
 
     def _warn_without_multigrid(self) -> None:
         """Say why the options' multigrid has no part in the steps."""

@@ -2,9 +2,10 @@
 
 v* is the velocity extrapolated through the last two solutions, else the last one.  Where it misses the side,
 the flow through the facet is slow, and its error is of the scheme's order: but in a start from rest, and in a
-step that turns the flow round.  So once the increments are below ``NewtonOptions.sides`` the step's own
-velocity is looked at.  Where it carries matter through more than ``COURANT`` of a cell from the wrong side, or
-from one that v* leaves open, it becomes v*, and the iteration goes on with equations that are smooth again.
+step that turns the flow round.  A side is wrong where the step's own velocity carries matter through more than
+``COURANT`` of a cell from a side that v* says, or leaves open, to be downstream.  Then v* follows the iterates as
+long as increments are above ``SETTLED``.  Once they are below ``CERTAIN`` it becomes the step's velocity, and
+the iteration goes on with equations that are smooth, and the same for both solvers and any number of ranks.
 """
 
 from __future__ import annotations
@@ -12,25 +13,38 @@ from __future__ import annotations
 import numpy as np
 from ngsolve import IfPos
 
+from ngvisco.forms.mesh_arrays import mask_of
 from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
 
 COURANT = 0.1
 """|v . n| tau/h from which a wrong side matters."""
 
+SETTLED, CERTAIN = 1e-2, 1e-6
+"""Increments from which v* stays, and from which the iterate's velocity is that of the step."""
+
 CORRECTIONS = 2
-"""Of v* in a step, at most."""
+"""Of v* in a step, at most: the second one makes good for what the first one's velocity took from sides that
+followed iterates."""
 
 _LOST = 0.25
 """Share of the downstream side in the trace from which its side is wrong."""
 
 
+_NEAR = 0.25
+"""Share of ``COURANT`` below which a change of coefficients makes no side wrong: values of v are their sums."""
+
+
 class Sides:
     """Chooses ``Step.wind``."""
 
-    def __init__(self, step: Step) -> None:
-        self.step = step
+    def __init__(self, step: Step, h_min: float) -> None:
+        """``h_min`` is the smallest cell size, m."""
+        self.step, self._h_min, self._ranks = step, h_min, Communicator.of(step.mesh)
         self.corrections = 0
-        """In the present step."""
+        """In the present iteration."""
+        self._provisional = False
+        self._prescribed = ~mask_of(step.layout.blocks["v"].FreeDofs())
         c, (v, h) = step.context, (step.now.v, step.context.h)
         through = c.inner * (v * c.normal)
         fast = IfPos(through * through - (COURANT * h / c.tau) ** 2, 1.0, 0.0)
@@ -38,15 +52,36 @@ class Sides:
         self._wrong = (fast * IfPos(downstream - _LOST, 1.0, 0.0)).Compile()
 
     def choose(self, velocity: np.ndarray) -> None:
-        """Take the coefficients ``velocity`` for v*, (unknowns of v,), m/s; a new step begins."""
-        self.corrections = 0
+        """Take the coefficients ``velocity`` for v*, (unknowns of v,), m/s; a new iteration begins."""
+        self.corrections, self._provisional = 0, False
         self.step.wind.vec.FV().NumPy()[:] = velocity
 
-    def turn(self) -> bool:
-        """Take the velocity of the step's state for v*, if some side is wrong and may be corrected still."""
-        if self.corrections >= CORRECTIONS or not self.step.quadrature.integrate_facets(self._wrong) > 0:
+    def take_walls(self) -> None:
+        """Give v* the values that walls prescribe."""
+        wind = self.step.wind.vec.FV().NumPy()
+        wind[self._prescribed] = self._velocity[self._prescribed]
+
+    def change(self, increment: float) -> bool:
+        """Whether v* becomes the velocity of the state, an iterate that was reached by such an increment."""
+        if increment > SETTLED:
+            changes = self._is_wrong()
+            self._provisional = self._provisional or changes
+        elif increment <= CERTAIN and self.corrections < CORRECTIONS:
+            changes = self._provisional or self._is_wrong()
+            self.corrections += changes
+        else:
             return False
-        self.corrections += 1
-        v = self.step.layout.ranges["v"]
-        self.step.wind.vec.FV().NumPy()[:] = self.step.state.vec.FV().NumPy()[v]
-        return True
+        if changes:
+            self.step.wind.vec.FV().NumPy()[:] = self._velocity
+        return changes
+
+    def _is_wrong(self) -> bool:
+        # a side is wrong where v differs from v* by as much as makes it matter: most steps end here
+        change = abs(self._velocity - self.step.wind.vec.FV().NumPy()).max(initial=0.0)
+        if not self._ranks.most(change) * self.step.context.tau.Get() > _NEAR * COURANT * self._h_min:
+            return False
+        return self.step.quadrature.integrate_facets(self._wrong) > 0
+
+    @property
+    def _velocity(self) -> np.ndarray:
+        return self.step.state.vec.FV().NumPy()[self.step.layout.ranges["v"]]

@@ -75,9 +75,9 @@ class Problem(Protocol):
     def pose(self) -> None:
         """Give the equations these parameters, and the state the values that they prescribe."""
 
-    def turns(self) -> bool:
-        """Whether the equations have changed, as they may once the increments are small: the iteration goes
-        on with the new ones.  By default they have not."""
+    def changes(self, increment: float) -> bool:
+        """Whether the equations change with the iterate, which is in the state and was reached by an
+        increment of this size; they do no more where the increments are small.  By default never."""
         return False
 
     def factorised(self) -> None:

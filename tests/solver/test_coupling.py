@@ -42,6 +42,8 @@ def split(request):
         where = split.unknowns.slices[name]
         values[where] += 0.02 * rng.standard_normal(where.stop - where.start)
     run.rothe_step.context.tau.Set(0.01)
+    where = split.unknowns.slices["v"]
+    run.rothe_step.wind.vec.FV().NumPy()[:] = values[where]
     split.residual.start()
     at = split.residual(values)
     split.preconditioner.sweep.update(at)
@@ -52,16 +54,20 @@ def rows(sweep, own, across, values):
     return of_blocks(own, across, sweep.coupling.neighbours()) @ values
 
 
+def weights(split, at):
+    r = split.residual
+    through = r.side_op.inner * (r.side_op.points.normals * at.facets.v.value).sum(axis=0)
+    return through, at.facets.context.upwinding.share.value, r.trace_mass
+
+
 def blocks_of_fields(split, at):
-    f, r = at.facets.upwinding, split.residual
-    carried, share = f.carried.value, f.share.value
-    return split.preconditioner.sweep.coupling.blocks(-carried, share, carried, r.trace_mass)
+    through, share, mass = weights(split, at)
+    return split.preconditioner.sweep.coupling.blocks(-through, share, through, mass)
 
 
 def blocks_of_density(split, at):
-    f, r = at.facets.upwinding, split.residual
-    outward, inward = f.outward.value, f.inward.value
-    return split.preconditioner.sweep.coupling.blocks(outward, outward, -inward, r.density_mass)
+    through, share, mass = weights(split, at)
+    return split.preconditioner.sweep.coupling.blocks(0 * through, share, through, mass)
 
 
 def test_rows_of_a_field(split):

@@ -60,7 +60,6 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, rows_within=2e-11, **opti
     for run in runs:
         run.run(steps * dt)
     coupled, split = runs
-    assert split.solver.retried == 0
     for name, values in split.rothe_step.layout.ranges.items():
         a, b = (run.rothe_step.state.vec.FV().NumPy()[values] for run in runs)
         if name in ("v", "rho", "z"):
@@ -229,7 +228,6 @@ def test_with_sources(dim, m, kind):
         )
         run.run(2 * tau)
         runs.append(run)
-    assert runs[1].solver.retried == 0
     for name, values in runs[0].rothe_step.layout.ranges.items():
         a, b = (run.rothe_step.state.vec.FV().NumPy()[values] for run in runs)
         if name in ("v", "rho", "z", "z_slope", "zeta_delta_hat"):

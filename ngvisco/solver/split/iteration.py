@@ -1,7 +1,8 @@
 """The split solver's iteration: x - f(x), until the increment f is small.
 
 f(x) = P^{-1} R(x) is Newton's increment of the unknowns x but for a coarser rule and a fixed number of
-sweeps.  An iterate whose increment is ``growth`` times the smallest one is given up for one nearer to the best.
+sweeps.  An iterate at which it is no number, or much longer than the smallest one, is given up for one nearer
+to the best.
 """
 
 from __future__ import annotations
@@ -18,27 +19,28 @@ if TYPE_CHECKING:
 
 def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> Status:
     """Iterate from the present state, which becomes the solution, or some iterate; ``history`` grows."""
-    options = split.options
+    options = split.options.split
     x = split.unknowns.pack()
     last, halvings = np.inf, 0
     best = np.inf, x, x  # the smallest increment's size, its iterate, and it
-    while len(history) < options.max_iterations:
+    while len(history) < split.options.max_iterations:
         fresh = not split.is_factorised
         f, size = split.increment(problem, x, last)
         history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, fresh))
-        if size <= options.sides and problem.turns():
-            split.residual.start()
-            last, best = np.inf, (np.inf, x, x)
-        elif split.has_converged(f, size, last, best[0]):
-            split.residual.put(x - f)
-            return Status.CONVERGED
-        elif size <= options.split.growth * best[0]:
-            best = min(best, (size, x, f), key=lambda one: one[0])
+        if size <= options.growth * max(best[0], options.linearised_above):
+            new = x - f
+            split.unknowns.unpack(new)
+            if problem.changes(size):
+                split.residual.start()
+            elif split.has_converged(f, size, min(last, best[0])):
+                split.residual.put(new)
+                return Status.CONVERGED
             split.wear(f, size)
-            x, last = x - f, size
+            best = min(best, (size, x, f), key=lambda one: one[0])
+            x, last = new, size
         elif best[0] == np.inf:
             return Status.NOT_FINITE
-        elif halvings == options.split.halvings:
+        elif halvings == options.halvings:
             return Status.STALLED
         else:
             halvings += 1

@@ -123,18 +123,18 @@ class Split:
             f, size = self._with_anew(problem, at)
         return f, size
 
-    def has_converged(self, f: np.ndarray, size: float, last: float, best: float) -> bool:
-        """Whether x - f solves the equations: by the size of f, the one before and the smallest one."""
+    def has_converged(self, f: np.ndarray, size: float, last: float) -> bool:
+        """Whether x - f solves the equations: by the size of f, and of the smallest increment before."""
         options, tolerance = self.options.split, self.options.tolerance
-        # when f has been added, if the contraction stays what it is
-        left = size if last == np.inf else min(size * size / last, size)
-        if size <= tolerance and left <= options.margin * tolerance:
+        # of all increments after f, if the contraction stays what it is; of a first one it is not known
+        contraction = 0.5 if last == np.inf else min(size / last, 1.0)
+        if size <= tolerance and size * contraction <= (1 - contraction) * options.margin * tolerance:
             return True
-        if not 0.5 * min(last, best) < size <= options.rounding:
+        if not 0.5 * last < size <= options.rounding:
             return False
         # slow by rounding; or slow, and then this and all that would follow are to be small
         gained = max(1 - size / last, 0.0) or 1.0
-        return last < np.inf and self.size(f, coarse=True) <= gained * tolerance
+        return self.size(f, coarse=True) <= gained * tolerance
 
     def wear(self, f: np.ndarray, size: float) -> None:
         """Let the tangent be made anew for the next increment where this one, f, says that it wears out."""
