@@ -30,8 +30,14 @@ from ngvisco.physics.defects import relative_defects
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
+from ngvisco.run.closure import CLOSED
 from ngvisco.run.notebook import data_frame, ledger_html
 from ngvisco.timestepping.integrator import LIMITER, StepTaken
+
+_STRETCH = 1e-4
+"""Relative change of the variables whose second difference gives the energy's own scale."""
+_OPERATIONS = 30
+"""Roundings of an energy density, in units of that scale: as many operations as a density has."""
 
 NUMERICAL = ("inertial", "bregman")
 """Columns of the scheme's own dissipation, J a step: its kinetic and its stored part."""
@@ -212,6 +218,8 @@ class Ledger:
         physical = [e.name for e in self.entries if e.kind in ("dissipation", "power")]
         exchanged = tau * sum(abs(values[name]) for name in physical)
         scale = max(abs(energy), abs(self.balance.energy), exchanged)
+        if not abs(closure) <= CLOSED * scale:
+            scale = max(scale, self.rounding() / CLOSED)
         drift = (values["mass"] - self.balance.initial_mass) / self.balance.initial_mass
         row = {
             **{"step": number, "time": time, "dt": tau, **values},
@@ -223,6 +231,20 @@ class Ledger:
         self._pending = {}
         self.balance = Balance(energy, values["mass"], self.balance.initial_mass)
         return row
+
+    def rounding(self) -> float:
+        """What rounding may leave of the stored energy at the present state, J.
+
+        An energy such as tr B - ln det B - 3 is a difference of terms that are not small where it is zero,
+        at rest.  The size of these is int |phi''(z)[z, z]|: the moduli times the volume where z is about 1
+        at rest, twice the energy where phi is quadratic in z and nothing cancels.
+        """
+        z = self.step.now.z_tensors
+        factors = (1 - _STRETCH, 1.0, 1 + _STRETCH)
+        stretched = ({name: factor * value for name, value in z.items()} for factor in factors)
+        less, here, more = (self.step.energy.samples(state, self.sampler) for state in stretched)
+        scale = np.nan_to_num(abs(less - 2 * here + more), posinf=0.0) / _STRETCH**2
+        return _OPERATIONS * np.finfo(float).eps * self.sampler.integral(scale)
 
     def _sum(self, values: dict[str, float], kind: str) -> float:
         return sum(values[entry.name] for entry in self.entries if entry.kind == kind)
