@@ -25,7 +25,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.interpolation import Interpolation
 from ngvisco.forms.mesh_arrays import mask_of
-from ngvisco.forms.projections import set_traces
+from ngvisco.forms.projections import project_in_cells, set_traces
 from ngvisco.forms.ranges import Ranges
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.starting_bodies import starting_fractions
@@ -39,6 +39,9 @@ from ngvisco.physics.parameters import Parameter, moduli_in, value_at
 from ngvisco.physics.tensors import inner, square, tensor_space
 
 ScalarLike: TypeAlias = float | CoefficientFunction
+
+_OF_THE_PAPER = ("v", "rho", "z")
+"""What evolves by the paper's equations, and starts from the data of ``Initial`` that bear their names."""
 
 _CONTRADICTION = 1e-6
 """Of rho_0 J_0/rho_R from 1: what is left where one of them is rounded to seven digits."""
@@ -59,8 +62,9 @@ class Initial:
         Initial elastic distortion, det F_0 > 0, default I (of a material with a referential density that of
         the density given, (rho_R/rho_0)^{1/3} I); every variable's start value is derived
         from it (J_0 = det F_0, E_0 = sym F_0 - I, ...).  In 2D its 13, 23, 31, 32 entries must be 0.
-    values : mapping of variable names to coefficient functions, optional
-        Start values that replace the derived ones, e.g. ``{"E": E_0}``.
+    values : mapping of names to coefficient functions, optional
+        Start values of the material's variables that replace the derived ones, e.g. ``{"E": E_0}``, and of
+        further terms' unknowns that evolve, else zero.
     """
 
     density: ScalarLike | None = None
@@ -90,7 +94,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     ParameterError
         If a value has the wrong type or shape.
     UnknownNameError
-        If ``initial.values`` names a variable that the material does not have.
+        If ``initial.values`` names neither a variable of the material nor a further unknown that evolves.
     """
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     dim = step.mesh.dim
@@ -120,10 +124,13 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         if rho_R is not None:
             _check_density(rho_R, density, volume_ratio(step.model.material, values), sampler)
     _check_spaces(step, values, sampler)
+    further = _further(step, initial, sampler)
     with TaskManager():
         step.state.vec[:] = 0.0
         parts["rho"].Set(density)
         parts["z"].Set(step.model.material.states(dim).components(values))
+        for name, value in further.items():
+            project_in_cells(step.layout.unknowns[name], parts[name], step.quadrature, value)
         step.ranges = {name: sampler.extrema(value) for name, value in parameters.items()}
         for limited in (Amounts, Ranges):
             limited(step, sampler, CellMeans(step)).limit()
@@ -191,13 +198,26 @@ def _initial_values(
     step: Step, initial: Initial, F: CoefficientFunction, parameters: Mapping[str, CoefficientFunction]
 ) -> dict[str, CoefficientFunction]:
     names = [variable.name for variable in step.model.material.variables]
+    further = [name for name in step.layout.evolving if name not in _OF_THE_PAPER]
     for name in initial.values:
-        if name not in names:
-            raise UnknownNameError("material variable", name, names)
+        if name not in (*names, *further):
+            raise UnknownNameError("material variable", name, [*names, *further])
     values = {v.name: v.from_distortion(F) for v in step.model.material.variables} | dict(parameters)
-    for name, value in initial.values.items():
+    for name in set(names) & set(initial.values):
+        value = initial.values[name]
         values[name] = _as_shape(f"Initial.values[{name!r}]", value, tuple(values[name].dims))
     return values
+
+
+def _further(step: Step, initial: Initial, sampler: Sampler) -> dict[str, CoefficientFunction]:
+    """Start values of what evolves beside v, rho and z, as far as they are given."""
+    found = {}
+    for name in step.layout.evolving:
+        if name in initial.values and name not in _OF_THE_PAPER:
+            size, field_name = step.layout.unknowns[name].size, f"Initial.values[{name!r}]"
+            found[name] = value = _as_shape(field_name, initial.values[name], () if size is None else (size,))
+            sampler.require(inner(value, value), f"|{name}_0|^2")
+    return found
 
 
 def _check_density(
@@ -217,9 +237,11 @@ def _check_density(
 
 def _as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> CoefficientFunction:
     """A coefficient function of this shape, or ParameterError; a number will do for a scalar."""
-    expected = (
-        "a 3x3 coefficient function, also in 2D" if shape else "a number or a scalar coefficient function"
-    )
+    expected = {
+        0: "a number or a scalar coefficient function",
+        1: f"a coefficient function with {len(shape) and shape[0]} components",
+        2: "a 3x3 coefficient function, also in 2D",
+    }[len(shape)]
     number = as_number(value)
     if not shape and (number is not None or isinstance(value, float)):
         return CF(float(value))  # type: ignore[arg-type]  # NaN and inf are found where data are sampled

@@ -57,7 +57,8 @@ class Continuity(PointTerm):
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         order = setting.m
-        return Unknown("rho", "cells", order), Unknown("rho_hat", "facets", order, trace_of="rho")
+        rho = Unknown("rho", "cells", order, evolves=True)
+        return rho, Unknown("rho_hat", "facets", order, trace_of="rho")
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
@@ -81,12 +82,20 @@ class Inertia(PointTerm):
     """(rho v - m_old)/tau . w - 1/2 (rho - rho_old)/tau v . w."""
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        return (Unknown("v", "velocity", setting.k, setting.dim),)
+        return (Unknown("v", "velocity", setting.k, setting.dim, evolves=True),)
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
         change = (u.rho * u.v - c.momentum_old) - 0.5 * (u.rho - c.old.rho) * u.v
         return [c.rate(inner(change, w.v))]
+
+    def energy(self, u: Fields) -> Entry:
+        """1/2 rho |v|^2."""
+        return Entry("kinetic", "energy", Integrand(0.5 * u.rho * square(u.v)))
+
+    def slope(self, b: Fields, d: Fields) -> Integrand:
+        """-1/2 |v_b|^2 rho_d: of the momentum functional, which is kept, there is no part."""
+        return Integrand(-0.5 * d.rho * square(b.v))
 
     def distance(self, a: Fields, b: Fields) -> Entry:
         """1/2 rho_a |v_a - v_b|^2; with a the old state what an implicit Euler step dissipates."""

@@ -38,7 +38,7 @@ class Extrapolation:
         """The state extrapolated to ``time``, s; None if there is nothing to do so from.
 
         It is not farther from the last solution than ``farthest``, in units of the time between the two, and
-        changes densities and elastic variables by less than ``largest_change``, in units of their size.
+        changes what evolves, but for the velocity, by less than ``largest_change``, in units of their size.
         """
         if len(self._times) < 2:
             return None
@@ -49,7 +49,9 @@ class Extrapolation:
         if not 0 < reach <= farthest:
             return None
         change = reach * (self._states[1] - self._states[0])
-        for name in ("rho", "z"):
+        for name in self.step.layout.evolving:
+            if name == "v":
+                continue
             where = self.step.layout.ranges[name]
             size, change_of = (
                 self._ranks.most(abs(values[where]).max(initial=0.0)) for values in (self._states[1], change)
