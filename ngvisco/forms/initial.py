@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -32,16 +32,21 @@ from ngvisco.forms.starting_bodies import starting_fractions
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.forms.velocity import project_velocity
-from ngvisco.physics.material import conjugates, volume_ratio
+from ngvisco.physics.bodies import Body
+from ngvisco.physics.material import Material, conjugates, volume_ratio
 from ngvisco.physics.mixture import AMOUNT
 from ngvisco.physics.model import VectorLike, as_tensor, as_vector
 from ngvisco.physics.parameters import Parameter, moduli_in, value_at
 from ngvisco.physics.tensors import inner, square, tensor_space
+from ngvisco.physics.time import reads_time
 
 ScalarLike: TypeAlias = float | CoefficientFunction
 
 _OF_THE_PAPER = ("v", "rho", "z")
 """What evolves by the paper's equations, and starts from the data of ``Initial`` that bear their names."""
+
+_LEAST_DENSITY = 1e-30
+"""kg/m^3; the largest is one over it, as the sizes of domains are from 1e-30 to 1e30 m."""
 
 _CONTRADICTION = 1e-6
 """Of rho_0 J_0/rho_R from 1: what is left where one of them is rounded to seven digits."""
@@ -98,6 +103,8 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     """
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     dim = step.mesh.dim
+    if step.sources is None:  # manufactured states are those of one time of many
+        _require_no_time(initial)
     F = Id(3) if initial.F is None else _as_shape("Initial.F", initial.F, (3, 3))
     sampler.require(Det(F), "det F_0", minimum=0.0)
     referential = step.model.material.referential_density
@@ -125,6 +132,8 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
             _check_density(rho_R, density, volume_ratio(step.model.material, values), sampler)
     _check_spaces(step, values, sampler)
     further = _further(step, initial, sampler)
+    _check_density_range(density, sampler)
+    _check_continuation(step.model.material, values, sampler)
     with TaskManager():
         step.state.vec[:] = 0.0
         parts["rho"].Set(density)
@@ -187,11 +196,68 @@ def _parameters(step: Step, initial: Initial) -> dict[str, CoefficientFunction]:
 
 def _check_moduli(step: Step, parameters: Mapping[str, CoefficientFunction], sampler: Sampler) -> None:
     """Raise InitialDataError where a modulus of a law is not of its sign somewhere at the start."""
-    for name, expression, is_positive in moduli_in(step.model):
+    model = step.model
+    laws: list[tuple[str, object]] = [
+        (f"bodies[{body.name!r}].", (body.material, body.viscosity, body.creep)) for body in model.bodies
+    ]
+    laws.append(("", (() if laws else (model.material, model.viscosity, model.creep), model.hyperviscosity)))
+    of_laws = [(owner + name, value, sign) for owner, law in laws for name, value, sign in moduli_in(law)]
+    for name, expression, is_positive in of_laws:
         value = expression.at(parameters)
         sampler.require(value, name, minimum=0.0 if is_positive else None)
         if (least := sampler.extrema(value)[0]) < 0:
             raise InitialDataError(name, f"minimum {least:.6g}", ">= 0")
+
+
+def _require_no_time(initial: Initial) -> None:
+    """Raise ParameterError for a start value that is a function of the time."""
+    given = {"density": initial.density, "velocity": initial.velocity, "F": initial.F}
+    given |= {f"values[{name!r}]": value for name, value in initial.values.items()}
+    for name, value in given.items():
+        if any(reads_time(part) for part in _functions_in(value)):
+            expected = "a function of the place alone; it reads the time, which at the start is 0"
+            raise ParameterError(f"Initial.{name}", value, expected)
+
+
+def _functions_in(value: object) -> Iterator[CoefficientFunction]:
+    if isinstance(value, CoefficientFunction):
+        yield value
+    elif isinstance(value, (list, tuple)):
+        for part in value:
+            yield from _functions_in(part)
+
+
+def _check_density_range(density: CoefficientFunction, sampler: Sampler) -> None:
+    """Raise InitialDataError for densities whose products with others are no numbers any more."""
+    low, high = sampler.extrema(density)
+    if not _LEAST_DENSITY <= low <= high <= 1 / _LEAST_DENSITY:
+        expected = f"kg/m^3 from {_LEAST_DENSITY:g} to {1 / _LEAST_DENSITY:g}"
+        raise InitialDataError("density rho_0", f"{low:.6g} to {high:.6g}", expected)
+
+
+def _check_continuation(
+    material: Material, values: Mapping[str, CoefficientFunction], sampler: Sampler
+) -> None:
+    """Raise ParameterError for a ``J_min``, below which an energy is continued, that the start is below."""
+    for part in _materials_in(material):
+        J_min = getattr(part, "J_min", None)
+        if J_min is None:
+            continue
+        J = volume_ratio(part, {v.name: values[v.name] for v in part.variables})
+        if (least := sampler.extrema(J)[0]) < J_min:
+            expected = (
+                f"less than J at the start, which is {least:.4g} somewhere: its energy has no barrier there"
+            )
+            raise ParameterError(f"{type(part).__name__}.J_min", J_min, expected)
+
+
+def _materials_in(part: object) -> Iterator[Material]:
+    """A material, and those that it is made of."""
+    if isinstance(part, (tuple, Material, Body)):
+        if isinstance(part, Material):
+            yield part
+        for one in part if isinstance(part, tuple) else vars(part).values():
+            yield from _materials_in(one)
 
 
 def _initial_values(

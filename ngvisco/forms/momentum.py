@@ -23,7 +23,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.forms.unknowns import Setting, Unknown
-from ngvisco.physics.model import CentralGravity, Gravity, Load, as_vector
+from ngvisco.physics.model import CentralGravity, Gravity, Load, force_of
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import inner, square, sym
@@ -154,9 +154,7 @@ class Loading(PointTerm):
     @cached_property
     def vector(self) -> CoefficientFunction:
         """g (m/s^2), or the body force (N/m^3)."""
-        if isinstance(self.load, (Gravity, CentralGravity)):
-            return as_vector(self.load.g, self.dim, "Gravity.g")
-        return as_vector(self.load.force, self.dim, "BodyForce.force")
+        return force_of(self.load, self.dim)
 
     def force(self, u: Fields) -> CoefficientFunction:
         """f, N/m^3."""
