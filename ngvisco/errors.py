@@ -12,13 +12,9 @@ import numbers
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from ngvisco.run.failure import FailureReport
-    from ngvisco.solver.solution import Attempt
 
 
 class NgviscoError(Exception):
@@ -76,16 +72,16 @@ class StepError(NgviscoError, RuntimeError):
 
     Attributes
     ----------
-    history : tuple of Attempt
+    history : tuple of ``ngvisco.solver.solution.Attempt``
         What was tried: each solve's strategy, its iterations and why it failed.
-    report : FailureReport or None
+    report : ``ngvisco.run.failure.FailureReport`` or None
         Where and why, and what to change, of a step of a ``Simulation``.
     """
 
-    report: FailureReport | None = None
+    report: Any = None  # as the attempts, of a room above this one
 
-    def __init__(self, message: str, history: Sequence[Attempt] = ()) -> None:
-        self.history = tuple(history)
+    def __init__(self, message: str, history: Sequence[Any] = ()) -> None:
+        self.history: tuple[Any, ...] = tuple(history)
         super().__init__(message)
 
 
