@@ -9,15 +9,12 @@ import dataclasses
 import difflib
 import math
 import numbers
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from ngvisco.run.failure import FailureReport
-    from ngvisco.solver.solution import Attempt
 
 
 class NgviscoError(Exception):
@@ -39,7 +36,9 @@ class ParameterError(NgviscoError, ValueError):
 
     def __init__(self, field: str, value: object, expected: str) -> None:
         self.field, self.value, self.expected = field, value, expected
-        super().__init__(f"{field} = {value!r}: expected {expected}")
+        # objects without a text of their own, such as NGSolve's functions, by their class
+        shown = re.sub(r"<(?:[\w.]+\.)?(\w+) object at 0x[0-9a-f]+>", r"<\1>", repr(value))
+        super().__init__(f"{field} = {shown}: expected {expected}")
 
 
 class UnknownNameError(NgviscoError, KeyError):
@@ -73,16 +72,16 @@ class StepError(NgviscoError, RuntimeError):
 
     Attributes
     ----------
-    history : tuple of Attempt
+    history : tuple of ``ngvisco.solver.solution.Attempt``
         What was tried: each solve's start values, its iterations and why it failed.
-    report : FailureReport or None
+    report : ``ngvisco.run.failure.FailureReport`` or None
         Where and why, and what to change, of a step of a ``Simulation``.
     """
 
-    report: FailureReport | None = None
+    report: Any = None  # as the attempts, of a room above this one
 
-    def __init__(self, message: str, history: Sequence[Attempt] = ()) -> None:
-        self.history = tuple(history)
+    def __init__(self, message: str, history: Sequence[Any] = ()) -> None:
+        self.history: tuple[Any, ...] = tuple(history)
         super().__init__(message)
 
 
@@ -187,6 +186,14 @@ def require_path(field: str, value: object) -> Path:
         raise ParameterError(field, value, "a path") from None
 
 
+def require_file(field: str, value: object) -> Path:
+    """The path, which a file has or may have; raises ParameterError for a directory and what is no path."""
+    path = require_path(field, value)
+    if path.is_dir():
+        raise ParameterError(field, str(path), "the path of a file; this is a directory")
+    return path
+
+
 def require_collection(field: str, value: object, expected: str) -> list[Any]:
     """The members of a sequence, set or array; raises ParameterError for others, a text and a mapping."""
     is_whole = hasattr(value, "__iter__") and hasattr(value, "__len__")
@@ -200,6 +207,14 @@ def require_names(field: str, value: object) -> list[str]:
     names = require_collection(field, value, "a sequence of names")
     if not all(isinstance(name, str) for name in names):
         raise ParameterError(field, value, "a sequence of names")
+    return names
+
+
+def require_some_names(field: str, value: object) -> list[str]:
+    """The names, each once and at least one; raises ParameterError."""
+    names = require_names(field, value)
+    if not names or len(set(names)) < len(names):
+        raise ParameterError(field, value, "at least one name, and each once")
     return names
 
 

@@ -9,8 +9,8 @@ and never by Python: a case file, or an integrand of ``Integrals``, cannot execu
 * ``a if condition else b`` (or ``where(condition, a, b)``), conditions being comparisons
   ``< <= > >=`` (also chained) joined by ``and``, ``or``, ``not``.
 
-A region (``parse_region``) is written as a condition, ``"(x - 0.6)**2 + y**2 < 0.04 and y < 0.6"``, or as an
-expression that is positive inside.
+A region (``parse_region``) is written as a condition, ``"(x - 0.6)**2 + y**2 < 0.04 and y < 0.6"``; without
+a comparison, ``"x - 0.5"``, it is none, and is refused.
 
 Constant parts are computed at once, so that ``1/0`` or ``log(-1)`` is an error with its position.
 """
@@ -37,6 +37,8 @@ Value: TypeAlias = float | CoefficientFunction
 MAX_LENGTH = 2000
 MAX_DEPTH = 80
 MAX_NODES = 1000
+MAX_OPERATIONS = 5000
+"""Of a text when all is written out that is used several times, as the base of a whole power."""
 _LARGEST_WHOLE_POWER = 16
 
 COORDINATES = ("x", "y", "z")
@@ -79,7 +81,7 @@ def parse(text: str, fields: Collection[str] = ()) -> Expression:
     ------
     ExpressionError
         With the position: syntax, unknown name or function, a constant part that is no finite number,
-        or one of the limits on length and depth.
+        or one of the limits on length, depth and operations.
     """
     tree, lead = syntax_tree(text)
     # constant parts are evaluated with no coordinate known: this finds every other fault
@@ -96,7 +98,7 @@ def parse_region(text: str) -> Expression:
     Raises
     ------
     ExpressionError
-        As ``parse``.
+        As ``parse``, and for what is no condition.
     """
     tree, lead = syntax_tree(text)
     evaluator = Evaluator(text, dict(CONSTANTS), lead, NAMES)
@@ -137,6 +139,9 @@ def syntax_tree(text: str) -> tuple[ast.expr, int]:
     except (ValueError, MemoryError, RecursionError):  # absurd nesting or number
         raise ExpressionError(text, 0, "too deeply nested") from None
     _check_size(text, tree, lead)
+    if (count := _operations(tree)) > MAX_OPERATIONS:
+        reason = f"too long: written out it has {count:.0e} operations, at most {MAX_OPERATIONS} are taken"
+        raise ExpressionError(text, lead, reason)
     return tree, lead
 
 
@@ -156,6 +161,44 @@ def _check_size(text: str, tree: ast.expr, lead: int) -> None:
             position = lead + getattr(layer[0], "col_offset", 0)
             raise ExpressionError(text, position, "too long or too deeply nested")
         layer = [child for node in layer for child in ast.iter_child_nodes(node)]  # type: ignore[misc]
+
+
+def _operations(node: ast.AST) -> float:
+    """How many operations a tree has when every use of a part is written out; of numbers alone none."""
+    if isinstance(node, ast.Name):
+        return 1
+    inner = sum(_operations(child) for child in ast.iter_child_nodes(node))
+    uses = 1
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        inner -= 1  # the function's name
+        uses = _USES.get(node.func.id, 1)
+    elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow):
+        uses = _factors(node.right)
+    return inner * uses + (inner > 0)
+
+
+def _factors(exponent: ast.expr) -> int:
+    """How many factors a power is written out to, at most."""
+    try:
+        value = abs(Evaluator("", CONSTANTS).value(exponent))
+    except ExpressionError:  # a parameter of an energy, or nothing that can be taken
+        return _LARGEST_WHOLE_POWER
+    return int(value) if value.is_integer() and 1 < value <= _LARGEST_WHOLE_POWER else 1
+
+
+_USES = {
+    "abs": 2,
+    "tanh": 3,
+    "min": 2,
+    "max": 2,
+    "cof": 4,
+    "inv": 6,
+    "det": 2,
+    "dev": 2,
+    "sym": 2,
+    "norm2": 2,
+}
+"""How often the value of a function has its arguments in it, at least."""
 
 
 class Unknown:
@@ -324,16 +367,15 @@ class Evaluator:
         return math.prod(parts[1:], start=parts[0])
 
     def level(self, node: ast.expr) -> Any:
-        """Of a condition a value that is positive where it holds; of anything else its value."""
+        """Of a condition a value that is positive where it holds; raises ExpressionError for what is none."""
         if isinstance(node, ast.BoolOp):
             parts = [self.level(value) for value in node.values]
             return _extremum(parts, "min" if isinstance(node.op, ast.And) else "max")
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             inner = self.level(node.operand)
             return inner if inner is UNKNOWN else -inner
-        if not isinstance(node, ast.Compare):
-            return self.value(node)
-        self._condition(node)  # which checks it
+        self._condition(node)  # which checks it, and refuses what is no comparison
+        assert isinstance(node, ast.Compare)
         values = [self._scalar(part) for part in (node.left, *node.comparators)]
         if any(value is UNKNOWN for value in values):
             return UNKNOWN

@@ -44,12 +44,15 @@ def floor_of(module: str) -> str:
     return ".".join(module.split(".")[1:2]) or "ngvisco"
 
 
-def imports_of(tree: ast.Module, module: str, known: dict[str, Path] | set[str]) -> Iterator[str]:
-    """Modules that a file imports when it runs, also inside functions; not what only a type checker reads."""
+def imports_of(
+    tree: ast.Module, module: str, known: dict[str, Path] | set[str], typed: bool = False
+) -> Iterator[str]:
+    """Modules that a file imports when it runs, also inside functions; where ``typed`` also what only a type
+    checker reads."""
     todo: list[ast.AST] = [tree]
     while todo:
         node = todo.pop()
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
+        if not typed and isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
             todo += node.orelse
             continue
         if isinstance(node, ast.Import):
@@ -66,10 +69,10 @@ def imports_of(tree: ast.Module, module: str, known: dict[str, Path] | set[str])
 
 
 @cache
-def graph() -> dict[str, tuple[str, ...]]:
-    """What each module of the package imports of the package."""
+def graph(typed: bool = False) -> dict[str, tuple[str, ...]]:
+    """What each module of the package imports of the package; ``typed`` as of ``imports_of``."""
     return {
-        module: tuple(sorted({*imports_of(ast.parse(path.read_text()), module, MODULES)} - {module}))
+        module: tuple(sorted({*imports_of(ast.parse(path.read_text()), module, MODULES, typed)} - {module}))
         for module, path in MODULES.items()
     }
 
@@ -91,6 +94,24 @@ def cycle_in(imports: dict[str, tuple[str, ...]]) -> list[str] | None:
         return None
 
     return next((found for module in imports if (found := visit(module, []))), None)
+
+
+def circles_in(imports: dict[str, tuple[str, ...]]) -> list[set[str]]:
+    """Modules that all lead to each other, in sets of two or more."""
+    reached: dict[str, set[str]] = {}
+    for module in imports:
+        todo, found = list(imports[module]), set[str]()
+        while todo:
+            if (target := todo.pop()) not in found:
+                found.add(target)
+                todo += imports.get(target, ())
+        reached[module] = found
+    circles = {
+        frozenset(other for other in found if module in reached.get(other, ()))
+        for module, found in reached.items()
+        if module in found
+    }
+    return [set(circle) for circle in sorted(circles, key=sorted)]
 
 
 def longest_chain(imports: dict[str, tuple[str, ...]], modules: set[str]) -> list[str]:

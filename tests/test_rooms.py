@@ -11,6 +11,7 @@ from rooms import (
     MODULES,
     ROOMS,
     chain_of,
+    circles_in,
     cycle_in,
     files_of,
     floor_of,
@@ -76,6 +77,11 @@ def test_no_import_goes_round_in_a_cycle():
     assert cycle_in(graph()) is None
 
 
+def test_what_type_checkers_read_ties_no_rooms_together():
+    for circle in circles_in(graph(typed=True)):
+        assert len({floor_of(module) for module in circle}) == 1, sorted(circle)
+
+
 @pytest.mark.parametrize("room", [room for room in ROOMS if room.count(".") == 1])
 def test_levels_of_imports_are_no_more_than_stated(room):
     """Counted within a room and its inner rooms, without their doors (``__init__``)."""
@@ -87,8 +93,11 @@ def test_checks_see_cycles_chains_and_imports_in_functions():
     assert cycle_in({"a": ("b",), "b": ("c",), "c": ("b",)}) == ["b", "c", "b"]
     assert cycle_in({"a": ("b", "c"), "b": ("c",), "c": ()}) is None
     assert longest_chain({"a": ("b", "c"), "b": ("c",), "c": ()}, {"a", "b", "c"}) == ["a", "b", "c"]
+    assert circles_in({"a": ("b",), "b": ("c", "d"), "c": ("b",), "d": ()}) == [{"b", "c"}]
     source = "if TYPE_CHECKING:\n    import p.a\ndef f():\n    from p import b\n    import_module('p.c')\n"
     assert set(imports_of(ast.parse(source), "m", {"p", "p.a", "p.b", "p.c"})) == {"p.b", "p.c"}
+    typed = imports_of(ast.parse(source), "m", {"p", "p.a", "p.b", "p.c"}, typed=True)
+    assert set(typed) == {"p.a", "p.b", "p.c"}
 
 
 @pytest.mark.parametrize("room", ROOMS)

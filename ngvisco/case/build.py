@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from pydantic import ValidationError
 
 from ngvisco.case import catalogue, toml
 from ngvisco.case.errors import CaseError, Fault
-from ngvisco.case.faults import Locator, faults_of, key_of
+from ngvisco.case.faults import Locator, faults_of, given, key_of, numbers_out_of_range, shown
 from ngvisco.case.places import copy_of, digest_of, parts_of, reads_z, shape_of, shapes_with_files, united
 from ngvisco.case.samples import samples
 from ngvisco.case.schema import CaseSections
@@ -44,7 +46,7 @@ from ngvisco.run.inputs import times_of
 from ngvisco.run.observers import LedgerCSV, VTKSeries
 from ngvisco.run.ranks import abort_alone
 from ngvisco.run.simulation import Observer, Simulation
-from ngvisco.shapes.fractions import volumes
+from ngvisco.shapes.fractions import MISSED, volumes
 from ngvisco.shapes.shape import Shape
 
 MAX_FILE_SIZE = 1_000_000
@@ -65,6 +67,8 @@ def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Cas
         With every fault found: its line, key path, value, what is allowed and the nearest match.
     """
     source = require_path("load_case.path", path)
+    if source.exists() and not (source.is_file() or source.is_dir()):  # a pipe would be waited for
+        raise CaseError(str(source), [Fault("", "cannot be read: it is a pipe or a device, and no file")])
     try:
         with source.open("rb") as file:
             raw = file.read(MAX_FILE_SIZE + 1)
@@ -106,6 +110,8 @@ def parse_case(text: str, source: str, directory: Path, settings: Sequence[str] 
         raise CaseError(source, faults_of(error, CaseSections, locator)) from error
     except RecursionError as error:
         raise CaseError(source, [Fault("", "too deeply nested")]) from error
+    if faults := numbers_out_of_range(sections, locator):
+        raise CaseError(source, faults)
     return Case(sections, source, directory, locator)
 
 
@@ -304,7 +310,7 @@ class Case:
                     volume += volumes(mesh, [shape])[0]
             with self.located("bodies", str(i), "where"):
                 if body.where is not None and not volume > 0:
-                    raise ParameterError("bodies.where", body.where, "a place within the domain: it is empty")
+                    raise ParameterError("bodies.where", body.where, MISSED)
 
     def observers(self, directory: str | os.PathLike[str], until: float | None = None) -> list[Observer]:
         """Ledger, VTK series, tables and checkpoints, which come last, in a run directory."""
@@ -329,7 +335,9 @@ class Case:
                 series.prepare(run)
             except ParameterError as error:
                 key = error.field.partition(".")[2].partition("[")[0]
-                key = {"points": "point"}.get(key, key) if path[1] == "probes" else key
+                key = {("probes", "points"): "point", ("integrals", "integrands"): "of"}.get(
+                    (path[1], key), key
+                )
                 raise self._error((*path, key), f"{error.value!r:.60}: expected {error.expected}") from error
             except UnknownNameError as error:
                 raise self._error((*path, {"wall": "walls"}.get(error.kind, "fields")), str(error)) from error
@@ -379,10 +387,8 @@ class Case:
         except (CaseError, PETScError):  # what the installation lacks is no fault of a section
             raise
         except ParameterError as error:
-            key = key_of(error.field, path, self.sections)
-            given = self._given(key)
-            value = error.value if given is None else given
-            raise self._error(key, f"{value!r:.60}: expected {error.expected}") from error
+            key = key_of(error.field, path, self.sections, error.value)
+            raise self._error(key, f"{self._written(key, error.value)}: expected {error.expected}") from error
         except UnknownNameError as error:
             where = (*_SECTION_OF_NAME.get(error.kind, path), error.name)
             key = (*path, "names") if error.kind == "subdomain" else where
@@ -393,8 +399,11 @@ class Case:
                 names = ", ".join(parameters(material))
                 message = f"its energy at rest is not finite: expected other values of {names}"
                 raise self._error(("material",), message) from error
-            keys = [key for word, key in _INITIAL_KEYS.items() if word in error.field]
-            raise self._error(("initial", *keys[:1]), str(error)) from error
+            key = self._initial_key(error.field, path)
+            start = (
+                f"{self._written(key, error.field)}: at the start {error.value}; expected {error.expected}"
+            )
+            raise self._error(key, str(error) if key[0] == "initial" else start) from error
         except MeshError as error:
             of_file = self.sections.domain.geometry == "file"  # type: ignore[attr-defined]
             raise self._error(("domain", "path") if of_file else ("domain",), str(error)) from error
@@ -409,15 +418,20 @@ class Case:
         initial: Any = self.sections.initial
         return initial.F is None and not initial.values
 
-    def _given(self, key: tuple[str, ...]) -> Any:
-        """What the file has under a key; None where it has nothing."""
-        value: Any = self.sections
-        for part in key:
-            if isinstance(value, list) and part.isdigit() and int(part) < len(value):
-                value = value[int(part)]
-            else:
-                value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
-        return None if isinstance(value, Section) else value
+    def _initial_key(self, field: str, path: tuple[str, ...]) -> tuple[str, ...]:
+        """The key to blame for start values: of a law's modulus, of one variable, of the state."""
+        if re.fullmatch(r"[\w\['\].]+\.\w+", field):
+            return key_of(field, path, self.sections)
+        values: Any = self.sections.initial.values  # type: ignore[attr-defined]
+        named = (("values", name) for name in values if re.search(rf"\b{re.escape(name)}(_0)?\b", field))
+        known = ((key,) for word, key in _INITIAL_KEYS.items() if word in field)
+        return ("initial", *next(chain(named, known), ()))
+
+    def _written(self, key: tuple[str, ...], value: object) -> str:
+        """What the file has under a key, or what was made of it."""
+        there = given(self.sections, key)
+        is_whole = there is None or (isinstance(there, list) and any(isinstance(p, Section) for p in there))
+        return shown(value if is_whole else there)
 
 
 _MODEL_NAMES = {"linear_viscosity": "viscosity"}

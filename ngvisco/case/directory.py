@@ -276,6 +276,7 @@ def resume(
             if new.resolved != case.resolved:
                 simulation = new.simulation(_mesh_of_first(new, ranks, place.mesh))
                 changes.check_change(place, case, simulation)  # before anything is written
+                _check_times(place, new, simulation, new.until if until is None else until)
                 ranks.on_first(lambda: changes.write_change(place, case, new, settings))
                 case = place.case()
         notes = [f"resume: {case.sections.title or case.source}"]

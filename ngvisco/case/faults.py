@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from ngvisco.case import catalogue
 from ngvisco.case.errors import Fault
-from ngvisco.case.toml import line_of
+from ngvisco.case.section import Section, names_of
+from ngvisco.case.toml import line_of, value_text
 from ngvisco.errors import ParameterError
 
 _SHOWN = 60
@@ -26,6 +26,7 @@ _TYPES = {
     "model_type": "expected a table",
     "model_attributes_type": "expected a table",
     "missing": "is missing",
+    "too_short": "expected at least one; without the key it is all of them",
 }
 
 
@@ -44,7 +45,7 @@ class Locator:
             (self.written[path[:n]] for n in range(len(path), 0, -1) if path[:n] in self.written), None
         )
         if written is not None:
-            message = f"{message} (in SI units; written was {_shown(written)})"
+            message = f"{message} (in SI units; written was {shown(written)})"
         is_within = any(path[: len(o)] == o for o in self.overridden)
         is_made = path not in self.lines and any(o[: len(path)] == path for o in self.overridden)
         if is_within or is_made:
@@ -81,28 +82,31 @@ def _parameter_path(field: str, path: tuple[str, ...]) -> tuple[str, ...]:
 def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: list[str]) -> str:
     kind, value, context = one["type"], one["input"], one.get("ctx") or {}
     if isinstance(raised, ParameterError):
-        return f"{_shown(raised.value)}: expected {raised.expected}"
+        return f"{shown(raised.value)}: expected {raised.expected}"
     if raised is not None:
-        return f"{_shown(value)}: {raised}"
+        return f"{shown(value)}: {raised}"
     if kind == "extra_forbidden":
         return f"unknown key{nearest(path[-1], known)} (known in {here}: {', '.join(known)})"
     if kind == "missing":
         return f"is missing (keys of {here}: {', '.join(known)})"
     if kind == "union_tag_invalid":
         tag, tags = str(context["tag"]), [t.strip("'") for t in context["expected_tags"].split(", ")]
-        return f"{_shown(tag)}: expected one of {', '.join(tags)}{nearest(tag, tags)}"
+        return f"{shown(tag)}: expected one of {', '.join(tags)}{nearest(tag, tags)}"
     if kind == "union_tag_not_found":
         wanted = context["discriminator"].strip("'")
         written = difflib.get_close_matches(wanted, [str(key) for key in value], n=1, cutoff=0.5)
         hint = f"; {written[0]!r} is unknown: did you mean {wanted!r}?" if written else ""
         return f"the key {wanted!r} is missing{hint}"
     if kind == "literal_error":
-        return f"{_shown(value)}: expected {context['expected']}"
-    return f"{_shown(value)}: {_TYPES.get(kind, one['msg'].lower())}"
+        return f"{shown(value)}: expected {context['expected']}"
+    return f"{shown(value)}: {_TYPES.get(kind, one['msg'].lower())}"
 
 
-def _shown(value: object) -> str:
-    text = repr(value)
+def shown(value: object) -> str:
+    """A value as a file's user knows it: a table as TOML has it."""
+    if isinstance(value, BaseModel):
+        value = value.model_dump(exclude_none=True)
+    text = value_text(value) if isinstance(value, dict) else repr(value)
     return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
 
 
@@ -137,42 +141,86 @@ def models_in(annotation: Any) -> list[type[BaseModel]]:
     return list(dict.fromkeys(found for part in get_args(annotation) for found in models_in(part)))
 
 
-def key_of(field: str, path: tuple[str, ...], sections: Any) -> tuple[str, ...]:
-    """The key of a parameter that is named as in ``Gravity.g`` or ``walls['top'].f``.
+def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = None) -> tuple[str, ...]:
+    """The key of a parameter that is named as in ``Gravity.g``, ``walls['top'].f`` or
+    ``bodies['disc'].NeoHookean.K_e``.
 
-    ``path`` is that of the section from which the object with the parameter was made.
+    ``path`` is that of the section from which the object with the parameter was made; where several tables
+    may be meant it is the one that has the ``value``.
     """
     owner, *rest = re.sub(r"\[[\"']?(.*?)[\"']?\]", r".\1", field).split(".")
-    if owner == "walls":
-        return (owner, *rest)
-    if owner == "loads":
-        names = [str(load.name) for load in sections.loads]
-        return (owner, str(names.index(rest[0])), *rest[1:])
-    if owner == "bodies":
-        names = [body.name for body in sections.bodies]
-        return (owner, str(names.index(rest[0])), *rest[1:]) if rest[:1] and rest[0] in names else path
-    if owner in catalogue.SHAPES and path[:1] == ("bodies",):
-        return (*path, *rest)
-    if owner == "Where":
-        return path
-    if owner == "Model" and rest[:1] == ["bodies"]:
-        return ("bodies",)
+    if owner in ("loads", "bodies"):
+        names = [str(part.name) for part in getattr(sections, owner)]
+        if not rest or rest[0] not in names:
+            return path
+        path, rest = (owner, str(names.index(rest[0]))), rest[1:]
+        if len(rest) < 2:
+            return (*path, *rest)
+        owner, *rest = rest
     if owner == "Model":
-        return ("loads",) if rest == ["loads"] else ("rheology", *rest)
-    if owner in ("until", "stops"):
-        return ("time", "until")
-    if owner == "array":
-        return path
-    return (*_SECTION_OF.get(owner, path), *rest)
+        return (rest[0],) if rest[:1] in (["bodies"], ["loads"]) else ("rheology", *rest)
+    if owner in _KEYS:
+        return (*_KEYS[owner], *(() if owner in ("until", "stops") else rest))
+    tables = [(*place, *rest) for place, part in tables_of(sections) if owner in names_of(part)]
+    found = [key for key in tables if not rest or has_key(sections, key[: len(key) - len(rest) + 1])]
+    near = [key for key in found if key[: len(path)] == path] or found
+    exact = [key for key in near if value is not None and given(sections, key) == value]
+    own = (*path, *rest)
+    tables = [key[: len(key) - len(rest)] for key in tables]  # of what no key of theirs says
+    return (exact or near or tables or [own if has_key(sections, own[: len(path) + 1]) else path])[0]
 
 
-_SECTION_OF = {
+_KEYS: dict[str, tuple[str, ...]] = {
+    "walls": ("walls",),
     "Simulation": ("time",),
-    "AdaptiveSteps": ("time", "adaptive"),
-    "Initial": ("initial",),
-    "Discretisation": ("discretisation",),
-    "NewtonOptions": ("solver",),
-    "Regularisation": ("rheology", "regularisation"),
-    "LinearViscosity": ("rheology", "linear_viscosity"),
+    "until": ("time", "until"),
+    "stops": ("time", "until"),
+    "passive": ("output", "passive"),
 }
-"""Sections of the objects that the parts of a simulation name in their errors."""
+"""Keys of what the parts of a simulation name in their errors, and what no table makes."""
+
+
+def numbers_out_of_range(sections: Section, locator: Locator) -> list[Fault]:
+    """Faults of the numbers that were given, but are none or leave none in products with others."""
+    found = []
+    for path, part in tables_of(sections):
+        for name in part.model_fields_set:
+            value = getattr(part, name)
+            if isinstance(value, float) and value and not LEAST <= abs(value) <= 1 / LEAST:
+                expected = f"0, or a finite number from {LEAST:g} to {1 / LEAST:g} in SI units"
+                found.append(locator.fault((*path, name), f"{shown(value)}: expected {expected}"))
+    return found
+
+
+LEAST = 1e-60
+"""Of numbers in a case file: products of five of them are numbers."""
+
+
+def tables_of(part: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Section]]:
+    """Key path and section of every table of a case."""
+    if isinstance(part, Section):
+        yield path, part
+        inner: Iterable[tuple[Any, Any]] = [(name, getattr(part, name)) for name in type(part).model_fields]
+    elif isinstance(part, (list, dict)):
+        inner = part.items() if isinstance(part, dict) else enumerate(part)
+    else:
+        return
+    for name, value in inner:
+        yield from tables_of(value, (*path, str(name)))
+
+
+def has_key(sections: Any, key: tuple[str, ...]) -> bool:
+    """Whether the table at a path has such a key, given or not."""
+    table = given(sections, key[:-1])
+    return isinstance(table, Section) and key[-1] in type(table).model_fields
+
+
+def given(sections: Any, key: tuple[str, ...]) -> Any:
+    """What a case has under a key; None where it has nothing."""
+    value = sections
+    for part in key:
+        if isinstance(value, list):
+            value = value[int(part)] if part.isdigit() and int(part) < len(value) else None
+        else:
+            value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
+    return value

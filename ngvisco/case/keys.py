@@ -349,11 +349,6 @@ KEYS: dict[str, Key] = {
     "max_iterations": Key("1", "iterations that a step may take", 60),
     "refresh": Key("1", "contraction above which the Jacobian is made anew, in (0, 1)", 0.25),
     "min_damping": Key("1", "smallest damping of a Newton step that is tried, in (0, 1)", 1e-3),
-    "max_iterations": Key("1", "iterations that a step may take", 60),
-    "refresh": Key("1", "contraction above which the Jacobian is made anew, in (0, 1)", 0.25),
-    "min_damping": Key("1", "smallest damping of a Newton step that is tried, in (0, 1)", 1e-3),
-    "sides": Key("1", "relative increment from which the side of upwinding is corrected, in (0, 1)", 1e-6),
-    "settled": Key("1", "relative increment down to which it follows the iterates, in (0, 1)", 1e-2),
     "inverse": Key("", 'sparse direct solver, "umfpack", "pardiso" or "mumps"', "umfpack"),
     "coarse": Key(
         "",

@@ -22,8 +22,15 @@ from ngvisco.case.faults import models_in
 from ngvisco.case.keys import key
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import _TARGETS, moduli
-from ngvisco.case.values import FieldValue, NumberValues, RegionText
+from ngvisco.case.section import _TARGETS, annotation_of
+from ngvisco.case.values import (
+    ModulusValue,
+    NumberValues,
+    RegionText,
+    ScalarValue,
+    TensorValue,
+    VectorValue,
+)
 from ngvisco.errors import ParameterError
 
 _TAGS = ("geometry", "kind")
@@ -106,7 +113,7 @@ def _walk(model: type[BaseModel], path: tuple[str, ...], kinds: tuple[str, ...])
         yield Entry(
             here,
             kinds,
-            "number or expression" if name in moduli(model) else type_text(field.annotation),
+            type_text(annotation_of(model, name)),
             meant.unit,
             field.is_required(),
             None if inner or field.is_required() else field.default,
@@ -155,14 +162,16 @@ def type_text(annotation: Any) -> str:
         bool: "true or false",
         str: "text",
         EnergyText: "expression of the variables",
+        ModulusValue: "number or expression",
+        ScalarValue: "number or expression",
+        VectorValue: "array of numbers or expressions",
+        TensorValue: "number, expression, or three rows of three of them",
     }
     if annotation in plain:
         return plain[annotation]
     if annotation == NumberValues or annotation == list[Any]:
         return "array of numbers"
     origin, arguments = get_origin(annotation), get_args(annotation)
-    if annotation == FieldValue or annotation is Any:
-        return "number, expression, or array of them"
     if origin is Literal:
         return f"one of {', '.join(json.dumps(value) for value in arguments)}"
     if origin in (Union, types.UnionType):
@@ -208,9 +217,14 @@ def explain(path: str) -> str:
         doc = _summary(kind)
         return "\n\n".join([f"{kind}: {doc}" if doc else kind, *(card(entry) for entry in own)])
     exact = [entry for entry in every if _matches(entry.path, wanted)]
+    # a name alone is that of a key in all tables that have it
+    exact = exact or [entry for entry in every if entry.path[-1:] == wanted]
     below = [e for e in every if len(e.path) > len(wanted) and _matches(e.path[: len(wanted)], wanted)]
     if not wanted or not exact + below:
-        close = difflib.get_close_matches(path, [*_names(every), *kinds], n=3, cutoff=0.4)
+        last = {entry.path[-1]: entry.name for entry in every}
+        close = [last[name] for name in difflib.get_close_matches(wanted[-1], last, n=2)] if wanted else []
+        close += difflib.get_close_matches(path, [*_names(every), *kinds], n=3, cutoff=0.4)
+        close = list(dict.fromkeys(close))[:3]
         hint = f"such as {', '.join(close)}; " if close else ""
         raise ParameterError("KEY", path, f"a key of a case file, {hint}ngvisco list --keys has them all")
     if not below:

@@ -15,7 +15,8 @@ def samples(case: CaseSections, run: Path) -> dict[tuple[str, ...], Series]:
     directory."""
     output, directory, found = case.output, run / "samples", dict[tuple[str, ...], Series]()
     if case.bodies:
-        found["output", "bodies"] = Bodies(run / "bodies.csv", output.bodies.every)
+        every = 1 if output.bodies is None else output.bodies.every
+        found["output", "bodies"] = Bodies(run / "bodies.csv", every)
     for i, p in enumerate(output.probes):
         path = directory / f"{p.name}.csv"
         found["output", "probes", str(i)] = Probes({p.name: p.point}, p.fields, path, p.every)

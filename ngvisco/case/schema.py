@@ -21,6 +21,15 @@ _MAX_STEPS = 100_000_000
 """Steps above which a run has no end: ten of the smallest a second make a hundred days."""
 
 
+def _check_once(names: list[str]) -> list[str]:
+    if len(set(names)) < len(names):
+        raise ValueError("expected each name once")
+    return names
+
+
+Names = Annotated[list[str], Field(min_length=1), AfterValidator(_check_once)]
+"""Some of what there is; all of it where the key is left out."""
+
 Domain = tagged("geometry", catalogue.GEOMETRIES)
 Material = materials()
 Load = tagged("kind", catalogue.LOADS)
@@ -84,7 +93,7 @@ class VTK(Section):
     enabled: bool = True
     every: int = Field(default=10, ge=1)
     interval: float | None = Field(default=None, gt=0, allow_inf_nan=False)
-    fields: list[str] | None = None
+    fields: Names | None = None
     subdivision: int = Field(default=0, ge=0, le=4)
 
 
@@ -110,7 +119,7 @@ class Probe(Section):
 
     name: Name
     point: list[float]
-    fields: list[str] | None = None
+    fields: Names | None = None
     every: int = Field(default=1, ge=1)
 
 
@@ -121,14 +130,14 @@ class Line(Section):
     start: list[float]
     end: list[float]
     points: int = Field(default=101, ge=2, le=100_000)
-    fields: list[str] | None = None
+    fields: Names | None = None
     every: int = Field(default=10, ge=1)
 
 
 class Forces(Section):
     """Forces and torques on walls over time."""
 
-    walls: list[str] | None = None
+    walls: Names | None = None
     about: list[float] | None = None
     every: int = Field(default=1, ge=1)
 
@@ -156,9 +165,9 @@ class Output(Section):
     lines: list[Line] = Field(default=[])
     forces: Forces | None = None
     integrals: list[DomainIntegral] = Field(default=[])
-    bodies: BodiesTable = BodiesTable()
+    bodies: BodiesTable | None = None
     log_every: int = Field(default=1, ge=1)
-    passive: list[str] = Field(default=[])
+    passive: Annotated[list[str], AfterValidator(_check_once)] = Field(default=[])
 
     @model_validator(mode="after")
     def _distinct(self) -> Output:
@@ -255,6 +264,14 @@ class CaseSections(Section):
         if self.material is None and not self.bodies:
             raise ParameterError("material", None, "a table [material], or bodies, [[bodies]]")
         self._check_bodies()
+        if self.output.bodies is not None and not self.bodies:
+            expected = "no such table without [[bodies]], which it is of"
+            raise ParameterError("output.bodies", "a table", expected)
+        names = [str(load.name) for load in self.loads]  # type: ignore[attr-defined]
+        for i, name in enumerate(names):
+            if name in names[:i]:
+                expected = f"a name that no other load has, which is that of its power, power_{name}"
+                raise ParameterError(f"loads.{i}.name", name, expected)
         if rheology.viscosity is not None and rheology.linear_viscosity is not None:
             expected = "no table [rheology.viscosity] beside it: D is the whole of the viscosity"
             raise ParameterError("rheology.linear_viscosity", "D", expected)

@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
 
 from ngvisco.case import catalogue
 from ngvisco.case.laws import EnergyText
-from ngvisco.case.values import FieldValue, ModulusValue, NumberValues
+from ngvisco.case.values import FIELDS, ModulusValue, NumberValues, ScalarValue, TensorValue, VectorValue
 from ngvisco.errors import UnknownNameError
 from ngvisco.expressions import parse
 from ngvisco.physics.material import Material as MaterialObject
@@ -48,7 +48,9 @@ def _annotation(hint: Any) -> Any:
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         if _mentions_function(hint):
-            return FieldValue | None if type(None) in arguments else FieldValue
+            is_vector = any(get_origin(part) is collections.abc.Sequence for part in arguments)
+            field = VectorValue if is_vector else ScalarValue if float in arguments else TensorValue
+            return field | None if type(None) in arguments else field
         parts = [part for part in arguments if part is not type(None)]
         inner = [_annotation(part) for part in parts]
         if None in inner:
@@ -56,17 +58,13 @@ def _annotation(hint: Any) -> Any:
         return functools.reduce(operator.or_, [*inner, None] if len(parts) < len(arguments) else inner)
     if origin is Literal:
         return hint
-    if hint is CoefficientFunction:
-        return FieldValue
     if origin is collections.abc.Mapping and arguments[0] is str and _mentions_function(arguments[1]):
-        return dict[str, FieldValue]
+        return dict[str, TensorValue]
     if origin is collections.abc.Mapping and arguments == (str, float):
         return dict[str, float]
     if origin in (collections.abc.Sequence, list, tuple) and not _mentions_function(hint):
         inner_hint = _annotation(arguments[0])
         return None if inner_hint is None else list[inner_hint]  # type: ignore[valid-type]
-    if _mentions_function(hint) and origin is not collections.abc.Callable:
-        return FieldValue
     return None
 
 
@@ -106,28 +104,34 @@ def section(
     base = _checked_section(target) if _is_plain(target, fields, hints.get("return")) else Section
     model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
     _TARGETS[model] = target
-    _FIELDS[model] = frozenset(
-        name for name, (annotation, _) in fields.items() if _has_field_value(annotation)
-    )
-    _MODULI[model] = frozenset(
-        name for name, (annotation, _) in fields.items() if annotation in (ModulusValue, ModulusValue | None)
-    )
+    _ANNOTATIONS[model] = {name: annotation for name, (annotation, _) in fields.items()}
     return model
 
 
-_MODULI: dict[type[BaseModel], frozenset[str]] = {}
-_FIELDS: dict[type[Section], frozenset[str]] = {}
-_TARGETS: dict[type[Section], Callable[..., Any]] = {}
+_ANNOTATIONS: dict[type[BaseModel], dict[str, Any]] = {}
+"""As they were given: pydantic takes those apart that say which functions a key takes."""
+_TARGETS: dict[type[BaseModel], Callable[..., Any]] = {}
 
 
-def field_names(part: Section) -> frozenset[str]:
+def annotation_of(model: type[BaseModel], name: str) -> Any:
+    """The schema's type of a key."""
+    return _ANNOTATIONS.get(model, {}).get(name, model.model_fields[name].annotation)
+
+
+def names_of(part: Section) -> set[str]:
+    """What errors call the object that a section describes: the table's kind, the class behind it."""
+    target = _TARGETS.get(type(part))
+    return {type(part).__name__} | ({target.__name__} if target is not None else set())
+
+
+def field_names(part: Section) -> set[str]:
     """The parameters of a section that are functions of space and time."""
-    return _FIELDS[type(part)]
+    return {name for name, annotation in _ANNOTATIONS[type(part)].items() if _has_field_value(annotation)}
 
 
 def _default(annotation: Any, default: Any) -> Any:
     """A parameter's default as a case file would have it."""
-    if annotation == dict[str, FieldValue]:
+    if annotation == dict[str, TensorValue]:
         return {}
     return list(default) if isinstance(default, tuple) else default
 
@@ -143,7 +147,7 @@ def _is_plain(target: Callable[..., Any], fields: dict[str, Any], returned: Any)
 
 
 def _has_field_value(annotation: Any) -> bool:
-    return annotation == FieldValue or any(_has_field_value(part) for part in get_args(annotation))
+    return annotation in FIELDS or any(_has_field_value(part) for part in get_args(annotation))
 
 
 def _checked_section(target: Callable[..., Any]) -> type[Section]:
@@ -182,9 +186,10 @@ def made(part: Section) -> Any:
     return _TARGETS[type(part)](**parameters(part))
 
 
-def moduli(model: type[BaseModel]) -> frozenset[str]:
+def moduli(model: type[BaseModel]) -> set[str]:
     """The keys of a section that take a function of the initial place."""
-    return _MODULI.get(model, frozenset())
+    found = _ANNOTATIONS.get(model, {}).items()
+    return {name for name, annotation in found if annotation in (ModulusValue, ModulusValue | None)}
 
 
 def tagged(key: str, table: dict[str, Any]) -> Any:

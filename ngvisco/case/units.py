@@ -24,7 +24,7 @@ from ngvisco.case.faults import Locator, models_in
 from ngvisco.case.keys import key
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.reference import owner_name
-from ngvisco.case.values import FieldValue, NumberValues
+from ngvisco.case.values import FIELDS, NumberValues
 from ngvisco.expressions import ExpressionError, parse, parse_region
 
 SI = {
@@ -38,11 +38,21 @@ SI = {
 }
 """What ``[units]`` may name, and the SI unit of each."""
 
+_NUMBER = r"([+-]?\d{1,2}(?:\.\d{1,9})?)"
+_POWER = re.compile(rf"(?:\*\*|\^)\s*(?:{_NUMBER}|\(\s*{_NUMBER}\s*(?:/\s*\d{{1,2}}\s*)?\))(?![\w.])")
+_CHAIN = re.compile(r"(?:\*\*|\^)[^*^/()A-Za-z]*(?:\*\*|\^)|\d\s*(?:\*\*|\^)")
+_LARGEST_POWER = 100.0
+"""Of a unit, all its exponents multiplied: pint computes with whole numbers of any length."""
+
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-zµμ°Å].{0,80})\s*")
 
 
 class UnitError(ValueError):
-    """A unit that is unknown or of another dimension than the key's."""
+    """A unit that is unknown or of another dimension than the key's; ``key`` if another is at fault."""
+
+    def __init__(self, message: str, key: str | None = None) -> None:
+        self.key = key
+        super().__init__(message)
 
 
 @cache
@@ -59,6 +69,7 @@ def factor(unit: str, wanted: str) -> float:
     ------
     UnitError
     """
+    _require_small_powers(unit)
     units = _registry()
     try:
         value = units.Quantity(1.0, units.parse_units(unit)).to(units.parse_units(wanted)).magnitude
@@ -69,6 +80,14 @@ def factor(unit: str, wanted: str) -> float:
     if not (math.isfinite(value) and value > 0):
         raise UnitError(f"{unit!r} cannot be converted to {wanted}")
     return float(value)
+
+
+def _require_small_powers(unit: str) -> None:
+    """Raise UnitError for powers of numbers, powers of powers, and exponents that no unit has."""
+    powers = [match[1] or match[2] for match in _POWER.finditer(unit)]
+    are_plain = len(powers) == len(re.findall(r"\*\*|\^", unit)) and not _CHAIN.search(unit)
+    if not are_plain or math.prod(max(abs(float(power)), 1.0) for power in powers) > _LARGEST_POWER:
+        raise UnitError(f"{unit!r:.60} is no unit: its exponents are numbers such as 2, -1, 0.5 or (1/2)")
 
 
 def units_error() -> type[Exception]:
@@ -144,14 +163,17 @@ class Converter:
         if annotation is EnergyText:
             # [units] has none of energies per mass: these are in J/kg
             return value if data.get("per") == "mass" else self._energy(value, unit, path)
-        is_field = any(part is Any or part == FieldValue for part in _parts(annotation))
+        is_field = any(part is Any or part in FIELDS for part in _parts(annotation))
         is_field = is_field and NumberValues not in _parts(annotation)
         if unit in ("", "any") or (unit == "1" and not is_field):
             return value
         try:
             converted = self._value(value, _with_exponents(unit, model, data), is_field)
         except UnitError as error:
-            self.faults.append((path, f"{value!r:.60}: {error}"))
+            if error.key is None:
+                self.faults.append((path, f"{value!r:.60}: {error}"))
+            elif not isinstance(data.get(error.key), (list, dict)):  # which the schema refuses
+                self.faults.append(((*path[:-1], error.key), f"{data[error.key]!r:.60}: {error}"))
             return value
         if converted is not value and converted != value:
             self.written[path] = value
@@ -262,7 +284,7 @@ def _with_exponents(unit: str, model: type[BaseModel], data: dict[str, Any]) -> 
         name = match[2]
         value = data.get(name, model.model_fields[name].default)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise UnitError(f"its unit depends on {name}: expected a number there")
+            raise UnitError("expected a number", name)
         return f"^({match[1] or ''}{value!r})"
 
     return re.sub(r"\^\(?(\d-)?([a-z]+)\b\)?", exponent, unit)

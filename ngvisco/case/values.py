@@ -7,30 +7,55 @@ from typing import Annotated, Any
 from ngsolve import CF, CoefficientFunction
 from pydantic import AfterValidator, WithJsonSchema
 
-from ngvisco.errors import ParameterError, as_number
+from ngvisco.errors import as_number
 from ngvisco.expressions import parse, parse_region
 
 
-def _check_field(value: Any) -> Any:
-    """A number, an expression, or an array (of arrays) of them; raises ValueError."""
-    if isinstance(value, list):
-        if not value:
-            raise ValueError("expected a number, an expression or an array of them, not an empty array")
-        for part in value:
-            _check_field(part)
-    elif isinstance(value, str):
+def _check_scalar(value: Any) -> Any:
+    """A number or an expression; raises ValueError."""
+    if isinstance(value, str):
         parse(value)
     elif isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError("expected a number, an expression in quotes, or an array of them")
+        raise ValueError("expected a number, or an expression in quotes")
     elif as_number(value) is None:
         raise ValueError("expected a finite number")
     return value
 
 
-FieldValue = Annotated[
-    Any, AfterValidator(_check_field), WithJsonSchema({"type": ["number", "string", "array"]})
+def _check_vector(value: Any) -> Any:
+    """An array of numbers and expressions; raises ValueError."""
+    if not isinstance(value, list) or not value or any(isinstance(part, list) for part in value):
+        raise ValueError('expected an array of its components, as in [0, "-1 + x"]')
+    for part in value:
+        _check_scalar(part)
+    return value
+
+
+def _check_tensor(value: Any) -> Any:
+    """A number or an expression, or three rows of three of them; raises ValueError."""
+    if not isinstance(value, list):
+        return _check_scalar(value)
+    if [len(row) if isinstance(row, list) else 0 for row in value] != [3, 3, 3]:
+        raise ValueError("expected three rows of three, as in [[1, 0, 0], [0, 1, 0], [0, 0, 1]]")
+    for row in value:
+        for part in row:
+            _check_scalar(part)
+    return value
+
+
+ScalarValue = Annotated[Any, AfterValidator(_check_scalar), WithJsonSchema({"type": ["number", "string"]})]
+"""A scalar field as it stands in a case file."""
+VectorValue = Annotated[
+    Any,
+    AfterValidator(_check_vector),
+    WithJsonSchema({"type": "array", "items": {"type": ["number", "string"]}}),
 ]
-"""A scalar, vector or tensor field as it stands in a case file."""
+"""A vector field."""
+TensorValue = Annotated[
+    Any, AfterValidator(_check_tensor), WithJsonSchema({"type": ["number", "string", "array"]})
+]
+"""A tensor field, or a variable, which may be a scalar."""
+FIELDS = (ScalarValue, VectorValue, TensorValue)
 
 
 def _check_numbers(value: list[Any]) -> list[Any]:
@@ -56,10 +81,9 @@ def _check_modulus(value: Any) -> Any:
         return value
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError("expected a number, or an expression of x, y, z in quotes")
-    try:
-        return float(value)
-    except OverflowError:
-        raise ValueError("expected a finite number") from None
+    if as_number(value) is None:
+        raise ValueError("expected a finite number")
+    return float(value)
 
 
 ModulusValue = Annotated[Any, AfterValidator(_check_modulus), WithJsonSchema({"type": ["number", "string"]})]
@@ -77,18 +101,12 @@ RegionText = Annotated[str, AfterValidator(_check_region)]
 
 
 def as_function(value: Any) -> Any:
-    """A number, text or array as a coefficient function; arrays of arrays are matrices."""
+    """A number, text or array as a coefficient function; arrays of rows are 3x3 matrices."""
     if not isinstance(value, list):
         return _scalar(value)
-    if not all(isinstance(row, list) for row in value):
-        if any(isinstance(row, list) for row in value):
-            raise ParameterError("array", value, "a vector, or a matrix of equally long rows")
-        return CF(tuple(_scalar(part) for part in value))
-    widths = {len(row) for row in value}
-    if len(widths) != 1 or any(isinstance(part, list) for row in value for part in row):
-        raise ParameterError("array", value, "a matrix of equally long rows")
-    flat = tuple(_scalar(part) for row in value for part in row)
-    return CF(flat, dims=(len(value), widths.pop()))
+    if isinstance(value[0], list):
+        return CF(tuple(_scalar(part) for row in value for part in row), dims=(3, 3))
+    return CF(tuple(_scalar(part) for part in value))
 
 
 def _scalar(value: Any) -> CoefficientFunction:

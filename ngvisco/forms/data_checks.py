@@ -29,7 +29,7 @@ from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material
-from ngvisco.physics.model import BodyForce, CentralGravity, VectorLike, as_vector
+from ngvisco.physics.model import BodyForce, CentralGravity, VectorLike, as_vector, force_of
 from ngvisco.physics.tensors import square
 from ngvisco.physics.time import time
 from ngvisco.physics.variables import Distortion
@@ -45,11 +45,8 @@ def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
     """Raise ParameterError for a load that is not finite at a sampling point at one of the times (s)."""
     dim, times = step.mesh.dim, list(times)
     for load in step.model.loads:
-        if isinstance(load, CentralGravity) and len(load.centre) != dim:
-            expected = f"{dim} numbers, as many as the mesh has dimensions"
-            raise ParameterError("CentralGravity.centre", load.centre, expected)
         name, value = ("force", load.force) if isinstance(load, BodyForce) else ("g", load.g)
-        vector = as_vector(value, dim, f"{type(load).__name__}.{name}")
+        vector = force_of(load, dim)
         for t in _at(times):
             if not sampler.ranks.all(np.isfinite(sampler.values(vector)).all()):
                 expected = f"finite values; at t = {t:g} s it is not finite somewhere"

@@ -1,63 +1,126 @@
-"""The Bregman distance of the energy between two states, by the terms that have a share of it.
+"""The energy of a state and the Bregman distance between two, summed of the terms that have a share.
 
     B(a, b) = E(a) - E(b) - E'(b)[a - b] >= 0,    E(rho, m, z) = max_w <m, w> - 1/2 int rho |w|^2 + int phi(z)
 
 (paper: Euler-ED-basic-convexity-calculus): what an implicit step from a to b dissipates, and what the
-numerical dissipation of every time scheme is summed of (``ngvisco.timestepping.integrator``).
+numerical dissipation of every time scheme is summed of (``ngvisco.timestepping.integrator``).  A further term
+with an unknown that evolves adds its share of E.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from ngsolve import CF, FESpace, GridFunction
+from collections.abc import Mapping, Sequence
+from functools import reduce
+from operator import add
 
+import numpy as np
+from ngsolve import CF, CoefficientFunction, FESpace, GridFunction
+
+from ngvisco.errors import ParameterError
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Evolved, Step
-from ngvisco.forms.term import Storing
-from ngvisco.physics.tensors import inner, square
+from ngvisco.forms.term import Entry, Integrand, Storing, Term
+from ngvisco.forms.withheld import GivenParts, refused_by_name
 
-_EVOLVED = ("v", "rho", "z")
+ENERGIES = ("kinetic", "stored")
+"""Ledger columns of the parts of the energy, J."""
+
+NUMERICAL = ("inertial", "bregman")
+"""Ledger columns of what the scheme dissipates of each, J a step."""
+
+_METHODS = ("energy", "slope", "distance")
+
+
+def storing(terms: Sequence[Term]) -> list[Storing]:
+    """The terms that have a share of the energy.
+
+    Raises
+    ------
+    ParameterError
+        For a term that has one of the methods of ``Storing`` and not all: its energy would be lost.
+    """
+    found: list[Storing] = []
+    for term in terms:
+        missing = [name for name in _METHODS if not hasattr(term, name)]
+        if not missing:
+            assert isinstance(term, Storing)
+            found.append(term)
+        elif len(missing) < len(_METHODS):
+            name = type(term).__name__
+            expected = f"a term with {', '.join(_METHODS)}, or none of them: it lacks {', '.join(missing)}"
+            raise ParameterError("Simulation.terms", name, expected)
+    return found
+
+
+def energies(step: Step, u: Fields) -> dict[str, CoefficientFunction]:
+    """Densities of the kinetic and the stored energy at ``u``, Pa."""
+    return _by_columns(ENERGIES, [(term, term.energy(u)) for term in storing(step.terms)])
 
 
 class BregmanDistance:
     """B(a, b) of states of one step, J, split into the ledger's entries."""
 
     def __init__(self, step: Step) -> None:
-        self.step = step
-        space = FESpace([step.layout.blocks[name] for name in _EVOLVED])
+        self.step, layout = step, step.layout
+        space = FESpace([layout.blocks[name] for name in layout.evolving])
         self._states = [GridFunction(space) for _ in range(2)]
-        self._ranges = [slice(space.Range(i).start, space.Range(i).stop) for i in range(len(_EVOLVED))]
-        self.fields = tuple(
-            Fields(step.layout, dict(zip(_EVOLVED, state.components, strict=True))) for state in self._states
-        )
+        ranges = (space.Range(i) for i in range(len(layout.evolving)))
+        self._ranges = {name: slice(r.start, r.stop) for name, r in zip(layout.evolving, ranges, strict=True)}
+        parts = [dict(zip(layout.evolving, state.components, strict=True)) for state in self._states]
+        a, b = self.fields = tuple(Fields(layout, named) for named in parts)
         for u in self.fields:
             step.energy.follow(u)
-        entries = [term.distance(*self.fields) for term in step.terms if isinstance(term, Storing)]
-        self.names = tuple(entry.name for entry in entries)
-        self._integrand = CF(tuple(entry.integrand.cells for entry in entries)).Compile()
-        a, b = self.fields
-        self._slope = CF((-0.5 * a.rho * square(b.v), inner(step.energy.slope(b), a.z))).Compile()
+        terms = storing(step.terms)
+        entries = _by_columns(NUMERICAL, [(term, term.distance(a, b)) for term in terms])
+        self.names = tuple(entries)
+        self._integrand = CF(tuple(entries.values())).Compile()
+        moved = GivenParts(
+            {**parts[0]}, "its slope asks for the change of {name}, where the momentum is kept"
+        )
+        del moved["v"]
+        d, slopes = Fields(layout, moved), []
+        for term in terms:
+            with refused_by_name(term):
+                slopes.append(_in_cells(term, term.slope(b, d)))
+        self._slope = CF(tuple(slopes)).Compile()
 
     def __call__(self, a: Evolved, b: Evolved) -> dict[str, float]:
         """B(a, b) by ledger columns, J (per metre of thickness in plane strain)."""
-        for i, values in enumerate((a, b)):
-            self._put(i, v=values.v, rho=values.rho, z=values.z)
+        for i, state in enumerate((a, b)):
+            self._put(i, state.values)
             self.step.energy.refresh(self.fields[i])
         totals = self.step.quadrature.integrate_cells(self._integrand)
         return {name: float(total) for name, total in zip(self.names, totals, strict=True)}
 
-    def slope(self, b: Evolved, rho: np.ndarray, z: np.ndarray) -> float:
-        """E'(b) in the direction of coefficients (rho, z) with m kept, J.
-
-        int phi'(z_b):z - 1/2 rho |v_b|^2.
-        """
-        self._put(0, rho=rho, z=z)
-        self._put(1, v=b.v, rho=b.rho, z=b.z)
+    def slope(self, b: Evolved, change: Mapping[str, np.ndarray]) -> float:
+        """E'(b) in the direction of a change of coefficients, by name, with m kept, J."""
+        self._put(0, change)
+        self._put(1, b.values)
         self.step.energy.refresh(self.fields[1])
         return float(sum(self.step.quadrature.integrate_cells(self._slope)))
 
-    def _put(self, i: int, **values: np.ndarray) -> None:
+    def _put(self, i: int, values: Mapping[str, np.ndarray]) -> None:
         array = self._states[i].vec.FV().NumPy()
-        for name, where in zip(_EVOLVED, self._ranges, strict=True):
-            if name in values:
-                array[where] = values[name]
+        for name, of_name in values.items():
+            array[self._ranges[name]] = of_name
+
+
+def _by_columns(
+    columns: Sequence[str], entries: Sequence[tuple[Storing, Entry]]
+) -> dict[str, CoefficientFunction]:
+    """The sums of the entries of each column."""
+    found: dict[str, list[CoefficientFunction]] = {name: [] for name in columns}
+    for term, entry in entries:
+        if entry.name not in found:
+            expected = f"{' or '.join(map(repr, columns))} as the column that it adds to"
+            raise ParameterError(f"{type(term).__name__}: entry", entry.name, expected)
+        found[entry.name].append(_in_cells(term, entry.integrand))
+    return {name: reduce(add, parts) for name, parts in found.items()}
+
+
+def _in_cells(term: Storing, integrand: Integrand) -> CoefficientFunction:
+    """What is integrated over the cells; an energy has nothing else."""
+    if integrand.cells is None or integrand.facets is not None:
+        name = type(term).__name__
+        raise ParameterError("Simulation.terms", name, f"{name}: energies that are integrals over the cells")
+    return integrand.cells

@@ -22,6 +22,7 @@ from ngvisco.forms.mesh_arrays import is_simplicial
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.term import Integrands, Projecting, Term, tested
+from ngvisco.forms.withheld import refused_by_name
 from ngvisco.physics.tensors import inner
 
 
@@ -63,12 +64,13 @@ class Elimination:
         u = layout.fields(state.components)
         parts = dict(zip(layout.names, state.components, strict=True))
         self.energy = layout.context.energy
-        self.projections = {
-            name: LocalProjection(layout.blocks[name], parts[name], quadrature, load)
-            for term in terms
-            if isinstance(term, Projecting)
-            for name, load in term.projections(u)
-        }
+        self.projections: dict[str, LocalProjection] = {}
+        for term in terms:
+            if isinstance(term, Projecting):
+                with refused_by_name(term):
+                    for name, load in term.projections(u):
+                        one = LocalProjection(layout.blocks[name], parts[name], quadrature, load)
+                        self.projections[name] = one
         self._project_energy: LocalProjection | None = None
         target = self.energy.projected
         if target is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -25,20 +25,28 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.interpolation import Interpolation
 from ngvisco.forms.mesh_arrays import mask_of
-from ngvisco.forms.projections import set_traces
+from ngvisco.forms.projections import project_in_cells, set_traces
 from ngvisco.forms.ranges import Ranges
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.starting_bodies import starting_fractions
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.forms.velocity import project_velocity
-from ngvisco.physics.material import conjugates, volume_ratio
+from ngvisco.physics.bodies import Body
+from ngvisco.physics.material import Material, conjugates, volume_ratio
 from ngvisco.physics.mixture import AMOUNT
 from ngvisco.physics.model import VectorLike, as_tensor, as_vector
 from ngvisco.physics.parameters import Parameter, moduli_in, value_at
 from ngvisco.physics.tensors import inner, square, tensor_space
+from ngvisco.physics.time import reads_time
 
 ScalarLike: TypeAlias = float | CoefficientFunction
+
+_OF_THE_PAPER = ("v", "rho", "z")
+"""What evolves by the paper's equations, and starts from the data of ``Initial`` that bear their names."""
+
+_LEAST_DENSITY = 1e-30
+"""kg/m^3; the largest is one over it, as the sizes of domains are from 1e-30 to 1e30 m."""
 
 _CONTRADICTION = 1e-6
 """Of rho_0 J_0/rho_R from 1: what is left where one of them is rounded to seven digits."""
@@ -59,8 +67,9 @@ class Initial:
         Initial elastic distortion, det F_0 > 0, default I (of a material with a referential density that of
         the density given, (rho_R/rho_0)^{1/3} I); every variable's start value is derived
         from it (J_0 = det F_0, E_0 = sym F_0 - I, ...).  In 2D its 13, 23, 31, 32 entries must be 0.
-    values : mapping of variable names to coefficient functions, optional
-        Start values that replace the derived ones, e.g. ``{"E": E_0}``.
+    values : mapping of names to coefficient functions, optional
+        Start values of the material's variables that replace the derived ones, e.g. ``{"E": E_0}``, and of
+        further terms' unknowns that evolve, else zero.
     """
 
     density: ScalarLike | None = None
@@ -90,10 +99,12 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     ParameterError
         If a value has the wrong type or shape.
     UnknownNameError
-        If ``initial.values`` names a variable that the material does not have.
+        If ``initial.values`` names neither a variable of the material nor a further unknown that evolves.
     """
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     dim = step.mesh.dim
+    if step.sources is None:  # manufactured states are those of one time of many
+        _require_no_time(initial)
     F = Id(3) if initial.F is None else _as_shape("Initial.F", initial.F, (3, 3))
     sampler.require(Det(F), "det F_0", minimum=0.0)
     referential = step.model.material.referential_density
@@ -120,10 +131,15 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         if rho_R is not None:
             _check_density(rho_R, density, volume_ratio(step.model.material, values), sampler)
     _check_spaces(step, values, sampler)
+    further = _further(step, initial, sampler)
+    _check_density_range(density, sampler)
+    _check_continuation(step.model.material, values, sampler)
     with TaskManager():
         step.state.vec[:] = 0.0
         parts["rho"].Set(density)
         parts["z"].Set(step.model.material.states(dim).components(values))
+        for name, value in further.items():
+            project_in_cells(step.layout.unknowns[name], parts[name], step.quadrature, value)
         step.ranges = {name: sampler.extrema(value) for name, value in parameters.items()}
         for limited in (Amounts, Ranges):
             limited(step, sampler, CellMeans(step)).limit()
@@ -180,24 +196,94 @@ def _parameters(step: Step, initial: Initial) -> dict[str, CoefficientFunction]:
 
 def _check_moduli(step: Step, parameters: Mapping[str, CoefficientFunction], sampler: Sampler) -> None:
     """Raise InitialDataError where a modulus of a law is not of its sign somewhere at the start."""
-    for name, expression, is_positive in moduli_in(step.model):
+    model = step.model
+    laws: list[tuple[str, object]] = [
+        (f"bodies[{body.name!r}].", (body.material, body.viscosity, body.creep)) for body in model.bodies
+    ]
+    laws.append(("", (() if laws else (model.material, model.viscosity, model.creep), model.hyperviscosity)))
+    of_laws = [(owner + name, value, sign) for owner, law in laws for name, value, sign in moduli_in(law)]
+    for name, expression, is_positive in of_laws:
         value = expression.at(parameters)
         sampler.require(value, name, minimum=0.0 if is_positive else None)
         if (least := sampler.extrema(value)[0]) < 0:
             raise InitialDataError(name, f"minimum {least:.6g}", ">= 0")
 
 
+def _require_no_time(initial: Initial) -> None:
+    """Raise ParameterError for a start value that is a function of the time."""
+    given = {"density": initial.density, "velocity": initial.velocity, "F": initial.F}
+    given |= {f"values[{name!r}]": value for name, value in initial.values.items()}
+    for name, value in given.items():
+        if any(reads_time(part) for part in _functions_in(value)):
+            expected = "a function of the place alone; it reads the time, which at the start is 0"
+            raise ParameterError(f"Initial.{name}", value, expected)
+
+
+def _functions_in(value: object) -> Iterator[CoefficientFunction]:
+    if isinstance(value, CoefficientFunction):
+        yield value
+    elif isinstance(value, (list, tuple)):
+        for part in value:
+            yield from _functions_in(part)
+
+
+def _check_density_range(density: CoefficientFunction, sampler: Sampler) -> None:
+    """Raise InitialDataError for densities whose products with others are no numbers any more."""
+    low, high = sampler.extrema(density)
+    if not _LEAST_DENSITY <= low <= high <= 1 / _LEAST_DENSITY:
+        expected = f"kg/m^3 from {_LEAST_DENSITY:g} to {1 / _LEAST_DENSITY:g}"
+        raise InitialDataError("density rho_0", f"{low:.6g} to {high:.6g}", expected)
+
+
+def _check_continuation(
+    material: Material, values: Mapping[str, CoefficientFunction], sampler: Sampler
+) -> None:
+    """Raise ParameterError for a ``J_min``, below which an energy is continued, that the start is below."""
+    for part in _materials_in(material):
+        J_min = getattr(part, "J_min", None)
+        if J_min is None:
+            continue
+        J = volume_ratio(part, {v.name: values[v.name] for v in part.variables})
+        if (least := sampler.extrema(J)[0]) < J_min:
+            expected = (
+                f"less than J at the start, which is {least:.4g} somewhere: its energy has no barrier there"
+            )
+            raise ParameterError(f"{type(part).__name__}.J_min", J_min, expected)
+
+
+def _materials_in(part: object) -> Iterator[Material]:
+    """A material, and those that it is made of."""
+    if isinstance(part, (tuple, Material, Body)):
+        if isinstance(part, Material):
+            yield part
+        for one in part if isinstance(part, tuple) else vars(part).values():
+            yield from _materials_in(one)
+
+
 def _initial_values(
     step: Step, initial: Initial, F: CoefficientFunction, parameters: Mapping[str, CoefficientFunction]
 ) -> dict[str, CoefficientFunction]:
     names = [variable.name for variable in step.model.material.variables]
+    further = [name for name in step.layout.evolving if name not in _OF_THE_PAPER]
     for name in initial.values:
-        if name not in names:
-            raise UnknownNameError("material variable", name, names)
+        if name not in (*names, *further):
+            raise UnknownNameError("material variable", name, [*names, *further])
     values = {v.name: v.from_distortion(F) for v in step.model.material.variables} | dict(parameters)
-    for name, value in initial.values.items():
+    for name in set(names) & set(initial.values):
+        value = initial.values[name]
         values[name] = _as_shape(f"Initial.values[{name!r}]", value, tuple(values[name].dims))
     return values
+
+
+def _further(step: Step, initial: Initial, sampler: Sampler) -> dict[str, CoefficientFunction]:
+    """Start values of what evolves beside v, rho and z, as far as they are given."""
+    found = {}
+    for name in step.layout.evolving:
+        if name in initial.values and name not in _OF_THE_PAPER:
+            size, field_name = step.layout.unknowns[name].size, f"Initial.values[{name!r}]"
+            found[name] = value = _as_shape(field_name, initial.values[name], () if size is None else (size,))
+            sampler.require(inner(value, value), f"|{name}_0|^2")
+    return found
 
 
 def _check_density(
@@ -217,9 +303,11 @@ def _check_density(
 
 def _as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> CoefficientFunction:
     """A coefficient function of this shape, or ParameterError; a number will do for a scalar."""
-    expected = (
-        "a 3x3 coefficient function, also in 2D" if shape else "a number or a scalar coefficient function"
-    )
+    expected = {
+        0: "a number or a scalar coefficient function",
+        1: f"a coefficient function with {len(shape) and shape[0]} components",
+        2: "a 3x3 coefficient function, also in 2D",
+    }[len(shape)]
     number = as_number(value)
     if not shape and (number is not None or isinstance(value, float)):
         return CF(float(value))  # type: ignore[arg-type]  # NaN and inf are found where data are sampled

@@ -23,7 +23,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.forms.unknowns import Setting, Unknown
-from ngvisco.physics.model import CentralGravity, Gravity, Load, as_vector
+from ngvisco.physics.model import CentralGravity, Gravity, Load, force_of
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import inner, square, sym
@@ -35,8 +35,8 @@ class Continuity(PointTerm):
     (paper: Euler-small-viscoelastodyn+0disc; its delta-term is ``DensityDiffusion``).
 
     rho_hat is the upwind trace, sum_K int_{dK} (1 - n^-) (rho_hat - rho) q_hat = 0 with the weights of the
-    step (``ngvisco.forms.upwinding``), a convex combination of both sides' densities.  The flux through a facet is
-    single-valued and zero on walls: q = 1 conserves mass to rounding (paper: Euler-small-est-1+).
+    step (``ngvisco.forms.upwinding``), a convex combination of both sides' densities.  The flux through a
+    facet is single-valued and zero on walls: q = 1 conserves mass to rounding (paper: Euler-small-est-1+).
 
     With a cut-off, rho is f(rho) = K(rho) rho in the fluxes, which falls where rho > rho_max: an upwind flux
     would go on filling full cells.  The trace is then that of Engquist and Osher (Math. Comp. 36, 1981), the
@@ -52,7 +52,8 @@ class Continuity(PointTerm):
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         order = setting.m
-        return Unknown("rho", "cells", order), Unknown("rho_hat", "facets", order, trace_of="rho")
+        rho = Unknown("rho", "cells", order, evolves=True)
+        return rho, Unknown("rho_hat", "facets", order, trace_of="rho")
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
@@ -74,12 +75,20 @@ class Inertia(PointTerm):
     """(rho v - m_old)/tau . w - 1/2 (rho - rho_old)/tau v . w."""
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        return (Unknown("v", "velocity", setting.k, setting.dim),)
+        return (Unknown("v", "velocity", setting.k, setting.dim, evolves=True),)
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
         change = (u.rho * u.v - c.momentum_old) - 0.5 * (u.rho - c.old.rho) * u.v
         return [c.rate(inner(change, w.v))]
+
+    def energy(self, u: Fields) -> Entry:
+        """1/2 rho |v|^2."""
+        return Entry("kinetic", "energy", Integrand(0.5 * u.rho * square(u.v)))
+
+    def slope(self, b: Fields, d: Fields) -> Integrand:
+        """-1/2 |v_b|^2 rho_d: of the momentum functional, which is kept, there is no part."""
+        return Integrand(-0.5 * d.rho * square(b.v))
 
     def distance(self, a: Fields, b: Fields) -> Entry:
         """1/2 rho_a |v_a - v_b|^2; with a the old state what an implicit Euler step dissipates."""
@@ -138,9 +147,7 @@ class Loading(PointTerm):
     @cached_property
     def vector(self) -> CoefficientFunction:
         """g (m/s^2), or the body force (N/m^3)."""
-        if isinstance(self.load, (Gravity, CentralGravity)):
-            return as_vector(self.load.g, self.dim, "Gravity.g")
-        return as_vector(self.load.force, self.dim, "BodyForce.force")
+        return force_of(self.load, self.dim)
 
     def force(self, u: Fields) -> CoefficientFunction:
         """f, N/m^3."""

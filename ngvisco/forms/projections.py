@@ -19,10 +19,14 @@ from ngsolve import (
 )
 
 from ngvisco.forms.context import Context
+from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
+from ngvisco.forms.term import tested
+from ngvisco.forms.unknowns import Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.petsc import Direct, inverse_of
+from ngvisco.physics.tensors import inner
 
 
 class FacetProjection:
@@ -52,6 +56,24 @@ class FacetProjection:
         """Give the factorisation's memory back; collective."""
         if isinstance(self._inverse, Direct):
             self._inverse.release()
+
+
+def project_in_cells(
+    unknown: Unknown, target: GridFunction, quadrature: Quadrature, value: CoefficientFunction
+) -> None:
+    """Make an unknown that has values in cells the L2 projection of ``value``; what is prescribed stays."""
+    space = target.space
+    if unknown.is_local:
+        LocalProjection(space, target, quadrature, tested(value))()
+        return
+    trial, test = space.TnT()
+    mass, load = BilinearForm(space, symmetric=True), LinearForm(space)
+    mass += inner(trial, test) * quadrature.cells
+    load += inner(value - target, test) * quadrature.cells
+    inverse = inverse_of(mass.Assemble().mat, space.FreeDofs(), Communicator.of(space.mesh))
+    target.vec.data += inverse * load.Assemble().vec
+    if isinstance(inverse, Direct):
+        inverse.release()
 
 
 def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature: Quadrature) -> None:

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from ngsolve import CF, ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y, z
+from ngsolve import CF, ET, VOL, CoefficientFunction, Integrate, IntegrationRule, Mesh, x, y, z
 
 from ngvisco.errors import InitialDataError
 from ngvisco.forms.quadrature import Quadrature
@@ -50,6 +50,13 @@ class Sampler:
         """Where some of the points are, (indices, dim), m."""
         position = CF((x, y, z)[: self.mesh.dim])
         return np.asarray(position(self.points[indices])).reshape(len(indices), self.mesh.dim)
+
+    def integral(self, values: np.ndarray) -> float:
+        """Of values at this rank's points over the whole mesh: of each cell the mean of its points counts."""
+        cells = self.points["nr"]
+        volumes = Integrate(CF(1.0), self.mesh, element_wise=True).NumPy()
+        sums, counts = (np.bincount(cells, weights, len(volumes)) for weights in (values, None))
+        return self.ranks.total(float(volumes @ (sums / np.maximum(counts, 1))))
 
     def extrema(self, f: CoefficientFunction) -> tuple[float, float]:
         """Minimum and maximum of a scalar, over all ranks."""

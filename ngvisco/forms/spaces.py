@@ -97,7 +97,8 @@ class Layout:
         Raises
         ------
         ParameterError
-            If two terms introduce an unknown of one name, or one that the orders do not admit.
+            If two terms introduce an unknown of one name, one that evolves has that of a variable of the
+            material, or one is of an order that does not exist.
         """
         self.mesh, self.discretisation, self.periodic = mesh, discretisation, periodic
         self.states = StateSpace.of(material.variables, mesh.dim)
@@ -106,6 +107,9 @@ class Layout:
         self.unknowns: dict[str, Unknown] = {}
         for term in terms:
             for unknown in term.unknowns(setting) if isinstance(term, Introducing) else ():
+                if unknown.evolves and unknown.name in self.states.slices:
+                    expected = f"another name for what evolves: the material has a variable {unknown.name!r}"
+                    raise ParameterError(f"{type(term).__name__}.unknowns", unknown.name, expected)
                 if unknown.name in self.unknowns:
                     raise ParameterError(
                         f"{type(term).__name__}.unknowns",
@@ -131,6 +135,12 @@ class Layout:
             name: slice(r.start, r.stop)
             for name, r in ((name, self.space.Range(i)) for i, name in enumerate(self.names))
         }
+
+    @property
+    def evolving(self) -> tuple[str, ...]:
+        """The unknowns with a time derivative, the velocity first."""
+        names = [name for name in self.names if self.unknowns[name].evolves]
+        return tuple(sorted(names, key=lambda name: self.unknowns[name].place != "velocity"))
 
     def names_of(self, *places: Place) -> list[str]:
         """The unknowns that live there, in their order."""

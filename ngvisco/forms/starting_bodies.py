@@ -10,7 +10,7 @@ from ngsolve import VOL, CoefficientFunction, Integrate, Mesh, x, y, z
 from ngvisco.errors import ParameterError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.bodies import Body
-from ngvisco.shapes.fractions import fractions, volumes
+from ngvisco.shapes.fractions import MISSED, fractions, volumes
 from ngvisco.shapes.shape import Shape, as_shape
 
 _OVERLAP = 1e-3
@@ -34,16 +34,19 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> dict[s
     _require_order(mesh, placed, shapes)
     *of_placed, of_rest = volumes(mesh, list(shapes.values()))
     total = sum(of_placed) + of_rest
-    for body, volume in zip(placed, of_placed, strict=True):
+    for i, (body, volume) in enumerate(zip(placed, of_placed, strict=True)):
         if volume <= _COVERED * total:
-            expected = "a place within the domain that bodies of higher order do not cover"
-            raise ParameterError(f"bodies[{body.name!r}].where", body.where, expected)
+            above = [other.name for other in placed[i + 1 :] if other.order > body.order]
+            is_seen = volumes(mesh, [shapes[body.name]])[0] > _COVERED * total
+            hidden = f"a place that {', '.join(above)}, of higher order, does not cover"
+            raise ParameterError(f"bodies[{body.name!r}].where", body.where, hidden if is_seen else MISSED)
     if rest is None and of_rest > _OVERLAP * total:
         expected = f"one without a place, for the rest: {of_rest / total:.2%} of the domain is in no body"
         raise ParameterError("Model.bodies", [body.name for body in bodies], expected)
     if rest is not None and of_rest <= _COVERED * total:
-        expected = "some space that the other bodies leave free"
-        raise ParameterError(f"bodies[{rest.name!r}].where", rest.where, expected)
+        body, _ = max(zip(placed, of_placed, strict=True), key=lambda one: one[1])
+        expected = f"a place that leaves something of the domain to {rest.name!r}, the rest"
+        raise ParameterError(f"bodies[{body.name!r}].where", body.where, expected)
     found = fractions(mesh, list(shapes.values()), order)
     result: dict[str, CoefficientFunction] = dict(zip(shapes, found, strict=False))
     if rest is not None:

@@ -19,7 +19,7 @@ which are linear in (rho, m, z).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -45,7 +45,12 @@ from ngvisco.forms.term import Entry, Integrand, Term
 from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
 from ngvisco.forms.wall_terms import Impenetrability, wall_terms
 from ngvisco.forms.walls import Conditions, Walls
+from ngvisco.forms.withheld import GivenParts, refused_by_name
 from ngvisco.physics.model import Model
+
+_NOT_EVOLVED = (
+    "it reads the old value of {name}, which does not evolve: the unknown's declaration lacks evolves=True"
+)
 
 
 def equations(model: Model, dim: int) -> tuple[Term, ...]:
@@ -69,15 +74,13 @@ def equations(model: Model, dim: int) -> tuple[Term, ...]:
 
 @dataclass(frozen=True)
 class Evolved:
-    """What of a state has a time derivative, and the velocity: copies of coefficients.
+    """What of a state has a time derivative: copies of coefficients, by the unknowns' names.
 
     ``momentum`` is rho v at the points of the forms' rule, (dim, points), kg/(m^2 s): for tests w of the
     velocity its integral against w is the momentum functional.
     """
 
-    v: np.ndarray
-    rho: np.ndarray
-    z: np.ndarray
+    values: Mapping[str, np.ndarray]
     momentum: np.ndarray
 
 
@@ -126,7 +129,9 @@ class Step:
         self.state = GridFunction(self.layout.space, name="state")
         self.state_old = GridFunction(self.layout.space, name="state_old")
         self.now = self.layout.fields(self.state.components)
-        self.old = self.layout.fields(self.state_old.components)
+        old = dict(zip(self.layout.names, self.state_old.components, strict=True))
+        evolving = {name: old[name] for name in self.layout.evolving}
+        self.old = Fields(self.layout, GivenParts(evolving, _NOT_EVOLVED))
         self.moving_walls = MovingWalls(self.walls, self.layout, self.state)
         k, m, bonus = (getattr(self.discretisation, name) for name in ("k", "m", "quadrature_bonus"))
         response = model.material.response(mesh.dim)
@@ -153,7 +158,8 @@ class Step:
         u, w = self.layout.fields(trial), self.layout.fields(test)
         form = BilinearForm(self.layout.space, condense=True)
         for term in self.terms:
-            self.quadrature.add(form, term.form(u, w))
+            with refused_by_name(term):
+                self.quadrature.add(form, term.form(u, w))
         return form
 
     @cached_property
@@ -170,17 +176,17 @@ class Step:
         """Copies of what the present state evolves by."""
         self._momentum.Interpolate(self.now.rho * self.now.v)
         state, ranges = self.state.vec.FV().NumPy(), self.layout.ranges
-        v, rho, z = (state[ranges[name]].copy() for name in ("v", "rho", "z"))
-        return Evolved(v, rho, z, self._momentum.vec.FV().NumPy().copy())
+        values = {name: state[ranges[name]].copy() for name in self.layout.evolving}
+        return Evolved(values, self._momentum.vec.FV().NumPy().copy())
 
     def start_from(self, parts: Sequence[tuple[float, Evolved]]) -> None:
-        """Let the step start from the sum of weight times state, linear in (rho, m, z).
+        """Let the step start from the sum of weight times state, linear in (rho, m, z) and what else evolves.
 
         No term reads the velocity of ``old`` then; it is the sum of the velocities.
         """
         old, ranges = self.state_old.vec.FV().NumPy(), self.layout.ranges
-        for name in ("v", "rho", "z"):
-            old[ranges[name]] = sum(weight * getattr(part, name) for weight, part in parts)
+        for name in self.layout.evolving:
+            old[ranges[name]] = sum(weight * part.values[name] for weight, part in parts)
         self.momentum_old.vec.FV().NumPy()[:] = sum(weight * part.momentum for weight, part in parts)
 
     def start_from_old(self) -> None:
@@ -190,7 +196,11 @@ class Step:
     def entries(self, fields: Fields | None = None) -> list[Entry]:
         """All entries of the energy ledger at ``fields`` (default: the present state)."""
         u = self.now if fields is None else fields
-        return [entry for term in self.terms for entry in term.entries(u)] + self._reactions()
+        found: list[Entry] = []
+        for term in self.terms:
+            with refused_by_name(term):
+                found += term.entries(u)
+        return found + self._reactions()
 
     def _reactions(self) -> list[Entry]:
         """Power of the reactions of moving walls: the residual's rows there, tested by v."""

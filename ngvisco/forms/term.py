@@ -36,15 +36,15 @@ class Integrand:
     facets: CoefficientFunction | None = None
 
 
-Kind = Literal["dissipation", "power", "numerical", "monitor"]
+Kind = Literal["dissipation", "power", "energy", "numerical", "monitor"]
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A column of the ledger: a dissipation or power (W), or a numerical dissipation (J a step).
+    """A column of the ledger: a dissipation or power (W), an energy, or a numerical dissipation (J a step).
 
-    ``integrand`` is evaluated at the new state; dissipations and numerical ones enter the energy
-    identity with +, powers with -, monitors not at all.
+    ``integrand`` is evaluated at the new state; dissipations, numerical ones and the change of energies enter
+    the energy identity with +, powers with -, monitors not at all.
     """
 
     name: str
@@ -120,9 +120,17 @@ class Projecting(Protocol):
 class Storing(Protocol):
     """A term with a time derivative, that is with a share E of the energy.
 
-    E is convex in (rho, m, z), m the momentum functional (paper: Euler-ED-basic-convexity-calculus).
-    ``distance(a, b)`` is its Bregman distance E(a) - E(b) - E'(b)[a - b] >= 0 as a ledger entry, in a form
-    in which nothing cancels: what a time scheme dissipates is a sum of such.
+    E is convex in the unknowns that evolve, in (rho, m, z) and those of further terms, m the momentum
+    functional (paper: Euler-ED-basic-convexity-calculus).
+
+    ``energy(u)`` is its density, a share of the ledger's column ``"kinetic"`` or ``"stored"``;
+    ``slope(b, d)`` that of E'(b)[d] with m kept, which asks d for no velocity; ``distance(a, b)`` the Bregman
+    distance E(a) - E(b) - E'(b)[a - b] >= 0, a share of ``"inertial"`` or ``"bregman"``, in a form in which
+    nothing cancels: what a time scheme dissipates is a sum of such.
     """
+
+    def energy(self, u: Fields) -> Entry: ...
+
+    def slope(self, b: Fields, d: Fields) -> Integrand: ...
 
     def distance(self, a: Fields, b: Fields) -> Entry: ...

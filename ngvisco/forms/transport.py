@@ -70,7 +70,7 @@ class Kinematics(PointTerm):
     model: Model
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        return (Unknown("z", "cells", setting.m, setting.states.size),)
+        return (Unknown("z", "cells", setting.m, setting.states.size, evolves=True, scale=1.0),)
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
@@ -94,6 +94,14 @@ class Kinematics(PointTerm):
         else:
             power = -rate_power(self.model.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi)
         return [Entry("dissipation_creep", "dissipation", Integrand(power))]
+
+    def energy(self, u: Fields) -> Entry:
+        """phi(z)."""
+        return Entry("stored", "energy", Integrand(u.context.energy.density(u)))
+
+    def slope(self, b: Fields, d: Fields) -> Integrand:
+        """phi'(z_b):z_d."""
+        return Integrand(inner(b.context.energy.slope(b), d.z))
 
     def distance(self, a: Fields, b: Fields) -> Entry:
         """phi(z_a) - phi(z_b) - phi'(z_b):(z_a - z_b)."""

@@ -8,9 +8,12 @@ from typing import Literal, Protocol, runtime_checkable
 
 from ngsolve import FESpace, Mesh
 
+from ngvisco.errors import ParameterError, _is_number
 from ngvisco.physics.state_space import StateSpace
 
 Place = Literal["velocity", "cells", "facets", "normals", "continuous", "walls"]
+
+_IN_CELLS = ("velocity", "cells", "continuous")
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,17 @@ class Unknown:
         Which component of v a normal derivative belongs to.
     space : callable or None
         Makes the space where ``place`` does not say it; on the mesh of the step or the whole of it.
+    evolves : bool
+        Whether it has a time derivative, as it must where a term reads its old value: schemes combine its
+        states, errors and increments count it, a transfer carries it over, and ``Initial.values`` starts it.
+    scale : float
+        A size of it, in its unit, that is not small, >= 0: errors and increments count relative to what the
+        unknown is and to this; 0 for one that is never zero everywhere.  That of v is the run's.
+
+    Raises
+    ------
+    ParameterError
+        For an unknown that evolves and has no values in cells, or a scale that is no size.
     """
 
     name: str
@@ -43,6 +57,15 @@ class Unknown:
     trace_of: str | None = None
     component: int = 0
     space: Callable[[Mesh], FESpace] | None = None
+    evolves: bool = False
+    scale: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.evolves and self.place not in _IN_CELLS:
+            expected = f"'cells' or 'continuous' for {self.name!r}, which evolves: it needs values in cells"
+            raise ParameterError("Unknown.place", self.place, expected)
+        if not (_is_number(self.scale) and self.scale >= 0):
+            raise ParameterError("Unknown.scale", self.scale, f"a size of {self.name!r}, >= 0, in its unit")
 
     @property
     def is_local(self) -> bool:

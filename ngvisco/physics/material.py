@@ -123,7 +123,7 @@ def check_material(material: Material) -> None:
             f"{owner}.variables",
             names,
             f"tensors of one frame: the creep rate of {frames['relaxed']!r} is that of the relaxed "
-            f"configuration, that of {frames['actual']!r} of the actual one",
+            f'configuration, that of {frames["actual"]!r} of the actual one (take elastic_state = "B")',
         )
 
 

@@ -77,7 +77,11 @@ class Mixture(Material):
             for variable in body.material.variables:
                 known = found.setdefault(variable.name, variable)
                 if known != variable:
-                    expected = f"the same {variable.name!r} in all bodies, {known} here and {variable} there"
+                    expected = (
+                        f"the same {variable.name!r} in all bodies: here {_defined(variable)}, before it "
+                        f"was {_defined(known)}; ReferentialNeoHookean, ReferentialMooneyRivlin and "
+                        "IsochoricNeoHookean go together, and NeoHookean, MooneyRivlin and OldroydB do"
+                    )
                     raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
         return found
 
@@ -214,6 +218,14 @@ def mixed_creep(bodies: Sequence[Body]) -> Creep | None:
             raise ParameterError(f"bodies[{name!r}].creep", part, expected)
     least = 1 / max(part.R for _, part in parts)
     return MixedCreep(G_m=least, law=law, parts=parts, fractions=_fractions(bodies))
+
+
+def _defined(variable: Variable) -> str:
+    """What a variable is, in words."""
+    exponent = getattr(variable, "exponent", None)
+    return (
+        type(variable).__name__ if exponent is None else f"{type(variable).__name__} with J**({exponent:.3g})"
+    )
 
 
 def _fractions(bodies: Sequence[Body]) -> Fractions:

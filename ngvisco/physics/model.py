@@ -202,7 +202,15 @@ class Model:
         object.__setattr__(self, "creep", mixed_creep(mixture.bodies))
 
     def _require_mass_of_bodies(self) -> None:
-        """Raise ParameterError where rho moves by other fluxes than the bodies' amounts, whose sum it is."""
+        """Raise ParameterError where rho moves by other fluxes than the bodies' amounts, whose sum it is, and
+        where the momentum of one body is lost beside another's."""
+        lightest = min(self.bodies, key=lambda body: body.density or 0.0)
+        for body in self.bodies:
+            if (body.density or 0.0) > MOST_DENSER * (lightest.density or 0.0):
+                expected = (
+                    f"at most {MOST_DENSER:g} times that of {lightest.name!r}, {lightest.density:g} kg/m^3"
+                )
+                raise ParameterError(f"bodies[{body.name!r}].density", body.density, expected)
         law = self.regularisation
         if not isinstance(law, Regularisation):
             return
@@ -216,6 +224,10 @@ class Model:
                 )
                 raise ParameterError(f"Regularisation.{name}", value, expected)
 
+
+MOST_DENSER = 1e10
+"""Ratio of bodies' densities above which the momentum of the lighter one is below the tolerance, 1e-10, of a
+solver that sees both in one cell."""
 
 _MIXED = (Mixture, MixedViscosity, MixedCreep)
 """What a model with bodies has already, where it is made of another one."""
@@ -253,6 +265,17 @@ def as_vector(value: VectorLike, dim: int, field_name: str) -> CoefficientFuncti
     if vector.dim != dim:
         raise ParameterError(field_name, value, f"a vector of length {dim}, not {vector.dim}")
     return vector
+
+
+def force_of(load: Load, dim: int) -> CoefficientFunction:
+    """g (m/s^2) of gravity, or the body force (N/m^3), in ``dim`` dimensions; raises ParameterError."""
+    owner = f"loads[{load.name!r}]"
+    if isinstance(load, CentralGravity) and len(load.centre) != dim:
+        expected = f"{dim} numbers, as many as the mesh has dimensions"
+        raise ParameterError(f"{owner}.centre", load.centre, expected)
+    if isinstance(load, BodyForce):
+        return as_vector(load.force, dim, f"{owner}.force")
+    return as_vector(load.g, dim, f"{owner}.g")
 
 
 def _is_matrix(value: object) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import NgviscoError, ParameterError
@@ -48,9 +49,19 @@ def check_energy(material: Material) -> None:
             raise ParameterError(owner, function, f"a function of {names} alone; it reads {what}")
     if reads_time(phi):
         raise ParameterError(owner, function, f"a function of {names} alone; it reads the time")
+    if _is_constant(phi, z):
+        expected = f"an energy that changes with {names}: this one is a constant, without any stress"
+        raise ParameterError(owner, function, expected)
     if not one_value(sampled(phi)):
         expected = f"a function of {names} alone; it differs from place to place at one state"
         raise ParameterError(owner, function, expected)
+
+
+def _is_constant(phi: CoefficientFunction, z: Values) -> bool:
+    """Whether no variable's conjugate differs from zero, but for what rounding leaves of sums that vanish."""
+    slopes = [abs(part) for variable in z.values() for part in np.ravel(sampled(phi.Diff(variable)))]
+    size = max(np.abs(sampled(phi)))
+    return bool(max(slopes) <= 1e-14 * size)
 
 
 def _evaluated(

@@ -26,10 +26,10 @@ from ngvisco.forms.regularisation import CutOffVolume, DensityDiffusion
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm, Term
 from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
+from ngvisco.forms.withheld import GivenParts, refused_by_name
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.evaluation import NotAtPointsError, asked_slots, why
 from ngvisco.reduced.unknowns import Unknowns, density_by_forms
-from ngvisco.reduced.withheld import GivenParts, WithheldError
 
 AT_POINTS = {"v", "grad v", "rho", "grad rho", "z", "grad z", "Pi", "grad Pi"}
 """Tests whose rows are made of arrays."""
@@ -204,9 +204,6 @@ def _require_flow_rows(step: Step, term: Term, obstacle: str | None) -> set[str]
         reason += f"; as arrays it cannot be taken: {obstacle}".replace("{", "{{").replace("}", "}}")
     context: Any = _Asked(layout.context)
     u = Fields(layout, dict(zip(layout.names, trial, strict=True)), context)
-    try:
+    with refused_by_name(term):
         term.form(u, Fields(layout, GivenParts(tests, reason), context))
-        return context.names
-    except WithheldError as error:
-        name = type(term).__name__
-        raise ParameterError("Simulation.terms", name, f"{name}: {error}") from error
+    return context.names

@@ -14,8 +14,8 @@ from ngsolve import FESpace, LinearForm
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
+from ngvisco.forms.withheld import GivenParts, WithheldError
 from ngvisco.reduced.unknowns import Unknowns
-from ngvisco.reduced.withheld import GivenParts, WithheldError
 
 
 def source_obstacle(step: Step) -> str | None:

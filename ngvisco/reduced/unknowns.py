@@ -86,7 +86,7 @@ class Unknowns:
         for name in self.names:
             where = self.slices[name]
             size = exchange.norm(x, where)
-            determined = name not in ("v", "rho", "z")
+            determined = not self._step.layout.unknowns[name].evolves
             scale[where] = (1e3 if determined else 1.0) * size if size > 0 else 1.0
         return scale
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ngvisco.run.ledger import NUMERICAL
+from ngvisco.forms.distance import NUMERICAL
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation

@@ -39,7 +39,7 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from ngvisco.errors import CheckpointError, require_count, require_path
+from ngvisco.errors import CheckpointError, require_count, require_file, require_path
 from ngvisco.run.files import write_atomically
 from ngvisco.run.identity import identity
 from ngvisco.run.ledger import Balance, unit
@@ -98,7 +98,7 @@ class Checkpoints:
     ) -> None:
         for name, value in (("every", every), ("keep", keep)):
             require_count("Checkpoints", **{name: value})
-        self.path = require_path("Checkpoints.path", path)
+        self.path = require_file("Checkpoints.path", path)
         self.every, self.keep = int(every), int(keep)
         self.attributes = dict(attributes or {})
         self._kept: dict[int, Snapshot] = {}

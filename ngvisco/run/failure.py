@@ -1,4 +1,4 @@
-"""What is known of a step that could not be taken: where, which quantity, what was tried, what to change.
+"""What is known of a step that could not be taken: three lines to act on, and below a rule the rest.
 
 ``Simulation.advance`` attaches a ``FailureReport`` to the StepError that it raises.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,8 +27,9 @@ from ngvisco.solver.solution import Attempt, iterations
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
-_SHOWN = 8
+_SHOWN = 4
 """Increments of an attempt's last iterations that a report shows."""
+_RULE = 80 * "-"
 
 _FAST = 1.0
 """Courant number above which a report speaks of it."""
@@ -55,7 +57,7 @@ class FailureReport:
     history : tuple of Attempt
         What was tried, from which start values.
     advice : tuple of str
-        What to change.
+        What to change, the likeliest first, by the keys of a case file.
     """
 
     time: float
@@ -75,24 +77,34 @@ class FailureReport:
         at = ", ".join(f"{c:.4g}" for c in self.place)
         near = "" if self.wall is None else f", nearest wall {self.wall!r}"
         cell = "" if self.fastest is None else f"in cell {self.fastest} "
+        first, *others = self.advice
+        what = self.violation or f"no solution was found; the flow is fastest at ({at}) m{near}"
         lines = [
-            f"step {self.number} from t = {self.time:.6g} s over {self.tau:.4g} s was not taken",
+            f"what       step {self.number} over {self.tau:.4g} s was not taken: {what}",
+            f"change     {first}",
+            f"reached    t = {self.time:.6g} s, {self.number - 1} step{'' if self.number == 2 else 's'}",
+            _RULE,
+            *(f"or change  {line}" for line in others),
             f"reason     {self.reason}",
-            f"where      {self.violation or 'no solution was found, nor refused'}",
             f"flow       Courant number {self.courant:.3g} at most, {cell}at ({at}) m{near}",
-            *(f"tried      {_described(attempt)}" for attempt in self.history),
-            *(f"advice     {line}" for line in self.advice),
+            *(f"tried      {line}" for line in _described(self.history)),
         ]
         return "\n".join(lines)
 
 
-def _described(attempt: Attempt) -> str:
-    """An attempt in a line."""
-    solution = attempt.solution
-    increments = ", ".join(f"{one.increment:.1e}" for one in solution.history[-_SHOWN:])
-    last = f", the last increments {increments}" if increments else ""
-    count = len(iterations([attempt]))
-    return f"{attempt.start}: {count} iterations{last}; {solution.reason or 'solved'}"
+def _described(history: Sequence[Attempt]) -> list[str]:
+    """A line for all attempts from start values of one kind: how many, and how the last one ended."""
+    lines = []
+    for which, group in groupby(history, key=lambda attempt: attempt.start):
+        attempts = list(group)
+        last = attempts[-1].solution
+        text = f"{which}: {len(iterations(attempts))} iterations"
+        if len(attempts) > 1:
+            solved = sum(attempt.solution.converged for attempt in attempts)
+            text += f" in {len(attempts)} attempts, {solved} of them solved; the last one"
+        increments = ", ".join(f"{one.increment:.1e}" for one in last.history[-_SHOWN:])
+        lines.append(text + f": {last.status.value}" + (f", increments {increments}" if increments else ""))
+    return lines
 
 
 def failure_report(
@@ -143,8 +155,8 @@ def _fastest(simulation: Simulation) -> tuple[float, int | None, tuple[float, ..
 def _advice(simulation: Simulation, violation: Violation | None, courant: float) -> list[str]:
     lines = []
     if violation is not None and not violation.is_mean:
-        lines.append("limiter = True: the run then goes on where the cell's mean is positive")
-    shorter = "shorter steps: stepping = AdaptiveSteps(...), [time.adaptive] in a case file"
+        lines.append("time.limiter = true: the run then goes on where the cell's mean is positive")
+    shorter = "shorter steps, time.dt, or lengths that the run chooses, [time.adaptive]"
     if courant > _FAST:
         shorter += f"; the largest Courant number is {courant:.3g}"
     lines.append(shorter)
@@ -155,11 +167,11 @@ def _advice(simulation: Simulation, violation: Violation | None, courant: float)
     lines.append(f"a finer mesh {near}, or data that are smooth there (walls that meet with one velocity)")
     variables = simulation.model.material.variables
     if violation.quantity != "rho":
-        lines.append("a stored energy that rises faster as the volume goes to zero (epsilon, kappa)")
-        lines.append("J_min or a Yosida approximation, with which a run may pass J = 0")
+        lines.append("an energy that rises faster as the volume goes to zero (material.epsilon, kappa)")
+        lines.append("material.J_min or a Yosida approximation, with which a run may pass J = 0")
     winds = next((v for v in variables if isinstance(v, Distortion)), None)
     if winds is not None and violation.quantity == f"det {winds.name}":
-        lines.append('elastic_state = "B" where the body flows: F winds up there')
+        lines.append('material.elastic_state = "B" where the body flows: F winds up there')
     if any(isinstance(v, LeftCauchyGreen) for v in variables) and simulation.model.creep is None:
         lines.append("creep where the body flows, which lets B relax")
     return lines

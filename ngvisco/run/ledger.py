@@ -15,7 +15,7 @@ like ``inertial`` and ``bregman``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +23,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, sqrt
 
 from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry, Integrand, Kind
@@ -30,11 +31,14 @@ from ngvisco.physics.defects import relative_defects
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
+from ngvisco.run.closure import CLOSED
 from ngvisco.run.notebook import data_frame, ledger_html
 from ngvisco.timestepping.integrator import LIMITER, StepTaken
 
-NUMERICAL = ("inertial", "bregman")
-"""Columns of the scheme's own dissipation, J a step: its kinetic and its stored part."""
+_STRETCH = 1e-4
+"""Relative change of the variables whose second difference gives the energy's own scale."""
+_OPERATIONS = 30
+"""Roundings of an energy density, in units of that scale: as many operations as a density has."""
 
 RATES = ("dissipation", "power")
 """Kinds of entries that enter the balance times the step's length."""
@@ -120,7 +124,7 @@ class Ledger:
     def columns(self) -> list[str]:
         """Names of the columns, in the order of the CSV file."""
         return [
-            *("step", "time", "dt", "kinetic", "stored"),
+            *("step", "time", "dt", *ENERGIES),
             *(entry.name for entry in self.entries),
             *("closure", "closure_relative", "mass", "mass_drift"),
             *("rho_min", "rho_max", "J_min", "J_defect", "defect_rms", "defect_max"),
@@ -145,7 +149,7 @@ class Ledger:
         """Row 0: the initial state, with no exchange."""
         self.step.energy.require()
         values = self._state()
-        energy = values["kinetic"] + values["stored"]
+        energy = energy_of(values)
         self.balance = Balance(energy, values["mass"], values["mass"])
         idle = dict.fromkeys((entry.name for entry in self.entries), 0.0)
         row = {"step": 0, "time": time, "dt": 0.0, **idle, **values, "closure": 0.0}
@@ -164,8 +168,7 @@ class Ledger:
     def energy(self) -> float:
         """Kinetic plus stored energy at the present state, J."""
         self.step.energy.require()
-        values = self._state()
-        return values["kinetic"] + values["stored"]
+        return energy_of(self._state())
 
     def foreign(self, names: Iterable[str]) -> list[str]:
         """Of an earlier part's columns those of the energy balance that this one does not have."""
@@ -205,13 +208,15 @@ class Ledger:
         self.step.energy.require()
         values = {LIMITER: 0.0} | self._absent | self._pending
         values |= self._state() | taken.rates | taken.numerical
-        energy = values["kinetic"] + values["stored"]
+        energy = energy_of(values)
         dissipated, worked = self._sum(values, "dissipation"), self._sum(values, "power")
         remainder = self._sum(values, "numerical")
         closure = energy - self.balance.energy + tau * (dissipated - worked) + remainder
         physical = [e.name for e in self.entries if e.kind in ("dissipation", "power")]
         exchanged = tau * sum(abs(values[name]) for name in physical)
         scale = max(abs(energy), abs(self.balance.energy), exchanged)
+        if not abs(closure) <= CLOSED * scale:
+            scale = max(scale, self.rounding() / CLOSED)
         drift = (values["mass"] - self.balance.initial_mass) / self.balance.initial_mass
         row = {
             **{"step": number, "time": time, "dt": tau, **values},
@@ -223,6 +228,20 @@ class Ledger:
         self._pending = {}
         self.balance = Balance(energy, values["mass"], self.balance.initial_mass)
         return row
+
+    def rounding(self) -> float:
+        """What rounding may leave of the stored energy at the present state, J.
+
+        An energy such as tr B - ln det B - 3 is a difference of terms that are not small where it is zero,
+        at rest.  The size of these is int |phi''(z)[z, z]|: the moduli times the volume where z is about 1
+        at rest, twice the energy where phi is quadratic in z and nothing cancels.
+        """
+        z = self.step.now.z_tensors
+        factors = (1 - _STRETCH, 1.0, 1 + _STRETCH)
+        stretched = ({name: factor * value for name, value in z.items()} for factor in factors)
+        less, here, more = (self.step.energy.samples(state, self.sampler) for state in stretched)
+        scale = np.nan_to_num(abs(less - 2 * here + more), posinf=0.0) / _STRETCH**2
+        return _OPERATIONS * np.finfo(float).eps * self.sampler.integral(scale)
 
     def _sum(self, values: dict[str, float], kind: str) -> float:
         return sum(values[entry.name] for entry in self.entries if entry.kind == kind)
@@ -238,8 +257,7 @@ class Ledger:
         """What is integrated of a state: energies, mass, and what is for information."""
         u = self.step.now
         named = {
-            "kinetic": 0.5 * u.rho * square(u.v),
-            "stored": self.step.energy.density(u),
+            **energies(self.step, u),
             "mass": u.rho,
         }
         entries = {name: Entry(name, "monitor", Integrand(value)) for name, value in named.items()}
@@ -304,6 +322,11 @@ class Ledger:
                 stacklevel=2,
             )
         return float(rms.max()), float(largest.max())
+
+
+def energy_of(values: Mapping[str, float]) -> float:
+    """Kinetic plus stored energy of a row, J."""
+    return sum(values[name] for name in ENERGIES)
 
 
 def _winding_message(pair: str, rms: float, largest: float, step: Step) -> str:

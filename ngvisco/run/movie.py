@@ -13,7 +13,7 @@ import numpy as np
 from ngvisco.errors import ParameterError
 from ngvisco.run.fields import field_unit
 from ngvisco.run.outlines import averaged, outline, outlined
-from ngvisco.run.plots import PlotError, Section, figure, titled
+from ngvisco.run.plots import PlotError, Section, figure, require_space, titled
 from ngvisco.run.vtu import Frame, cut, read_frame, read_series_files
 
 FORMATS = ("gif", "mp4")
@@ -62,6 +62,7 @@ def write_movie(
         raise ParameterError("write_movie.frames_per_second", frames_per_second, "a number in (0, 1000]")
     files = read_series_files(series)
     first = read_frame(files[0][1])
+    require_space(section, first.dim)
     names = list(fields) if fields is not None else [n for n in ("density", "velocity") if n in first.fields]
     if not names:
         raise ParameterError("write_movie.fields", fields, "at least one field of the series")

@@ -21,8 +21,6 @@ from ngvisco.parallel.mesh import Part
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
-_EVOLVED = ("v", "rho", "z")
-
 
 class Numbers:
     """Which unknown of a space on the whole mesh each unknown of a rank is.
@@ -108,8 +106,8 @@ class Numbering:
     def whole(self, values: np.ndarray, part: str = "", name: str = "") -> np.ndarray:
         """An array of a checkpoint as one process has it, on the first rank, an empty one on others.
 
-        ``part`` and ``name`` are the checkpoint's: those of ``stepping`` have the unknowns v, rho and z only,
-        in this order, those of ``passive`` are of that field, others have the whole state.
+        ``part`` and ``name`` are the checkpoint's: those of ``stepping`` have the unknowns that evolve only,
+        in the order of ``Layout.evolving``, those of ``passive`` are of that field, others have all.
         """
         return self._of(part, name).whole(values) if self.ranks.is_distributed else values
 
@@ -127,8 +125,9 @@ class Numbering:
 
 
 def _evolved(layout: Layout) -> np.ndarray:
-    """The unknowns v, rho and z of a layout."""
-    return np.concatenate([np.arange(layout.ranges[n].start, layout.ranges[n].stop) for n in _EVOLVED])
+    """Numbers of the unknowns of a layout that evolve."""
+    ranges = (layout.ranges[name] for name in layout.evolving)
+    return np.concatenate([np.arange(where.start, where.stop) for where in ranges])
 
 
 def numbers_in(part: Part, space: FESpace, whole: FESpace | None) -> np.ndarray:

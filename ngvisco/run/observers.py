@@ -18,14 +18,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from ngvisco.errors import (
+    CheckpointError,
     ParameterError,
     UnknownNameError,
     as_integer,
     as_times,
     require_count,
-    require_names,
+    require_file,
     require_path,
     require_positive,
+    require_some_names,
 )
 from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.files import append, write_atomically
@@ -122,7 +124,7 @@ class LedgerCSV:
     on_first_rank = True
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = require_path("LedgerCSV.path", path)
+        self.path = require_file("LedgerCSV.path", path)
 
     def start(self, simulation: Simulation) -> None:
         columns = simulation.ledger.columns
@@ -176,10 +178,11 @@ class VTKSeries:
         if as_integer(subdivision) is None or subdivision < 0:
             raise ParameterError("VTKSeries.subdivision", subdivision, "an integer >= 0")
         self.directory, self.every = require_path("VTKSeries.directory", directory), every
+        if self.directory.exists() and not self.directory.is_dir():
+            raise ParameterError("VTKSeries.directory", str(directory), "a directory; this is a file")
         self.times = tuple(as_times("VTKSeries.times", times))
-        if fields is not None:
-            require_names("VTKSeries.fields", fields)
-        self.names, self.subdivision = fields, int(subdivision)
+        self.names = None if fields is None else require_some_names("VTKSeries.fields", fields)
+        self.subdivision = int(subdivision)
         self.written: list[tuple[float, str]] = []
 
     def start(self, simulation: Simulation) -> None:
@@ -189,11 +192,21 @@ class VTKSeries:
                 raise UnknownNameError("field", name, available)
         self._fields = {name: available[name] for name in self.names or usual(available)}
         self.directory.mkdir(parents=True, exist_ok=True)
-        self.written = [
-            (time, name) for time, name in read_pvd(self._pvd) if time < simulation.t * (1 - 1e-12)
-        ]
+        self.written = []
+        if simulation.number > 0:
+            now = simulation.t * (1 - 1e-12)
+            self.written = [(time, name) for time, name in read_pvd(self._pvd) if time < now]
+            simulation.ranks.on_first(self._remove_others)
         if simulation.number == 0 or self._is_due(simulation):
             self._write(simulation)
+
+    def _remove_others(self) -> None:
+        """Remove what the interrupted run wrote out of turn or did not come to list."""
+        kept = {name.partition(".")[0] for _, name in self.written}
+        for path in self.directory.glob("fields_*"):
+            match = re.fullmatch(r"(fields_\d{6})(_p\d+)?\.p?vtu", path.name)
+            if match is not None and match[1] not in kept:
+                path.unlink()
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
         if self._is_due(simulation):
@@ -230,8 +243,20 @@ class VTKSeries:
 
 
 def read_pvd(path: Path) -> list[tuple[float, str]]:
-    """(time, file) of every data set that a .pvd of ours lists; empty if there is none."""
+    """(time, file) of every data set that a .pvd of ours lists; empty if there is no such file.
+
+    Raises
+    ------
+    CheckpointError
+        If it is none of ours, or damaged.
+    """
     if not path.exists():
         return []
-    found = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text(encoding="utf-8"))
-    return [(float(time), name) for time, name in found]
+    try:
+        found = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text(encoding="utf-8"))
+        series = [(float(time), name) for time, name in found]
+    except ValueError as error:
+        raise CheckpointError(f"{path}: not a readable file of a VTK series ({error})") from error
+    if not series:
+        raise CheckpointError(f"{path}: not a file of a VTK series, or one without states; move it away")
+    return series

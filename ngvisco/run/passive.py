@@ -45,7 +45,7 @@ from ngsolve import (
 )
 from ngsolve.krylovspace import GMRESSolver
 
-from ngvisco.errors import CheckpointError, StepError, UnknownNameError
+from ngvisco.errors import CheckpointError, ParameterError, StepError, UnknownNameError
 from ngvisco.forms.system import Step
 from ngvisco.forms.upwinding import mean_share
 from ngvisco.physics.tensors import IDENTITY, inner, square
@@ -71,6 +71,8 @@ class PassiveFields:
     ------
     UnknownNameError
         For any other name.
+    ParameterError
+        For ``creep_strain`` without creep.
     """
 
     def __init__(self, step: Step, names: Sequence[str], F_0: CoefficientFunction = IDENTITY) -> None:
@@ -98,8 +100,9 @@ class PassiveFields:
         if "creep_strain" in self.names:
             self._add_group("creep_strain", 1, flow)
             Pi = step.context.rates.creep(step.now)
-            if Pi is not None:
-                self._sources["creep_strain_1"] = sqrt(2 / 3 * square(Pi))
+            if Pi is None:
+                raise ParameterError("passive", "creep_strain", "a model with creep, whose strain it is")
+            self._sources["creep_strain_1"] = sqrt(2 / 3 * square(Pi))
 
     def _add_group(self, name: str, count: int, carrier: _Carrier) -> None:
         for i in range(count):

@@ -81,6 +81,12 @@ class Section:
         return f"{self.normal} = {at:.4g} m"
 
 
+def require_space(section: Section | None, dim: int) -> None:
+    """Raise ParameterError for a section of what is flat."""
+    if section is not None and dim != 3:
+        raise ParameterError("section", section.normal, "none: the mesh has two dimensions")
+
+
 def titled(*parts: str | float) -> str:
     """A title of what there is: texts as they are, a number as the time in s."""
     return ", ".join(f"t = {part:.4g} s" if isinstance(part, float) else part for part in parts if part != "")
@@ -102,7 +108,14 @@ def plot_energies(ledger: Ledger, path: str | os.PathLike[str]) -> None:
     """Energies and what was exchanged, and the closure, over time, as PNG, PDF or SVG by the path's end.
 
     Stored energy is drawn as its change since the start: its constant part is arbitrary.
+
+    Raises
+    ------
+    ParameterError
+        For a ledger of a run that made no step.
+    PlotError
     """
+    _require_steps("plot_energies.ledger", ledger)
     fig, ((above,), (below,)) = figure(2, 1, (8, 7))
     t = ledger.column("time")
     above.plot(t, ledger.column("kinetic"), label="kinetic")
@@ -136,6 +149,8 @@ def plot_schemes(ledgers: Mapping[str, Ledger], path: str | os.PathLike[str]) ->
     path : path
         A picture.
     """
+    for label, ledger in ledgers.items():
+        _require_steps(f"plot_schemes.ledgers[{label!r}]", ledger)
     fig, ((left, right),) = figure(1, 2, (11, 4.6))
     for (label, ledger), style in zip(ledgers.items(), ("-", "--", ":", "-."), strict=False):
         t, dt = ledger.column("time"), ledger.column("dt")
@@ -153,6 +168,7 @@ def plot_schemes(ledgers: Mapping[str, Ledger], path: str | os.PathLike[str]) ->
 def plot_history(ledger: Ledger, path: str | os.PathLike[str]) -> None:
     """Dissipations and powers, extrema, iterations and step lengths over time; formats as
     ``plot_energies``."""
+    _require_steps("plot_history.ledger", ledger)
     fig, axes = figure(2, 2, (12, 8))
     (rates, extrema), (effort, steps) = axes
     t = ledger.column("time")
@@ -206,6 +222,7 @@ def plot_fields(
     for name, value in fields:
         if value.dim != 1:
             raise ParameterError(f"plot_fields field {name!r}", value.dim, "a scalar")
+    require_space(section, mesh.dim)
     corners = coordinates(mesh)
     chosen = section or Section()
     along = chosen.axes if mesh.dim == 3 else (0, 1)
@@ -285,6 +302,12 @@ def _draw_plane(
         if has_outline(share):
             axis.contour(X, Y, share, **OUTLINE)
     return image
+
+
+def _require_steps(field: str, ledger: Ledger) -> None:
+    """Raise ParameterError for a ledger without a step."""
+    if len(ledger.rows) < 2:
+        raise ParameterError(field, f"{len(ledger.rows)} rows", "a ledger of a run that made a step")
 
 
 FORMATS = ("png", "pdf", "svg")

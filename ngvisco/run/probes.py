@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import ParameterError
+from ngvisco.errors import InputWarning, ParameterError, require_some_names
 from ngvisco.expressions import parse
 from ngvisco.forms.locating import Located, as_points
 from ngvisco.forms.reactions import WallReactions
@@ -58,7 +58,7 @@ class Probes(Series):
                 ) from error
         if not points:
             raise ParameterError("Probes.points", points, "at least one point")
-        self.points, self.fields = dict(points), fields
+        self.points, self.fields = dict(points), _chosen("Probes", fields)
 
     def prepare(self, simulation: Simulation) -> list[str]:
         mesh = simulation.mesh
@@ -103,7 +103,7 @@ class LineSamples(Series):
         super().__init__(path, every)
         if not isinstance(points, int) or isinstance(points, bool) or points < 2:
             raise ParameterError("LineSamples.points", points, "an integer >= 2")
-        self.ends, self.points, self.fields = (start, end), points, fields
+        self.ends, self.points, self.fields = (start, end), points, _chosen("LineSamples", fields)
 
     def prepare(self, simulation: Simulation) -> list[str]:
         mesh = simulation.mesh
@@ -155,9 +155,8 @@ class WallForces(Series):
         every: int = 1,
     ) -> None:
         super().__init__(path, every)
-        if isinstance(walls, str):
-            raise ParameterError("WallForces.walls", walls, "a sequence of names")
-        self.walls, self.about = walls, about
+        self.walls = None if walls is None else require_some_names("WallForces.walls", walls)
+        self.about = about
 
     def prepare(self, simulation: Simulation) -> list[str]:
         dim = simulation.mesh.dim
@@ -212,6 +211,7 @@ class Integrals(Series):
 
     The quadrature is that of the forms and the ledger: the integral of ``"density"`` is the ledger's mass.
     In plane strain integrals are per metre of thickness.
+    A run raises ParameterError for one that is not finite at its start, and warns of one that is not later.
     """
 
     def __init__(
@@ -240,11 +240,32 @@ class Integrals(Series):
             else:
                 parts.append(value)
         self._integrand = CF(tuple(parts))
+        for name, value in zip(self.integrands, self._totals(simulation), strict=True):
+            if not np.isfinite(value):
+                expected = f"an integrand that is finite; at t = {simulation.t:g} s its integral is {value}"
+                raise ParameterError(f"Integrals.integrands[{name!r}]", self.integrands[name], expected)
+        self._said = set[str]()
         return list(self.integrands)
 
-    def _sample(self, simulation: Simulation) -> Any:
+    def _totals(self, simulation: Simulation) -> np.ndarray:
         total = simulation.rothe_step.quadrature.integrate_cells(self._integrand)
-        return [np.asarray(total, dtype=float).reshape(-1)]
+        return np.asarray(total, dtype=float).reshape(-1)
+
+    def _sample(self, simulation: Simulation) -> Any:
+        totals = self._totals(simulation)
+        for name, value in zip(self.integrands, totals, strict=True):
+            if not np.isfinite(value) and name not in self._said:
+                self._said.add(name)
+                message = (
+                    f"integral {name!r}: it is {value} at t = {simulation.t:g} s, and is written as such"
+                )
+                simulation.ranks.warn(message, InputWarning, stacklevel=6)
+        return [totals]
+
+
+def _chosen(owner: str, fields: Sequence[str] | None) -> list[str] | None:
+    """Names of fields, of which there is one at least; None for the usual ones."""
+    return None if fields is None else require_some_names(f"{owner}.fields", fields)
 
 
 def _stacked(simulation: Simulation, names: Sequence[str] | None) -> tuple[CoefficientFunction, list[str]]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ngvisco.errors import CheckpointError, UnknownNameError, require_count
+from ngvisco.errors import CheckpointError, UnknownNameError, require_count, require_file
 from ngvisco.run.files import append, write_atomically
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class Series(ABC):
 
     def __init__(self, path: str | os.PathLike[str] | None, every: int) -> None:
         require_count(type(self).__name__, every=every)
-        self.path = None if path is None else Path(path)
+        self.path = None if path is None else require_file(f"{type(self).__name__}.path", path)
         self.every = every
         self.columns: list[str] = []
         self.rows: list[list[float]] = []

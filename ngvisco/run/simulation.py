@@ -18,6 +18,7 @@ from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.errors import (
     InitialDataError,
+    MeshError,
     ParameterError,
     StepError,
     as_number,
@@ -202,9 +203,10 @@ class Simulation:
         space, self.cells = self.rothe_step.layout.space, int(self.ranks.total(mesh.ne))
         self.unknowns = space.ndofglobal if self.ranks.is_distributed else space.ndof
         """Of the whole mesh, as are ``cells``."""
+        self._cells_here = mesh.ne
         self.check_data([0.0])
         self.observers = list(observers)
-        self.t, self.number = 0.0, 0
+        self._t, self._number = 0.0, 0
         time.Set(0.0)  # whatever ran before: start values and walls are those of the start
         try:
             F_0 = set_initial(self.rothe_step, initial or Initial(), self.sampler)
@@ -248,8 +250,28 @@ class Simulation:
 
         For a state that belongs to other times than multiples of dt, see ``stepper.begin``.
         """
-        self.t, self.number = t, number
+        self._t, self._number = t, number
         time.Set(t)
+
+    @property
+    def t(self) -> float:
+        """Time of the present state, s; the run alone advances it."""
+        return self._t
+
+    @t.setter
+    def t(self, value: float) -> None:
+        raise ParameterError(
+            "Simulation.t", value, "not to be set: advance() and run() move it, restore() does"
+        )
+
+    @property
+    def number(self) -> int:
+        """Of the present state among the accepted ones, 0 at the start."""
+        return self._number
+
+    @number.setter
+    def number(self, value: int) -> None:
+        raise ParameterError("Simulation.number", value, "not to be set: advance() and run() count it")
 
     def _repr_html_(self) -> str:
         return simulation_html(self)
@@ -324,6 +346,11 @@ class Simulation:
             adaptive lengths, when that is so at the smallest length.  The state is then that before
             the step, and the error's ``report`` says where and why.
         """
+        if self.mesh.ne != self._cells_here:
+            message = f"the mesh has {self.mesh.ne} cells, and {self._cells_here} when the run was made"
+            raise MeshError(
+                f"{message}: take the refined one for a run of its own, and nv.transfer the state"
+            )
         with computing(), ending_all_ranks():
             self._start_ledger()
             began = clock.perf_counter()

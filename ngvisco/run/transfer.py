@@ -1,9 +1,9 @@
 """Going on with another mesh or with other parameters: what is carried over, and what it costs.
 
-On another mesh, density and transported variables are projected in L2 cell by cell, the velocity on the new
-mesh's velocities that the walls allow, from values at the new quadrature points.  The density is then scaled
-by one factor, so that the mass is kept to rounding; with bodies the amount of each is, and the density is the
-sum of theirs.  With other parameters the state stays as it is, to the bit.
+On another mesh, density, transported variables and further unknowns that evolve are projected in L2, the
+velocity on the new mesh's velocities that the walls allow, from values at the new quadrature points.  The
+density is then scaled by one factor, so that the mass is kept to rounding; with bodies the amount of each is,
+and the density is the sum of theirs.  With other parameters the state stays as it is, to the bit.
 
 The energy before less that after is the ledger's column ``transfer`` (J): of row 0 where a new ledger
 begins, and of the first row of a ledger that goes on, whose closure holds it.  It is positive where energy
@@ -25,13 +25,14 @@ from ngvisco.errors import InitialDataError, MeshError, ParameterError
 from ngvisco.forms.given import QuadraturePoints
 from ngvisco.forms.initial import complete
 from ngvisco.forms.locating import Located
+from ngvisco.forms.projections import project_in_cells
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.bodies import Amount
 from ngvisco.physics.mixture import AMOUNT
 from ngvisco.physics.variables import Variable
 from ngvisco.run import checkpoint
 from ngvisco.run.identity import identity
-from ngvisco.run.ledger import TRANSFER
+from ngvisco.run.ledger import TRANSFER, energy_of
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -116,7 +117,7 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     ledger.rows, ledger.balance = [], None
     ledger.keep([TRANSFER])
     row = ledger.start(source.t)
-    result = Transfer(row["mass"], scaled, before, row["kinetic"] + row["stored"])
+    result = Transfer(row["mass"], scaled, before, energy_of(row))
     row[TRANSFER] = result.lost
     return result
 
@@ -128,6 +129,11 @@ def _require_fit(source: Simulation, target: Simulation) -> None:
         names = [", ".join(v.name for v in side) for side in (had, has)]
         expected = f"those of the source, {names[0]}: take its material, with the same elastic_state"
         raise ParameterError("transfer.target", f"the variables {names[1]}", expected)
+    unknowns = source.rothe_step.layout.unknowns
+    for name in target.rothe_step.layout.evolving:
+        if name not in unknowns or unknowns[name].size != target.rothe_step.layout.unknowns[name].size:
+            expected = f"one whose terms have the unknown {name} too, which evolves"
+            raise ParameterError("transfer.source", "a run without it", expected)
     if source.mesh.dim != target.mesh.dim:
         raise ParameterError("transfer.target", f"dimension {target.mesh.dim}", f"{source.mesh.dim}")
     if target.number or len(target.ledger.rows) > 1:
@@ -157,23 +163,22 @@ def _energy(run: Simulation) -> float:
 
 
 def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints, at: Located) -> float:
-    """Project density and variables; returns the factor of the density."""
+    """Project density, variables and what else evolves; returns the factor of the density."""
     old, new = source.rothe_step, target.rothe_step
     parts = dict(zip(new.layout.names, new.state.components, strict=True))
-    rho, z = at.values(old.now.rho)[:, 0], at.values(old.now.z)
-    space = L2(new.mesh, order=new.discretisation.m)
-    points.project(rho, space, parts["rho"])
-    single = GridFunction(space)
-    for i, column in enumerate(z.T):
-        points.project(column, space, single)
-        parts["z"].vec.FV().NumPy()[i * space.ndof : (i + 1) * space.ndof] = single.vec.FV().NumPy()
+    for name in new.layout.evolving:
+        if name != "v":
+            columns = at.values(old.now.parts[name]).T
+            value = CF(tuple(points.function(column) for column in columns))
+            project_in_cells(new.layout.unknowns[name], parts[name], new.quadrature, value)
     masses = [
         float(run.rothe_step.quadrature.integrate_cells(run.rothe_step.now.rho)) for run in (source, target)
     ]
     factor = masses[0] / masses[1]
     rho_h = parts["rho"].vec.FV().NumPy()
     if new.model.bodies:
-        rho_h[:], factor = _kept_bodies(source, target, parts["z"].vec.FV().NumPy().reshape(z.shape[1], -1))
+        z = parts["z"].vec.FV().NumPy().reshape(new.layout.states.size, -1)
+        rho_h[:], factor = _kept_bodies(source, target, z)
     else:
         rho_h[:] *= factor
     return factor

@@ -28,6 +28,11 @@ if TYPE_CHECKING:
     from ngvisco.shapes.shape import Shape
 
 _LOOKED_AT = 4  # pieces of a cell's edges, at whose ends a surface is looked for
+MISSED = (
+    f"a place within the domain, no thinner than 1/{_LOOKED_AT} of the cells there (a finer mesh, by maxh or "
+    "refine, sees a smaller one): no cell has a part of it"
+)
+"""What is expected of a shape that fills nothing."""
 _PIECES = {2: 32, 3: 12}  # of the edges of cells that a surface cuts, even numbers
 _INSET = 1e-9
 """How far, of their distance to the cell's middle, levels are taken inside the cell: a surface that is a side

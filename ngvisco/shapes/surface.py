@@ -39,8 +39,9 @@ class ClosedSurface(Shape):
     Raises
     ------
     ParameterError
-        If there is no such file, it is no STL file, holds no triangles, or its surface does not close: every
-        edge of a closed surface belongs to two triangles, which run along it in opposite senses.
+        If there is no such file, it is no STL file, holds no triangles or one of them twice, or its surface
+        does not close: every edge of a closed surface belongs to two triangles, which run along it in
+        opposite senses.
     """
 
     path: str | os.PathLike[str]
@@ -71,7 +72,7 @@ class ClosedSurface(Shape):
     def level(self, at: Places) -> np.ndarray:
         if at.mesh.dim != 3:
             raise ParameterError("ClosedSurface.path", self.path, "a mesh in space: it is a surface of space")
-        # by side: where parts overlap, or the surface is there twice, the number would move the surface
+        # by side: where parts overlap the number would move the surface
         inside = crossings(self.triangles, at.coordinates) > 0
         size = at.spacing.copy()
         near = at.of_cut_pieces(inside)
@@ -112,6 +113,10 @@ def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: fl
     places = np.round(corners.reshape(-1, 3) / (_SAME * size)).astype(np.int64)
     _, numbers = np.unique(places, axis=0, return_inverse=True)
     triangles = numbers.reshape(-1, 3)
+    corners_of_each = np.sort(triangles, axis=1)
+    if twice := len(triangles) - len(np.unique(corners_of_each, axis=0)):
+        expected = f"each triangle once: {twice} of its {len(triangles)} are there again"
+        raise ParameterError("ClosedSurface.path", path, expected)
     whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)  # not those that are a line
     edges = np.concatenate([triangles[whole][:, [i, (i + 1) % 3]] for i in range(3)])
     key = edges.min(axis=1) * (numbers.max() + 1) + edges.max(axis=1)

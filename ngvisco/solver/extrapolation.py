@@ -61,12 +61,14 @@ class Extrapolation:
 
     def guess(self, time: float) -> BaseVector | None:
         """The state extrapolated to ``time``, s; None if there is nothing to do so from, or it would change
-        densities and elastic variables by more than ``LARGEST_CHANGE`` of their size."""
+        what evolves, but for v, by more than ``LARGEST_CHANGE`` of their size."""
         reach = self._reach(time)
         if reach is None:
             return None
         change = reach * (self._states[1] - self._states[0])
-        for name in ("rho", "z"):
+        for name in self.step.layout.evolving:
+            if name == "v":
+                continue
             where = self.step.layout.ranges[name]
             size, change_of = (
                 self._ranks.most(abs(values[where]).max(initial=0.0)) for values in (self._states[1], change)

@@ -1,13 +1,13 @@
 """The norm of an increment.
 
-|d| = max over the blocks v, rho, z of |d_block|_2 / scale_block, in coefficients, with
-scale_v = |v|_2 + f sqrt(n) h/tau, scale_rho = |rho|_2, scale_z = |z|_2 + f sqrt(n), where n is the
-number of the block's coefficients and h the smallest cell size: a velocity counts by the strain that
-it makes in the step.  The other unknowns are functions of these three; the trace of a density that diffuses
-by an r-Laplacian, a nonlinear one, counts like rho.  A creep rate field Pi changes z by tau Pi only, which
-leaves it open in a short step: with nu > 0 it counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau).  The
-floor f and the share s are in ``NormOptions``; the floor lets small strains and velocities converge
-relatively to themselves, and a stalled iteration is asked about with a larger one, but for Pi.
+|d| = max over the unknowns u that evolve of |d_u|_2 / scale_u, in coefficients, with scale_v = |v|_2 + f
+sqrt(n) h/tau and scale_u = |u|_2 + f sqrt(n) s_u, where n is the number of the block's coefficients and h the
+smallest cell size: a velocity counts by the strain that it makes in the step; s_u is the unknown's scale, 0
+of rho and 1 of z.  The other unknowns are functions of these; the trace of a density that diffuses by an
+r-Laplacian, a nonlinear one, counts like rho. A creep rate field Pi changes z by tau Pi only, which leaves it
+open in a short step: with nu > 0 it counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau).  The floor f and
+the share s are in ``NormOptions``; the floor lets small strains and velocities converge relatively to
+themselves, and a stalled iteration is asked about with a larger one, but for Pi.
 """
 
 from __future__ import annotations

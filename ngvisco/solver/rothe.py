@@ -58,7 +58,7 @@ class RotheSolver:
         self.defect = defect or (lambda: None)
         self.exchange = Exchange.of(step.layout.space, Communicator.of(step.mesh))
         self.h_min = self.exchange.communicator.least(step.context.h.vec.FV().NumPy())
-        units = {"v": 0.0, "rho": 0.0, "z": 1.0}
+        units = {name: step.layout.unknowns[name].scale for name in step.layout.evolving}
         if "rho_delta_hat" in step.layout.ranges:
             units["rho_delta_hat"] = 0.0  # its equation is cubic where the density is flat
         shared = {"Pi"} & set(step.layout.ranges)

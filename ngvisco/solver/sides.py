@@ -2,10 +2,11 @@
 
 v* is the velocity extrapolated through the last two solutions, else the last one.  Where it misses the side,
 the flow through the facet is slow, and its error is of the scheme's order: but in a start from rest, and in a
-step that turns the flow round.  A side is wrong where the step's own velocity carries matter through more than
-``COURANT`` of a cell from a side that v* says, or leaves open, to be downstream.  Then v* follows the iterates as
-long as increments are above ``SETTLED``.  Once they are below ``CERTAIN`` it becomes the step's velocity, and
-the iteration goes on with equations that are smooth, and the same for both solvers and any number of ranks.
+step that turns the flow round.  A side is wrong where the step's own velocity carries matter through more
+than ``COURANT`` of a cell from a side that v* says, or leaves open, to be downstream.  Then v* follows the
+iterates as long as increments are above ``SETTLED``.  Once they are below ``CERTAIN`` it becomes the step's
+velocity, and the iteration goes on with equations that are smooth, and the same for both solvers and any
+number of ranks.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _LOST = 0.25
 
 
 _NEAR = 0.25
-"""Share of ``COURANT`` below which a change of coefficients makes no side wrong: values of v are their sums."""
+"""Share of ``COURANT`` below which a change of coefficients makes no side wrong: values are their sums."""
 
 
 class Sides:

@@ -9,8 +9,9 @@ t_{n-1-j}).  So
 which costs no solve (for the implicit Euler scheme tau/(2 tau + tau_old) times the difference).  Until p + 1
 states are known there is no estimate.
 
-Norm.  The largest of |e_v|/(|v| + v_s sqrt(volume)), |e_rho|/|rho| and |e_z|/(|z| + sqrt(volume)), with
-L2 norms over the domain and v_s the run's velocity scale: a relative error.
+Norm.  The largest of |e_u|/(|u| + s_u sqrt(volume)) over the unknowns u that evolve, with L2 norms over the
+domain: a relative error.  s_u is the unknown's scale (``ngvisco.forms.unknowns``): of v the run's velocity
+scale, 0 of rho, 1 of z.
 """
 
 from __future__ import annotations
@@ -21,12 +22,9 @@ from collections.abc import Callable
 import numpy as np
 from ngsolve import CF, FESpace, GridFunction
 
-from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.physics.tensors import square
 from ngvisco.timestepping.scheme import TimeScheme
-
-_EVOLVED = ("v", "rho", "z")
 
 
 class ErrorEstimate:
@@ -46,12 +44,10 @@ class ErrorEstimate:
         self._enough = order + 1
         self._times: list[float] = []
         self._states: list[np.ndarray] = []
-        space = FESpace([step.layout.blocks[name] for name in _EVOLVED])
-        self._difference = GridFunction(space)
-        e = Fields(step.layout, dict(zip(_EVOLVED, self._difference.components, strict=True)))
-        u = step.now
-        squares = [square(e.v), e.rho * e.rho, square(e.z), square(u.v), u.rho * u.rho, square(u.z), CF(1.0)]
-        self._squares = CF(tuple(squares)).Compile()
+        names = step.layout.evolving
+        self._difference = GridFunction(FESpace([step.layout.blocks[name] for name in names]))
+        errors, now = self._difference.components, (step.now.parts[name] for name in names)
+        self._squares = CF((*map(square, errors), *map(square, now), 1.0)).Compile()
 
     def is_current(self, time: float) -> bool:
         """Whether the last state that is kept is that of ``time``, s."""
@@ -80,13 +76,15 @@ class ErrorEstimate:
         extrapolated = sum(w * u for w, u in zip(weights, self._states[-p - 1 :], strict=True))
         self._difference.vec.FV().NumPy()[:] = own / (own + missed) * (self._values() - extrapolated)
         norms = np.sqrt(np.asarray(self.step.quadrature.integrate_cells(self._squares)))
-        root_volume = norms[6]
-        scales = (norms[3] + self.velocity_scale() * root_volume, norms[4], norms[5] + root_volume)
-        return float(max(norms[i] / scales[i] for i in range(3)))
+        unknowns = [self.step.layout.unknowns[name] for name in self.step.layout.evolving]
+        errors, sizes, root_volume = norms[: len(unknowns)], norms[len(unknowns) : -1], norms[-1]
+        scales = [self.velocity_scale() if one.place == "velocity" else one.scale for one in unknowns]
+        wholes = sizes + np.array(scales) * root_volume
+        return float(max(e / s if s > 0 else e for e, s in zip(errors, wholes, strict=True)))
 
     def _values(self) -> np.ndarray:
         state, ranges = self.step.state.vec.FV().NumPy(), self.step.layout.ranges
-        return np.concatenate([state[ranges[name]] for name in _EVOLVED])
+        return np.concatenate([state[ranges[name]] for name in self.step.layout.evolving])
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         """Numbers and arrays for a restart."""

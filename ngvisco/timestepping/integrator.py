@@ -2,9 +2,9 @@
 
 The same for both solvers.  What a stage dissipates is metered at its solution, so that the ledger closes to
 rounding for every scheme; see ``scheme`` for the identity.  Where the end is not the last stage's solution,
-rho, z and the momentum functional are combined, v follows from the momentum (``VelocityOfMomentum``) with
-moving walls at the end's time, and the unknowns that have no time derivative (traces, multipliers, the creep
-rate field) stay those of the last stage.
+the momentum functional and the other unknowns that evolve (rho, z, those of further terms) are combined, v
+follows from the momentum (``VelocityOfMomentum``) with moving walls at the end's time, and the unknowns
+without a time derivative (traces, multipliers, the creep rate field) stay those of the last stage.
 
 Bounds.  A step's end that is negative at a point while its means are not is limited
 (``ngvisco.forms.bounds``).  Stages are left as they are solved: they only have to have positive means.
@@ -266,7 +266,7 @@ class Integrator:
         parts = list(zip(weights, states, strict=True))
         step.start_from(parts)  # where the momentum and the fields are combined
         state, old = step.state.vec.FV().NumPy(), step.state_old.vec.FV().NumPy()
-        for name in ("rho", "z", "v"):
+        for name in step.layout.evolving:
             state[ranges[name]] = old[ranges[name]]
         time.Set(t)
         step.moving_walls.set_values()
@@ -274,8 +274,9 @@ class Integrator:
         limited = 0 if self.bounds is None else self.bounds.limit()
         taken = 0.0
         if limited:
-            change = {name: state[ranges[name]] - old[ranges[name]] for name in ("rho", "z")}
-            taken = -self.distance.slope(states[-1], **change)
+            moved = [name for name in step.layout.evolving if name != "v"]  # v follows from the momentum
+            change = {name: state[ranges[name]] - old[ranges[name]] for name in moved}
+            taken = -self.distance.slope(states[-1], change)
         if self._velocity is None:
             self._velocity = VelocityOfMomentum(
                 step.layout,
@@ -288,7 +289,7 @@ class Integrator:
         impulse = self._velocity()
         self.impulse = impulse / tau
         for name, (_, mask) in step.moving_walls.moving.items():
-            work = self.rothe.exchange.communicator.dot(impulse[mask], states[-1].v[mask])
+            work = self.rothe.exchange.communicator.dot(impulse[mask], states[-1].values["v"][mask])
             rates[f"power_wall_{name}"] += work / tau
         return _End(step.evolved(), limited, taken)
 
@@ -381,7 +382,7 @@ class Integrator:
         def changed(values: np.ndarray) -> np.ndarray:
             return values * (1 + np.finfo(float).eps * signs.choice((-1.0, 1.0), len(values)))
 
-        other = replace(state, v=changed(state.v), rho=changed(state.rho), z=changed(state.z))
+        other = replace(state, values={name: changed(values) for name, values in state.values.items()})
         return _NOISE_MARGIN * sum(abs(part) for part in self.distance(other, state).values())
 
 

@@ -12,7 +12,7 @@ from ngvisco.case import reference, template, toml
 from ngvisco.case.build import parse_case
 from ngvisco.case.keys import KEYS, key
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.values import FieldValue
+from ngvisco.case.values import TensorValue, VectorValue
 
 ENTRIES = reference.entries()
 COMPANIONS = {
@@ -71,7 +71,7 @@ def test_no_description_is_left_over():
 def placed(entry, kind):
     """A case in which the key has its example, in a section of this kind with what else it requires."""
     data = tomllib.loads(BASE)
-    if entry.path[0] == "bodies":
+    if "bodies" in entry.path[:2]:  # also what is measured of them
         data["bodies"] = [{"name": "block", "material": data.pop("material"), "density": 1.0}]
     path = [{"NAME": "left", "N": "0"}.get(part, part) for part in entry.path]
     section = entry.path[:-1]
@@ -203,6 +203,7 @@ def test_the_page_in_the_package_is_the_generated_one():
 
 
 def test_types_are_said_in_words():
-    assert reference.type_text(FieldValue) == "number, expression, or array of them"
+    assert reference.type_text(TensorValue) == "number, expression, or three rows of three of them"
+    assert reference.type_text(VectorValue | None) == "array of numbers or expressions"
     assert reference.type_text(dict[str, float] | None) == "table of numbers"
     assert reference.type_text(str | list[str]) == "text or array of texts"

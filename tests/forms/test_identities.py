@@ -280,7 +280,6 @@ def test_trace_is_the_upwind_value(case: Case) -> None:
     """With z constant in cells and v* uniform, z_hat is that of the cell where the flow comes from."""
     step = step_of(case)
     randomise(step, 8)
-    parts = parts_of(step)
     step.context.eta.Set(1e-6)
     try:
         step.wind.Set(CF((1.0, 0.7, 0.4)[: case.dim]))

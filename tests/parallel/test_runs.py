@@ -517,7 +517,6 @@ from ngvisco.geometries import box
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.petsc import PETScError, Rows
 from ngvisco.run import simulation
-from ngvisco.solver.strategies import FromStartValue
 
 class Fails:
     def start(self, simulation): pass
@@ -531,10 +530,9 @@ law = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, rho_max=1.0) if s
 material = nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1)
 model = nv.Model(material=material, loads=[nv.Gravity((0, -1))], regularisation=law)
 alone = sys.argv[1] in ("singular", "unsolved", "petsc", "density")
-only = [FromStartValue(name="split", solver="split")] if alone else None
-options = {"stepping": steps, "observers": [Fails()], "strategies": only, "halvings": 0}
+options = {"stepping": steps, "observers": [Fails()], "halvings": 0}
 options["initial"] = nv.Initial(velocity=(1e-3, 0.0))  # through walls: that is warned of
-if sys.argv[1] == "retried":
+if alone:
     options["solver"] = "split"
 if sys.argv[1] == "unsolved":
     options["newton"] = nv.NewtonOptions(max_iterations=3)
@@ -544,7 +542,7 @@ if sys.argv[1] == "start" and Communicator.world().rank == 1:
 run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, **options)
 if sys.argv[1] == "step" and run.ranks.rank == 1:
     run.ledger.rates = run.integrator.meter = broken
-if sys.argv[1] in ("singular", "retried") and run.ranks.rank == 1:
+if sys.argv[1] == "singular" and run.ranks.rank == 1:
     def singular(at): raise numpy.linalg.LinAlgError("Singular matrix")
     run.solver.newton.preconditioner.operator.tangent.update = singular
 if sys.argv[1] == "density" and run.ranks.rank == 1:
@@ -559,7 +557,7 @@ if sys.argv[1] == "petsc":
     Rows.solve = fails
 try:
     run.run(until=0.1)
-    message, code = f"{run.solver.retried} steps by the coupled solver", 0
+    message, code = "ended", 0
 except (OSError, nv.StepError) as error:
     message, code = error, 7
 said = run.ranks.gathered(f"rank {run.ranks.rank} of {run.ranks.size} at step {run.number}: {message}")
@@ -603,14 +601,6 @@ def test_an_error_is_that_of_all_ranks(tmp_path, fault, message):
     assert result.stderr.count("InputWarning: initial velocity") == 1
     for rank, line in enumerate(said):
         assert re.match(f"rank {rank} of 3 {message}", line), line
-
-
-def test_all_ranks_ask_the_other_solver_for_what_one_has_met(tmp_path):
-    (tmp_path / "failing.py").write_text(FAILING)
-    result = run(tmp_path / "failing.py", "retried", ranks=3)
-    assert result.returncode == 0, result.stderr
-    said = [line for line in result.stdout.splitlines() if line.startswith("rank")]
-    assert said == [f"rank {rank} of 3 at step 5: 5 steps by the coupled solver" for rank in range(3)]
 
 
 @pytest.mark.parametrize("where", ["start", "step"])

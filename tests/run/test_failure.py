@@ -5,7 +5,8 @@ import pytest
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.run.failure import showing, write_failure
+from ngvisco.run.failure import FailureReport, showing, write_failure
+from ngvisco.solver.solution import Attempt, NewtonIteration, Solution, Status
 
 DT = 0.05
 
@@ -36,8 +37,28 @@ def test_a_refused_solution_is_reported_with_place_quantity_history_and_advice()
     assert report.number == run.number + 1 and report.time == run.t and report.tau == DT
     assert report.history and report.state.shape == (len(run.rothe_step.state.vec),)
     text = str(report)
-    for words in ("det F is not positive", "'left'", "iterations", "limiter = True", 'elastic_state = "B"'):
+    for words in ("det F is not positive", "'left'", "iterations", 'elastic_state = "B"'):
         assert words in text
+    above, below = text.split("\n" + 80 * "-" + "\n")
+    what, change, reached = above.splitlines()
+    assert "det F is not positive" in what and f"in cell {report.violation.cell} at (" in what
+    assert "time.limiter = true" in change and f"t = {run.t:.6g} s" in reached
+    assert "limiter = True" not in text and "AdaptiveSteps" not in text
+    assert len(below.splitlines()) <= 20 and max(map(len, text.splitlines())) < 400
+
+
+def test_attempts_of_one_strategy_are_one_line():
+    """A step that is tried in many parts fills no second screen."""
+    stalled = Solution(Status.STALLED, (NewtonIteration(3.0, 1.0, 1.0, True),) * 9, "as it was said")
+    solved = Solution(Status.CONVERGED, (NewtonIteration(1e-12, 0.1, 1.0, True),))
+    attempts = [Attempt("growing step", one, length=1 / 2**n) for n, one in enumerate([stalled, solved] * 15)]
+    report = FailureReport(
+        0.1, 0.05, 3, "no", None, None, 0.2, 1, (0.5, 0.5), "top", tuple(attempts), ("a", "b")
+    )
+    (line,) = [line for line in str(report).splitlines() if line.startswith("tried")]
+    assert (
+        "growing step: 150 iterations in 30 attempts of 1.9e-09 to 1 of the step, 15 of them solved" in line
+    )
 
 
 def test_a_step_without_a_solution_is_reported_by_where_the_flow_is_fastest(monkeypatch):

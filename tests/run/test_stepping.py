@@ -9,7 +9,6 @@ from support import StopAt
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.solver.strategies import Effort
 from ngvisco.timestepping.error import ErrorEstimate
 
 
@@ -41,10 +40,10 @@ def refuse(run, monkeypatch, is_refused):
     """Let the solver fail at the steps (t, tau) for which ``is_refused`` holds."""
     solve = run.solver.solve
 
-    def refusing(interval, efforts=Effort.ALL):
+    def refusing(interval):
         if is_refused(interval.begin, interval.tau):
             raise nv.StepError(f"refused {interval.tau:g}")
-        return solve(interval, efforts)
+        return solve(interval)
 
     monkeypatch.setattr(run.solver, "solve", refusing)
 

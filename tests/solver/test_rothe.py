@@ -19,9 +19,7 @@ from ngvisco import (
     time,
 )
 from ngvisco.geometries import box
-from ngvisco.solver.rothe import Interval
-from ngvisco.solver.solution import Status, iterations
-from ngvisco.solver.strategies import Effort
+from ngvisco.solver.solution import iterations
 
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 JUMP = Id(3) + IfPos(x - 0.4, 0.4, -0.2) * OuterProduct(CF((1, 0, 0)), CF((0.3, 1, 0)))
@@ -61,9 +59,8 @@ def test_failed_step_restores_the_state_bitwise() -> None:
     assert np.array_equal(run.rothe_step.state_old.vec.FV().NumPy(), before)
     assert (run.t, run.number, time.Get()) == (0.0, 0, 0.0)
     assert len(run.ledger.rows) == 1
-    # all attempts are in the history: the step itself and those with shorter steps
     lines = iterations(error.value.history)
-    assert len(lines) > 4
+    assert len(lines) == 2
     assert all(line.increment > 0 for line in lines)
 
 
@@ -82,19 +79,6 @@ def test_step_after_a_failure_equals_one_without() -> None:
     rows = [run.advance() for run in (clean, failed)]
     assert np.array_equal(state(clean), state(failed))
     assert rows[0] == rows[1] or {k for k in rows[0] if rows[0][k] != rows[1][k]} <= {"J_min", "J_defect"}
-
-
-def test_full_steps_are_taken_whatever_the_increments() -> None:
-    """From a rough start: increments that grow are kept, none is damped, and there are so many at most."""
-    run = simulation("neo_hookean", speed=100.0, F=JUMP, dt=5.0)
-    problem = run.solver.problem(Interval(5.0, 0.0, 5.0, 0.0, 5.0))
-    solution = run.solver.newton.solve(problem, run.rothe_step.state_old.vec, full_steps=4)
-    assert solution.status is Status.TOO_MANY_ITERATIONS
-    history = solution.history
-    assert len(history) == 4
-    assert all(line.damping == 1.0 for line in history)
-    assert max(line.contraction for line in history) > 1
-    assert len({line.increment for line in history}) == 4
 
 
 def test_solution_with_a_defect_is_not_accepted() -> None:
@@ -149,6 +133,6 @@ def test_stiff_body_that_drifts_is_solved_in_long_steps() -> None:
     run = Simulation(mesh, model, dt=10.0, initial=initial, solver="coupled")
     u = run.rothe_step.now
     before = [Integrate(u.rho * u.v[i], mesh) for i in range(2)]
-    lines = iterations(run.integrator.advance(0.0, 10.0, efforts=Effort.DIRECT).history)
+    lines = iterations(run.integrator.advance(0.0, 10.0).history)
     assert 5e-10 < lines[-1].increment < 100e-10
     assert [Integrate(u.rho * u.v[i], mesh) for i in range(2)] == pytest.approx(before, abs=2e-8)

@@ -64,7 +64,7 @@ def test_what_the_limiter_takes_is_needed_for_closed_books(monkeypatch):
     """Negative control."""
     run = cavity()
     distance = run.integrator.distance
-    monkeypatch.setattr(distance, "slope", lambda b, rho, z: 0.0)
+    monkeypatch.setattr(distance, "slope", lambda b, change: 0.0)
     with pytest.warns(nv.ClosureWarning):
         run.run(LIMITED * DT)
 

@@ -13,7 +13,6 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.ledger import NUMERICAL
-from ngvisco.solver.strategies import Effort
 from ngvisco.timestepping.error import ErrorEstimate
 
 SECOND_ORDER = ("midpoint", "sdirk2")
@@ -114,11 +113,11 @@ def test_a_refused_second_stage_leaves_the_state_before_the_step(monkeypatch):
     before, carried = state(run), run.passive.arrays()
     solve, calls = run.solver.solve, []
 
-    def refusing(interval, efforts=Effort.ALL):
+    def refusing(interval):
         calls.append(interval)
         if len(calls) == 2:
             raise nv.StepError("refused")
-        return solve(interval, efforts)
+        return solve(interval)
 
     monkeypatch.setattr(run.solver, "solve", refusing)
     with pytest.raises(nv.StepError, match=r"step of length 0.02 s from t = 0.02 s: refused"):

@@ -36,7 +36,7 @@ def cavity(scheme: str, limiter: bool) -> Simulation:
 
 def _measured() -> Outcome:
     rows: list[list[str | float]] = []
-    curves, worst = [], dict.fromkeys(("closure", "mass", "iterations", "retries"), 0.0)
+    curves, worst = [], dict.fromkeys(("closure", "mass", "iterations"), 0.0)
     reached, ended = END, 0.0
     for scheme in SCHEMES:
         for limiter in (True, False):
@@ -45,7 +45,7 @@ def _measured() -> Outcome:
                 run.run(END)
             except StepError:
                 ended = max(ended, run.t)
-            ledger, solver = run.ledger, run.solver
+            ledger = run.ledger
             column = {name: ledger.column(name)[1:] for name in ("newton_iterations", "limited_cells")}
             closure = float(np.abs(ledger.column("closure_relative")).max())
             mass = float(np.abs(ledger.column("mass_drift")).max())
@@ -56,7 +56,6 @@ def _measured() -> Outcome:
                     "on" if limiter else "off",
                     run.t,
                     *(float(number) for number in (its[0], np.median(its), its.max())),
-                    float(solver.retried),
                     float(column["limited_cells"].sum()),
                     float(ledger.column("limiter").sum()),
                     closure,
@@ -68,7 +67,6 @@ def _measured() -> Outcome:
                 stages = run.scheme.stages
                 worst["closure"], worst["mass"] = max(worst["closure"], closure), max(worst["mass"], mass)
                 worst["iterations"] = max(worst["iterations"], float(its.max()) / stages)
-                worst["retries"] = max(worst["retries"], float(solver.retried))
                 t = [float(s) for s in ledger.column("time")[1:]]
                 curves.append(Curve(scheme, t, [float(n) for n in column["limited_cells"]], ".-"))
     return Outcome(
@@ -78,14 +76,13 @@ def _measured() -> Outcome:
             "largest |closure|": worst["closure"],
             "largest |mass drift|": worst["mass"],
             "most iterations of a solve": worst["iterations"],
-            "coupled retries": worst["retries"],
         },
         tables=[
             Table(
                 "runs with and without",
                 [
                     *("scheme", "limiter", "t reached, s", "iterations: first step", "median", "most"),
-                    *("coupled retries", "limited cells", "limiter, J", "|closure|", "|mass drift|"),
+                    *("limited cells", "limiter, J", "|closure|", "|mass drift|"),
                 ],
                 rows,
             )
@@ -114,7 +111,6 @@ CASES = (
             Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
             Bound("largest |mass drift|", "<=", 1e-11, "rounding, and the transport's tolerance"),
             Bound("most iterations of a solve", "<=", 30.0, "an impulsive start and none harder after it"),
-            Bound("coupled retries", "<=", 0.0, "none is needed"),
         ),
         run=_measured,
         reduced=True,

@@ -1,12 +1,13 @@
-"""Long steps: the share of them that the split solver solves itself, and what the dearest one costs.
+"""Long steps: ``python -m tests.benchmarks.long_steps [NAME ...]`` in the project's root.
 
-A step that is taken in halves counts as the split solver's own, one that the coupled solver would be asked
-for does not, nor do the later ones of its run.  A step's cost is the processor time of all that was tried
-for it, halves and failures too.
+A row for each run: its steps, those taken in parts, iterations, limited cells, the Courant numbers v dt/h and
+c dt/h that it reaches, the dearest step over the median, of processor time, and why it ended.  NAMEs are
+beginnings of families: "grid 2D, linearised", "grid 3D, finite", cavity, recoil, impact, "shear wave", creep.
 """
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -22,19 +23,17 @@ from ngvisco.geometries import box, structured_box
 from ngvisco.physics.materials import NeoHookean
 from ngvisco.physics.model import Gravity, Model
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.physics.walls import NoSlip, PrescribedTangential
 from ngvisco.run.scales import scales
 from ngvisco.run.simulation import Simulation
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.verification.case import Bound, Case, Outcome, Table
 from ngvisco.verification.cases import in_space, riemann, robustness
-from ngvisco.verification.cases.impulsive_starts import STIFF, cavity, released
 from ngvisco.verification.setups import KINDS, SWIRL, block
 
-ALONE = NewtonOptions(method="split")
-"""The split solver, which has no other one to ask: so short a retry is refused."""
+SPLIT = NewtonOptions(method="split")
 
-SHARE, DEAREST = 0.99, 3.0
-"""Of steps that it solves, at least; cost of a step over the median of its run, at most."""
+STIFF = Creep(G_m=1e-4)
+"""A Maxwell time far below a step."""
 
 LARGEST_ELASTIC = 100.0
 """Courant number c dt/h of longitudinal waves up to which a point of the grid counts."""
@@ -66,10 +65,8 @@ class Costs:
     ----------
     seconds : list of float
         Processor time of each step that was tried, s.
-    own : int
-        Steps that the split solver solved.
-    halved : int
-        Those of them that were taken in parts.
+    solved, halved : int
+        Steps that were solved, and those of them that were taken in parts.
     iterations : list of int
         Of each accepted part of a step.
     courant, elastic : float
@@ -80,7 +77,7 @@ class Costs:
     """
 
     seconds: list[float] = field(default_factory=list)
-    own: int = 0
+    solved: int = 0
     halved: int = 0
     iterations: list[int] = field(default_factory=list)
     limited: int = 0
@@ -112,7 +109,7 @@ def measured(run: Simulation, steps: int) -> Costs:
         costs.seconds.append(time.process_time() - began)
         if costs.failure:
             break
-        costs.own += 1
+        costs.solved += 1
         costs.halved += len(run.ledger.rows) > rows + 1
     ledger = run.ledger
     if len(ledger.rows) > 1:
@@ -173,6 +170,35 @@ def grid(kind: str, dim: int) -> Iterator[LongRun]:
     for point in points(dim):
         name = "G = {:g}, K/G = {:g}, viscosity {:g}, dt = {:g}".format(*point)
         yield LongRun(f"grid {dim}D, {kind}", name, partial(block_of, kind, dim, point), GRID_STEPS)
+
+
+def cavity(p: float, dim: int, creep: Creep | None, dt: float, options: NewtonOptions) -> Simulation:
+    """The body of demos/cavity under a lid of full speed; in 3D the lid of a cube of 384 tetrahedra."""
+    model = Model(
+        material=NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1, elastic_state="B" if creep else "F"),
+        viscosity=StokesViscosity(K_v=0.01, G_v=0.01),
+        hyperviscosity=HyperViscosity(mu=1e-5, p=p),
+        creep=creep,
+    )
+    mesh = box((1, 1), 0.1) if dim == 2 else structured_box((1, 1, 1), (4, 4, 4))
+    others = tuple(sorted(set(mesh.GetBoundaries()) - {"top"}))
+    walls = {"top": PrescribedTangential((1.0, *(0.0,) * (dim - 1))), others: NoSlip()}
+    return Simulation(mesh, model, dt=dt, walls=walls, newton=options)
+
+
+def _solid(p: float) -> Model:
+    return Model(
+        material=NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
+        viscosity=StokesViscosity(K_v=0.01, G_v=0.01),
+        hyperviscosity=HyperViscosity(mu=1e-5, p=p),
+    )
+
+
+def released(p: float, dt: float, options: NewtonOptions) -> Simulation:
+    """A body of which one half is sheared at first, without anything that would hold it so."""
+    shear = IfPos(x - 0.5, 0.3, 0.0)
+    F = CF((1, shear, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
+    return Simulation(box((1, 1), 0.1), _solid(p), dt=dt, initial=Initial(values={"F": F}), newton=options)
 
 
 def recoil(dim: int, scheme: str, dt: float, creep: Creep | None, options: NewtonOptions) -> Simulation:
@@ -242,100 +268,34 @@ def runs() -> Iterator[LongRun]:
             yield LongRun("creep", name, partial(recoil, dim, "backward-euler", dt, SOFT), steps)
 
 
-# --- the cases --------------------------------------------------------------------------------------------
+# --- the table ------------------------------------------------------------------------------------------
 
 COLUMNS = (
-    *("run", "steps", "own", "in parts", "iterations: median", "most", "limited cells"),
-    *("v dt/h", "c dt/h", "dearest/median", "why it ended"),
+    *("run", "steps", "in parts", "iterations: median", "most", "limited cells"),
+    *("v dt/h", "c dt/h", "dearest/median", "closure", "why it ended"),
 )
 
 
-def outcome(of: Iterator[LongRun]) -> Outcome:
-    """Shares and costs over the runs, and a table of each."""
-    rows: list[list[str | float]] = []
-    tried = own = 0
-    dearest = closure = courant = elastic = 0.0
-    for one in of:
-        costs = measured(one.make(ALONE), one.steps)
-        tried, own = tried + one.steps, own + costs.own
-        dearest, closure = max(dearest, costs.dearest), max(closure, costs.closure)
-        courant, elastic = max(courant, costs.courant), max(elastic, costs.elastic)
+def all_runs() -> Iterator[LongRun]:
+    """The grids by kind and dimension, and the others."""
+    for kind, dim in product(KINDS, (2, 3)):
+        yield from grid(kind, dim)
+    yield from runs()
+
+
+def main(names: list[str]) -> None:
+    """Print the table, a row as soon as it is known."""
+    print("| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS), sep="\n")
+    for one in all_runs():
+        if names and not one.family.startswith(tuple(names)):
+            continue
+        costs = measured(one.make(SPLIT), one.steps)
         its = costs.iterations or [0]
-        rows.append(
-            [
-                *(f"{one.family}: {one.name}", one.steps, costs.own, costs.halved),
-                *(float(np.median(its)), max(its), costs.limited),
-                *(costs.courant, costs.elastic, costs.dearest, costs.failure),
-            ]
-        )
-    return Outcome(
-        values={
-            "share of the steps that the split solver solves": own / tried,
-            "dearest step over the median of its run": dearest,
-            "largest |closure|": closure,
-            "largest v dt/h": courant,
-            "largest c dt/h": elastic,
-        },
-        tables=[Table("steps of each run", COLUMNS, rows)],
-        remarks=[
-            "A step in parts is one; what failed of it counts too. Costs are of processor time, which other "
-            "processes disturb by a tenth."
-        ],
-    )
+        cells = [f"{one.family}: {one.name}", f"{costs.solved} of {one.steps}", costs.halved]
+        cells += [f"{np.median(its):g}", max(its), costs.limited, f"{costs.courant:.2g}"]
+        cells += [f"{costs.elastic:.2g}", f"{costs.dearest:.1f}", f"{costs.closure:.0e}", costs.failure]
+        print("| " + " | ".join(map(str, cells)) + " |", flush=True)
 
 
-def _bounds(courant: float, elastic: float) -> tuple[Bound, ...]:
-    """What is asked of all runs, and the Courant numbers that they are to reach."""
-    return (
-        Bound("share of the steps that the split solver solves", ">=", SHARE, "halves count as its own"),
-        Bound("dearest step over the median of its run", "<=", DEAREST, "no step that takes minutes"),
-        Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
-        Bound("largest v dt/h", ">=", courant, "what the runs are to cover"),
-        Bound("largest c dt/h", ">=", elastic, "what the runs are to cover"),
-    )
-
-
-def _gridded(kind: str, dim: int) -> Outcome:
-    return outcome(grid(kind, dim))
-
-
-STATEMENT = (
-    "The split solver itself solves 99 of 100 steps, halves of steps among them, and none costs more than "
-    "three times the median of its run"
-)
-DEAR = (
-    "With priority the dearest step is at 2.8.  Beside other processes cavities with p = 4 have reached 3.1 "
-    "to 3.4, by the share that factorisations have in a first step (ngvisco/timestepping/README.md)."
-)
-LABEL = "Euler-small-viscoelastodyn+disc, Euler-large-viscoelastodyn+disc"
-
-CASES = (
-    *(
-        Case(
-            name=f"long-steps-{kind}-{dim}d",
-            theme=robustness.THEME,
-            statement=f"{STATEMENT}: {KINDS[kind]} at Courant numbers to 10 of the flow and to 100 of waves.",
-            label=LABEL,
-            setting=f"The grid of robustness-{kind} on {'98 triangles' if dim == 2 else '162 tetrahedra'}, "
-            f"dt = {', '.join(f'{tau:g}' for tau in TAUS[dim])} s, where c dt/h <= {LARGEST_ELASTIC:g}; "
-            f"{GRID_STEPS} steps each.",
-            bounds=_bounds(9.0, 85.0),
-            run=partial(_gridded, kind, dim),
-        )
-        for kind in KINDS
-        for dim in (2, 3)
-    ),
-    Case(
-        name="long-steps-runs",
-        theme=robustness.THEME,
-        statement=f"{STATEMENT}: cavities, recoils, released loads, impacts, shear waves and creep.",
-        label=LABEL,
-        setting="10 to 50 steps each on 150 to 480 cells in 2D and 3D: impulsive lids (p = 2 and 4, until "
-        "the body is torn, stiff creep), the swirl's recoil by two schemes, a body sheared by 0.3 in one "
-        "half and let go, bars that meet at a fifth of the speed of sound, a standing shear wave of 10 % "
-        "strain.",
-        bounds=_bounds(0.4, 4.0),
-        run=lambda: outcome(runs()),
-        explanation=DEAR,
-    ),
-)
+if __name__ == "__main__":
+    main(sys.argv[1:])

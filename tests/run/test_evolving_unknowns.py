@@ -1,0 +1,283 @@
+"""Unknowns of further terms that evolve: schemes, ledger, error estimate, restart and transfer count them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ngsolve import CF, Integrate, exp, x, y
+
+import ngvisco as nv
+from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.forms.distance import BregmanDistance
+from ngvisco.forms.system import Evolved
+from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.unknowns import Unknown
+from ngvisco.geometries import box
+from ngvisco.physics.tensors import inner, square, tr
+from ngvisco.run.simulation import Simulation
+from ngvisco.run.transfer import transfer
+from ngvisco.timestepping.scheme import scheme_of
+
+RATE = 2.0
+MODEL = nv.Model(
+    material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1),
+    viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+    loads=[nv.Gravity((0.3, -1))],
+)
+
+
+class Relaxation(PointTerm):
+    """dt theta + RATE theta = 0, with an energy theta^2/2; it leaves the flow alone."""
+
+    place, evolves, scale, size = "continuous", True, 1.0, None
+
+    def unknowns(self, setting):
+        return (Unknown("theta", self.place, 1, self.size, evolves=self.evolves, scale=self.scale),)
+
+    def cells(self, u, w):
+        theta, old = u.parts["theta"], u.context.old.parts["theta"]
+        return [inner(u.context.rate(theta - old) + RATE * theta, w.parts["theta"])]
+
+    def entries(self, u):
+        return [Entry("dissipation_theta", "dissipation", Integrand(RATE * square(u.parts["theta"])))]
+
+    def energy(self, u):
+        return Entry("stored", "energy", Integrand(0.5 * square(u.parts["theta"])))
+
+    def slope(self, b, d):
+        return Integrand(inner(b.parts["theta"], d.parts["theta"]))
+
+    def distance(self, a, b):
+        return Entry("bregman", "numerical", Integrand(0.5 * square(a.parts["theta"] - b.parts["theta"])))
+
+
+class Pores(Relaxation):
+    """A pore pressure that drives the flow and is driven by it, and seeps."""
+
+    def cells(self, u, w):
+        p, q, dp, dq = u.parts["theta"], w.parts["theta"], u.gradient("theta"), w.gradient("theta")
+        carried = 0.5 * (inner(u.v, dp) * q - p * inner(u.v, dq))
+        change = u.context.rate(p - u.context.old.parts["theta"]) * q
+        return [change, carried, 0.1 * inner(dp, dq), tr(u.L) * q - p * tr(w.L)]
+
+    def entries(self, u):
+        seeping = Integrand(0.1 * square(u.gradient("theta")))
+        return [Entry("dissipation_theta", "dissipation", seeping)]
+
+
+def simulation(term: object, model: nv.Model = MODEL, maxh: float = 0.6, theta=0.7, **options) -> Simulation:
+    values = {} if theta is None else {"theta": theta}
+    return Simulation(
+        box((1, 1), maxh=maxh),
+        model,
+        dt=0.05,
+        terms=[term],
+        initial=nv.Initial(values=values),
+        **options,
+    )
+
+
+def theta_of(run: Simulation) -> np.ndarray:
+    return run.rothe_step.state.vec.FV().NumPy()[run.rothe_step.layout.ranges["theta"]].copy()
+
+
+@pytest.mark.parametrize("name", ["backward-euler", "midpoint", "sdirk2"])
+@pytest.mark.parametrize("place", ["continuous", "cells"])
+def test_a_scalar_relaxes_by_the_schemes_stability_function(name, place):
+    """theta_1 = R(-RATE tau) theta_0, R of the tableau; the energy that the scheme dissipates is metered."""
+    scheme = scheme_of(name)
+    one, A, b = np.ones(scheme.stages), np.array(scheme.A), np.array(scheme.b)
+    z = -RATE * 0.05
+    stability = 1 + z * b @ np.linalg.solve(np.eye(scheme.stages) - z * A, one)
+    term = Relaxation()
+    term.place = place
+    run = simulation(term, scheme=name, solver="coupled")
+    ledger = run.run(0.1)
+    mean = Integrate(run.rothe_step.now.parts["theta"], run.mesh)
+    assert mean == pytest.approx(0.7 * stability**2, rel=1e-12)
+    assert np.abs(ledger.column("closure_relative")).max() < 1e-13
+    assert ledger.column("dissipation_theta")[-1] > 0.1
+
+
+def test_a_vector_evolves_too():
+    term = Relaxation()
+    term.size = 2
+    run = simulation(term, theta=CF((1.0, -2.0)), solver="coupled")
+    run.run(0.05)
+    found = [Integrate(run.rothe_step.now.parts["theta"][i], run.mesh) for i in range(2)]
+    assert found == pytest.approx([1 / 1.1, -2 / 1.1], rel=1e-12)
+
+
+@pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
+def test_solvers_agree_and_the_ledger_closes_where_it_drives_the_flow(scheme):
+    states, ledgers = [], []
+    for solver in ("coupled", "split"):
+        run = simulation(Pores(), theta=exp(x) * y, scheme=scheme, solver=solver)
+        ledgers.append(run.run(0.1))
+        states.append(theta_of(run))
+        assert np.abs(ledgers[-1].column("closure_relative")).max() < 1e-13
+    assert np.allclose(*states, rtol=1e-9)
+    stored = [ledger.column("stored")[-1] for ledger in ledgers]
+    assert stored[0] == pytest.approx(stored[1], rel=1e-12)
+
+
+def test_energy_and_its_slope_belong_to_the_distance():
+    """B(a, b) = E(a) - E(b) - E'(b)[a - b] in theta and z, v and rho kept."""
+    run = simulation(Pores(), theta=exp(x) * y, solver="coupled")
+    step, distance = run.rothe_step, BregmanDistance(run.rothe_step)
+    a, energy_a = step.evolved(), run.ledger.energy()
+    run.run(0.1)
+    end = step.evolved()
+    b = Evolved({**end.values, "v": a.values["v"], "rho": a.values["rho"]}, a.momentum)
+    for name, values in b.values.items():
+        step.state.vec.FV().NumPy()[step.layout.ranges[name]] = values
+    energy_b = run.ledger.energy()
+    change = {name: a.values[name] - b.values[name] for name in ("theta", "z")}
+    expected = energy_a - energy_b - distance.slope(b, change)
+    found = distance(a, b)
+    assert found["bregman"] == pytest.approx(expected, rel=1e-8) and found["bregman"] > 1e-3
+    del change["theta"]
+    assert distance.slope(b, change) != pytest.approx(energy_a - energy_b - found["bregman"], rel=1e-3)
+
+
+def test_error_estimate_counts_it():
+    """Of a body at rest nothing else changes: a third of theta_2 - 2 theta_1 + theta_0, over theta_2."""
+    model = nv.Model(material=MODEL.material)
+    steps = nv.AdaptiveSteps(dt_min=0.05, dt_max=0.05, tolerance=0.5)
+    term = Relaxation()
+    term.scale = 0.0
+    run = simulation(term, model, stepping=steps, solver="coupled")
+    estimates = [run.advance()["error_estimate"] for _ in range(3)]
+    assert estimates[-1] == pytest.approx((RATE * 0.05) ** 2 / 3, rel=1e-8)
+
+
+def test_error_estimate_of_what_is_zero_is_zero():
+    steps = nv.AdaptiveSteps(dt_min=1e-6, dt_max=1.0, tolerance=0.5)
+    term = Relaxation()
+    term.scale = 0.0
+    run = simulation(term, nv.Model(material=MODEL.material), theta=None, stepping=steps, solver="coupled")
+    assert [run.advance()["error_estimate"] for _ in range(3)][-1] == pytest.approx(0, abs=1e-12)
+
+
+def test_restart_is_bitwise(tmp_path):
+    options = {
+        "theta": exp(x) * y,
+        "scheme": "midpoint",
+        "solver": "split",
+        "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-2),
+    }
+    path = tmp_path / "run.h5"
+    run = simulation(Pores(), observers=[nv.Checkpoints(path, every=1, keep=9)], **options)
+    run.run(0.2)
+    again = simulation(Pores(), **options)
+    again.restore(path, step=run.number - 1)
+    again.run(0.2)
+    assert again.ledger.rows[-1]["error_estimate"] > 0
+    assert theta_of(again).tobytes() == theta_of(run).tobytes()
+    state, same = (one.rothe_step.state.vec.FV().NumPy() for one in (run, again))
+    assert state.tobytes() == same.tobytes()
+
+
+@pytest.mark.parametrize("place", ["continuous", "cells"])
+def test_transfer_carries_it_over(place):
+    """A linear field is carried over exactly, with its energy."""
+    terms = [Relaxation(), Relaxation()]
+    for term in terms:
+        term.place = place
+    source = simulation(terms[0], theta=1 + x - 2 * y, solver="coupled")
+    source.run(0.05)
+    target = simulation(terms[1], maxh=0.45, theta=None, solver="coupled")
+    transfer(source, target)
+    error = target.rothe_step.now.parts["theta"] - (1 + x - 2 * y) / (1 + RATE * 0.05)
+    assert Integrate(error * error, target.mesh) < 1e-24
+    ledger = target.run(0.1)
+    assert abs(ledger.column("closure_relative")[-1]) < 1e-13
+    without = Simulation(box((1, 1), maxh=0.6), MODEL, dt=0.05)
+    with pytest.raises(ParameterError, match="the unknown theta too, which evolves"):
+        transfer(without, simulation(terms[0]))
+
+
+def test_old_value_of_what_does_not_evolve_is_refused_by_name():
+    term = Relaxation()
+    term.evolves = False
+    with pytest.raises(ParameterError, match=r"Relaxation: it reads the old value of theta.*evolves=True"):
+        simulation(term, theta=None)
+
+
+class Reading(Relaxation):
+    """Reads, in its entries, the old value of something of another term."""
+
+    def entries(self, u):
+        return [Entry("power_old", "power", Integrand(square(u.context.old.zeta)))]
+
+
+def test_old_value_is_refused_in_entries_too():
+    with pytest.raises(ParameterError, match="Reading: it reads the old value of zeta"):
+        simulation(Reading(), theta=None)
+
+
+def test_split_solver_says_why_it_refuses_one_in_cells():
+    term = Relaxation()
+    term.place = "cells"
+    with pytest.raises(ParameterError, match=r"Relaxation: it has a row of theta.*rows of the flow only"):
+        simulation(term, solver="split")
+
+
+class Half(PointTerm):
+    """Has a distance and no energy."""
+
+    def distance(self, a, b):
+        return Entry("bregman", "numerical", Integrand(square(a.z - b.z)))
+
+
+class Misnamed(Relaxation):
+    """Puts its energy into a column of its own, where no balance would find it."""
+
+    def energy(self, u):
+        return Entry("heat", "energy", Integrand(square(u.parts["theta"])))
+
+
+class ByVelocity(Relaxation):
+    """Its slope asks for a change of v, where the momentum is kept."""
+
+    def slope(self, b, d):
+        return Integrand(inner(b.v, d.v))
+
+
+@pytest.mark.parametrize(
+    ("term", "said"),
+    [
+        (Half(), "it lacks energy, slope"),
+        (Misnamed(), "'kinetic' or 'stored'"),
+        (ByVelocity(), "ByVelocity: its slope asks for the change of v"),
+    ],
+)
+def test_a_share_of_the_energy_that_would_be_lost_is_refused(term, said):
+    with pytest.raises(ParameterError, match=said):
+        simulation(term, theta=None)
+
+
+def test_declarations_are_checked():
+    with pytest.raises(ParameterError, match="'cells' or 'continuous' for 'theta'"):
+        Unknown("theta", "facets", evolves=True)
+    with pytest.raises(ParameterError, match=r"Unknown\.scale"):
+        Unknown("theta", "cells", evolves=True, scale=-1.0)
+    term = Relaxation()
+    term.unknowns = lambda setting: (Unknown("F", "cells", evolves=True),)
+    with pytest.raises(
+        ParameterError, match="another name for what evolves: the material has a variable 'F'"
+    ):
+        simulation(term, theta=None)
+
+
+def test_start_values_are_known_by_name():
+    with pytest.raises(UnknownNameError, match=r"thata.*theta"):
+        Simulation(
+            box((1, 1), maxh=0.6),
+            MODEL,
+            dt=0.05,
+            terms=[Relaxation()],
+            initial=nv.Initial(values={"thata": 1.0}),
+        )
+    with pytest.raises(ParameterError, match=r"Initial\.values\['theta'\]"):
+        simulation(Relaxation(), theta=CF((1.0, 2.0)))
