@@ -197,6 +197,8 @@ def _add_run_options(command: argparse.ArgumentParser) -> None:
         metavar="N",
         help="threads of assembly; with 1 (default) a resumed run is the uninterrupted one bit for bit",
     )
+    # of a study's runs: its end, however it comes, is theirs
+    command.add_argument("--ends-with-stdin", action="store_true", help=argparse.SUPPRESS)
     command.add_argument("--quiet", action="store_true", help="no progress on the terminal (log.txt has it)")
 
 
