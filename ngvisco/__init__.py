@@ -55,6 +55,7 @@ from ngvisco.physics.model import BodyForce, CentralGravity, Gravity, Model
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, LinearViscosity, StokesViscosity
+from ngvisco.physics.signals import pulse, step, table
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.bodies import Bodies
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
@@ -196,9 +197,12 @@ __all__ = [
     "plot_energies",
     "plot_fields",
     "plot_schemes",
+    "pulse",
     "read_ledger",
     "record",
     "resume_changed",
+    "step",
+    "table",
     "time",
     "transfer",
 ]

@@ -190,8 +190,7 @@ def step_of(case: Case) -> Step:
     """The case's step; tests share it, so that each must set all its fields by ``randomise``."""
     step = Step(small_box(case.dim), case.model, Discretisation(k=case.k, m=case.m))
     step.context.tau.Set(0.3)
-    step.context.loads_from.Set(0.2)
-    step.context.loads_over.Set(0.3)
+    step.context.set_loads(0.2, 0.3)
     # wide smoothing: differences then see the derivative of the upwinding
     step.context.eta.Set(0.3)
     step.context.curvature.Set(0.2)

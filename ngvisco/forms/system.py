@@ -142,7 +142,9 @@ class Step:
         points = IntegrationRuleSpace(mesh, order=self.quadrature.volume_degree // 2)
         self.momentum_old = GridFunction(VectorValued(points, mesh.dim), name="momentum_old")
         self._momentum = GridFunction(VectorValued(points, mesh.dim))
-        self.context = self.layout.context = Context(mesh, model, self.old, self.energy, self.momentum_old)
+        self.context = self.layout.context = Context(
+            mesh, model, self.old, self.energy, self.momentum_old, self.quadrature.volume_degree
+        )
         self.ranges: dict[str, tuple[float, float]] = {}
         """Least and largest start values of the material's parameters, by name."""
         self.residual = self._residual()

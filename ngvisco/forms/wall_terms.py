@@ -45,7 +45,7 @@ class TangentialStress(PointTerm):
 
     def __init__(self, walls: Walls, name: str) -> None:
         self.name = name
-        self.indicator = facet_indicator(walls.mesh, [name])
+        self.indicator, self.region = facet_indicator(walls.mesh, [name]), walls.region([name])
         wall = walls.conditions[name]
         self.f: CoefficientFunction | None = None
         self.friction: CoefficientFunction | None = None
@@ -57,7 +57,7 @@ class TangentialStress(PointTerm):
             self.friction = CF(wall.coefficient)
 
     def _traction(self, u: Fields) -> CoefficientFunction:
-        return _tangential(u.context.average(self.f), u.context.normal)
+        return _tangential(u.context.average(self.f, self.region), u.context.normal)
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         parts = []

@@ -221,7 +221,7 @@ def _set_velocity(source: Simulation, target: Simulation, points: QuadraturePoin
     where = new.layout.ranges["v"]
     new.state.vec.FV().NumPy()[where] = 0.0
     target.set_time(source.t, 0)
-    new.moving_walls.set_values()
+    new.moving_walls.set_present_values()
     project_velocity(new.layout, new.state, v, new.impenetrability, new.quadrature)
 
 

@@ -281,7 +281,7 @@ class Integrator:
         for name in step.layout.evolving:
             state[ranges[name]] = old[ranges[name]]
         time.Set(t)
-        step.moving_walls.set_values()
+        step.moving_walls.set_present_values()
         self._require_admissible()
         limited = 0 if self.bounds is None else self.bounds.limit()
         taken = 0.0

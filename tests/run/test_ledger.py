@@ -160,8 +160,7 @@ def test_closure_is_the_residual_tested_by_the_solution(case: Case) -> None:
     step.context.eta.Set(0.3)
     step.context.curvature.Set(0.2)
     step.context.tau.Set(0.3)
-    step.context.loads_from.Set(0.2)
-    step.context.loads_over.Set(0.3)
+    step.context.set_loads(0.2, 0.3)
     randomise(step, 5)
     new = step.state.vec.CreateVector()
     new.data = step.state.vec
