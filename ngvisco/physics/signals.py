@@ -17,7 +17,7 @@ from ngvisco.errors import ParameterError, as_number
 from ngvisco.physics.time import time
 
 _CHOICE, _TABLE, _TIME = "IfPosCoefficientFunction", "bspline", "ParameterCoefficientFunction"
-_knots: list[np.ndarray] = []
+_knots: dict[bytes, np.ndarray] = {}
 
 
 def step(at: float) -> CoefficientFunction:
@@ -68,18 +68,11 @@ def table(
         If the file cannot be read, a row is not of finite numbers, or times do not increase.
     """
     if isinstance(source, (str, PathLike)):
-        name, rows = f"table {fspath(source)!r}", _rows_of(fspath(source))
+        rows = read_table(source)
     else:
-        name, rows = "table", _rows_from(source, values)
+        rows = _checked("table", _rows_from(source, values))
     times, columns = rows[:, 0], rows[:, 1:]
-    if len(rows) < 2 or columns.shape[1] < 1:
-        raise ParameterError(name, f"{len(rows)} rows of {rows.shape[1]} numbers", "two rows of two at least")
-    if not np.isfinite(rows).all():
-        raise ParameterError(name, "a number that is not finite", "finite numbers")
-    if (late := np.flatnonzero(np.diff(times) <= 0)).size:
-        found = f"{times[late[0]]:g} s, then {times[late[0] + 1]:g} s"
-        raise ParameterError(f"{name}, times", found, "times that increase from row to row")
-    _knots.append(times.copy())
+    _knots[times.tobytes()] = times.copy()
     knots = [times[0], *times, times[-1]]
     begin, end = float(times[0]), float(times[-1])
     within = IfPos(time - begin, IfPos(end - time, time, end), begin)
@@ -91,6 +84,11 @@ def table(
     return parts[0] if len(parts) == 1 else CF(tuple(parts))
 
 
+def read_table(path: str | PathLike[str]) -> np.ndarray:
+    """The rows of a CSV file as ``table`` has them, (rows, 1 + values); raises ParameterError."""
+    return _checked(f"table {fspath(path)!r}", _rows_of(fspath(path)))
+
+
 def breaking(function: CoefficientFunction) -> tuple[list[CoefficientFunction], list[np.ndarray]]:
     """What a function of time breaks by: what its choices by sign decide by, and times of tables, s.
 
@@ -99,7 +97,7 @@ def breaking(function: CoefficientFunction) -> tuple[list[CoefficientFunction], 
     """
     found: list[CoefficientFunction] = []
     _collect(function, found)
-    return found, list(_knots) if _TABLE in str(function) else []
+    return found, list(_knots.values()) if _TABLE in str(function) else []
 
 
 def _collect(function: CoefficientFunction, found: list[CoefficientFunction]) -> None:
@@ -123,6 +121,18 @@ def _number(name: str, field: str, value: object) -> float:
     if number is None:
         raise ParameterError(f"{name}.{field}", value, "a finite number, s")
     return number
+
+
+def _checked(name: str, rows: np.ndarray) -> np.ndarray:
+    if len(rows) < 2 or rows.shape[1] < 2:
+        raise ParameterError(name, f"{len(rows)} rows of {rows.shape[1]} numbers", "two rows of two at least")
+    if not np.isfinite(rows).all():
+        raise ParameterError(name, "a number that is not finite", "finite numbers")
+    times = rows[:, 0]
+    if (late := np.flatnonzero(np.diff(times) <= 0)).size:
+        found = f"{times[late[0]]:g} s, then {times[late[0] + 1]:g} s"
+        raise ParameterError(f"{name}, times", found, "times that increase from row to row")
+    return rows
 
 
 def _rows_from(times: Sequence[float], values: Sequence[float] | Sequence[Sequence[float]]) -> np.ndarray:
