@@ -69,7 +69,7 @@ def test_a_resolved_case_needs_no_file(tmp_path):
         ("column = 2", "column = 3", "from 1 to 2"),
         ("column = 2", "column = true", "from 1 to 2"),
         ('"load.csv"', "7", "path of a CSV file"),
-        ("column = 2", "row = 2", "number, an expression"),
+        ("column = 2", "row = 2", "a number, or an expression"),
     ],
 )
 def test_bad_tables_are_faults_of_their_keys(tmp_path, old, new, message):
