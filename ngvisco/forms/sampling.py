@@ -63,6 +63,14 @@ class Sampler:
         values = self.values(f)
         return self.ranks.least(values), self.ranks.most(values)
 
+    def place_of_largest(self, f: CoefficientFunction) -> tuple[float, ...]:
+        """Where a scalar is largest over all ranks, m."""
+        values, mine = self.values(f), None
+        if len(values):
+            at = int(np.argmax(values))
+            mine = (float(values[at]), tuple(float(c) for c in self.coordinates(np.array([at]))[0]))
+        return max(one for one in self.ranks.gathered(mine) if one is not None)[1]
+
     def require(self, f: CoefficientFunction, name: str, minimum: float | None = None) -> None:
         """Raise InitialDataError unless f is finite (and > ``minimum``) at all points."""
         values = self.values(f)
