@@ -121,7 +121,7 @@ class Scales:
         if self.densities > _DENSER:
             said.append(
                 f"densities differ {self.densities:.2g} times: what is light is thrown about beside what "
-                f"is heavy, and steps are hard to solve; take a ratio below {_DENSER:g}, or short steps at first"
+                f"is heavy, and steps are hard to solve; take a ratio below {_DENSER:g}"
             )
         if self.velocity * self.dt > self.cell:
             said.append(
