@@ -18,6 +18,7 @@ from ngvisco.errors import (
     InputWarning,
     MeshError,
     NgviscoError,
+    NgviscoWarning,
     ParameterError,
     StepError,
     UnknownNameError,
@@ -27,6 +28,7 @@ from ngvisco.forms.given import function_field, grid_field
 from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.notices import print_own
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
 from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
@@ -100,6 +102,7 @@ def _find_geometries() -> None:
 
 
 _find_geometries()
+print_own()
 
 # after the geometries, which the case files' catalogue lists
 from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
@@ -155,6 +158,7 @@ __all__ = [
     "NeoHookean",
     "NewtonOptions",
     "NgviscoError",
+    "NgviscoWarning",
     "NoSlip",
     "NotebookProgress",
     "Observer",

@@ -12,7 +12,6 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from ngvisco.cli import streams
 from ngvisco.cli.exits import BAD_FILE, BAD_INPUT, FAILED, INTERRUPTED
@@ -221,7 +220,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     streams.make_safe()
     with warnings.catch_warnings():
-        warnings.showwarning = _show_warning
+        warnings.showwarning = _notices()
         return _on_ranks(options)
 
 
@@ -309,10 +308,14 @@ def _command(name: str) -> Callable[[argparse.Namespace], int]:
     return table[name]
 
 
-def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
-    """A warning in the words of the command: where in the code it arose helps no user of case files."""
-    del category, where, options
-    streams.complain(f"warning: {message}")
+def _notices() -> Callable[..., None]:
+    """Warnings in the words of the command: where in the code one arose helps no user of case files."""
+    from ngvisco.notices import Notices
+
+    return Notices(
+        lambda message, category: streams.complain(f"warning: {message}"),
+        lambda message, *where, **options: streams.complain(f"warning: {message}"),
+    )
 
 
 def _say(message: str, code: int) -> int:

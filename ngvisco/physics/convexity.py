@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued
 
-from ngvisco.errors import ParameterError, as_integer, require_positive, require_type
+from ngvisco.errors import NgviscoWarning, ParameterError, as_integer, require_positive, require_type
 from ngvisco.physics.material import Material, conjugates
 from ngvisco.physics.pointwise import squares
 from ngvisco.physics.tensors import tensor_space
@@ -30,7 +30,7 @@ _DISTANCES = (1.0, 0.1)
 _ROUNDING = 1e-9
 
 
-class ConvexityWarning(UserWarning):
+class ConvexityWarning(NgviscoWarning):
     """A stored energy is not jointly convex: the ledger's bregman column may be negative."""
 
 

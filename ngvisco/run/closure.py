@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ngvisco.errors import NgviscoWarning
+
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
@@ -17,7 +19,7 @@ def closure_limit(tolerance: float) -> float:
     return max(CLOSED, _PER_TOLERANCE * tolerance)
 
 
-class ClosureWarning(UserWarning):
+class ClosureWarning(NgviscoWarning):
     """The energy ledger of a step does not close: the state does not solve the step's equations."""
 
 

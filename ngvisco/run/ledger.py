@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, sqrt
 
-from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.errors import NgviscoWarning, ParameterError, UnknownNameError
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
 from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
@@ -93,7 +93,7 @@ WARNING_DEFECT = 0.01
 """Relative root mean square of a defect from which on a run warns."""
 
 
-class DefectWarning(UserWarning):
+class DefectWarning(NgviscoWarning):
     """Variables that stand for one thing have parted: the solution is wrong though the ledger closes."""
 
 
