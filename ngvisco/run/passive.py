@@ -58,6 +58,8 @@ TOLERANCE, ENOUGH, ITERATIONS = 1e-12, 1e-9, 200
 """Of the linear systems: what is asked for, what is accepted where rounding is in the way, and how long."""
 
 NAMES = ("F_tot", "reference_map", "creep_strain")
+CARRIED = (*NAMES, "displacement")
+"""Names of the fields that come of these."""
 
 
 class PassiveFields:

@@ -184,7 +184,6 @@ class Simulation:
     ) -> None:
         require_type("Simulation.mesh", mesh, Mesh)
         require_type("Simulation.model", model, Model)
-        require_names_of_their_own(model.material)
         for name, value, kind in (
             ("initial", initial, Initial),
             ("discretisation", discretisation, Discretisation),
@@ -203,6 +202,7 @@ class Simulation:
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping, halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
+        require_names_of_their_own(model.material, self.rothe_step.layout.further)
         check_distributed(self.rothe_step)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.ranks = self.sampler.ranks
