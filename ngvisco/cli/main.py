@@ -29,7 +29,8 @@ examples:
   ngvisco resume results/swirl --set time.dt=0.01 --set 'loads=[]'
   ngvisco run finer.toml -o results/finer --from results/swirl
   ngvisco sweep demos/swirl/swirl.toml --vary material.G_e=1,2,5 --vary time.dt=0.02,0.01
-  ngvisco plot results/swirl && ngvisco scene results/swirl"""
+  ngvisco plot results/swirl && ngvisco scene results/swirl
+  ngvisco plot results/swirl results/finer   # or the directory of a sweep: compared in one picture each"""
 
 _RESUME = """Go on from a directory's last checkpoint, bit for bit, or with --set with other parameters: of
 title, time, loads, walls, solver, output and the numbers of the material and the mechanisms.  For another
@@ -98,8 +99,9 @@ def parser() -> argparse.ArgumentParser:
         ("scene", "the states of the VTK series as one HTML file that opens offline, with time and cuts"),
     ):
         command = commands.add_parser(name, help=text, description=text)
-        needed = None if name != "info" else "?"
-        command.add_argument("directory", metavar="DIR", help="run directory", nargs=needed)
+        needed = {"info": "?", "plot": "+"}.get(name)
+        what = "run directory" + ("; several, or that of a study, are compared" if name == "plot" else "")
+        command.add_argument("directory", metavar="DIR", help=what, nargs=needed)
         if name == "info":
             text = "what distributed runs need instead: MPI, PETSc and its packages, and a test of them"
             command.add_argument("--parallel", action="store_true", help=text)
@@ -163,6 +165,9 @@ def _add_sweep(command: argparse.ArgumentParser) -> None:
 def _add_plot_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--format", choices=("png", "pdf", "svg"), default="png", help="of the pictures (default png)"
+    )
+    command.add_argument(
+        "-o", "--output", metavar="DIR", help="of the pictures of several runs (default: the study, or .)"
     )
     command.add_argument("--section", metavar="PLANE", help="in 3D, e.g. z=0.5 or x (default: z, the middle)")
     command.add_argument(
