@@ -8,8 +8,8 @@ are weighted as the time scheme does.  ``inertial`` and ``bregman`` are the kine
 what it dissipates numerically, sums of Bregman distances (``ngvisco.timestepping.scheme``): for the
 implicit Euler step 1/2 int rho_old |v - v_old|^2 and int phi(z_old) - phi(z) - phi'(z):(z_old - z), the
 latter >= 0 where the energy is convex; of either sign for schemes of second order.  ``limiter`` is the energy
-that limiting the step's end takes in ``limited_cells`` cells (``ngvisco.forms.bounds``); it is in the balance
-like ``inertial`` and ``bregman``.
+that limiting the step's end takes in ``limited_cells`` cells (``ngvisco.forms.bounds``), ``limiter_walls``
+what it takes through walls that are moved; both are in the balance like ``inertial`` and ``bregman``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
 from ngvisco.run.closure import CLOSED
 from ngvisco.run.notebook import data_frame, ledger_html
-from ngvisco.timestepping.integrator import LIMITER, StepTaken
+from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 
 _STRETCH = 1e-4
 """Relative change of the variables whose second difference gives the energy's own scale."""
@@ -109,7 +109,7 @@ class Ledger:
 
     def __init__(self, step: Step, sampler: Sampler) -> None:
         self.step, self.sampler = step, sampler
-        own = (Entry(name, "numerical", Integrand()) for name in (*NUMERICAL, LIMITER))
+        own = (Entry(name, "numerical", Integrand()) for name in (*NUMERICAL, LIMITER, LIMITER_WALLS))
         self.entries = [*step.entries(), *own]
         _check_names(self.entries)
         self._state = _Integrals(step, self._state_integrands())
@@ -207,7 +207,7 @@ class Ledger:
         assert self.balance is not None
         tau, iterations = taken.tau, taken.iterations
         self.step.energy.require()
-        values = {LIMITER: 0.0} | self._absent | self._pending
+        values = {LIMITER: 0.0, LIMITER_WALLS: 0.0} | self._absent | self._pending
         values |= self._state() | taken.rates | taken.numerical
         energy = energy_of(values)
         dissipated, worked = self._sum(values, "dissipation"), self._sum(values, "power")

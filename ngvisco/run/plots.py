@@ -16,7 +16,7 @@ from ngvisco.errors import NgviscoError, ParameterError, _is_number
 from ngvisco.forms.mesh_arrays import coordinates
 from ngvisco.run.files import write_atomically
 from ngvisco.run.outlines import OUTLINE, averaged, has_outline, outline
-from ngvisco.timestepping.integrator import LIMITER
+from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS
 
 if TYPE_CHECKING:
     from ngvisco.run.ledger import Ledger
@@ -135,7 +135,7 @@ def plot_energies(ledger: Ledger, path: str | os.PathLike[str]) -> None:
     dt = ledger.column("dt")
     for entry in ledger.entries:
         rate = ledger.column(entry.name) * (1 if entry.kind == "numerical" else dt)
-        if entry.name == LIMITER and not rate.any():
+        if entry.name in (LIMITER, LIMITER_WALLS) and not rate.any():
             continue  # nothing was limited: no line for it
         label = entry.name.replace("_", " ")
         label = f"numerical: {label}" if entry.kind == "numerical" else label

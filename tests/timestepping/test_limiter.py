@@ -120,6 +120,25 @@ def test_limiter_keeps_the_momentum(scheme):
     require_closed(run.ledger)
 
 
+@pytest.mark.parametrize("scheme", ["backward-euler", "midpoint"])
+def test_what_the_limiter_takes_through_walls_is_its_own(scheme):
+    """The lid's power is that of the same step without a limiter, in which nothing was thinned out."""
+    runs = [cavity(scheme=scheme) for _ in range(2)]
+    for run in runs:
+        run.run(2 * DT)
+    thin_out(runs[1], cell_at_the_lid(runs[1]))
+    plain, limited = (run.advance() for run in runs)
+    assert plain["limiter_walls"] == 0 and limited["limited_cells"] == 1
+    assert limited["limiter_walls"] != 0 and abs(limited["closure_relative"]) <= 1e-10
+    expected = pytest.approx(plain["power_wall_top"], rel=1e-9, abs=1e-9 * abs(limited["limiter_walls"]) / DT)
+    assert limited["power_wall_top"] == expected
+
+
+def cell_at_the_lid(run):
+    places = [np.mean([run.mesh[v].point[1] for v in cell.vertices]) for cell in run.mesh.Elements()]
+    return int(np.argmax(places))
+
+
 def test_a_limited_step_in_3d_closes():
     inside = 64 * x * (1 - x) * y * (1 - y) * z * (1 - z)
     start = nv.Initial(velocity=(inside, -inside, inside))
