@@ -24,9 +24,9 @@ from ngvisco.errors import (
     UnknownNameError,
 )
 from ngvisco.forms.context import time
-from ngvisco.forms.given import function_field, grid_field
-from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.given import function_field, grid_field
+from ngvisco.forms.start.initial import Initial
 from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.notices import print_own
 from ngvisco.physics.bodies import Body

@@ -41,8 +41,8 @@ from ngvisco import (
     StokesViscosity,
     time,
 )
-from ngvisco.forms.initial import set_initial
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.geometries import box

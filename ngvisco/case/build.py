@@ -35,7 +35,7 @@ from ngvisco.errors import (
     require_path,
 )
 from ngvisco.expressions import ExpressionError, parse
-from ngvisco.forms.boundaries import check_boundary_names
+from ngvisco.forms.boundary.boundaries import check_boundary_names
 from ngvisco.forms.context import time
 from ngvisco.parallel.petsc import PETScError
 from ngvisco.physics.bodies import Body

@@ -21,8 +21,8 @@ from ngsolve import (
 
 from ngvisco.errors import InputWarning
 from ngvisco.forms.energy import StoredEnergy
-from ngvisco.forms.facets import boundary_facets, facets_with_two_sides
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh.facets import boundary_facets, facets_with_two_sides
 from ngvisco.forms.rates import Rates
 from ngvisco.forms.time_means import TOLERANCE, TimeMean, mean_in_cells, mean_on_walls
 from ngvisco.parallel.communicator import Communicator

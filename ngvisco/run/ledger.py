@@ -24,7 +24,7 @@ from ngsolve import CF, CoefficientFunction, Det, sqrt
 
 from ngvisco.errors import NgviscoWarning, ParameterError, UnknownNameError
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry, Integrand, Kind
 from ngvisco.physics.defects import relative_defects

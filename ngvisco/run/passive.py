@@ -49,7 +49,7 @@ from ngvisco.errors import CheckpointError, ParameterError, StepError, UnknownNa
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate, Rates
 from ngvisco.forms.system import Step
-from ngvisco.forms.transport import UpwindTrace, transport_in_cells, transport_through_facets
+from ngvisco.forms.terms.transport import UpwindTrace, transport_in_cells, transport_through_facets
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import IDENTITY, inner, square
@@ -212,7 +212,7 @@ class _Growth(Rates):
 
 class _Carrier:
     """f/tau + (v . grad) f - A f = f_old/tau + source, by the transport of the scheme's own variables
-    (``ngvisco.forms.transport``); one matrix for many fields.
+    (``ngvisco.forms.terms.transport``); one matrix for many fields.
 
     The cells' unknowns are condensed: what is solved for are the traces, which cells hand on to each other.
     """

@@ -13,7 +13,7 @@ import numpy as np
 from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y
 
 from ngvisco.errors import NgviscoError, ParameterError, _is_number
-from ngvisco.forms.mesh_arrays import coordinates
+from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.run.files import write_atomically
 from ngvisco.run.outlines import OUTLINE, averaged, has_outline, outline
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, Integrate, Mesh
 
-from ngvisco.forms.mesh_arrays import coordinates
-from ngvisco.forms.momentum import Loading
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.mesh_arrays import coordinates
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.forms.terms.momentum import Loading
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.material import Material, cauchy_stress

@@ -7,7 +7,7 @@ import pytest
 from ngsolve import x
 
 import ngvisco as nv
-from ngvisco.forms.corners import warn_of_corners
+from ngvisco.forms.boundary.corners import warn_of_corners
 from ngvisco.geometries import split_corner_cells, structured_box
 
 

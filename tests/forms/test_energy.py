@@ -22,7 +22,7 @@ from support import (
 
 import ngvisco as nv
 from ngvisco.forms.system import Step
-from ngvisco.forms.transport import Kinematics
+from ngvisco.forms.terms.transport import Kinematics
 
 EPS = 0.05
 REFERENTIAL = nv.ReferentialMooneyRivlin(K_e=3.0, G_e=1.3, G_mr=0.7)

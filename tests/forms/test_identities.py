@@ -17,10 +17,10 @@ from support import (
 )
 
 from ngvisco import Discretisation, Gravity, Model, StokesViscosity, time
-from ngvisco.forms.initial import complete
+from ngvisco.forms.start.initial import complete
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand, Term
-from ngvisco.forms.transport import transport_in_cells, transport_through_facets
+from ngvisco.forms.terms.transport import transport_in_cells, transport_through_facets
 from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import embed_gradient, inner, square
 

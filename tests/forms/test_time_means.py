@@ -59,7 +59,7 @@ def test_a_mean_over_no_time_is_the_value():
 
 def test_a_mean_is_projected_in_cells():
     """Against polynomials of the forms' degree a load's mean is the load's, sines of place too."""
-    from ngvisco.forms.quadrature import Quadrature
+    from ngvisco.forms.mesh.quadrature import Quadrature
 
     value = CF((sin(9 * x) * T, exp(y) * T))
     function, average = mean_in_cells(value, MESH, 6)

@@ -23,13 +23,13 @@ from ngvisco import (
     time,
 )
 from ngvisco.forms.context import Context
-from ngvisco.forms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.initial import _recover_hessian
-from ngvisco.forms.momentum import Convection, Inertia, Loading, Stokes
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import _recover_hessian
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry, Integrand
-from ngvisco.forms.transport import ElasticForce, Kinematics
+from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.terms.momentum import Convection, Inertia, Loading, Stokes
+from ngvisco.forms.terms.transport import ElasticForce, Kinematics
 from ngvisco.geometries import box
 from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.ledger import NUMERICAL, unit

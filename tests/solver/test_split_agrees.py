@@ -9,7 +9,7 @@ import pytest
 from ngsolve import CF, cos, pi, sin, x, y
 
 import ngvisco as nv
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.geometries import box, disc, structured_box
 from ngvisco.physics.materials import examples
 from ngvisco.solver.options import KrylovOptions, SplitOptions

@@ -13,8 +13,8 @@ from functools import cache, partial
 from ngsolve import CF, IfPos, Mesh, x, y
 
 from ngvisco.errors import StepError
-from ngvisco.forms.initial import Initial
-from ngvisco.forms.walls import Conditions
+from ngvisco.forms.boundary.walls import Conditions
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box, structured_box
 from ngvisco.physics.materials import NeoHookean
 from ngvisco.physics.model import Model

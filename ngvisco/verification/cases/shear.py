@@ -7,8 +7,8 @@ import math
 import numpy as np
 from ngsolve import Mesh, y
 
-from ngvisco.forms.initial import Initial
-from ngvisco.forms.walls import Conditions
+from ngvisco.forms.boundary.walls import Conditions
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import channel
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, NeoHookean

@@ -19,18 +19,18 @@ from ngsolve import (
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
 from ngvisco.forms.amounts import Amounts
 from ngvisco.forms.cell_means import CellMeans
-from ngvisco.forms.data_checks import distortion_of, warn_of_mismatch
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.interpolation import Interpolation
-from ngvisco.forms.mesh_arrays import mask_of
-from ngvisco.forms.projections import project_in_cells, set_traces
+from ngvisco.forms.mesh.mesh_arrays import mask_of
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.ranges import Ranges
-from ngvisco.forms.sampling import Sampler
-from ngvisco.forms.starting_bodies import starting_fractions
+from ngvisco.forms.start.data_checks import distortion_of, warn_of_mismatch
+from ngvisco.forms.start.interpolation import Interpolation
+from ngvisco.forms.start.projections import project_in_cells, set_traces
+from ngvisco.forms.start.starting_bodies import starting_fractions
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
+from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material, conjugates, volume_ratio

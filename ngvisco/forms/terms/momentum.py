@@ -49,7 +49,8 @@ class Continuity(PointTerm):
     combination whatever v.n; q = q_hat = 1 conserves mass to rounding (paper: Euler-small-est-1+).
 
     With ``by_trace`` F_hat = a rho_hat and rho_hat is the upwind value by ``UpwindTrace``'s equation: the
-    flux of conserved variables (``ngvisco.forms.transport``), so that rho stays the sum rho_i n_i of bodies.
+    flux of conserved variables (``ngvisco.forms.terms.transport``), so that rho stays the sum rho_i n_i of
+    bodies.
     """
 
     regularisation: Regularisation | None = None

@@ -7,11 +7,11 @@ from functools import partial
 
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.forms.boundaries import facet_indicator
+from ngvisco.forms.boundary.boundaries import facet_indicator
+from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
 from ngvisco.forms.unknowns import Setting, Unknown
-from ngvisco.forms.walls import Walls
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.walls import NavierFriction, Traction
 

@@ -23,9 +23,9 @@ from ngsolve import (
 )
 
 from ngvisco.errors import InputWarning, ParameterError
-from ngvisco.forms.boundaries import walls_of
-from ngvisco.forms.moving_walls import OPEN
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.boundary.boundaries import walls_of
+from ngvisco.forms.boundary.moving_walls import OPEN
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material

@@ -9,7 +9,7 @@ import numpy as np
 from ngsolve import CF, ET, VOL, CoefficientFunction, Integrate, IntegrationRule, Mesh, x, y, z
 
 from ngvisco.errors import InitialDataError
-from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.parallel.communicator import Communicator
 
 _VERTICES: dict[Any, list[tuple[float, ...]]] = {

@@ -21,11 +21,11 @@ from ngsolve import (
 )
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.interpolation import Interpolation
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.boundary.walls import Walls
+from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.spaces import Layout
+from ngvisco.forms.start.interpolation import Interpolation
 from ngvisco.forms.time_means import TimeMean
-from ngvisco.forms.walls import Walls
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.signals import may_read_time
