@@ -16,7 +16,7 @@ from ngvisco.run.fields import field_unit, scalar_fields
 from ngvisco.run.movie import write_movie
 from ngvisco.run.observers import read_pvd
 from ngvisco.run.outlines import outlined
-from ngvisco.run.plots import Section, plot_energies, plot_fields, plot_history, titled
+from ngvisco.run.plots import Section, plot_energies, plot_fields, plot_history, require_space, titled
 from ngvisco.run.scene import write_scene, write_scene_of_series
 from ngvisco.sweep.table import read_table
 
@@ -38,6 +38,7 @@ def plot(options: argparse.Namespace) -> int:
         print(path)
         return 0
     results, chosen = _load(options)
+    require_space(section, results.mesh.dim)  # before anything is drawn
     ledger = results.simulation.ledger
     written = [out / f"{name}.{options.format}" for name in ("energies", "history", "fields")]
     plot_energies(ledger, written[0])
