@@ -137,7 +137,9 @@ def _end_with_stdin(options: argparse.Namespace) -> None:
         return
 
     def wait() -> None:
-        sys.stdin.buffer.read()
+        # not by sys.stdin, whose lock a thread that waits would still hold when Python ends
+        while os.read(0, 1024):
+            pass
         os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=wait, daemon=True).start()

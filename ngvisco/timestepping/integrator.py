@@ -52,8 +52,10 @@ _RELAXATION_TOLERANCE = 1e-12
 _MEETINGS, _MEETING = 6, 1e-13
 """Rothe steps tried until a relaxed step ends at a given time, and what of it may be missed."""
 
-_NOISE_MARGIN = 5.0
-"""Rounding of R, in units of the distance of a state to itself with every number changed by rounding."""
+_NOISE_MARGIN, _NOISE_DRAWS = 5.0, 8
+"""Rounding of R, in units of the distance of a state to itself with every number changed by rounding: the
+root mean square of so many draws, since the sum of a single one may vanish by chance.
+"""
 
 
 class Carried(Protocol):
@@ -435,8 +437,11 @@ class Integrator:
         def changed(values: np.ndarray) -> np.ndarray:
             return values * (1 + np.finfo(float).eps * signs.choice((-1.0, 1.0), len(values)))
 
-        other = replace(state, values={name: changed(values) for name, values in state.values.items()})
-        return _NOISE_MARGIN * sum(abs(part) for part in self.distance(other, state).values())
+        drawn = []
+        for _ in range(_NOISE_DRAWS):
+            other = replace(state, values={name: changed(values) for name, values in state.values.items()})
+            drawn.append(sum(self.distance(other, state).values()))
+        return _NOISE_MARGIN * float(np.sqrt(np.mean(np.square(drawn))))
 
 
 def _add(total: dict[str, float], weight: float, values: dict[str, float]) -> None:

@@ -15,7 +15,9 @@ def values(simulation):
     return simulation.rothe_step.state.vec.FV().NumPy().copy()
 
 
-@pytest.mark.parametrize("name", ["couette", "creep_finite", "shell", "wave"])
+@pytest.mark.parametrize(
+    "name", ["couette", "wave", *(pytest.param(n, marks=pytest.mark.long) for n in ("creep_finite", "shell"))]
+)
 def test_resumed_run_is_bitwise_identical_on_every_kind_of_domain(name, tmp_path):
     """Curved cells, moving walls, creep with its own equation, passive fields, a periodic cell."""
     settings = [f"domain.maxh={0.4 if name == 'wave' else 0.7}", "output.checkpoint.every=1000"]

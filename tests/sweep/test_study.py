@@ -122,6 +122,8 @@ def test_the_table_keeps_rows_of_runs_that_another_command_made(case_file, tmp_p
         Study(case_file, [Variation("material.G_e", ("5",))], directory)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_stopped_study_goes_on_where_it_was(case_file, tmp_path):
     out, words = tmp_path / "study", ["--vary", "material.G_e=1,2", "--set", "time.until=40"]
     command = [
