@@ -18,15 +18,17 @@ from ngvisco.errors import (
     InputWarning,
     MeshError,
     NgviscoError,
+    NgviscoWarning,
     ParameterError,
     StepError,
     UnknownNameError,
 )
 from ngvisco.forms.context import time
-from ngvisco.forms.given import function_field, grid_field
-from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.given import function_field, grid_field
+from ngvisco.forms.start.initial import Initial
 from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.notices import print_own
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
 from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
@@ -55,6 +57,7 @@ from ngvisco.physics.model import BodyForce, CentralGravity, Gravity, Model
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, LinearViscosity, StokesViscosity
+from ngvisco.physics.signals import pulse, step, table
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.bodies import Bodies
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
@@ -99,6 +102,7 @@ def _find_geometries() -> None:
 
 
 _find_geometries()
+print_own()
 
 # after the geometries, which the case files' catalogue lists
 from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
@@ -154,6 +158,7 @@ __all__ = [
     "NeoHookean",
     "NewtonOptions",
     "NgviscoError",
+    "NgviscoWarning",
     "NoSlip",
     "NotebookProgress",
     "Observer",
@@ -196,9 +201,12 @@ __all__ = [
     "plot_energies",
     "plot_fields",
     "plot_schemes",
+    "pulse",
     "read_ledger",
     "record",
     "resume_changed",
+    "step",
+    "table",
     "time",
     "transfer",
 ]

@@ -1,6 +1,7 @@
 """Typed errors: each names the field, the value and what would be right.
 
-``NgviscoError`` is the root, so that a caller can catch everything of ours and nothing else.
+``NgviscoError`` is the root, so that a caller can catch everything of ours and nothing else, and
+``NgviscoWarning`` that of the warnings.
 """
 
 from __future__ import annotations
@@ -89,7 +90,11 @@ class CheckpointError(NgviscoError, RuntimeError):
     """A checkpoint cannot be read, or belongs to another mesh, discretisation or model."""
 
 
-class InputWarning(UserWarning):
+class NgviscoWarning(UserWarning):
+    """Root of all warnings of ngvisco."""
+
+
+class InputWarning(NgviscoWarning):
     """Input that the model takes otherwise than it may be meant; the message says how, and what to change."""
 
 

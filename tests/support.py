@@ -41,8 +41,8 @@ from ngvisco import (
     StokesViscosity,
     time,
 )
-from ngvisco.forms.initial import set_initial
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.geometries import box
@@ -190,8 +190,7 @@ def step_of(case: Case) -> Step:
     """The case's step; tests share it, so that each must set all its fields by ``randomise``."""
     step = Step(small_box(case.dim), case.model, Discretisation(k=case.k, m=case.m))
     step.context.tau.Set(0.3)
-    step.context.loads_from.Set(0.2)
-    step.context.loads_over.Set(0.3)
+    step.context.set_loads(0.2, 0.3)
     step.context.eta.Set(0.3)  # wide smoothing: all shares between 0 and 1
     step.context.curvature.Set(0.2)
     return step

@@ -22,10 +22,12 @@ def load(name):
 @pytest.mark.parametrize(
     ("name", "steps", "options"),
     [
-        ("swirl", 50, {}),
+        ("swirl", 5, {"until": 0.1}),
+        pytest.param("swirl", 50, {}, marks=[pytest.mark.long, pytest.mark.ci]),
         ("swirl3d", 20, {"until": 0.4, "maxh": 0.5}),
         pytest.param("swirl3d", 50, {}, marks=pytest.mark.long),
-        ("creep", 50, {}),
+        ("creep", 5, {"until": 0.25}),
+        pytest.param("creep", 50, {}, marks=pytest.mark.long),
     ],
 )
 def test_demo_keeps_energy_mass_and_positivity(name, steps, options, tmp_path):
@@ -43,7 +45,7 @@ def test_demo_keeps_energy_mass_and_positivity(name, steps, options, tmp_path):
         assert min(ledger.column("bregman").min(), ledger.column("inertial").min()) >= 0
     for file in ("ledger.csv", "run.h5", "energies.png", "fields.png", "vtk/fields.pvd"):
         assert (tmp_path / file).stat().st_size > 0
-    if name == "swirl":  # what its picture compares: Euler's share of the loss is 0.222 J
+    if name == "swirl":  # what its picture compares: Euler's share of the loss is 0.182 J
         assert (tmp_path / "schemes.png").stat().st_size > 0
         assert abs((ledger.column("inertial") + ledger.column("bregman")).sum()) <= 1e-5
 
@@ -75,10 +77,10 @@ LONG = pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "factor"),
     [
-        *((name, factor) for name in ("swirl", "swirl3d", "creep") for factor in (1, 10, 100)),
+        *(("swirl", factor) for factor in (1, 10, 100)),
         *(
             pytest.param(name, factor, marks=[] if factor == 10 else LONG)
-            for name in ("creep_finite", "mooney_rivlin", "barotropic")
+            for name in ("swirl3d", "creep", "creep_finite", "mooney_rivlin", "barotropic")
             for factor in (1, 10, 100)
         ),
     ],

@@ -23,8 +23,9 @@ from ngvisco.case.places import copy_of, digest_of, parts_of, reads_z, shape_of,
 from ngvisco.case.samples import samples
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import Section, field_names, made, parameters
+from ngvisco.case.timetables import with_tables
 from ngvisco.case.units import to_si
-from ngvisco.case.values import as_function
+from ngvisco.case.values import as_function, is_table
 from ngvisco.errors import (
     InitialDataError,
     MeshError,
@@ -34,7 +35,7 @@ from ngvisco.errors import (
     require_path,
 )
 from ngvisco.expressions import ExpressionError, parse
-from ngvisco.forms.boundaries import check_boundary_names
+from ngvisco.forms.boundary.boundaries import check_boundary_names
 from ngvisco.forms.context import time
 from ngvisco.parallel.petsc import PETScError
 from ngvisco.physics.bodies import Body
@@ -102,7 +103,9 @@ def parse_case(text: str, source: str, directory: Path, settings: Sequence[str] 
         overridden.append(path)
     locator = Locator(toml.key_lines(text), overridden)
     try:
-        data, faults = to_si(data, CaseSections, locator)
+        data, faults = with_tables(data, directory, locator)
+        if not faults:
+            data, faults = to_si(data, CaseSections, locator)
         if faults:
             raise CaseError(source, faults)
         sections = CaseSections.model_validate(data)
@@ -358,7 +361,7 @@ class Case:
                 self._check_names(value, (*path, name), dim)
                 self._check_length(value, (*path, name), dim)
                 with self.located(*path, name):
-                    if isinstance(value, dict):
+                    if isinstance(value, dict) and not is_table(value):
                         values[name] = {key: as_function(field) for key, field in value.items()}
                     else:
                         values[name] = value if isinstance(value, (int, float)) else as_function(value)

@@ -12,8 +12,8 @@ from typing import Any
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
 from ngvisco.case.meshfile import read_mesh
 from ngvisco.case.regions import closed_surface, image
-from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import Initial
 from ngvisco.physics.materials import (
     FENEP,
     BarotropicFluid,

@@ -12,7 +12,8 @@
 | bodies.csv    | mass, centroid, energies, ... of each body, a row a step                   |
 | samples/      | probes, lines, forces on walls, integrals over the domain, as CSV         |
 | log.txt       | what was done when                                                        |
-| failed.txt    | of a run that ended at a step: where and why, and what to change          |
+| failed.txt    | of a run that ended at a step: where and why, and what to change; of one  |
+|               | that ended at its first step this and failed.vtu are all that stays       |
 | failed.vtu    | the solution that was refused there, else the last state (ranks: .pvtu)   |
 | lock          | there while a process runs; released by the system even when it is killed |
 
@@ -118,6 +119,14 @@ class RunDirectory:
         for path in self.results:
             path.unlink()
 
+    def keep_failure(self) -> None:
+        """Remove all but the report of a run that made no step, for the corrected case to run here."""
+        for path in set(self.results) - set(self.failures):
+            path.unlink()
+        for folder in (self.vtk, self.path / "samples", self.path / "shapes"):
+            with contextlib.suppress(OSError):  # missing, or with files of the user's
+                folder.rmdir()
+
     def prepare(self, case: Case, image: bytes, source: Origin | None = None) -> None:
         """Write case, mesh (a .vol file's content) and versions of a new run, and where it starts from."""
         write_atomically(self.case_file, case.resolved.encode())
@@ -133,8 +142,8 @@ class RunDirectory:
 
     def refuse_results(self) -> None:
         """Raise RunDirectoryError if there are results of an earlier run."""
-        if self.results:
-            found = ", ".join(sorted(path.name for path in self.results)[:3])
+        if results := set(self.results) - set(self.failures):
+            found = ", ".join(sorted(path.name for path in results)[:3])
             raise RunDirectoryError(
                 f"{self.path}: holds results of an earlier run ({found}, ...); resume it, choose another "
                 "directory, or replace it with --force"
@@ -246,7 +255,13 @@ def run(
 
     with ranks.held_by_first(place.locked()):
         ranks.on_first(begin)
-        return _go(place, case, simulation, None, observers, notes)
+        start = simulation.number
+        try:
+            return _go(place, case, simulation, None, observers, notes)
+        except StepError:
+            if simulation.number == start:
+                ranks.on_first(place.keep_failure)
+            raise
 
 
 def resume(

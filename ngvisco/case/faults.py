@@ -30,6 +30,14 @@ _TYPES = {
 }
 
 
+_LIMITS = {
+    "greater_than": ">",
+    "greater_than_equal": ">=",
+    "less_than": "<",
+    "less_than_equal": "<=",
+}
+
+
 class Locator:
     """Lines of keys: of the file, or of the command line where a key was set there."""
 
@@ -97,6 +105,9 @@ def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: 
         written = difflib.get_close_matches(wanted, [str(key) for key in value], n=1, cutoff=0.5)
         hint = f"; {written[0]!r} is unknown: did you mean {wanted!r}?" if written else ""
         return f"the key {wanted!r} is missing{hint}"
+    if kind in _LIMITS:
+        (limit,) = context.values()
+        return f"{shown(value)}: expected a number {_LIMITS[kind]} {limit:g}"
     if kind == "literal_error":
         return f"{shown(value)}: expected {context['expected']}"
     return f"{shown(value)}: {_TYPES.get(kind, one['msg'].lower())}"

@@ -11,7 +11,7 @@ import numpy as np
 from ngsolve import Mesh
 
 from ngvisco.errors import MeshError
-from ngvisco.forms.mesh_arrays import coordinates
+from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.parallel.mesh import has_geometry, volume_and_surface
 
 _DIGITS = 1e-5

@@ -24,7 +24,7 @@ from ngvisco.case.faults import Locator, models_in
 from ngvisco.case.keys import key
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.reference import owner_name
-from ngvisco.case.values import FIELDS, NumberValues
+from ngvisco.case.values import FIELDS, NumberValues, is_table
 from ngvisco.expressions import ExpressionError, parse, parse_region
 
 SI = {
@@ -213,6 +213,9 @@ class Converter:
             return value if scale == 1.0 else value * scale
         if isinstance(value, list):
             return [self._value(part, unit, is_field) for part in value]
+        if is_table(value):
+            times = self._value(value["times"], SI["time"], False)
+            return {"times": times, "values": self._value(value["values"], unit, False)}
         if isinstance(value, dict):
             return {name: self._value(part, unit, is_field) for name, part in value.items()}
         if isinstance(value, str):

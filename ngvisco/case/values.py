@@ -9,6 +9,12 @@ from pydantic import AfterValidator, WithJsonSchema
 
 from ngvisco.errors import as_number
 from ngvisco.expressions import parse, parse_region
+from ngvisco.physics.signals import table
+
+
+def is_table(value: Any) -> bool:
+    """Whether a value is a table of time, which a case that was read has in place of its file."""
+    return isinstance(value, dict) and set(value) == {"times", "values"}
 
 
 def _check_scalar(value: Any) -> Any:
@@ -23,11 +29,17 @@ def _check_scalar(value: Any) -> Any:
 
 
 def _check_vector(value: Any) -> Any:
-    """An array of numbers and expressions; raises ValueError."""
+    """An array of numbers, expressions and tables of time, or one such table; raises ValueError."""
+    if is_table(value):
+        table(value["times"], value["values"])
+        return value
     if not isinstance(value, list) or not value or any(isinstance(part, list) for part in value):
         raise ValueError('expected an array of its components, as in [0, "-1 + x"]')
     for part in value:
-        _check_scalar(part)
+        if is_table(part):
+            table(part["times"], part["values"])
+        else:
+            _check_scalar(part)
     return value
 
 
@@ -48,9 +60,9 @@ ScalarValue = Annotated[Any, AfterValidator(_check_scalar), WithJsonSchema({"typ
 VectorValue = Annotated[
     Any,
     AfterValidator(_check_vector),
-    WithJsonSchema({"type": "array", "items": {"type": ["number", "string"]}}),
+    WithJsonSchema({"type": ["array", "object"], "items": {"type": ["number", "string", "object"]}}),
 ]
-"""A vector field."""
+"""A vector field; an object is a table of time."""
 TensorValue = Annotated[
     Any, AfterValidator(_check_tensor), WithJsonSchema({"type": ["number", "string", "array"]})
 ]
@@ -110,4 +122,6 @@ def as_function(value: Any) -> Any:
 
 
 def _scalar(value: Any) -> CoefficientFunction:
+    if isinstance(value, dict):
+        return table(value["times"], value["values"])
     return parse(value).coefficient() if isinstance(value, str) else CF(float(value))

@@ -12,7 +12,6 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from ngvisco.cli import streams
 from ngvisco.cli.exits import BAD_FILE, BAD_INPUT, FAILED, INTERRUPTED
@@ -30,7 +29,8 @@ examples:
   ngvisco resume results/swirl --set time.dt=0.01 --set 'loads=[]'
   ngvisco run finer.toml -o results/finer --from results/swirl
   ngvisco sweep demos/swirl/swirl.toml --vary material.G_e=1,2,5 --vary time.dt=0.02,0.01
-  ngvisco plot results/swirl && ngvisco scene results/swirl"""
+  ngvisco plot results/swirl && ngvisco scene results/swirl
+  ngvisco plot results/swirl results/finer   # or the directory of a sweep: compared in one picture each"""
 
 _RESUME = """Go on from a directory's last checkpoint, bit for bit, or with --set with other parameters: of
 title, time, loads, walls, solver, output and the numbers of the material and the mechanisms.  For another
@@ -99,8 +99,9 @@ def parser() -> argparse.ArgumentParser:
         ("scene", "the states of the VTK series as one HTML file that opens offline, with time and cuts"),
     ):
         command = commands.add_parser(name, help=text, description=text)
-        needed = None if name != "info" else "?"
-        command.add_argument("directory", metavar="DIR", help="run directory", nargs=needed)
+        needed = {"info": "?", "plot": "+"}.get(name)
+        what = "run directory" + ("; several, or that of a study, are compared" if name == "plot" else "")
+        command.add_argument("directory", metavar="DIR", help=what, nargs=needed)
         if name == "info":
             text = "what distributed runs need instead: MPI, PETSc and its packages, and a test of them"
             command.add_argument("--parallel", action="store_true", help=text)
@@ -165,6 +166,9 @@ def _add_plot_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--format", choices=("png", "pdf", "svg"), default="png", help="of the pictures (default png)"
     )
+    command.add_argument(
+        "-o", "--output", metavar="DIR", help="of the pictures of several runs (default: the study, or .)"
+    )
     command.add_argument("--section", metavar="PLANE", help="in 3D, e.g. z=0.5 or x (default: z, the middle)")
     command.add_argument(
         "--movie",
@@ -197,6 +201,8 @@ def _add_run_options(command: argparse.ArgumentParser) -> None:
         metavar="N",
         help="threads of assembly; with 1 (default) a resumed run is the uninterrupted one bit for bit",
     )
+    # of a study's runs: its end, however it comes, is theirs
+    command.add_argument("--ends-with-stdin", action="store_true", help=argparse.SUPPRESS)
     command.add_argument("--quiet", action="store_true", help="no progress on the terminal (log.txt has it)")
 
 
@@ -219,7 +225,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     streams.make_safe()
     with warnings.catch_warnings():
-        warnings.showwarning = _show_warning
+        warnings.showwarning = _notices()
         return _on_ranks(options)
 
 
@@ -307,10 +313,14 @@ def _command(name: str) -> Callable[[argparse.Namespace], int]:
     return table[name]
 
 
-def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
-    """A warning in the words of the command: where in the code it arose helps no user of case files."""
-    del category, where, options
-    streams.complain(f"warning: {message}")
+def _notices() -> Callable[..., None]:
+    """Warnings in the words of the command: where in the code one arose helps no user of case files."""
+    from ngvisco.notices import Notices
+
+    return Notices(
+        lambda message, category: streams.complain(f"warning: {message}"),
+        lambda message, *where, **options: streams.complain(f"warning: {message}"),
+    )
 
 
 def _say(message: str, code: int) -> int:

@@ -10,16 +10,23 @@ from ngsolve import CoefficientFunction, SetNumThreads
 
 from ngvisco import case as cases
 from ngvisco.case.directory import Results, RunDirectory
+from ngvisco.errors import ParameterError
+from ngvisco.run.comparison import plot_comparison
 from ngvisco.run.fields import field_unit, scalar_fields
 from ngvisco.run.movie import write_movie
 from ngvisco.run.observers import read_pvd
 from ngvisco.run.outlines import outlined
-from ngvisco.run.plots import Section, plot_energies, plot_fields, plot_history, titled
+from ngvisco.run.plots import Section, plot_energies, plot_fields, plot_history, require_space, titled
 from ngvisco.run.scene import write_scene, write_scene_of_series
+from ngvisco.sweep.table import read_table
 
 
 def plot(options: argparse.Namespace) -> int:
-    """Energies, history and fields as pictures into the run directory, or an animation."""
+    """Energies, history and fields as pictures into the run directory, an animation, or a comparison."""
+    runs = _runs(options)
+    if len(runs) > 1:
+        return _compare(options, runs)
+    ((_, options.directory),) = runs.items()
     out = Path(options.directory)
     section = None if options.section is None else Section.parse(options.section)
     if options.movie is not None:
@@ -31,6 +38,7 @@ def plot(options: argparse.Namespace) -> int:
         print(path)
         return 0
     results, chosen = _load(options)
+    require_space(section, results.mesh.dim)  # before anything is drawn
     ledger = results.simulation.ledger
     written = [out / f"{name}.{options.format}" for name in ("energies", "history", "fields")]
     plot_energies(ledger, written[0])
@@ -40,6 +48,29 @@ def plot(options: argparse.Namespace) -> int:
     lines = _outlines(results)
     plot_fields(results.mesh, fields, written[2], section=section, title=title, outlines=lines)
     for path in written:
+        print(path)
+    return 0
+
+
+def _runs(options: argparse.Namespace) -> dict[str, Path]:
+    """Run directories by label: those that are named, or those of a study."""
+    places = [Path(text) for text in options.directory]
+    if len(places) == 1 and (places[0] / "sweep.csv").exists():
+        names = [outcome.name for outcome in read_table(places[0] / "sweep.csv")]
+        done = {name: places[0] / name for name in names if (places[0] / name / "run.h5").exists()}
+        if not done:
+            raise ParameterError("plot", str(places[0]), "a study with runs that made a step")
+        return done
+    return {str(place): place for place in places}
+
+
+def _compare(options: argparse.Namespace, runs: dict[str, Path]) -> int:
+    for name in ("movie", "section", "step"):
+        if (value := getattr(options, name)) is not None:
+            raise ParameterError(f"plot --{name}", value, "one run directory; several are compared over time")
+    study = len(options.directory) == 1
+    out = Path(options.output or (options.directory[0] if study else "."))
+    for path in plot_comparison(runs, out, _names(options), options.format):
         print(path)
     return 0
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
 import signal
 import sys
+import threading
 import time as clock
 from pathlib import Path
 from types import FrameType
@@ -98,6 +100,7 @@ class ProgressBar:
 
 def run(options: argparse.Namespace) -> int:
     """Run a case."""
+    _end_with_stdin(options)
     SetNumThreads(options.threads)
     case = cases.load_case(options.case, options.settings)
     directory = Path(options.output or Path("results") / Path(options.case).stem)
@@ -109,6 +112,7 @@ def run(options: argparse.Namespace) -> int:
 
 def resume(options: argparse.Namespace) -> int:
     """Go on with a run."""
+    _end_with_stdin(options)
     SetNumThreads(options.threads)
     directory = Path(options.directory)
     if options.until is not None and not 0 < options.until < float("inf"):
@@ -121,6 +125,20 @@ def resume(options: argparse.Namespace) -> int:
     observers = [*_terminal(options, until), stop]
     result = cases.resume(directory, options.until, observers=observers, settings=options.settings)
     return _close(directory, result, stop)
+
+
+def _end_with_stdin(options: argparse.Namespace) -> None:
+    """Stop as by SIGTERM when standard input is closed: the process that began this one has died."""
+    if not options.ends_with_stdin:
+        return
+
+    def wait() -> None:
+        # not by sys.stdin, whose lock a thread that waits would still hold when Python ends
+        while os.read(0, 1024):
+            pass
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 def _terminal(options: argparse.Namespace, until: float) -> list[Observer]:

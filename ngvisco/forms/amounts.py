@@ -18,7 +18,7 @@ import numpy as np
 from ngsolve import CF
 
 from ngvisco.forms.cell_means import SHARE, CellMeans, Near
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.bodies import Amount

@@ -34,9 +34,9 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.forms.amounts import Amounts
 from ngvisco.forms.cell_means import SHARE, CellMeans
-from ngvisco.forms.locating import nearest_wall
+from ngvisco.forms.mesh.locating import nearest_wall
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.ranges import Ranges
-from ngvisco.forms.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.mesh import number_of
 

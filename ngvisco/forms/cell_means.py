@@ -10,7 +10,7 @@ from ngsolve import L2, BilinearForm, FacetFESpace, GridFunction, Periodic, Vect
 from scipy.sparse import csr_matrix
 
 from ngvisco.forms.elimination import LocalProjection
-from ngvisco.forms.points import csr
+from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import tested
 from ngvisco.parallel.communicator import Communicator

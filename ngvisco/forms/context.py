@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TypeVar
 
 from ngsolve import (
+    CF,
     EDGE,
     FACE,
     L2,
@@ -13,16 +14,21 @@ from ngsolve import (
     GridFunction,
     Mesh,
     Parameter,
+    Region,
     TaskManager,
     specialcf,
 )
 
+from ngvisco.errors import InputWarning
 from ngvisco.forms.energy import StoredEnergy
-from ngvisco.forms.facets import boundary_facets, facets_with_two_sides
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh.facets import boundary_facets, facets_with_two_sides
 from ngvisco.forms.rates import Rates
+from ngvisco.forms.time_means import TOLERANCE, TimeMean, mean_in_cells, mean_on_walls
 from ngvisco.forms.upwinding import Upwinding
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.model import Model
+from ngvisco.physics.signals import may_read_time
 from ngvisco.physics.time import time
 
 __all__ = ["Context", "cell_size", "inner_facets", "time"]
@@ -45,13 +51,14 @@ class Context:
         wind: CoefficientFunction,
         energy: StoredEnergy | None = None,
         momentum_old: CoefficientFunction | None = None,
+        degree: int = 8,
     ) -> None:
         """``wind`` is the velocity v* of the upwinding, m/s.
 
         ``energy`` may be None where the material's energy has an expression.
 
         ``momentum_old`` are the values of m_old at the points of the forms' rule, kg/(m^2 s); None for
-        rho_old v_old.
+        rho_old v_old.  ``degree`` is that of the forms' rule.
         """
         self.mesh, self.old = mesh, old
         self.energy = energy or StoredEnergy(model.material, mesh.dim)
@@ -61,6 +68,10 @@ class Context:
         """Length of the Rothe step, s."""
         self.loads_from, self.loads_over = Parameter(0.0), Parameter(1.0)
         """Start and length of the interval over which loads are averaged, s."""
+        self._degree = degree
+        self._means: dict[tuple[CoefficientFunction, str], tuple[GridFunction, TimeMean]] = {}
+        self._averaged: tuple[float, float] | None = None
+        self._has_warned = False
         self.eta = Parameter(1e-6)
         """Width of the smoothed sign of v* . n, m/s."""
         self.curvature = Parameter(1e-6)
@@ -82,9 +93,31 @@ class Context:
         Loads are averaged over ``loads_over`` (s, 0 for a value at one time) from ``loads_from`` (s) on.
         """
         self.tau.Set(tau)
-        self.loads_from.Set(loads_from)
-        self.loads_over.Set(loads_over)
+        self.set_loads(loads_from, loads_over)
         time.Set(end)
+
+    def set_loads(self, begin: float, over: float) -> None:
+        """Average loads over ``over`` (s, 0 for a value at one time) from ``begin`` (s) on."""
+        self.loads_from.Set(begin)
+        self.loads_over.Set(over)
+        if (begin, over) == self._averaged:
+            return
+        for (_, on_wall), (_, mean) in self._means.items():
+            self.require_mean("a traction" if on_wall else "a load", mean.update(begin, over))
+        self._averaged = begin, over
+
+    def require_mean(self, what: str, error: float) -> None:
+        """Warn, once, of a mean over the step with an error that is more than the tolerance."""
+        if error <= TOLERANCE or self._has_warned:
+            return
+        self._has_warned = True
+        Communicator.of(self.mesh).warn(
+            f"the mean of {what} over the step from t = {self.loads_from.Get():g} s is known to {error:.0e} "
+            "of its largest value only: it changes too often in the step, or at other times at other places; "
+            "shorter steps follow it",
+            InputWarning,
+            stacklevel=2,
+        )
 
     def rate(self, difference: Value) -> Value:
         """difference/tau, of coefficient functions, numbers, arrays or matrices: the only place with 1/tau.
@@ -101,15 +134,39 @@ class Context:
         """
         return value
 
-    def average(self, value: CoefficientFunction) -> CoefficientFunction:
-        """The mean over ``loads_over`` by two Gauss points in time (exact for cubic functions of time;
-        paper: g^k_{delta tau}).
+    def average(self, value: CoefficientFunction, walls: Region | None = None) -> CoefficientFunction:
+        """The mean over ``loads_over`` to ``ngvisco.forms.time_means.TOLERANCE`` (paper: g^k_{delta tau}).
+
+        What reads the time is made anew by every ``set_loads``; anything else is ``value`` itself.  It is for
+        cells, or for the facets of ``walls``.
         """
-        spread = 0.5 / 3**0.5
-        early, late = (
-            value.Replace({time: self.loads_from + s * self.loads_over}) for s in (0.5 - spread, 0.5 + spread)
-        )
-        return 0.5 * (early + late)
+        if not may_read_time(value):
+            return value
+        key = value, "" if walls is None else str(walls.Mask())
+        if key not in self._means:
+            self._means[key] = self._mean(value, walls)
+        return _shaped(self._means[key][0], value)
+
+    def average_now(self, value: CoefficientFunction) -> CoefficientFunction:
+        """The same in cells of a function that no form holds: it is not made anew."""
+        if (value, "") in self._means or not may_read_time(value):
+            return self.average(value)
+        return _shaped(self._mean(value, None)[0], value)
+
+    def _mean(self, value: CoefficientFunction, walls: Region | None) -> tuple[GridFunction, TimeMean]:
+        if walls is None:
+            made = mean_in_cells(value, self.mesh, self._degree)
+        else:
+            made = mean_on_walls(value, self.mesh, self._degree, walls)
+        made[1].update(self.loads_from.Get(), self.loads_over.Get())
+        return made
+
+
+def _shaped(function: GridFunction, value: CoefficientFunction) -> CoefficientFunction:
+    if not value.dims:
+        return function
+    vector = function if function.dim == value.dim else CF(tuple(function.components))
+    return vector.Reshape(tuple(value.dims))
 
 
 def periodic_facets(mesh: Mesh) -> set[int]:

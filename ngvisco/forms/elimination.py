@@ -18,8 +18,8 @@ from ngsolve import (
     LinearForm,
 )
 
-from ngvisco.forms.mesh_arrays import is_simplicial
-from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.mesh.mesh_arrays import is_simplicial
+from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.term import Integrands, Projecting, Term, tested
 from ngvisco.forms.withheld import refused_by_name

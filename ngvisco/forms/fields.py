@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Grad, specialcf
 
-from ngvisco.physics.tensors import embed_gradient, trace_free_tensors
+from ngvisco.physics.tensors import constant, embed_gradient, trace_free_tensors
 from ngvisco.physics.variables import Values
 
 if TYPE_CHECKING:
@@ -197,7 +197,7 @@ class Fields:
                 for b in range(size):
                     for k in range(dim):
                         matrix[i * dim + j, (i * size + b) * dim + k] = basis[j * dim + k, b]
-        flat = CF(tuple(matrix.ravel()), dims=matrix.shape) * gradient.Reshape((matrix.shape[1],))
+        flat = constant(matrix) * gradient.Reshape((matrix.shape[1],))
         return flat.Reshape((rows, dim))
 
     @cached_property
@@ -221,5 +221,5 @@ def contraction(n: CoefficientFunction, dim: int) -> CoefficientFunction:
     matrix = np.zeros((basis.shape[1] * dim, dim))
     for b in range(basis.shape[1]):
         matrix[b * dim : (b + 1) * dim] = basis[:, b].reshape(dim, dim)
-    rows = CF(tuple(matrix.ravel()), dims=matrix.shape) * n
+    rows = constant(matrix) * n
     return rows.Reshape((basis.shape[1], dim))

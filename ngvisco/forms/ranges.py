@@ -12,7 +12,7 @@ import numpy as np
 from ngsolve import CF
 
 from ngvisco.forms.cell_means import CellMeans
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.physics.parameters import Parameter
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued
+from ngsolve import L2, GridFunction, VectorValued
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
@@ -24,7 +24,7 @@ from ngvisco.physics.material import Material, creep_tensors
 from ngvisco.physics.model import Model
 from ngvisco.physics.pointwise import squares
 from ngvisco.physics.rheology import Creep
-from ngvisco.physics.tensors import embed_gradient, tensor_space
+from ngvisco.physics.tensors import constant, embed_gradient, tensor_space
 
 
 @dataclass(frozen=True)
@@ -40,24 +40,24 @@ class RateTensors:
     def of(cls, material: Material, dim: int, creep: Creep | None = None) -> RateTensors:
         """Read off from ``material.variables`` at z = 0 and at unit vectors of the components."""
         n, space = material.states(dim).size, creep_tensors(creep, dim)
-        zero = _constant(np.zeros((3, 3)))
+        zero = constant(np.zeros((3, 3)))
         directions = []
         for unit in np.eye(dim * dim):
-            directions.append((embed_gradient(_constant(unit.reshape(dim, dim)), dim), zero))
-        directions += [(zero, _constant(np.array(P))) for P in space.basis]
+            directions.append((embed_gradient(constant(unit.reshape(dim, dim)), dim), zero))
+        directions += [(zero, constant(np.array(P))) for P in space.basis]
 
         mesh, points = squares(1 + int(np.sqrt(n)))  # a square each for z = 0 and the unit vectors
         z = GridFunction(VectorValued(L2(mesh, order=0), n))
         z.vec.FV().NumPy().reshape(n, -1)[:, 1 : n + 1] = np.eye(n)
         tensors = material.states(dim).tensors(lambda: z)
-        constant = np.zeros((len(directions), n))
+        at_zero = np.zeros((len(directions), n))
         linear = np.zeros((len(directions), n, n))
         for x, (L, Pi) in enumerate(directions):
             of_variables = {v.name: v.rate(tensors, L, Pi) for v in material.variables}
             rates = np.asarray(material.states(dim).components(of_variables)(points)).reshape(-1, n).T
-            constant[x] = rates[:, 0]
+            at_zero[x] = rates[:, 0]
             linear[x] = rates[:, 1 : n + 1] - rates[:, :1]
-        return cls(constant, linear, dim * dim)
+        return cls(at_zero, linear, dim * dim)
 
     @property
     def creep_size(self) -> int:
@@ -176,7 +176,3 @@ class TabulatedRates:
         if self._of_conjugates is None:
             return a * R, None
         return a * R, (b * R)[:, None, None] * self._of_conjugates
-
-
-def _constant(array: np.ndarray) -> CoefficientFunction:
-    return CF(tuple(float(a) for a in array.ravel()), dims=array.shape)

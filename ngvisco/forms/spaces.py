@@ -142,6 +142,11 @@ class Layout:
         names = [name for name in self.names if self.unknowns[name].evolves]
         return tuple(sorted(names, key=lambda name: self.unknowns[name].place != "velocity"))
 
+    @property
+    def further(self) -> tuple[str, ...]:
+        """What evolves beside the paper's v, rho and z, by further terms."""
+        return tuple(name for name in self.evolving if name not in ("v", "rho", "z"))
+
     def names_of(self, *places: Place) -> list[str]:
         """The unknowns that live there, in their order."""
         return [name for name in self.names if self.unknowns[name].place in places]

@@ -27,24 +27,24 @@ import numpy as np
 from ngsolve import BilinearForm, GridFunction, Mesh, VectorValued
 from ngsolve.comp import IntegrationRuleSpace
 
-from ngvisco.forms.boundaries import check_mesh
+from ngvisco.forms.boundary.boundaries import check_mesh
+from ngvisco.forms.boundary.moving_walls import MovingWalls
+from ngvisco.forms.boundary.wall_terms import Impenetrability, wall_terms
+from ngvisco.forms.boundary.walls import Conditions, Walls
 from ngvisco.forms.context import Context
-from ngvisco.forms.creep import CreepRate
 from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
 from ngvisco.forms.fading import fading_terms
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.momentum import Continuity, Convection, Inertia, Loading, Stokes
-from ngvisco.forms.moving_walls import MovingWalls
-from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.rate_tensors import TabulatedRates
-from ngvisco.forms.regularisation import regularising_terms
 from ngvisco.forms.spaces import Discretisation, Layout
 from ngvisco.forms.term import Entry, Integrand, Term
-from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
-from ngvisco.forms.wall_terms import Impenetrability, wall_terms
-from ngvisco.forms.walls import Conditions, Walls
+from ngvisco.forms.terms.creep import CreepRate
+from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.terms.momentum import Continuity, Convection, Inertia, Loading, Stokes
+from ngvisco.forms.terms.regularisation import regularising_terms
+from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
 from ngvisco.forms.withheld import GivenParts, refused_by_name
 from ngvisco.physics.model import Model
 
@@ -145,7 +145,13 @@ class Step:
         self.wind = GridFunction(self.layout.blocks["v"], name="wind")
         """v*, which says what side of a facet is upstream, m/s; known before a step is solved."""
         self.context = self.layout.context = Context(
-            mesh, model, self.old, self.wind, self.energy, self.momentum_old
+            mesh,
+            model,
+            self.old,
+            self.wind,
+            self.energy,
+            self.momentum_old,
+            self.quadrature.volume_degree,
         )
         self.ranges: dict[str, tuple[float, float]] = {}
         """Least and largest start values of the material's parameters, by name."""

@@ -17,12 +17,12 @@ from ngsolve import CF, BilinearForm, CoefficientFunction, GridFunction, LinearF
 
 from ngvisco.algebra.conjugate_gradients import conjugate_gradients
 from ngvisco.errors import StepError
-from ngvisco.forms.mesh_arrays import mask_of
-from ngvisco.forms.points import csr
-from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.boundary.wall_projection import WallProjection
+from ngvisco.forms.boundary.wall_terms import Impenetrability
+from ngvisco.forms.mesh.mesh_arrays import mask_of
+from ngvisco.forms.mesh.points import csr
+from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
-from ngvisco.forms.wall_projection import WallProjection
-from ngvisco.forms.wall_terms import Impenetrability
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.tensors import inner

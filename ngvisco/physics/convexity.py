@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued
 
-from ngvisco.errors import ParameterError, as_integer, require_positive, require_type
+from ngvisco.errors import NgviscoWarning, ParameterError, as_integer, require_positive, require_type
 from ngvisco.physics.material import Material, conjugates
 from ngvisco.physics.pointwise import squares
 from ngvisco.physics.tensors import tensor_space
@@ -30,7 +30,7 @@ _DISTANCES = (1.0, 0.1)
 _ROUNDING = 1e-9
 
 
-class ConvexityWarning(UserWarning):
+class ConvexityWarning(NgviscoWarning):
     """A stored energy is not jointly convex: the ledger's bregman column may be negative."""
 
 
@@ -84,6 +84,7 @@ def check_convexity(
     seed: int = 0,
     warn: bool = True,
     states: np.ndarray | None = None,
+    name: str | None = None,
 ) -> ConvexityReport:
     """Look for states where a material's energy is not jointly convex.
 
@@ -100,6 +101,8 @@ def check_convexity(
         Whether to issue a ConvexityWarning with the point where the energy fails.
     states : array (count, components), optional
         Components of a run's states, to say how far from them the energy fails; default rest.
+    name : str, optional
+        What a warning calls the material; default its class.
 
     Returns
     -------
@@ -148,8 +151,8 @@ def check_convexity(
     )
     if warn:
         warnings.warn(
-            f"{type(material).__name__}: the stored energy is {report}; the scheme stays consistent, but its "
-            "numerical dissipation (the ledger's bregman) may be negative there",
+            f"{name or type(material).__name__}: the stored energy is {report}; the scheme stays consistent, "
+            "but its numerical dissipation (the ledger's bregman) may be negative there",
             ConvexityWarning,
             stacklevel=2,
         )

@@ -10,11 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction
+from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError
 from ngvisco.physics.convexity import StateSampling, array_text
 from ngvisco.physics.material import Material
+from ngvisco.physics.tensors import constant
 
 _ROTATIONS = 4
 _TOLERANCE = 1e-8
@@ -105,7 +106,7 @@ def require_isotropy(material: Material, field: str, value: object, dim: int = 3
 
 def _turning(material: Material, dim: int, Q: np.ndarray):  # type: ignore[no-untyped-def]
     """The map of components to those that the turned observer sees."""
-    rotation = CF(tuple(float(q) for q in Q.ravel()), dims=(3, 3))
+    rotation = constant(Q)
 
     def turn(state: CoefficientFunction) -> CoefficientFunction:
         z = material.states(dim).tensors(lambda: state)

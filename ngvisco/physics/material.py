@@ -28,6 +28,7 @@ from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import (
     IDENTITY,
     TensorSpace,
+    constant,
     inner,
     symmetric_tensors,
     trace_free_tensors,
@@ -162,13 +163,13 @@ def cauchy_stress(
     The affine part of a rate (eps(v) of E) is linear in L, so T : A = power(A) + phi tr A.
     """
     zeta = conjugates(material, z) if zeta is None else zeta
-    zero = _constant(np.zeros((3, 3)))
+    zero = constant(np.zeros((3, 3)))
     entries = []
     for i in range(3):
         for j in range(3):
             unit = np.zeros((3, 3))
             unit[i, j] = 1.0
-            entries.append(rate_power(material, z, zeta, _constant(unit), zero))
+            entries.append(rate_power(material, z, zeta, constant(unit), zero))
     phi = material.energy(z) if phi is None else phi
     return CF(tuple(entries), dims=(3, 3)) + phi * IDENTITY
 
@@ -180,11 +181,11 @@ def mandel_stress(material: Material, z: Values, zeta: Values, dim: int) -> Coef
     trace-free Pi; for F it is sym dev(F^T S_F), paper: Mandel-stress-polyconvex.
     """
     space = trace_free_tensors(dim)
-    zero = _constant(np.zeros((3, 3)))
+    zero = constant(np.zeros((3, 3)))
     entries = []
     for P in space.basis:
         powers = [
-            inner(zeta[v.name], v.rate(z, zero, _constant(np.array(P))))
+            inner(zeta[v.name], v.rate(z, zero, constant(np.array(P))))
             for v in material.variables
             if v.creeps
         ]
@@ -206,7 +207,3 @@ def volume_ratio(material: Material, z: Values) -> CoefficientFunction:
     found = (v.volume_ratio(z[v.name]) for v in variables)
     power, exponent = next(ratio for ratio in found if ratio is not None and abs(ratio[1]) > 1e-12)
     return power ** (1 / exponent)
-
-
-def _constant(array: np.ndarray) -> CoefficientFunction:
-    return CF(tuple(float(x) for x in array.ravel()), dims=array.shape)

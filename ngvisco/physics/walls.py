@@ -46,7 +46,7 @@ class PrescribedTangential(Wall):
     Parameters
     ----------
     velocity : vector of the mesh's dimension
-        V, m/s, a function of x and of the run's time ``ngvisco.time``, taken at the end of each step.
+        V, m/s, a function of x and of the run's time ``ngvisco.time``, of which each step has the mean.
         V.n must vanish up to the geometry's approximation: walls are not open.
     """
 

@@ -18,14 +18,14 @@ import numpy as np
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.context import Context
-from ngvisco.forms.field_diffusion import FieldDiffusion
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.momentum import Continuity, Inertia, Loading
-from ngvisco.forms.regularisation import CutOffVolume, DensityDiffusion
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm, Term
-from ngvisco.forms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
+from ngvisco.forms.terms.field_diffusion import FieldDiffusion
+from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.terms.momentum import Continuity, Inertia, Loading
+from ngvisco.forms.terms.regularisation import CutOffVolume, DensityDiffusion
+from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
 from ngvisco.forms.withheld import GivenParts, refused_by_name
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.evaluation import NotAtPointsError, asked_slots, why

@@ -21,10 +21,10 @@ from ngsolve import BilinearForm, FESpace, VectorValued
 
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.sparse import apply, widened
-from ngvisco.forms.field_diffusion import FieldDiffusion
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.points import csr
+from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.system import Step
+from ngvisco.forms.terms.field_diffusion import FieldDiffusion
 from ngvisco.parallel.halo import HaloUnknowns
 from ngvisco.reduced.evaluation import Coefficients
 from ngvisco.reduced.facet_mass import FacetMass

@@ -86,7 +86,7 @@ class CellContext:
         }
         self.old = _fields(step.layout, values, slopes, "of the old state", self)
         for value, function in self._averages.items():
-            _put(function, step.context.average(value))
+            _put(function, step.context.average_now(value))
         for value, function in self._given.items():
             _put(function, value)
 
@@ -106,7 +106,7 @@ class CellContext:
 
     def average(self, value: CoefficientFunction) -> Array:
         """The mean over the step of a scalar, a vector or a matrix, see ``Context.average``."""
-        return self._read(self._averages, value, self._step.context.average)
+        return self._read(self._averages, value, self._step.context.average_now)
 
     def given(self, value: CoefficientFunction) -> Array:
         """The same at the end of the step, see ``Context.given``."""

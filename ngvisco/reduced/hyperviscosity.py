@@ -2,7 +2,7 @@
 
 Lifting and jump are linear in (v, a) and the same for every component of v; their matrices are assembled
 once, of the term's own form for one component.  What is nonlinear is in scalars on cells
-(``ngvisco.forms.hyperviscosity``):
+(``ngvisco.forms.terms.hyperviscosity``):
 
     Hs = lifting(v, a),  s = P |Hs|^2,  c_s = P c(s) + facets,  S = P (c_s Hs),
 
@@ -34,11 +34,11 @@ from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.algebra.sparse import mass_matrix, pruned
 from ngvisco.forms.fields import Fields, hessian_basis
-from ngvisco.forms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.points import CellPoints, csr
-from ngvisco.forms.side_points import SidePoints
+from ngvisco.forms.mesh.points import CellPoints, csr
+from ngvisco.forms.mesh.side_points import SidePoints
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.system import Step
+from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.physics.arrays import Array, contracted
 from ngvisco.physics.variables import Values
 from ngvisco.reduced.evaluation import Lazy

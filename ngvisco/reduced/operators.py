@@ -10,8 +10,8 @@ import scipy.sparse as sp
 from ngsolve import L2
 
 from ngvisco.algebra.local import LocalMatrix
-from ngvisco.forms.points import CellPoints
-from ngvisco.forms.side_points import SidePoints
+from ngvisco.forms.mesh.points import CellPoints
+from ngvisco.forms.mesh.side_points import SidePoints
 from ngvisco.forms.system import Step
 
 

@@ -11,8 +11,8 @@ from ngsolve import CF, BilinearForm, FESpace, Grad, GridFunction
 from ngsolve.la import PARALLEL_STATUS
 
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.mesh_arrays import mask_of
-from ngvisco.forms.points import csr
+from ngvisco.forms.mesh.mesh_arrays import mask_of
+from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Term
 

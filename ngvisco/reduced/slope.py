@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.forms.points import CellPoints
+from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.system import Step
 from ngvisco.physics.array_slope import array_slope
 from ngvisco.physics.increments import slope_along

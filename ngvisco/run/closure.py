@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ngvisco.errors import NgviscoWarning
+
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
@@ -17,7 +19,7 @@ def closure_limit(tolerance: float) -> float:
     return max(CLOSED, _PER_TOLERANCE * tolerance)
 
 
-class ClosureWarning(UserWarning):
+class ClosureWarning(NgviscoWarning):
     """The energy ledger of a step does not close: the state does not solve the step's equations."""
 
 
@@ -33,12 +35,13 @@ class ClosureCheck:
         Rows above the limit so far.
     worst : float
         Largest |closure_relative| among them (NaN counts as infinite).
-    worst_step : int
+    worst_step, worst_time : int, float
+        Its step, and that one's end, s.
     """
 
     def __init__(self, tolerance: float) -> None:
         self.limit = closure_limit(tolerance)
-        self.failures, self.worst, self.worst_step = 0, 0.0, 0
+        self.failures, self.worst, self.worst_step, self.worst_time = 0, 0.0, 0, 0.0
 
     def start(self, simulation: Simulation) -> None:
         """Nothing: rows before a restart were looked at when they were made."""
@@ -50,7 +53,7 @@ class ClosureCheck:
         self.failures += 1
         if not closure <= self.worst:
             self.worst = closure if closure == closure else float("inf")
-            self.worst_step = int(row["step"])
+            self.worst_step, self.worst_time = int(row["step"]), row["time"]
         if self.failures == 1:
             simulation.ranks.warn(self.message, ClosureWarning, stacklevel=2)
 
@@ -65,6 +68,7 @@ class ClosureCheck:
         plural = "s" if self.failures > 1 else ""
         return (
             f"THE LEDGER DOES NOT CLOSE in {self.failures} step{plural}: |closure_relative| is "
-            f"{self.worst:.1e} in step {self.worst_step}, the limit {self.limit:.0e}; energy is gained or "
-            "lost that no term accounts for, and the results are not to be trusted"
+            f"{self.worst:.1e} in step {self.worst_step}, t = {self.worst_time:.4g} s, the limit "
+            f"{self.limit:.0e}; energy is gained or lost that no term accounts for, and the results "
+            "are not to be trusted"
         )

@@ -16,7 +16,7 @@ import numpy as np
 from ngsolve import L2, GridFunction
 
 from ngvisco.forms.bounds import Violation
-from ngvisco.forms.locating import nearest_wall
+from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.parallel.mesh import number_of
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically

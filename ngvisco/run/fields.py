@@ -12,6 +12,7 @@ from ngvisco.physics.material import Material, cauchy_stress
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import dev, if_positive, square, tr
 from ngvisco.run.further_fields import NAMES, further_fields, usual
+from ngvisco.run.passive import CARRIED
 from ngvisco.run.scales import rest_pressure
 
 USUAL = ("density", "J", "velocity", "pressure", "von_mises")
@@ -21,19 +22,23 @@ USUAL = ("density", "J", "velocity", "pressure", "von_mises")
 _OWN = ("velocity", "density", "cauchy_stress", "pressure", "pressure_from_rest", "von_mises")
 """Fields of every run."""
 
+_TAKEN = "another name: a field of the run has this one"
 
-def require_names_of_their_own(material: Material) -> None:
-    """Raise ParameterError for a variable or a parameter with the name of a field that every run has."""
+
+def require_names_of_their_own(material: Material, further: Sequence[str] = ()) -> None:
+    """Raise ParameterError for a variable or a further unknown that has the name of a field of the run."""
     bodies = material.bodies if isinstance(material, Mixture) else ()
     taken = (*_OWN, *NAMES, *(body.name + _FRACTION for body in bodies), *(["body"] if bodies else []))
     for variable in material.variables:
         if variable.name in taken:
-            expected = "another name: a field of the run has this one"
-            raise ParameterError("Variable.name", variable.name, expected)
+            raise ParameterError("Variable.name", variable.name, _TAKEN)
+    for name in further:
+        if name in (*taken, *CARRIED):
+            raise ParameterError("Unknown.name", name, _TAKEN)
 
 
 def output_fields(step: Step) -> dict[str, CoefficientFunction]:
-    """Velocity, density, variables, Cauchy stress, pressure and von Mises stress at the new state.
+    """Velocity, density, variables, Cauchy stress, pressure, von Mises stress, further unknowns that evolve.
 
     ``pressure_from_rest`` is the pressure less that of the material at rest, F = I, whose stress phi(I) I
     a body of a fixed shape does not feel.  Those of ``ngvisco.run.further_fields`` follow.
@@ -48,6 +53,7 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
         "pressure": (-1 / 3) * tr(T),
         "pressure_from_rest": (-1 / 3) * tr(T) - rest_pressure(material, step.mesh.dim),
         "von_mises": sqrt(1.5 * square(dev(T))),
+        **{name: u.parts[name] for name in step.layout.further},
         **_body_fields(step),
         **further_fields(step, T),
     }
@@ -126,7 +132,7 @@ def component_fields(
 def _parts(name: str, value: CoefficientFunction) -> dict[str, CoefficientFunction]:
     if value.dim == 1:
         return {name: value}
-    if value.dim <= 3:
+    if len(value.dims) == 1:
         return {f"{name}_{i + 1}": value[i] for i in range(value.dim)}
     return {f"{name}_{i + 1}{j + 1}": value[i, j] for i in range(3) for j in range(3)}
 

@@ -21,7 +21,7 @@ from ngsolve import CF, CoefficientFunction, acos, cos, sqrt
 from ngvisco.forms.fields import Fields, hessian_basis
 from ngvisco.forms.system import Step
 from ngvisco.physics.material import mandel_stress, volume_ratio
-from ngvisco.physics.tensors import IDENTITY, det, dev, if_positive, square, sym, tr
+from ngvisco.physics.tensors import IDENTITY, constant, det, dev, if_positive, square, sym, tr
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen, SmallStrain
 
 NAMES = (
@@ -97,5 +97,4 @@ def _hyperstress(u: Fields, i: int) -> CoefficientFunction:
     size = basis.shape[1]
     matrix = np.zeros((3, 3, dim, size))
     matrix[:dim, :dim, i] = basis.reshape(dim, dim, size)
-    constant = CF(tuple(matrix.ravel().tolist()), dims=(9, dim * size))
-    return (constant * u.parts["hyperstress"]).Reshape((3, 3))
+    return (constant(matrix.reshape(9, dim * size)) * u.parts["hyperstress"]).Reshape((3, 3))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from ngsolve import Mesh
 
-from ngvisco.forms.mesh_arrays import coordinates, vertices
+from ngvisco.forms.mesh.mesh_arrays import coordinates, vertices
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material
 from ngvisco.physics.mixture import AMOUNT, Amount

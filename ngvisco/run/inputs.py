@@ -66,7 +66,8 @@ def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
     if isinstance(material, Mixture):  # each body's energy at states of its own variables
         for body in material.bodies:
             if _is_own(body.material):
-                ranks.on_first(partial(check_convexity, body.material, dim=dim))
+                name = f"body {body.name!r}, {type(body.material).__name__}"
+                ranks.on_first(partial(check_convexity, body.material, dim=dim, name=name))
     elif _is_own(material):
         near = None
         if states is not None:

@@ -8,8 +8,8 @@ are weighted as the time scheme does.  ``inertial`` and ``bregman`` are the kine
 what it dissipates numerically, sums of Bregman distances (``ngvisco.timestepping.scheme``): for the
 implicit Euler step 1/2 int rho_old |v - v_old|^2 and int phi(z_old) - phi(z) - phi'(z):(z_old - z), the
 latter >= 0 where the energy is convex; of either sign for schemes of second order.  ``limiter`` is the energy
-that limiting the step's end takes in ``limited_cells`` cells (``ngvisco.forms.bounds``); it is in the balance
-like ``inertial`` and ``bregman``.
+that limiting the step's end takes in ``limited_cells`` cells (``ngvisco.forms.bounds``), ``limiter_walls``
+what it takes through walls that are moved; both are in the balance like ``inertial`` and ``bregman``.
 """
 
 from __future__ import annotations
@@ -22,18 +22,19 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, sqrt
 
-from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.errors import NgviscoWarning, ParameterError, UnknownNameError
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry, Integrand, Kind
 from ngvisco.physics.defects import relative_defects
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
 from ngvisco.run.closure import CLOSED
 from ngvisco.run.notebook import data_frame, ledger_html
-from ngvisco.timestepping.integrator import LIMITER, StepTaken
+from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 
 _STRETCH = 1e-4
 """Relative change of the variables whose second difference gives the energy's own scale."""
@@ -92,7 +93,7 @@ WARNING_DEFECT = 0.01
 """Relative root mean square of a defect from which on a run warns."""
 
 
-class DefectWarning(UserWarning):
+class DefectWarning(NgviscoWarning):
     """Variables that stand for one thing have parted: the solution is wrong though the ledger closes."""
 
 
@@ -108,7 +109,7 @@ class Ledger:
 
     def __init__(self, step: Step, sampler: Sampler) -> None:
         self.step, self.sampler = step, sampler
-        own = (Entry(name, "numerical", Integrand()) for name in (*NUMERICAL, LIMITER))
+        own = (Entry(name, "numerical", Integrand()) for name in (*NUMERICAL, LIMITER, LIMITER_WALLS))
         self.entries = [*step.entries(), *own]
         _check_names(self.entries)
         self._state = _Integrals(step, self._state_integrands())
@@ -206,7 +207,7 @@ class Ledger:
         assert self.balance is not None
         tau, iterations = taken.tau, taken.iterations
         self.step.energy.require()
-        values = {LIMITER: 0.0} | self._absent | self._pending
+        values = {LIMITER: 0.0, LIMITER_WALLS: 0.0} | self._absent | self._pending
         values |= self._state() | taken.rates | taken.numerical
         energy = energy_of(values)
         dissipated, worked = self._sum(values, "dissipation"), self._sum(values, "power")
@@ -249,7 +250,11 @@ class Ledger:
     def _append(
         self, row: dict[str, float], iterations: int, rejections: int, tau: float
     ) -> dict[str, float]:
-        row = row | self._extrema(tau) | {"newton_iterations": iterations, "rejections": rejections}
+        row = (
+            row
+            | self._extrema(tau, row["time"])
+            | {"newton_iterations": iterations, "rejections": rejections}
+        )
         self.rows.append({name: row[name] for name in self.columns})
         return self.rows[-1]
 
@@ -287,12 +292,12 @@ class Ledger:
         speed = sqrt(square(u.v))
         return CF((u.rho, J, speed, speed / self.step.context.h))
 
-    def _extrema(self, tau: float) -> dict[str, float]:
+    def _extrema(self, tau: float, time: float) -> dict[str, float]:
         values, ranks = self.sampler.values(self._monitors), self.sampler.ranks
         defect = math.nan
         if self._defect is not None:
             defect = math.sqrt(self.step.quadrature.integrate_cells(self._defect))
-        rms, largest = self._relative_defects()
+        rms, largest = self._relative_defects(time)
         return {
             "rho_min": ranks.least(values[:, 0]),
             "rho_max": ranks.most(values[:, 0]),
@@ -304,7 +309,7 @@ class Ledger:
             "cfl": tau * ranks.most(values[:, 3]),
         }
 
-    def _relative_defects(self) -> tuple[float, float]:
+    def _relative_defects(self, time: float) -> tuple[float, float]:
         """Largest root mean square and largest value of the relative defects; warns once from 1 % on."""
         if self._defects is None:
             return math.nan, math.nan
@@ -316,12 +321,26 @@ class Ledger:
         worst = int(np.argmax(rms))
         if rms[worst] >= WARNING_DEFECT and not self._has_warned:
             self._has_warned = True
+            where = self._place_of_largest(sizes[:, worst])
+            message = _winding_message(self._defect_names[worst], rms[worst], largest[worst], self.step)
             self.sampler.ranks.warn(
-                _winding_message(self._defect_names[worst], rms[worst], largest[worst], self.step),
-                DefectWarning,
-                stacklevel=2,
+                f"at t = {time:.4g} s, most {where}: {message}", DefectWarning, stacklevel=2
             )
         return float(rms.max()), float(largest.max())
+
+    def _place_of_largest(self, sizes: np.ndarray) -> str:
+        """Where a number at this rank's points is largest over all ranks, and in which body, in words."""
+        material, mine = self.step.model.material, None
+        bodies: list[str] = []
+        if isinstance(material, Mixture):
+            shares = material.fractions.at(self.step.now.z_tensors)
+            theta = self.sampler.rows(CF(tuple(shares.values())))
+            bodies = [list(shares)[number] for number in theta.argmax(axis=1)]
+        if len(sizes):
+            at = int(np.argmax(sizes))
+            place = ", ".join(f"{c:.4g}" for c in self.sampler.coordinates(np.array([at]))[0])
+            mine = (float(sizes[at]), f"at ({place}) m" + (f" in body {bodies[at]!r}" if bodies else ""))
+        return max(one for one in self.sampler.ranks.gathered(mine) if one is not None)[1]
 
 
 def energy_of(values: Mapping[str, float]) -> float:

@@ -10,8 +10,8 @@ F_0 is the initial elastic distortion: what was there of creep is not known, and
 follows.  On meshes of two dimensions its entry F_33 is carried as a scalar where it is not 1.
 
 Each stage of the scheme is a linear problem with the stage's velocity, implicit Euler from the combination of
-earlier stages that the scheme prescribes, with upwinding by traces on discontinuous P_k, k the velocity's
-order, as the scheme does for its own variables (with P_1 the gradient of xi in the
+earlier stages that the scheme prescribes, by the transport of the scheme's own variables, with their upwind
+traces, on discontinuous P_k, k the velocity's order (with P_1 the gradient of xi in the
 cells is less than half of what it should be at h = 0.2).  The columns of F_tot share one matrix, the
 components of the others a second one; GMRES takes 10 to 20 iterations.  In place of xi the displacement
 x - xi is carried, which is periodic where the flow is; xi may then lie outside the cell.
@@ -19,6 +19,7 @@ x - xi is carried, which is periodic where the flow is; xi may then lie outside 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -29,7 +30,6 @@ from ngsolve import (
     CoefficientFunction,
     FacetFESpace,
     FESpace,
-    Grad,
     GridFunction,
     LinearForm,
     Mesh,
@@ -46,14 +46,20 @@ from ngsolve import (
 from ngsolve.krylovspace import GMRESSolver
 
 from ngvisco.errors import CheckpointError, ParameterError, StepError, UnknownNameError
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.rates import Conjugate, Rates
 from ngvisco.forms.system import Step
-from ngvisco.forms.upwinding import mean_share
+from ngvisco.forms.terms.transport import UpwindTrace, transport_in_cells, transport_through_facets
+from ngvisco.physics.parameters import Parameter
+from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import IDENTITY, inner, square
 
 TOLERANCE, ENOUGH, ITERATIONS = 1e-12, 1e-9, 200
 """Of the linear systems: what is asked for, what is accepted where rounding is in the way, and how long."""
 
 NAMES = ("F_tot", "reference_map", "creep_strain")
+CARRIED = (*NAMES, "displacement")
+"""Names of the fields that come of these."""
 
 
 class PassiveFields:
@@ -193,30 +199,42 @@ def _cells(mesh: Mesh, order: int, vector: bool) -> FESpace:
     return VectorL2(mesh, order=order) if vector else L2(mesh, order=order)
 
 
+class _Growth(Rates):
+    """The rate A f of a passive field, in place of those of the material's variables."""
+
+    def __init__(self, step: Step, A: CoefficientFunction | None) -> None:
+        super().__init__(step.model, step.mesh.dim)
+        self._A = A
+
+    def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[CoefficientFunction]:
+        return [] if self._A is None else [inner(self._A * z.z, G.parts[name])]
+
+
 class _Carrier:
-    """f/tau + (v . grad) f - A f = f_old/tau + source, with upwind traces; one matrix for many fields.
+    """f/tau + (v . grad) f - A f = f_old/tau + source, by the transport of the scheme's own variables
+    (``ngvisco.forms.terms.transport``); one matrix for many fields.
 
     The cells' unknowns are condensed: what is solved for are the traces, which cells hand on to each other.
     """
 
     def __init__(self, step: Step, vector: bool, rate: CoefficientFunction | None) -> None:
         """``rate`` is A, (dim, dim), or None for none; ``vector`` fields have dim components."""
-        mesh, order, c, v = step.mesh, step.discretisation.k, step.context, step.now.v
+        mesh, order = step.mesh, step.discretisation.k
         self.vector, self.cells = vector, _cells(mesh, order, vector)
         traces = FacetFESpace(mesh, order=order)
         traces = VectorValued(traces, mesh.dim) if vector else traces
         self.space = FESpace([self.cells, Periodic(traces) if step.layout.periodic else traces])
         (f, f_hat), (g, g_hat) = self.space.TnT()
-        convected = Grad(f) * v if vector else inner(Grad(f), v)
-        if rate is not None:
-            convected = convected - rate * f
-        rules = step.quadrature
-        cells = c.rate(inner(f, g)) + inner(convected, g)
-        entering = c.inner * (v * c.normal) * inner(f_hat - f, g)
-        trace = inner(mean_share(c.inner) * f_hat - c.upwinding.share * f, g_hat)
+        c, layout, rules = copy.copy(step.context), copy.copy(step.layout), step.quadrature
+        c.rates = _Growth(step, rate)
+        layout.states = StateSpace.of((Parameter("f"),), mesh.dim)
+        u = Fields(layout, {"v": step.now.v, "z": f, "z_hat": f_hat}, c)
+        w = Fields(layout, {"z": g, "z_hat": g_hat}, c)
+        cells = c.rate(inner(f, g)) - sum(transport_in_cells(u, u, w, "z"))
+        facets = sum(UpwindTrace().facets(u, w)) - transport_through_facets(u, u, w, "z")
         self.form = BilinearForm(self.space, condense=True)
         self.form += cells.Compile() * rules.cells
-        self.form += (entering + trace).Compile() * rules.facets
+        self.form += facets.Compile() * rules.facets
         self._preconditioner = Preconditioner(self.form, "local")
         # the old value by the rule of the matrix: another one lets errors grow at rest
         self._old = GridFunction(self.cells)

@@ -13,13 +13,19 @@ import numpy as np
 from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y
 
 from ngvisco.errors import NgviscoError, ParameterError, _is_number
-from ngvisco.forms.mesh_arrays import coordinates
+from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.run.files import write_atomically
 from ngvisco.run.outlines import OUTLINE, averaged, has_outline, outline
-from ngvisco.timestepping.integrator import LIMITER
+from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS
 
 if TYPE_CHECKING:
     from ngvisco.run.ledger import Ledger
+
+
+PAGE, LABELS = 7.2, 9
+"""Width of pictures, inches, that of a page; the size of the smallest labels, points."""
+COLOURS, SHRINK = "viridis", 0.75
+"""The scale of colours, and its length in heights of what it is beside."""
 
 
 class PlotError(NgviscoError, RuntimeError):
@@ -87,6 +93,12 @@ def require_space(section: Section | None, dim: int) -> None:
         raise ParameterError("section", section.normal, "none: the mesh has two dimensions")
 
 
+def height_of(width: float, ratio: float) -> float:
+    """Height of a field's picture, inches, with its title and labels; ``ratio`` is height over width of what
+    it shows, beside which there is a scale of colours."""
+    return 0.75 + 0.62 * width * min(max(ratio, 0.3), 2.0)
+
+
 def titled(*parts: str | float) -> str:
     """A title of what there is: texts as they are, a number as the time in s."""
     return ", ".join(f"t = {part:.4g} s" if isinstance(part, float) else part for part in parts if part != "")
@@ -116,27 +128,27 @@ def plot_energies(ledger: Ledger, path: str | os.PathLike[str]) -> None:
     PlotError
     """
     _require_steps("plot_energies.ledger", ledger)
-    fig, ((above,), (below,)) = figure(2, 1, (8, 7))
+    fig, ((above,), (below,)) = figure(2, 1, (PAGE, 7.5))
     t = ledger.column("time")
     above.plot(t, ledger.column("kinetic"), label="kinetic")
     above.plot(t, ledger.column("stored") - ledger.column("stored")[0], label="stored − initial")
     dt = ledger.column("dt")
     for entry in ledger.entries:
         rate = ledger.column(entry.name) * (1 if entry.kind == "numerical" else dt)
-        if entry.name == LIMITER and not rate.any():
+        if entry.name in (LIMITER, LIMITER_WALLS) and not rate.any():
             continue  # nothing was limited: no line for it
         label = entry.name.replace("_", " ")
         label = f"numerical: {label}" if entry.kind == "numerical" else label
         above.plot(t, np.cumsum(rate), "--" if entry.kind == "power" else ":", label=f"∫ {label}")
     above.set_ylabel("energy, J")
-    above.legend(fontsize="small", ncols=2)
+    above.legend(fontsize=LABELS, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     closure = np.abs(ledger.column("closure_relative"))[1:]
     below.semilogy(t[1:], np.maximum(closure, 1e-18), "k.", label="|closure|, relative")
     below.set(xlabel="time, s", ylabel="relative", ylim=(1e-18, 1e-8))
     drift = np.maximum(np.abs(ledger.column("mass_drift"))[1:], 1e-18)
     below.semilogy(t[1:], drift, "r+", label="|mass drift|")
-    below.legend(fontsize="small")
-    _save(fig, path)
+    below.legend(fontsize=LABELS)
+    save(fig, path)
 
 
 def plot_schemes(ledgers: Mapping[str, Ledger], path: str | os.PathLike[str]) -> None:
@@ -162,36 +174,45 @@ def plot_schemes(ledgers: Mapping[str, Ledger], path: str | os.PathLike[str]) ->
     for axis, title in ((left, "kinetic energy, J"), (right, "dissipated, J")):
         axis.set(title=title, xlabel="time, s")
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
-    _save(fig, path)
+    save(fig, path)
 
 
 def plot_history(ledger: Ledger, path: str | os.PathLike[str]) -> None:
-    """Dissipations and powers, extrema, iterations and step lengths over time; formats as
-    ``plot_energies``."""
+    """Dissipations and powers, extrema, iterations and step lengths over time, an axis for each quantity;
+    formats as ``plot_energies``."""
     _require_steps("plot_history.ledger", ledger)
-    fig, axes = figure(2, 2, (12, 8))
-    (rates, extrema), (effort, steps) = axes
+    fig, axes = figure(4, 2, (PAGE, 9.5))
+    (rates, density), (volume, speed), (effort, rejected), (lengths, courant) = axes
     t = ledger.column("time")
     for entry in ledger.entries:
         if entry.kind != "numerical":
             style = "--" if entry.kind == "power" else "-"
             rates.plot(t, ledger.column(entry.name), style, label=entry.name.replace("_", " "))
-    rates.set(title="dissipations and powers", ylabel="W")
-    for name, label in (("rho_min", "min ρ, kg/m³"), ("rho_max", "max ρ, kg/m³"), ("J_min", "min J")):
-        if not np.isnan(ledger.column(name)).all():
-            extrema.plot(t, ledger.column(name), label=label)
-    extrema.plot(t, ledger.column("v_max"), ":", label="max |v|, m/s")
-    extrema.set(title="extrema")
-    effort.plot(t[1:], ledger.column("newton_iterations")[1:], ".-", label="Newton iterations")
-    effort.plot(t[1:], ledger.column("rejections")[1:], ".", label="rejected attempts")
-    effort.set(title="effort of each step", xlabel="time, s")
-    steps.semilogy(t[1:], ledger.column("dt")[1:], label="step length, s")
-    steps.semilogy(t[1:], np.maximum(ledger.column("cfl")[1:], 1e-16), label="CFL number")
-    steps.set(title="steps", xlabel="time, s")
-    for axis in axes.ravel():
-        if axis.get_legend_handles_labels()[0]:
-            axis.legend(fontsize="small")
-    _save(fig, path)
+    rates.set(title="dissipations and powers, W")
+    if rates.lines:
+        rates.legend(fontsize=LABELS)
+    for name, label in (("rho_min", "min"), ("rho_max", "max")):
+        density.plot(t, ledger.column(name), label=label)
+    density.set(title="least and largest density, kg/m³")
+    for axis, name, title in (
+        (volume, "J_min", "least J"),
+        (speed, "v_max", "largest |v|, m/s"),
+        (effort, "newton_iterations", "Newton iterations of a step"),
+        (rejected, "rejections", "rejected attempts of a step"),
+        (lengths, "dt", "step length, s"),
+        (courant, "cfl", "Courant number |v| dt/h"),
+    ):
+        values = ledger.column(name)
+        if np.isnan(values).all():
+            axis.text(0.5, 0.5, "the material has none", ha="center", va="center", transform=axis.transAxes)
+        of_steps = 0 if axis in (volume, speed) else 1  # the start is no step
+        axis.plot(t[of_steps:], values[of_steps:], "." if of_steps and len(t) < 200 else "-")
+        axis.set(title=title)
+        if of_steps:
+            axis.set_ylim(0, 1.1 * float(values[1:].max()) or 1.0)
+    for axis in axes[-1]:
+        axis.set_xlabel("time, s")
+    save(fig, path)
 
 
 def plot_fields(
@@ -203,7 +224,7 @@ def plot_fields(
     title: str = "",
     outlines: Sequence[CoefficientFunction] = (),
 ) -> None:
-    """Scalar fields side by side; in 3D in a plane normal to an axis.  Formats as ``plot_energies``.
+    """Scalar fields in two columns; in 3D in a plane normal to an axis.  Formats as ``plot_energies``.
 
     Parameters
     ----------
@@ -227,20 +248,36 @@ def plot_fields(
     chosen = section or Section()
     along = chosen.axes if mesh.dim == 3 else (0, 1)
     extent = np.ptp(corners, axis=0)
-    height = 1.4 + 3.6 * min(max(extent[along[1]] / extent[along[0]], 0.3), 2.0)
-    fig, ((*axes,),) = figure(1, len(fields), (5.0 * len(fields), height))
-    for axis, (name, value) in zip(axes, fields, strict=True):
+    wide = min(len(fields), 2)
+    rows = -(-len(fields) // 2)
+    height = height_of(PAGE / wide, float(extent[along[1]] / extent[along[0]]))
+    fig, axes = figure(rows, wide, (PAGE, rows * height + 0.3))
+    for axis in axes.ravel()[len(fields) :]:
+        axis.set_axis_off()
+    for axis, (name, value) in zip(axes.ravel(), fields, strict=False):
         if mesh.dim == 3:
             image = _draw_plane(axis, mesh, value, chosen, outlines)
         else:
             image = _draw_cells(axis, mesh, value, subdivisions, outlines)
         labels = [f"{'xyz'[i]}, m" for i in along]
         axis.set(title=name, aspect="equal", xlabel=labels[0], ylabel=labels[1])
-        fig.colorbar(image, ax=axis, shrink=0.8)
+        fig.colorbar(image, ax=axis, shrink=SHRINK)
     plane = chosen.text(chosen.place(corners)) if mesh.dim == 3 else ""
     if title or plane:
         fig.suptitle(titled(title, plane))
-    _save(fig, path)
+    save(fig, path)
+
+
+def subdivision(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a lattice in the reference triangle, (points, 2), and its n^2 triangles of them."""
+    index = {p: k for k, p in enumerate((i, j) for j in range(n + 1) for i in range(n + 1 - j))}
+    small = []
+    for i, j in index:
+        if i + j < n:
+            small.append((index[i, j], index[i + 1, j], index[i, j + 1]))
+        if i + j < n - 1:
+            small.append((index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]))
+    return np.array(list(index)) / n, np.array(small)
 
 
 def _draw_cells(
@@ -251,21 +288,13 @@ def _draw_cells(
     outlines: Sequence[CoefficientFunction],
 ) -> Any:
     """Every triangle (or quadrilateral) by its own points: nothing is averaged between cells."""
-    n = int(subdivisions)
-    lattice = [(i / n, j / n) for j in range(n + 1) for i in range(n + 1 - j)]
-    index = {p: k for k, p in enumerate((i, j) for j in range(n + 1) for i in range(n + 1 - j))}
-    small = []
-    for i, j in index:
-        if i + j < n:
-            small.append((index[i, j], index[i + 1, j], index[i, j + 1]))
-        if i + j < n - 1:
-            small.append((index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]))
-    rule = IntegrationRule(lattice, [0.0] * len(lattice))
+    lattice, small = subdivision(int(subdivisions))
+    rule = IntegrationRule([tuple(point) for point in lattice], [0.0] * len(lattice))
     points = mesh.MapToAllElements({ET.TRIG: rule, ET.QUAD: rule}, VOL)
     X, Y, values = (np.asarray(f(points)).ravel() for f in (x, y, value))
     cells = len(X) // len(lattice)
-    triangles = np.add.outer(np.arange(cells) * len(lattice), np.array(small)).reshape(-1, 3)
-    image = axis.tripcolor(X, Y, triangles, values, shading="gouraud", cmap="viridis", rasterized=True)
+    triangles = np.add.outer(np.arange(cells) * len(lattice), small).reshape(-1, 3)
+    image = axis.tripcolor(X, Y, triangles, values, shading="gouraud", cmap=COLOURS, rasterized=True)
     for fraction in outlines:
         outline(
             axis, X, Y, triangles, averaged(np.stack([X, Y], axis=1), np.asarray(fraction(points)).ravel())
@@ -297,7 +326,7 @@ def _draw_plane(
         values[inside] = np.asarray(function(found[inside])).reshape(-1)
         return values.reshape(X.shape)
 
-    image = axis.pcolormesh(X, Y, on_plane(value), shading="gouraud", cmap="viridis", rasterized=True)
+    image = axis.pcolormesh(X, Y, on_plane(value), shading="gouraud", cmap=COLOURS, rasterized=True)
     for share in map(on_plane, outlines):
         if has_outline(share):
             axis.contour(X, Y, share, **OUTLINE)
@@ -313,11 +342,11 @@ def _require_steps(field: str, ledger: Ledger) -> None:
 FORMATS = ("png", "pdf", "svg")
 
 
-def _save(fig: Any, path: str | os.PathLike[str]) -> None:
+def save(fig: Any, path: str | os.PathLike[str]) -> None:
     target = Path(path)
     kind = target.suffix.lstrip(".").lower() or "png"
     if kind not in FORMATS:
         raise ParameterError("path of a picture", str(target), "a name that ends in .png, .pdf or .svg")
     image = io.BytesIO()
-    fig.savefig(image, dpi=110, format=kind)
+    fig.savefig(image, dpi=150, format=kind)
     write_atomically(target, image.getvalue())

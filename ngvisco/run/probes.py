@@ -11,8 +11,8 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import InputWarning, ParameterError, require_some_names
 from ngvisco.expressions import parse
-from ngvisco.forms.locating import Located, as_points
-from ngvisco.forms.reactions import WallReactions
+from ngvisco.forms.boundary.reactions import WallReactions
+from ngvisco.forms.mesh.locating import Located, as_points
 from ngvisco.run.fields import component_fields, components
 from ngvisco.run.series import Series
 
@@ -140,8 +140,8 @@ class WallForces(Series):
 
     The columns are ``WALL.force_1`` ... (N) and ``WALL.torque`` (2D) or ``WALL.torque_1`` ... (N m), per
     metre of thickness in plane strain.  They are the reactions of the equations as solved, of the elastic,
-    viscous and hyperviscous stress (``ngvisco.forms.reactions``); each row is of the step that ends at its
-    time, so that the first one is of the first step: the mean over the step's stages with the scheme's
+    viscous and hyperviscous stress (``ngvisco.forms.boundary.reactions``); each row is of the step that ends
+    at its time, so that the first one is of the first step: the mean over the step's stages with the scheme's
     weights.  Backward Euler has them at the step's end, the midpoint rule at its middle.
     """
 

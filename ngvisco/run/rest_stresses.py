@@ -13,9 +13,9 @@ import numpy as np
 from ngsolve import H1, CoefficientFunction, Id
 
 from ngvisco.errors import InputWarning
-from ngvisco.forms.initial import Initial
-from ngvisco.forms.mesh_arrays import vertices
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.mesh_arrays import vertices
+from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.start.initial import Initial
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange

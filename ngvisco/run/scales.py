@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, Integrate, Mesh
 
-from ngvisco.forms.mesh_arrays import coordinates
-from ngvisco.forms.momentum import Loading
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.mesh_arrays import coordinates
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.forms.terms.momentum import Loading
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.material import Material, cauchy_stress
@@ -22,7 +22,7 @@ from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter, parameters_in
 from ngvisco.physics.pointwise import squares
 from ngvisco.physics.tensors import square
-from ngvisco.timestepping.scheme import TimeScheme, backward_euler
+from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -33,6 +33,8 @@ _AT_REST = 1e-12
 """Components of the variables that differ by less from those at rest do so by rounding."""
 _FOLLOWED, _RELAXED, _ACROSS = 20, 5, 4
 """Steps in a wave's passage or in a relaxation time, and cells across the body, that are enough."""
+_RINGING, _STIFF, _DENSER = 10.0, 1e4, 1e3
+"""Cells that waves cross in a step, ratios of moduli and of densities, above which a step is hard."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,8 @@ class Scales:
     maxwell: float
     dt: float
     scheme: TimeScheme = field(default_factory=backward_euler)
+    densities: float = 1.0
+    """The largest over the least density at the start."""
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -83,6 +87,10 @@ class Scales:
         if math.isfinite(self.maxwell):
             found["Deborah, Maxwell time v/L"] = self.maxwell * self.velocity / self.length
             found["Maxwell time/dt"] = self.maxwell / self.dt
+        if fast > 0 and slow > 0:
+            found["longitudinal over shear modulus, about K_e/G_e"] = (fast / slow) ** 2
+        if self.densities > 1 + 1e-6:
+            found["largest over least density"] = self.densities
         return found
 
     @property
@@ -97,6 +105,23 @@ class Scales:
             said.append(
                 f"{name} waves cross the body in {passage:.2g} s, {passage / self.dt:.2g} steps: the scheme "
                 f"{self.scheme.name} {does}; to follow them take dt <= {passage / _FOLLOWED:.2g} s"
+            )
+        hard = fast * self.dt / self.cell
+        if self.scheme.A == midpoint().A and hard > _RINGING:
+            said.append(
+                f"longitudinal waves cross {hard:.3g} cells a step, which {self.scheme.name} does not damp: "
+                "they ring from step to step; take another scheme, the first steps by backward Euler "
+                f"(time.startup = 2), or dt <= {_RINGING * self.cell / fast:.2g} s"
+            )
+        if slow > 0 and (fast / slow) ** 2 > _STIFF:
+            said.append(
+                f"the modulus of compression is {(fast / slow) ** 2:.2g} times that of shear: cells lock "
+                "with k = 2, and steps are hard to solve; take discretisation.k = 3, or a smaller K_e"
+            )
+        if self.densities > _DENSER:
+            said.append(
+                f"densities differ {self.densities:.2g} times: what is light is thrown about beside what "
+                f"is heavy, and steps are hard to solve; take a ratio below {_DENSER:g}"
             )
         if self.velocity * self.dt > self.cell:
             said.append(
@@ -128,6 +153,7 @@ def scales(simulation: Simulation) -> Scales:
         mass = float(step.quadrature.integrate_cells(step.now.rho))
         places = [Place(step.model, {}, mass / Integrate(CF(1.0), mesh), np.empty(0))]
     found = [place.scales(mesh.dim) for place in places]
+    least, most = simulation.sampler.extrema(step.now.rho)
     return Scales(
         length=float(np.ptp(coordinates(mesh), axis=0).min()),
         cell=float(np.median(step.context.h.vec.FV().NumPy())),
@@ -137,6 +163,7 @@ def scales(simulation: Simulation) -> Scales:
         maxwell=min(each.maxwell for each in found),
         dt=simulation.dt,
         scheme=simulation.scheme,
+        densities=most / least,
     )
 
 

@@ -26,16 +26,16 @@ from ngvisco.errors import (
     require_positive,
     require_type,
 )
+from ngvisco.forms.boundary.corners import warn_of_corners
+from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.bounds import Bounds, Violation
 from ngvisco.forms.context import time
-from ngvisco.forms.corners import warn_of_corners
-from ngvisco.forms.data_checks import check_loads, check_walls, warn_of_normal_parts
-from ngvisco.forms.initial import Initial, set_initial
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.data_checks import check_loads, check_walls, warn_of_normal_parts
+from ngvisco.forms.start.initial import Initial, set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Term
-from ngvisco.forms.walls import Conditions
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
@@ -178,7 +178,6 @@ class Simulation:
     ) -> None:
         require_type("Simulation.mesh", mesh, Mesh)
         require_type("Simulation.model", model, Model)
-        require_names_of_their_own(model.material)
         for name, value, kind in (
             ("initial", initial, Initial),
             ("discretisation", discretisation, Discretisation),
@@ -197,6 +196,7 @@ class Simulation:
         self.mesh, self.model, self.dt = mesh, model, float(dt)
         self.stepper = make_stepper(self.dt, stepping, halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
+        require_names_of_their_own(model.material, self.rothe_step.layout.further)
         check_distributed(self.rothe_step)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.ranks = self.sampler.ranks

@@ -22,10 +22,10 @@ import numpy as np
 from ngsolve import CF, L2, GridFunction, Integrate
 
 from ngvisco.errors import InitialDataError, MeshError, ParameterError
-from ngvisco.forms.given import QuadraturePoints
-from ngvisco.forms.initial import complete
-from ngvisco.forms.locating import Located
-from ngvisco.forms.projections import project_in_cells
+from ngvisco.forms.mesh.locating import Located
+from ngvisco.forms.start.given import QuadraturePoints
+from ngvisco.forms.start.initial import complete
+from ngvisco.forms.start.projections import project_in_cells
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.bodies import Amount
 from ngvisco.physics.mixture import AMOUNT
@@ -221,7 +221,7 @@ def _set_velocity(source: Simulation, target: Simulation, points: QuadraturePoin
     where = new.layout.ranges["v"]
     new.state.vec.FV().NumPy()[where] = 0.0
     target.set_time(source.t, 0)
-    new.moving_walls.set_values()
+    new.moving_walls.set_present_values()
     project_velocity(new.layout, new.state, v, new.impenetrability, new.quadrature)
 
 

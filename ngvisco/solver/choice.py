@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.mesh_arrays import is_simplicial
+from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.reduced.claims import term_obstacle

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from ngsolve import IfPos
 
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 

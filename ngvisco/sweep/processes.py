@@ -109,21 +109,26 @@ def run_or_resume(case: str, directory: str, threads: int, stop: str) -> tuple[i
         return None, ""
     begun = os.path.exists(os.path.join(directory, "case.toml"))
     what = ["resume", directory] if begun else ["run", case, "-o", directory]
-    command = [sys.executable, "-m", "ngvisco", *what, "--threads", str(threads), "--quiet"]
+    options = ["--threads", str(threads), "--quiet", "--ends-with-stdin"]
+    command = [sys.executable, "-m", "ngvisco", *what, *options]
+    # held open until the run has ended, or this process is killed: then the run ends its step too
+    read, held = os.pipe()
     process = subprocess.Popen(
         command,
-        stdin=subprocess.DEVNULL,
+        stdin=read,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
         errors="backslashreplace",
         start_new_session=True,  # the terminal's Ctrl-C is for the study, which lets steps end
     )
+    os.close(read)
     _running.add(process)
     try:
         return _waited(process, event)
     finally:
         _running.discard(process)
+        os.close(held)
 
 
 @atexit.register

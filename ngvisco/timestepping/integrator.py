@@ -51,8 +51,10 @@ _RELAXATION_TOLERANCE = 1e-12
 _MEETINGS, _MEETING = 6, 1e-13
 """Rothe steps tried until a relaxed step ends at a given time, and what of it may be missed."""
 
-_NOISE_MARGIN = 5.0
-"""Rounding of R, in units of the distance of a state to itself with every number changed by rounding."""
+_NOISE_MARGIN, _NOISE_DRAWS = 5.0, 8
+"""Rounding of R, in units of the distance of a state to itself with every number changed by rounding: the
+root mean square of so many draws, since the sum of a single one may vanish by chance.
+"""
 
 
 class Carried(Protocol):
@@ -94,15 +96,27 @@ class StepTaken:
 
 LIMITER = "limiter"
 """Ledger column of the energy that limiting a step's end takes, J."""
+LIMITER_WALLS = "limiter_walls"
+"""And of what it takes through walls that are held or moved: momentum there is not kept, J."""
 
 
 @dataclass(frozen=True)
 class _End:
-    """A step's end that is no stage's solution: its state, cells that were limited, -E'(U)[u - u_1], J."""
+    """A step's end that is no stage's solution: its state, cells that were limited, and what that takes, J.
+
+    ``taken`` is -E'(U)[u - u_1], ``through_walls`` the work of the impulse on walls' rows of v that limiting
+    makes, negative.
+    """
 
     state: Evolved
     limited: int
     taken: float
+    through_walls: float
+
+    @property
+    def by_limiter(self) -> dict[str, float]:
+        """By ledger columns."""
+        return {LIMITER: self.taken, LIMITER_WALLS: self.through_walls}
 
 
 class Integrator:
@@ -208,12 +222,12 @@ class Integrator:
             _add(numerical, -1.0, self.distance(end.state, states[-1]))
         elif self.bounds is not None and self.bounds.is_exceeded():
             of_last = np.eye(len(states))[-1]
-            end = self._combined(of_last, states, t + tau, tau, rates)
+            end = self._combined(of_last, states, t + tau, tau, rates, is_stage=True)
             end = replace(end, taken=end.taken - sum(self.distance(end.state, states[-1]).values()))
         else:
-            return StepTaken(tau, history, rates, numerical | {LIMITER: 0.0})
+            return StepTaken(tau, history, rates, numerical | {LIMITER: 0.0, LIMITER_WALLS: 0.0})
         self._complete()
-        return StepTaken(tau, history, rates, numerical | {LIMITER: end.taken}, end.limited)
+        return StepTaken(tau, history, rates, numerical | end.by_limiter, end.limited)
 
     def _stages(
         self,
@@ -251,11 +265,18 @@ class Integrator:
         return dict(total)
 
     def _combined(
-        self, weights: np.ndarray, states: Sequence[Evolved], t: float, tau: float, rates: dict[str, float]
+        self,
+        weights: np.ndarray,
+        states: Sequence[Evolved],
+        t: float,
+        tau: float,
+        rates: dict[str, float],
+        is_stage: bool = False,
     ) -> _End:
         """Make the combination of states the present one, limited, at ``t``.
 
-        Adds to the walls' power in ``rates``.
+        Adds to the walls' power in ``rates``.  With ``is_stage`` it is the last stage, of which only the
+        limiter makes another state: walls keep the velocity that they have in the step.
 
         Raises
         ------
@@ -269,14 +290,9 @@ class Integrator:
         for name in step.layout.evolving:
             state[ranges[name]] = old[ranges[name]]
         time.Set(t)
-        step.moving_walls.set_values()
+        if not is_stage:
+            step.moving_walls.set_present_values()
         self._require_admissible()
-        limited = 0 if self.bounds is None else self.bounds.limit()
-        taken = 0.0
-        if limited:
-            moved = [name for name in step.layout.evolving if name != "v"]  # v follows from the momentum
-            change = {name: state[ranges[name]] - old[ranges[name]] for name in moved}
-            taken = -self.distance.slope(states[-1], change)
         if self._velocity is None:
             self._velocity = VelocityOfMomentum(
                 step.layout,
@@ -286,12 +302,38 @@ class Integrator:
                 step.impenetrability,
                 step.quadrature,
             )
+        before = np.zeros_like(self._velocity.v)
+        if self.bounds is not None and self.bounds.is_exceeded() and not is_stage:
+            before = self._impulse_before_limiting(before)
+        limited = 0 if self.bounds is None else self.bounds.limit()
+        taken = 0.0
+        if limited:
+            moved = [name for name in step.layout.evolving if name != "v"]  # v follows from the momentum
+            change = {name: state[ranges[name]] - old[ranges[name]] for name in moved}
+            taken = -self.distance.slope(states[-1], change)
         impulse = self._velocity()
         self.impulse = impulse / tau
+        own, through_walls = before if limited else impulse, 0.0
         for name, (_, mask) in step.moving_walls.moving.items():
-            work = self.rothe.exchange.communicator.dot(impulse[mask], states[-1].values["v"][mask])
-            rates[f"power_wall_{name}"] += work / tau
-        return _End(step.evolved(), limited, taken)
+            v = states[-1].values["v"][mask]
+            rates[f"power_wall_{name}"] += self.rothe.exchange.communicator.dot(own[mask], v) / tau
+            if limited:
+                through_walls -= self.rothe.exchange.communicator.dot((impulse - own)[mask], v)
+        return _End(step.evolved(), limited, taken, through_walls)
+
+    def _impulse_before_limiting(self, otherwise: np.ndarray) -> np.ndarray:
+        """The walls' impulse by the density as it is; ``otherwise`` where that has no velocity.
+
+        Of a stage there is none: its rows are the step's.
+        """
+        assert self._velocity is not None
+        kept = self._velocity.v.copy()
+        try:
+            return self._velocity()
+        except StepError:  # a density that is negative at points may have no positive mass matrix
+            return otherwise
+        finally:
+            self._velocity.v[:] = kept
 
     def _complete(self) -> None:
         """Make the local unknowns those of the combined state; raises StepError where it has no energy."""
@@ -373,7 +415,7 @@ class Integrator:
             if wanted is not None and abs(omega - wanted) <= noise / lost:
                 omega = wanted
         numerical, of_end, end = end_at(omega)
-        return omega, numerical | {LIMITER: end.taken}, of_end, end.limited
+        return omega, numerical | end.by_limiter, of_end, end.limited
 
     def _noise(self, state: Evolved) -> float:
         """Rounding of a distance at ``state``, J: that between states that differ by rounding."""
@@ -382,8 +424,11 @@ class Integrator:
         def changed(values: np.ndarray) -> np.ndarray:
             return values * (1 + np.finfo(float).eps * signs.choice((-1.0, 1.0), len(values)))
 
-        other = replace(state, values={name: changed(values) for name, values in state.values.items()})
-        return _NOISE_MARGIN * sum(abs(part) for part in self.distance(other, state).values())
+        drawn = []
+        for _ in range(_NOISE_DRAWS):
+            other = replace(state, values={name: changed(values) for name, values in state.values.items()})
+            drawn.append(sum(self.distance(other, state).values()))
+        return _NOISE_MARGIN * float(np.sqrt(np.mean(np.square(drawn))))
 
 
 def _add(total: dict[str, float], weight: float, values: dict[str, float]) -> None:

@@ -7,11 +7,11 @@ from typing import Any
 from ngsolve import GridFunction
 
 from ngvisco.forms.context import time
-from ngvisco.forms.initial import Initial
-from ngvisco.forms.momentum import Continuity
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import Initial
 from ngvisco.forms.term import Integrand
-from ngvisco.forms.transport import Kinematics, UpwindTrace
+from ngvisco.forms.terms.momentum import Continuity
+from ngvisco.forms.terms.transport import Kinematics, UpwindTrace
 from ngvisco.geometries import box
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner

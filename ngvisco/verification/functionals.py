@@ -8,10 +8,10 @@ from typing import Any
 
 from ngsolve import BilinearForm, BitArray, Integrate, LinearForm
 
-from ngvisco.forms.field_diffusion import FieldDiffusion
-from ngvisco.forms.regularisation import DensityDiffusion
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
+from ngvisco.forms.terms.field_diffusion import FieldDiffusion
+from ngvisco.forms.terms.regularisation import DensityDiffusion
 from ngvisco.physics.tensors import inner, square
 
 

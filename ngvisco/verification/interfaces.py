@@ -30,12 +30,12 @@ from scipy.sparse.linalg import splu
 
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.initial import Initial, set_initial
-from ngvisco.forms.points import csr
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.points import csr
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import Initial, set_initial
 from ngvisco.forms.system import Step
-from ngvisco.forms.transport import Kinematics, UpwindTrace
+from ngvisco.forms.terms.transport import Kinematics, UpwindTrace
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.materials import BarotropicFluid
 from ngvisco.physics.materials.heterogeneous import Heterogeneous

@@ -93,6 +93,12 @@ def distortion(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
     return tensor(X, t, m, 1.0)
 
 
+def stretch(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
+    """Symmetric and positive definite: a left Cauchy-Green tensor."""
+    A = tensor(X, t, m, 1.0)
+    return [[0.5 * (A[i][j] + A[j][i]) for j in range(3)] for i in range(3)]
+
+
 def creep_rate(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
     """Symmetric and trace-free, with (n . grad) Pi = 0 on the walls."""
     dim, zero = len(X), 0 * X[0]
@@ -106,7 +112,7 @@ def creep_rate(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
     return A
 
 
-EXACT = {"E": strain, "F": distortion, "J": jacobian}
+EXACT = {"E": strain, "F": distortion, "H": distortion, "B": stretch, "J": jacobian}
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from ngvisco.physics.material import Material
-from ngvisco.physics.materials import LinearElastic, NeoHookean
+from ngvisco.physics.materials import LinearElastic, MooneyRivlin, NeoHookean
 from ngvisco.physics.model import Gravity, Model
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
 from ngvisco.verification.differences import Coefficients
 
 KINDS = ("linear", "neo-hookean")
+FURTHER = ("by B", "cofactors")
+"""Materials of other variables: B = F F^T, of which creep is another law, and Cof F beside F and J."""
 DELTA, DELTA_FIELDS, EPSILON = 0.02, 0.03, 1.0
 
 
@@ -17,6 +19,10 @@ def material(kind: str) -> Material:
     """The linearised model's or the finite-strain model's material."""
     if kind == "linear":
         return LinearElastic(K_e=2.0, G_e=1.0)
+    if kind == "cofactors":
+        return MooneyRivlin(K_e=2.0, G_e=0.6, G_mr=0.4, epsilon=0.5, elastic_state="F")
+    if kind == "by B":
+        return NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5, elastic_state="B")
     return NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5, elastic_state="F")
 
 

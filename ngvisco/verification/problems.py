@@ -10,11 +10,11 @@ from ngsolve import BilinearForm, CoefficientFunction, GridFunction, Integrate, 
 
 from ngvisco import Discretisation, Model, NewtonOptions, time
 from ngvisco.errors import StepError
-from ngvisco.forms.boundaries import slip_constraints
+from ngvisco.forms.boundary.boundaries import slip_constraints
 from ngvisco.forms.context import Context
 from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.system import equations
 from ngvisco.forms.term import Entry, Integrand, Term

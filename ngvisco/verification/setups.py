@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Integrate, Mesh, cos, pi, sin, x, y, z
 
-from ngvisco.forms.initial import Initial
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, NeoHookean

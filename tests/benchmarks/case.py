@@ -121,7 +121,6 @@ def main(dim: int, maxh: float, method: str, threads: int, steps: int, creeping:
     row["step"] = (time.perf_counter() - began) / steps
     row["iterations"] = iterations / steps
     row["closure"] = abs(last["closure_relative"])
-    row["retried"] = run.solver.retried
     if method == "split":
         row["parts"] = {
             name: (value - before.get(name, 0.0)) / steps for name, value in newton.seconds.items()

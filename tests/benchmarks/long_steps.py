@@ -18,7 +18,7 @@ import numpy as np
 from ngsolve import CF, IfPos, Mesh, cos, pi, x, z
 
 from ngvisco.errors import StepError
-from ngvisco.forms.initial import Initial
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box, structured_box
 from ngvisco.physics.materials import NeoHookean
 from ngvisco.physics.model import Gravity, Model

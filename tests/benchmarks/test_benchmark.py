@@ -59,6 +59,8 @@ def test_extrapolated_value_is_free_of_the_leading_error():
     assert schemes.extrapolated(3.0 + 0.4**2, 3.0 + 0.2**2, order=2) == pytest.approx(3.0)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_runs_of_every_scheme_come_within_the_error_asked_for():
     """On a coarse mesh over 0.06 s; no time is asserted."""
     rows = schemes.main(maxh=0.5, until=0.06, finest=6, tolerances=[0.2])

@@ -15,7 +15,9 @@ def values(simulation):
     return simulation.rothe_step.state.vec.FV().NumPy().copy()
 
 
-@pytest.mark.parametrize("name", ["couette", "creep_finite", "shell", "wave"])
+@pytest.mark.parametrize(
+    "name", ["couette", "wave", *(pytest.param(n, marks=pytest.mark.long) for n in ("creep_finite", "shell"))]
+)
 def test_resumed_run_is_bitwise_identical_on_every_kind_of_domain(name, tmp_path):
     """Curved cells, moving walls, creep with its own equation, passive fields, a periodic cell."""
     settings = [f"domain.maxh={0.4 if name == 'wave' else 0.7}", "output.checkpoint.every=1000"]
@@ -41,3 +43,20 @@ def test_what_is_no_run_directory_is_refused(tmp_path):
         with pytest.raises(nv.RunDirectoryError, match="not a run directory"):
             act(tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_of_a_first_step_without_solution_its_report_stays_alone(tmp_path, monkeypatch):
+    """The corrected case then runs in the same directory."""
+    loaded = nv.load_case(DEMOS / "couette" / "couette.toml", ["domain.maxh=0.7"])
+    case = nv.load_case(loaded.source, ["domain.maxh=0.7", f"time.until={loaded.sections.time.dt!r}"])
+
+    def unsolved(*_):
+        raise nv.StepError("did not converge")
+
+    with monkeypatch.context() as broken:
+        broken.setattr("ngvisco.solver.rothe.RotheSolver.solve", unsolved)
+        with pytest.raises(nv.StepError):
+            run(case, tmp_path / "run")
+    assert {path.name for path in (tmp_path / "run").rglob("*")} == {"failed.txt", "failed.vtu"}
+    run(case, tmp_path / "run")
+    assert (tmp_path / "run" / "run.h5").exists() and not (tmp_path / "run" / "failed.txt").exists()

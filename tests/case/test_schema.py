@@ -203,7 +203,7 @@ def test_walls_geometries_and_fields_of_a_case_reach_the_run():
     )
     run = loaded.simulation(loaded.mesh())
     ledger = run.run(0.04)
-    assert ledger.column("v_max")[-1] == pytest.approx(0.04, rel=0.05)
+    assert ledger.column("v_max")[-1] == pytest.approx(0.03, rel=0.05)  # its mean over the last step
     assert abs(ledger.column("closure_relative")).max() <= 1e-10
     assert {"dissipation_creep", "power_gravity"} <= set(ledger.columns) and "creep_strain" in run.fields
     with pytest.raises(CaseError, match=r"walls\.outer\.coefficient .*-1.*expected a number >= 0"):

@@ -1,10 +1,14 @@
-"""The command as a user runs it, in a process of its own."""
+"""The command as a user runs it: in this process, or in one of its own where that is what is tested."""
 
+import contextlib
+import io
 import os
 import subprocess
 import sys
 import time
 from pathlib import Path
+
+from ngvisco.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-m", "ngvisco.cli.main"]
@@ -51,8 +55,19 @@ def start(*arguments, **options):
     )
 
 
-def command(*arguments, **options):
-    """Run to the end; nothing that a user does may show a traceback."""
+def command(*arguments):
+    """Run to the end in this process; nothing that a user does may raise."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            code = main([str(argument) for argument in arguments])
+        except SystemExit as refused:  # by the grammar of the command line
+            code = refused.code
+    return code, out.getvalue(), err.getvalue()
+
+
+def in_a_process(*arguments, **options):
+    """Run to the end in a process; nothing that a user does may show a traceback."""
     process = start(*arguments, **options)
     out, err = process.communicate(timeout=200)
     assert "Traceback" not in out + err, err

@@ -283,7 +283,7 @@ def test_a_huge_file_is_not_read(tmp_path, capsys):
 
 @pytest.mark.filterwarnings("default")
 def test_a_ledger_that_does_not_close_is_loud(case_file, tmp_path, capsys, monkeypatch):
-    from ngvisco.forms.momentum import Loading
+    from ngvisco.forms.terms.momentum import Loading
 
     monkeypatch.setattr(Loading, "entries", lambda self, u: [])
     assert ended("run", case_file, "-o", tmp_path / "out", "--quiet") == 4

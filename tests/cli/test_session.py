@@ -43,7 +43,8 @@ def test_new_users_session(tmp_path):
     scripts = tmp_path / "env" / "bin"
     # the dependencies are those of the tests' own environment; ngvisco itself is installed anew
     (site,) = (tmp_path / "env").glob("lib/python*/site-packages")
-    (site / "outer.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    outer = sysconfig.get_path("purelib")  # with what its own .pth files add
+    (site / "outer.pth").write_text(f"import site; site.addsitedir({outer!r})\n")
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | {
         "PATH": f"{scripts}:{os.environ['PATH']}",
         "PIP_NO_DEPS": "1",

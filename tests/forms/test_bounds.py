@@ -6,9 +6,9 @@ from ngsolve import CF, VOL, Det, Integrate, x, y, z
 
 import ngvisco as nv
 from ngvisco.forms.bounds import OF_CUT_OFF, SHARE, Bounds
-from ngvisco.forms.initial import set_initial
-from ngvisco.forms.locating import nearest_wall
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.locating import nearest_wall
+from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.geometries import box, disc
 from ngvisco.physics.tensors import square

@@ -22,7 +22,7 @@ from support import (
 
 import ngvisco as nv
 from ngvisco.forms.system import Step
-from ngvisco.forms.transport import Kinematics
+from ngvisco.forms.terms.transport import Kinematics
 
 EPS = 0.05
 REFERENTIAL = nv.ReferentialMooneyRivlin(K_e=3.0, G_e=1.3, G_mr=0.7)
@@ -32,8 +32,7 @@ REFERENTIAL = nv.ReferentialMooneyRivlin(K_e=3.0, G_e=1.3, G_mr=0.7)
 def step_with(dim: int, material: nv.Material, k: int = 2, m: int = 1) -> Step:
     step = Step(small_box(dim), replace(Case(dim=dim).model, material=material), nv.Discretisation(k=k, m=m))
     step.context.tau.Set(0.3)
-    step.context.loads_from.Set(0.2)
-    step.context.loads_over.Set(0.3)
+    step.context.set_loads(0.2, 0.3)
     step.context.eta.Set(0.3)
     step.context.curvature.Set(0.2)
     return step

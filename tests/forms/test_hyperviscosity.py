@@ -18,10 +18,10 @@ from support import (
 )
 
 from ngvisco.forms.fields import hessian_basis
-from ngvisco.forms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.initial import _recover_hessian, complete
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.start.initial import _recover_hessian, complete
 from ngvisco.forms.system import Step
+from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.physics.tensors import square
 
 QUADRATIC = {

@@ -17,10 +17,10 @@ from support import (
 )
 
 from ngvisco import Discretisation, Gravity, Model, StokesViscosity, time
-from ngvisco.forms.initial import complete
+from ngvisco.forms.start.initial import complete
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand, Term
-from ngvisco.forms.transport import transport_in_cells, transport_through_facets
+from ngvisco.forms.terms.transport import transport_in_cells, transport_through_facets
 from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import embed_gradient, inner, square
 
@@ -266,8 +266,7 @@ def test_gravity_is_averaged_over_the_step() -> None:
     """g = (0, t^3): the force is rho times 1/tau int t^3 over the step, exact by two Gauss points."""
     model = Model(material=Case().model.material, loads=(Gravity((0, time**3)),))
     step = Step(small_box(2), model, Discretisation())
-    step.context.loads_from.Set(0.2)
-    step.context.loads_over.Set(0.5)
+    step.context.set_loads(0.2, 0.5)
     parts_of(step)["rho"].Set(2.0)
     force = block(step, rows(step, "Loading"), "v")
     parts_of(step)["v"].Set(CF((0, 1)))

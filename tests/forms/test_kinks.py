@@ -9,9 +9,9 @@ from ngsolve import Mesh, x, y
 from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
 import ngvisco as nv
-from ngvisco.forms.boundaries import walls_of
-from ngvisco.forms.kinks import require_curved_cells
-from ngvisco.forms.walls import Walls
+from ngvisco.forms.boundary.boundaries import walls_of
+from ngvisco.forms.boundary.kinks import require_curved_cells
+from ngvisco.forms.boundary.walls import Walls
 from ngvisco.geometries import annulus, block_with_hole, box, cylinder, disc, load, sphere, spherical_shell
 
 

@@ -7,7 +7,7 @@ import pytest
 from ngsolve import ET, H1, VOL, Mesh
 from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
-from ngvisco.forms.mesh_arrays import coordinates, is_simplicial, mask_of, vertices
+from ngvisco.forms.mesh.mesh_arrays import coordinates, is_simplicial, mask_of, vertices
 from ngvisco.geometries import box, disc
 
 

@@ -9,8 +9,8 @@ import pytest
 from ngsolve import L2, BilinearForm, CoefficientFunction, GridFunction, Mesh, exp, sin, specialcf, x, y, z
 from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
-from ngvisco.forms.quadrature import Quadrature
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Quadrature
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.geometries import box
 
 MESHES: dict[str, Callable[[], Mesh]] = {

@@ -20,7 +20,7 @@ from ngsolve import (
 from support import parts_of
 
 import ngvisco as nv
-from ngvisco.forms.momentum import Convection
+from ngvisco.forms.terms.momentum import Convection
 from ngvisco.geometries import box
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.verification.cases.invariants import converging

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from ngsolve import H1, L2, FacetFESpace, GridFunction, cos, grad, specialcf, x, y, z
 
-from ngvisco.forms.quadrature import Quadrature
-from ngvisco.forms.side_points import SidePoints
+from ngvisco.forms.mesh.quadrature import Quadrature
+from ngvisco.forms.mesh.side_points import SidePoints
 from ngvisco.geometries import box, disc, sphere
 
 MESHES = {

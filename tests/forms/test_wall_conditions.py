@@ -5,7 +5,7 @@ import pytest
 from ngsolve import BND, CF, BilinearForm, Id, IfPos, Integrate, cos, dx, exp, pi, sin, specialcf, sqrt, x, y
 
 import ngvisco as nv
-from ngvisco.forms.boundaries import facet_indicator
+from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.context import inner_facets
 from ngvisco.forms.system import Step
 from ngvisco.geometries import (

@@ -8,9 +8,9 @@ from netgen.occ import OCCGeometry, WorkPlane
 from ngsolve import BND, CF, Integrate, Mesh, specialcf
 
 import ngvisco as nv
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.boundary.wall_projection import WallProjection
+from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.system import Step
-from ngvisco.forms.wall_projection import WallProjection
 from ngvisco.geometries import sphere
 
 

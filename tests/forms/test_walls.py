@@ -11,7 +11,7 @@ from ngsolve import CF, IfPos, Integrate, Mesh, x
 from ngsolve.meshes import Make1DMesh, MakeStructured2DMesh, MakeStructured3DMesh
 
 from ngvisco import MeshError, Model, NeoHookean, UnknownNameError
-from ngvisco.forms.boundaries import (
+from ngvisco.forms.boundary.boundaries import (
     axis_parallel_walls,
     check_boundary_names,
     check_mesh,

@@ -128,7 +128,7 @@ def test_what_may_crash_netgen_is_tried_apart():
 
 @pytest.mark.parametrize("periodic", ["x", "y", "xy", "xyz"])
 def test_identified_walls_have_pairs(periodic):
-    from ngvisco.forms.boundaries import periodic_boundaries
+    from ngvisco.forms.boundary.boundaries import periodic_boundaries
 
     mesh = g.box((1, 1, 1) if "z" in periodic else (1, 1), 0.6, periodic=periodic)
     planes = {"x": {"left", "right"}, "y": {"bottom", "top"}}

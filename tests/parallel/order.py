@@ -15,7 +15,7 @@ from typing import Any
 import runs
 from ngsolve import CF, BilinearForm, GridFunction, VectorH1, cos, exp, sin, x, y, z
 
-from ngvisco.forms.interpolation import Interpolation
+from ngvisco.forms.start.interpolation import Interpolation
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange

@@ -7,7 +7,7 @@ import pytest
 from ngsolve import CF, cos, pi, sin, x, y
 
 import ngvisco as nv
-from ngvisco.forms.momentum import Stokes
+from ngvisco.forms.terms.momentum import Stokes
 from ngvisco.geometries import box
 from ngvisco.physics.materials import examples
 from ngvisco.run.ledger import Ledger

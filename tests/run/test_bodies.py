@@ -167,6 +167,8 @@ def test_a_smear_fades_and_a_body_does_not():
     assert np.all(np.diff(weight_of(np.linspace(0, 1, 99))) > 0)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_the_run_that_ended_at_one_second_goes_on():
     """A soft disc in a lid-driven cavity: det F <= 0 in the fluid ended it at 0.98 s, and fractions reached
     -0.4 and 1.4 before that."""

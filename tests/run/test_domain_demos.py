@@ -39,6 +39,8 @@ def test_shear_demo_has_the_curve_of_the_published_table():
     assert np.abs(demo.exact(np.array(demo.TIMES)) - list(SHEAR_TABLE.values())).max() < 1e-6
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_shear_meets_the_whole_table_to_a_thousandth(tmp_path):
     """By the midpoint rule with 800 steps; the backward Euler scheme is off by a quarter in tau_11."""
     results = load("shear").main(str(tmp_path))
@@ -107,6 +109,8 @@ def test_couette_demo_is_within_half_a_per_cent(tmp_path):
     assert error < 0.005
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_heavy_body_sinks_in_the_shell():
     demo = load("shell")
     run = demo.simulation(maxh=0.6)

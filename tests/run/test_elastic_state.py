@@ -234,6 +234,8 @@ def test_run_that_winds_up_warns_once_and_names_the_remedy():
         run.run(0.5)
     messages = [str(w.message) for w in caught if w.category is nv.DefectWarning]
     assert len(messages) == 1 and 'elastic_state="B"' in messages[0] and "det H and J" in messages[0]
+    first = float(next(row["time"] for row in run.ledger.rows if row["defect_rms"] >= 0.01))
+    assert messages[0].startswith(f"at t = {first:.4g} s, most at (")
     ledger = run.ledger
     assert ledger.column("defect_rms")[-1] > 0.05 and ledger.column("defect_max")[-1] > 0.2
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10  # which does not see it

@@ -14,6 +14,7 @@ from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.forms.unknowns import Unknown
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, square, tr
+from ngvisco.run.fields import component_fields
 from ngvisco.run.simulation import Simulation
 from ngvisco.run.transfer import transfer
 from ngvisco.timestepping.scheme import scheme_of
@@ -255,6 +256,27 @@ class ByVelocity(Relaxation):
 def test_a_share_of_the_energy_that_would_be_lost_is_refused(term, said):
     with pytest.raises(ParameterError, match=said):
         simulation(term, theta=None)
+
+
+@pytest.mark.parametrize("size", [None, 2, 4])
+def test_it_is_a_field_of_the_run(size):
+    term = Relaxation()
+    term.size = size
+    run = simulation(term, theta=x if size is None else CF((x,) * size), solver="coupled")
+    parts = component_fields(run.fields, ["theta"])
+    assert list(parts) == (["theta"] if size is None else [f"theta_{i + 1}" for i in range(size)])
+    for part in parts.values():
+        assert Integrate((part - x) ** 2, run.mesh) < 1e-24
+
+
+def test_its_name_is_that_of_no_other_field():
+    for name in ("density", "F_tot"):
+        term = Relaxation()
+        term.unknowns = lambda setting, name=name: (Unknown(name, "cells", evolves=True),)
+        term.cells = lambda u, w, name=name: [u.context.rate(u.parts[name]) * w.parts[name]]
+        term.entries = lambda u: []
+        with pytest.raises(ParameterError, match=r"Unknown\.name"):
+            simulation(term, theta=None)
 
 
 def test_declarations_are_checked():

@@ -23,13 +23,13 @@ from ngvisco import (
     time,
 )
 from ngvisco.forms.context import Context
-from ngvisco.forms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.initial import _recover_hessian
-from ngvisco.forms.momentum import Convection, Inertia, Loading, Stokes
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import _recover_hessian
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry, Integrand
-from ngvisco.forms.transport import ElasticForce, Kinematics
+from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.terms.momentum import Convection, Inertia, Loading, Stokes
+from ngvisco.forms.terms.transport import ElasticForce, Kinematics
 from ngvisco.geometries import box
 from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.ledger import NUMERICAL, unit
@@ -160,8 +160,7 @@ def test_closure_is_the_residual_tested_by_the_solution(case: Case) -> None:
     step.context.eta.Set(0.3)
     step.context.curvature.Set(0.2)
     step.context.tau.Set(0.3)
-    step.context.loads_from.Set(0.2)
-    step.context.loads_over.Set(0.3)
+    step.context.set_loads(0.2, 0.3)
     randomise(step, 5)
     new = step.state.vec.CreateVector()
     new.data = step.state.vec

@@ -94,6 +94,23 @@ def test_advice_names_the_scheme_and_is_not_given_for_the_step_that_it_advises()
     assert "the scheme midpoint does not resolve them" in said
 
 
+def test_advice_foresees_steps_that_are_hard_to_solve():
+    """By the moduli's ratio, by the densities', by waves that the midpoint rule leaves ringing."""
+    from ngvisco.run.scales import Scales
+    from ngvisco.timestepping.scheme import midpoint
+
+    sound = {"length": 1.0, "cell": 0.1, "velocity": 0.1, "speeds": (10.0, 1.0), "kinematic_viscosity": 0.0}
+    sound |= {"maxwell": math.inf, "dt": 0.02}
+    assert Scales(**sound, scheme=midpoint()).advice == []
+    (stiff,) = Scales(**sound | {"speeds": (200.0, 1.0)}).advice
+    assert "4e+04 times that of shear" in stiff and "discretisation.k = 3" in stiff
+    (ringing,) = Scales(**sound | {"speeds": (80.0, 1.0)}, scheme=midpoint()).advice
+    assert "cross 16 cells a step, which midpoint does not damp" in ringing and "dt <= 0.013 s" in ringing
+    assert Scales(**sound | {"speeds": (80.0, 1.0)}).advice == []  # backward Euler damps them
+    (uneven,) = Scales(**sound, densities=1e5).advice
+    assert "densities differ 1e+05 times" in uneven and "below 1000" in uneven
+
+
 def test_waves_about_a_strained_state_have_the_speed_of_their_lagrangian_law():
     """Uniaxial strain of the Riemann problems' energy: stretch sqrt(P'/rho_0), by F, Cof F and J."""
     model = nv.Model(

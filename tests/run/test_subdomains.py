@@ -8,7 +8,7 @@ from netgen.meshing import Mesh as NetgenMesh
 from ngsolve import BND, VOL, Mesh
 
 import ngvisco as nv
-from ngvisco.forms.boundaries import interior_boundaries, walls_of
+from ngvisco.forms.boundary.boundaries import interior_boundaries, walls_of
 
 SIDES = {
     2: {"left": -occ.X, "right": occ.X, "bottom": -occ.Y, "top": occ.Y},

@@ -7,8 +7,8 @@ import pytest
 from ngsolve import CF, Norm, cos, pi, sin, x, y
 
 import ngvisco as nv
-from ngvisco.forms.momentum import Continuity
 from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.terms.momentum import Continuity
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, log, sqrt, square
 from ngvisco.reduced import claims

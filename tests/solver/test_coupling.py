@@ -8,7 +8,7 @@ from ngsolve import CF, x, y, z
 
 import ngvisco as nv
 from ngvisco.algebra.sparse import of_blocks
-from ngvisco.forms.transport import Kinematics
+from ngvisco.forms.terms.transport import Kinematics
 from ngvisco.geometries import box, disc
 
 pytestmark = pytest.mark.usefixtures("double_precision")

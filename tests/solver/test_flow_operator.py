@@ -7,7 +7,7 @@ import pytest
 from ngsolve import CF
 
 import ngvisco as nv
-from ngvisco.forms.transport import ElasticForce
+from ngvisco.forms.terms.transport import ElasticForce
 from ngvisco.geometries import box
 from ngvisco.solver.options import FieldOptions
 

@@ -9,7 +9,7 @@ import pytest
 from ngsolve import CF, cos, pi, sin, x, y
 
 import ngvisco as nv
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.geometries import box, disc, structured_box
 from ngvisco.physics.materials import examples
 from ngvisco.solver.options import KrylovOptions, SplitOptions
@@ -49,7 +49,27 @@ def residual(run):
     return {name: values[where] for name, where in step.layout.ranges.items()}
 
 
-def assert_both_agree(mesh, physics, steps=2, dt=0.02, rows_within=2e-11, **options):
+def by_tolerance(run, draws=3):
+    """Bounds of the rows that increments of the size of the solver's tolerance change, block by block.
+
+    An iteration that ends at that size leaves rows of this order, stiffness times increment.  Of random
+    increments d of one length |J d| is |J|_F |d|/sqrt(n) in the mean, and |J|_F |d| bounds it for all.
+    """
+    state, rng = run.rothe_step.state.vec.FV().NumPy(), np.random.default_rng(0)
+    solution, before, changes = state.copy(), residual(run), []
+    for _ in range(draws):
+        for where in run.rothe_step.layout.ranges.values():
+            d = rng.standard_normal(where.stop - where.start)
+            size = run.solver.options.tolerance * np.linalg.norm(solution[where])
+            state[where] += size / np.linalg.norm(d) * d
+        after = residual(run)
+        changes.append({name: np.linalg.norm(after[name] - rows) for name, rows in before.items()})
+        state[:] = solution
+    residual(run)  # the local unknowns are the solution's again
+    return {name: np.sqrt(len(state)) * np.mean([change[name] for change in changes]) for name in before}
+
+
+def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
     """Run both: rho, v and z agree to 1e-9, the split one solves the coupled residual, its ledger closes.
 
     Traces and normal derivatives are held to the residual: where diffusion or hyperviscosity hardly acts they
@@ -64,8 +84,9 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, rows_within=2e-11, **opti
         a, b = (run.rothe_step.state.vec.FV().NumPy()[values] for run in runs)
         if name in ("v", "rho", "z"):
             assert np.linalg.norm(a - b) <= 1e-9 * np.linalg.norm(a), name
+    allowed = by_tolerance(split)
     for name, rows in residual(split).items():
-        assert np.linalg.norm(rows) <= rows_within, name  # of equations whose terms are of the order of one
+        assert np.linalg.norm(rows) <= allowed[name], name
     assert np.abs(split.ledger.column("closure_relative")).max() <= 1e-10
     assert np.abs(split.ledger.column("mass_drift")).max() <= 1e-12
     for column in coupled.ledger.columns:
@@ -93,7 +114,7 @@ BY_B = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B")
 
 
 def test_by_left_cauchy_green_in_three_dimensions():
-    assert_both_agree(box((1, 1, 1), maxh=1), model(BY_B, dim=3), rows_within=4e-11)
+    assert_both_agree(box((1, 1, 1), maxh=1), model(BY_B, dim=3))
 
 
 def test_by_left_cauchy_green_with_a_creep_rate_field():
@@ -150,7 +171,7 @@ def assert_on_strip(cells, physics):
     mesh = structured_box((1, 0.2, 0.2)[:dim], cells, periodic="yz"[: dim - 1])
     wave = CF((sin(pi * x), 0.5 * sin(2 * pi * x), 0.3 * sin(pi * x))[:dim])
     initial = nv.Initial(density=1 + 0.2 * cos(pi * x), velocity=wave)
-    assert_both_agree(mesh, replace(physics, loads=()), initial=initial, rows_within=1e-10)
+    assert_both_agree(mesh, replace(physics, loads=()), initial=initial)
 
 
 @pytest.mark.parametrize("name", PARTS)

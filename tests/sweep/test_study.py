@@ -122,6 +122,8 @@ def test_the_table_keeps_rows_of_runs_that_another_command_made(case_file, tmp_p
         Study(case_file, [Variation("material.G_e", ("5",))], directory)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_stopped_study_goes_on_where_it_was(case_file, tmp_path):
     out, words = tmp_path / "study", ["--vary", "material.G_e=1,2", "--set", "time.until=40"]
     command = [
@@ -151,6 +153,42 @@ def test_a_stopped_study_goes_on_where_it_was(case_file, tmp_path):
     assert first["state"] == "stopped" and second["state"] == "not started"
     study = Study(case_file, [Variation.parse(words[1])], out, settings=[words[3]])
     assert study.unfinished == [0, 1] and study.outcomes[0].last["step"] == int(first["step"]) > 2
+
+
+def begun(command, ledger, **options):
+    """A process that has made some steps of the run whose ledger it is."""
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **options
+    )
+    for _ in range(1200):
+        if ledger.exists() and len(ledger.read_text().splitlines()) > 4:
+            return process
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.05)
+    raise AssertionError("waited in vain")
+
+
+def test_a_run_of_a_study_ends_with_its_standard_input(case_file, tmp_path):
+    out = tmp_path / "run"
+    words = ["run", str(case_file), "-o", str(out), "--set", "time.until=40", "--quiet", "--ends-with-stdin"]
+    command = [sys.executable, "-m", "ngvisco", *words]
+    process = begun(command, out / "ledger.csv", stdin=subprocess.PIPE)
+    process.communicate(timeout=60)
+    assert process.returncode == 143 and "stopped on request" in (out / "log.txt").read_text()
+
+
+@pytest.mark.long
+def test_a_study_that_is_killed_leaves_no_run_behind(case_file, tmp_path):
+    words = [str(case_file), "-o", str(tmp_path), "--vary", "material.G_e=1", "--set", "time.until=40"]
+    place = tmp_path / "material.G_e=1"
+    process = begun([sys.executable, "-m", "ngvisco", "sweep", *words], place / "ledger.csv")
+    process.kill()
+    process.communicate(timeout=60)
+    for _ in range(600):
+        if "stopped on request" in (place / "log.txt").read_text():
+            return
+        time.sleep(0.05)
+    raise AssertionError((place / "log.txt").read_text())
 
 
 def test_a_run_that_ended_early_is_listed_as_stopped(case_file, tmp_path):

@@ -52,49 +52,36 @@ def rates(values):
     return [{name: math.log2(a[name] / b[name]) for name in a} for a, b in pairwise(differences)]
 
 
-def in_time(scheme, until=0.08, steps=(8, 16, 32), of=evolved, **options):
+def in_time(scheme, until=0.04, steps=(4, 8, 16), of=evolved, **options):
     return rates([of(run_to(until, n, scheme, **options)) for n in steps])[-1]
 
 
-STIFFER = {"CustomMaterial": 0.04}
+STIFFER = {"CustomMaterial": 0.02}
 """Shorter runs, with shorter steps."""
 
 
-SLOW = (
-    "MooneyRivlin",
-    "ReferentialMooneyRivlin",
-    "CustomMaterial",
-    "ReferentialNeoHookean(epsilon=ε, kappa=ϰ)",
-    "LogarithmicMooneyRivlin",
-    'MooneyRivlin(elastic_state="B")',
-    'LogarithmicMooneyRivlin(elastic_state="B")',
-    "NeoHookean(kappa=ϰ)",
-)
+OF_EACH_KIND = ("LinearElastic", "NeoHookean", 'NeoHookean(elastic_state="B")', "OldroydB", "BarotropicFluid")
+"""Materials of every kind of variable: E, F with J, B, A and a scalar."""
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.long if name in SLOW else ()) for name in EXAMPLES]
+    "name", [pytest.param(name, marks=() if name in OF_EACH_KIND else pytest.mark.long) for name in EXAMPLES]
 )
 def test_midpoint_is_of_second_order_for_every_material(name):
-    found = in_time("midpoint", STIFFER.get(name, 0.08), material=EXAMPLES[name])
+    found = in_time("midpoint", STIFFER.get(name, 0.04), material=EXAMPLES[name])
     assert min(found.values()) >= 1.9, found
 
 
-@pytest.mark.parametrize("name", ["LinearElastic", 'BarotropicFluid(form="A")'])
-def test_sdirk2_is_of_second_order(name):
-    found = in_time("sdirk2", material=EXAMPLES[name])
-    assert min(found.values()) >= 1.9, found
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name == "NeoHookean" else pytest.mark.long) for name in EXAMPLES]
+)
 def test_sdirk2_is_of_second_order_for_every_material(name):
-    found = in_time("sdirk2", STIFFER.get(name, 0.08), material=EXAMPLES[name])
+    found = in_time("sdirk2", STIFFER.get(name, 0.04), material=EXAMPLES[name])
     assert min(found.values()) >= 1.9, found
 
 
 def test_backward_euler_is_of_first_order():
-    found = in_time("backward-euler")
+    found = in_time("backward-euler", 0.08, (8, 16, 32))
     assert max(found.values()) <= 1.2 and min(found.values()) >= 0.75, found
 
 
@@ -104,19 +91,19 @@ def test_a_load_at_the_wrong_time_costs_an_order(monkeypatch):
 
     late = lambda self, value: value.Replace({time: self.loads_from + self.loads_over})  # noqa: E731
     monkeypatch.setattr(Context, "average", late)
-    assert min(in_time("midpoint").values()) <= 1.3
+    assert min(in_time("midpoint", 0.08, (8, 16, 32)).values()) <= 1.3
 
 
 @pytest.mark.parametrize("scheme", ["midpoint", pytest.param("sdirk2", marks=pytest.mark.long)])
 def test_second_order_with_all_terms(scheme):
-    found = in_time(scheme, 0.04, regularisation=ALL_TERMS)
+    found = in_time(scheme, 0.02, regularisation=ALL_TERMS)
     assert min(found.values()) >= 1.9, found
 
 
-@pytest.mark.parametrize("scheme", ["midpoint", "sdirk2"])
+@pytest.mark.parametrize("scheme", ["midpoint", pytest.param("sdirk2", marks=pytest.mark.long)])
 def test_second_order_under_a_lid_that_is_accelerated(scheme):
     lid = {"top": nv.PrescribedTangential((16 * x**2 * (1 - x) ** 2 * sin(10 * nv.time) ** 2, 0.0))}
-    found = in_time(scheme, 0.1, walls=lid, initial=nv.Initial(), loads=[])
+    found = in_time(scheme, 0.05, walls=lid, initial=nv.Initial(), loads=[])
     assert min(found.values()) >= 1.9, found
 
 
@@ -134,13 +121,13 @@ def passive(run):
 
 @pytest.mark.parametrize("scheme", ["midpoint", pytest.param("sdirk2", marks=pytest.mark.long)])
 def test_passive_fields_are_of_the_schemes_order(scheme):
-    found = in_time(scheme, 0.08, of=passive, passive=("F_tot", "reference_map", "creep_strain"))
+    found = in_time(scheme, of=passive, passive=("F_tot", "reference_map", "creep_strain"))
     assert min(found.values()) >= 1.9, found
-    first = in_time("backward-euler", 0.08, of=passive, passive=("F_tot",))
+    first = in_time("backward-euler", of=passive, passive=("F_tot",))
     assert max(first.values()) <= 1.3
 
 
-@pytest.mark.parametrize("startup", [1, 2])
+@pytest.mark.parametrize("startup", [pytest.param(1, marks=pytest.mark.long), 2])
 def test_a_few_euler_steps_at_the_start_keep_the_order(startup):
     found = in_time("midpoint", startup=startup)
     assert min(found.values()) >= 1.8, found

@@ -63,7 +63,13 @@ RESTARTED = {
 }
 
 
-@pytest.mark.parametrize("name", RESTARTED)
+TWICE = ("theta", "sdirk2, coupled")
+"""Whose parts are those of others."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long if name in TWICE else ()) for name in RESTARTED]
+)
 def test_a_run_stopped_at_any_step_is_resumed_bit_for_bit(name, tmp_path):
     whole = simulation(**RESTARTED[name])
     whole.run(0.12)
@@ -251,10 +257,10 @@ def test_a_relaxed_run_ends_where_little_moves(dt, speed):
 def test_a_relaxed_run_is_of_second_order():
     ends = []
     for n in (8, 16, 32):
-        dt = 0.16 / n
+        dt = 0.08 / n
         run = simulation(dt, stepping=nv.AdaptiveSteps(dt_min=dt / 9, dt_max=dt), relaxation=True)
         run.rothe_step.context.eta.Set(0.3)
-        run.run(0.16)
+        run.run(0.08)
         ends.append(state(run)[run.rothe_step.layout.ranges["v"]])
     first, second = (np.linalg.norm(a - b) for a, b in pairwise(ends))
     assert math.log2(first / second) >= 1.85
@@ -309,6 +315,7 @@ def test_the_controller_keeps_the_error_at_its_tolerance(scheme):
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
 
 
+@pytest.mark.long
 def test_second_order_takes_fewer_steps_for_a_tolerance():
     counts = {}
     for scheme in ("backward-euler", "midpoint"):

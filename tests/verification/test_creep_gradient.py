@@ -22,7 +22,7 @@ from ngvisco.verification.sources import Sources
 T, TAU = 0.3, 0.05
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_source_of_the_flow_rule_is_its_strong_residual(kind, dim):
     mesh, sources = box((1,) * dim, 1.0), Sources(model(kind, dim, 4.0, True, nu=NU), dim, TAU)

@@ -117,6 +117,7 @@ def decay_rates(dim: int, meshes: Iterable[Mesh], k: float) -> RateTable:
     return table
 
 
+@pytest.mark.long
 def test_rates_on_a_disc_with_slip_are_k_plus_1_and_m_plus_1() -> None:
     """Measured 2.95 and 1.97."""
     meshes = (disc(1, maxh) for maxh in (0.5, 0.25, 0.125))

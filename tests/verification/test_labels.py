@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,16 @@ def test_every_test_of_the_table_exists():
             if name not in {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}:
                 missing.append(f"{label.name}: {test}")
     assert not missing
+
+
+def test_readme_says_how_many_are_measured_by_themselves():
+    """A part that is measured with its whole is not counted as measured."""
+    own, whole, none = map(
+        int, re.findall(r"(\d+) (?:with a case|measured with|not)", label_table(all_cases()).title)
+    )
+    said = " ".join((Path(module.__file__).parent / "README.md").read_text(encoding="utf-8").split())
+    assert f"{own} have a case or a test of their own; {whole} are measured only with the whole" in said
+    assert f"{none} are not" in said and own + whole + none == 215
 
 
 def test_a_label_is_measured_or_it_is_said_why_not():

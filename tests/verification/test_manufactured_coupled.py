@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from ngvisco.physics.model import Model
+from ngvisco.verification import convergence
 from ngvisco.verification.convergence import coupled_rates
-from ngvisco.verification.models import KINDS
+from ngvisco.verification.models import FURTHER, KINDS
+from ngvisco.verification.sources import Sources
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["neo-hookean", pytest.param("linear", marks=pytest.mark.long)])
 def test_coupled_rates_without_hyperviscosity_are_k_plus_1_and_m_plus_1(kind: str) -> None:
     coupled_rates(kind, 2, None, 2, 1, 0.4, 3).require(v=2.7, rho=1.85, z=1.85)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["linear", pytest.param("neo-hookean", marks=pytest.mark.long)])
 def test_coupled_rates_with_hyperviscosity_are_2_for_k_2(kind: str) -> None:
     coupled_rates(kind, 2, 4.0, 2, 1, 0.4, 3).require(v=1.7, rho=1.75, z=1.75)
 
@@ -46,3 +51,25 @@ def test_coupled_rates_of_higher_order(
 @pytest.mark.parametrize("kind", KINDS)
 def test_coupled_rates_in_3d_on_small_meshes(kind: str, p: float | None, least: dict[str, float]) -> None:
     coupled_rates(kind, 3, p, 2, 1, 1.0, 2).require(**least)
+
+
+@pytest.mark.long  # a quarter of a minute each
+@pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")  # exact fields are unrelated
+@pytest.mark.parametrize("kind", FURTHER)
+def test_coupled_rates_by_B_and_with_cofactors(kind: str) -> None:
+    """With creep by B, and of F and Cof F at once; the orders are those of the other materials."""
+    coupled_rates(kind, 2, None, 2, 1, 0.4, 3).require(v=2.7, rho=1.85, z=1.85)
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")
+@pytest.mark.parametrize("kind", FURTHER)
+def test_sources_without_creep_do_not_converge(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Negative control: what creep takes from z stays as the mesh is refined."""
+
+    def without_creep(system: Model, dim: int, tau: float) -> Sources:
+        return Sources(replace(system, creep=None), dim, tau)
+
+    monkeypatch.setattr(convergence, "Sources", without_creep)
+    table = coupled_rates(kind, 2, None, 2, 1, 0.4, 3)
+    assert table.last("z") <= 1.0

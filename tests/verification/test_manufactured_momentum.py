@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from ngvisco import Discretisation, Model, StokesViscosity, time
-from ngvisco.forms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.momentum import Convection, Inertia, Stokes
 from ngvisco.forms.term import Integrand
+from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.terms.momentum import Convection, Inertia, Stokes
 from ngvisco.physics.tensors import inner
 from ngvisco.verification.manufactured import Exact
 from ngvisco.verification.models import hyperviscosity, material

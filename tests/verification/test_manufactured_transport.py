@@ -13,7 +13,7 @@ from ngvisco.verification.convergence import transport_rates
 from ngvisco.verification.models import KINDS
 
 
-@pytest.mark.parametrize("m", [0, 1, 2])
+@pytest.mark.parametrize("m", [0, 1, pytest.param(2, marks=pytest.mark.long)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_transport_rate_is_m_plus_1(kind: str, m: int) -> None:
     transport_rates(kind, 2, m, 0.4, 3).require(rho=m + 0.85, z=m + 0.85)

@@ -22,8 +22,8 @@ from ngvisco import (
 )
 from ngvisco.algebra.condensed import CondensedJacobian
 from ngvisco.forms.context import Context
-from ngvisco.forms.quadrature import Quadrature
-from ngvisco.forms.transport import Conjugates, Kinematics, UpwindTrace
+from ngvisco.forms.mesh.quadrature import Quadrature
+from ngvisco.forms.terms.transport import Conjugates, Kinematics, UpwindTrace
 from ngvisco.geometries import box
 from ngvisco.verification.cases.maxwell import MYR, ROCK, relaxed_stress
 from ngvisco.verification.models import KINDS

@@ -15,7 +15,7 @@ def test_weak_waves_are_acoustic():
 
 def test_star_states_of_impact_and_expansion():
     run = solved(0.2, 40)
-    assert run.ledger.column("rejections").sum() == 0 and run.solver.retried == 0
+    assert run.ledger.column("rejections").sum() == 0
     assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
     for star in stars(run, 0.2):
         assert max(star.errors.values()) < 0.02

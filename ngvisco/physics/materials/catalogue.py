@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 from ngsolve import Trace
 
@@ -51,6 +52,7 @@ class Example:
     paper: str | None
 
 
+@cache
 def examples() -> tuple[Example, ...]:
     """One example of every form of every material, in the paper's order; moduli are of order 1 to 10 Pa."""
     return (

@@ -13,7 +13,7 @@ from ngvisco.algebra.factorised import Direct, Fallback, MakesDirect, TwoLevelSo
 from ngvisco.algebra.krylov import gmres
 from ngvisco.algebra.sparse import together
 from ngvisco.errors import InputWarning
-from ngvisco.forms.mesh_arrays import mask_of, rigid_motions
+from ngvisco.forms.mesh.mesh_arrays import mask_of, rigid_motions
 from ngvisco.parallel.petsc import SumInverse
 from ngvisco.reduced.hyper_derivative import HyperDerivative
 from ngvisco.reduced.hyper_tangent import HyperTangent

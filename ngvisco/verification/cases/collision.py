@@ -13,7 +13,7 @@ import math
 import numpy as np
 from ngsolve import CF, CoefficientFunction, IfPos, x, y
 
-from ngvisco.forms.initial import Initial
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import structured_box
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.materials import CustomMaterial, OldroydB

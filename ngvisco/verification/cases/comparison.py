@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import partial
 
 from ngvisco.errors import StepError
-from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import Initial
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean
 from ngvisco.physics.rheology import StokesViscosity

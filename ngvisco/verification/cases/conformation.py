@@ -9,8 +9,8 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
+from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.spaces import Discretisation
-from ngvisco.forms.walls import Conditions
 from ngvisco.geometries import channel
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import FENEP, OldroydB

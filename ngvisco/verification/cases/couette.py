@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 from ngsolve import x, y
 
-from ngvisco.forms.initial import Initial
-from ngvisco.forms.walls import Conditions
+from ngvisco.forms.boundary.walls import Conditions
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import annulus
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean

@@ -9,9 +9,9 @@ import numpy as np
 from ngsolve import CF, VOL, x, y, z
 
 from ngvisco.forms.context import time
-from ngvisco.forms.initial import Initial
-from ngvisco.forms.points import CellPoints
+from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box, disc, sphere
 from ngvisco.physics.materials import LinearElastic
 from ngvisco.physics.model import Model

@@ -9,7 +9,7 @@ import math
 
 from ngsolve import CF, CoefficientFunction, Cof, Det, cos, log, pi, sin, x, y, z
 
-from ngvisco.forms.initial import Initial
+from ngvisco.forms.start.initial import Initial
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LogarithmicNeoHookean, MooneyRivlin
 from ngvisco.physics.regularisation import Regularisation

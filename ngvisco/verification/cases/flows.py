@@ -8,8 +8,8 @@ from functools import partial
 from ngsolve import CF, Mesh, cos, sin, x, y
 from ngsolve.meshes import MakeStructured2DMesh
 
-from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import disc
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import BarotropicFluid, LinearElastic, ReferentialNeoHookean

@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 from ngsolve import CF, erf, y
 
-from ngvisco.forms.initial import Initial
+from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.spaces import Discretisation
-from ngvisco.forms.walls import Conditions
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box
 from ngvisco.physics.materials import LinearElastic
 from ngvisco.physics.model import Model

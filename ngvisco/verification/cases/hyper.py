@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from ngsolve import Integrate, Mesh
 
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.physics.rheology import HyperViscosity
 from ngvisco.physics.tensors import square
 from ngvisco.run.simulation import Simulation

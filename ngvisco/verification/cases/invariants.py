@@ -8,8 +8,8 @@ import numpy as np
 from ngsolve import CF, cos, pi, sin, x
 
 from ngvisco.errors import StepError
-from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box
 from ngvisco.physics.materials import LinearElastic, NeoHookean
 from ngvisco.physics.model import Model

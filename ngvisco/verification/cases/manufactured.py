@@ -8,7 +8,7 @@ from functools import partial
 from itertools import pairwise
 
 from ngvisco.forms.context import time
-from ngvisco.forms.initial import Initial
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box
 from ngvisco.run.simulation import Simulation
 from ngvisco.verification.case import Bound, Case, Curve, Outcome, Plot, Table

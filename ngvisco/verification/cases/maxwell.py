@@ -9,7 +9,7 @@ from ngsolve import CF, cos, sin, y
 from ngsolve import pi as PI
 
 from ngvisco.forms.context import time
-from ngvisco.forms.initial import Initial
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box, channel
 from ngvisco.physics.materials import LinearElastic
 from ngvisco.physics.model import Gravity, Model

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ngvisco.errors import StepError
-from ngvisco.forms.walls import Conditions
+from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.geometries import box
 from ngvisco.physics.materials import NeoHookean
 from ngvisco.physics.model import Model

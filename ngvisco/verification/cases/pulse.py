@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from ngsolve import CF, Det, pi, sin, x
 
-from ngvisco.forms.initial import Initial
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box
 from ngvisco.physics.materials import NeoHookean, ReferentialNeoHookean
 from ngvisco.physics.model import Model

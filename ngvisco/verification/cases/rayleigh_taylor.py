@@ -21,7 +21,7 @@ from functools import cache
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, IfPos, Integrate, cos, pi, sin, x, y
 
-from ngvisco.forms.initial import Initial
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import structured_box
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.materials import CustomMaterial, OldroydB

@@ -12,8 +12,8 @@ from functools import partial
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from ngvisco.forms.initial import Initial
-from ngvisco.forms.walls import Conditions
+from ngvisco.forms.boundary.walls import Conditions
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import channel
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean

@@ -11,7 +11,7 @@ from ngsolve import CF, CoefficientFunction, IfPos, Integrate, x
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from ngvisco.forms.initial import Initial
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import structured_box
 from ngvisco.physics.materials import CustomMaterial
 from ngvisco.physics.model import Model

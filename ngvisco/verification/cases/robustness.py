@@ -11,7 +11,7 @@ import numpy as np
 from ngsolve import CoefficientFunction, Mesh, cos, pi, sin, x, y
 
 from ngvisco.errors import StepError
-from ngvisco.forms.initial import Initial
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean

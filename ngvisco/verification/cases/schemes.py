@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ngvisco.forms.initial import Initial
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box
 from ngvisco.physics.materials import NeoHookean
 from ngvisco.physics.model import Gravity, Model

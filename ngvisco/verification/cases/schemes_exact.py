@@ -10,8 +10,8 @@ import numpy as np
 from ngsolve import sin
 
 from ngvisco.forms.context import time
-from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import channel
 from ngvisco.physics.materials import BarotropicFluid, LinearElastic
 from ngvisco.physics.model import Model

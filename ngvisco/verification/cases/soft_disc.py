@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from ngsolve import cos, pi, sin, x, y
 
-from ngvisco.forms.initial import Initial
+from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.spaces import Discretisation
-from ngvisco.forms.walls import Conditions
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.materials import CustomMaterial, IsochoricNeoHookean

@@ -20,8 +20,8 @@ from ngsolve import CF, CoefficientFunction, InnerProduct, Integrate, x, y, z
 from scipy.optimize import brentq
 from scipy.special import spherical_jn
 
-from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import sphere
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean

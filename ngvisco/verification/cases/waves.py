@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 from ngsolve import CF, Integrate, cos, x
 
-from ngvisco.forms.initial import Initial
 from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean

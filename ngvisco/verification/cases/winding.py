@@ -9,8 +9,8 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, IfPos, Integrate, cos, pi, sin, x, y
 
 from ngvisco.errors import StepError
+from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.context import time
-from ngvisco.forms.walls import Conditions
 from ngvisco.geometries import box
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import CustomMaterial

@@ -9,7 +9,7 @@ import numpy as np
 from ngsolve import BND, VOL, CoefficientFunction, Mesh
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.mesh_arrays import coordinates
+from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import Part
 from ngvisco.shapes.places import mesh_points

@@ -20,7 +20,7 @@ from ngsolve import (
     dx,
 )
 
-from ngvisco.forms.compilation import compiled
+from ngvisco.forms.mesh.compilation import compiled
 
 if TYPE_CHECKING:
     from ngvisco.forms.term import Integrand

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from ngsolve import CoefficientFunction, FacetFESpace, LinearForm, Mesh, dx, specialcf
 
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.mesh.mesh_arrays import mask_of
 
 _OPPOSED = 1e-6  # of the facet's area: what is left of the normals' sum
 

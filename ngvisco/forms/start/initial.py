@@ -19,18 +19,18 @@ from ngsolve import (
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
 from ngvisco.forms.amounts import Amounts
 from ngvisco.forms.cell_means import CellMeans
-from ngvisco.forms.data_checks import distortion_of, warn_of_mismatch
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.interpolation import Interpolation
-from ngvisco.forms.mesh_arrays import mask_of
-from ngvisco.forms.projections import project_in_cells, set_traces
+from ngvisco.forms.mesh.mesh_arrays import mask_of
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.ranges import Ranges
-from ngvisco.forms.sampling import Sampler
-from ngvisco.forms.starting_bodies import starting_fractions
+from ngvisco.forms.start.data_checks import distortion_of, warn_of_mismatch
+from ngvisco.forms.start.interpolation import Interpolation
+from ngvisco.forms.start.projections import project_in_cells, set_traces
+from ngvisco.forms.start.starting_bodies import starting_fractions
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
+from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material, conjugates, volume_ratio
@@ -41,9 +41,6 @@ from ngvisco.physics.tensors import inner, square, tensor_space
 from ngvisco.physics.time import reads_time
 
 ScalarLike: TypeAlias = float | CoefficientFunction
-
-_OF_THE_PAPER = ("v", "rho", "z")
-"""What evolves by the paper's equations, and starts from the data of ``Initial`` that bear their names."""
 
 _LEAST_DENSITY = 1e-30
 """kg/m^3; the largest is one over it, as the sizes of domains are from 1e-30 to 1e30 m."""
@@ -264,10 +261,9 @@ def _initial_values(
     step: Step, initial: Initial, F: CoefficientFunction, parameters: Mapping[str, CoefficientFunction]
 ) -> dict[str, CoefficientFunction]:
     names = [variable.name for variable in step.model.material.variables]
-    further = [name for name in step.layout.evolving if name not in _OF_THE_PAPER]
     for name in initial.values:
-        if name not in (*names, *further):
-            raise UnknownNameError("material variable", name, [*names, *further])
+        if name not in (*names, *step.layout.further):
+            raise UnknownNameError("material variable", name, [*names, *step.layout.further])
     values = {v.name: v.from_distortion(F) for v in step.model.material.variables} | dict(parameters)
     for name in set(names) & set(initial.values):
         value = initial.values[name]
@@ -278,8 +274,8 @@ def _initial_values(
 def _further(step: Step, initial: Initial, sampler: Sampler) -> dict[str, CoefficientFunction]:
     """Start values of what evolves beside v, rho and z, as far as they are given."""
     found = {}
-    for name in step.layout.evolving:
-        if name in initial.values and name not in _OF_THE_PAPER:
+    for name in step.layout.further:
+        if name in initial.values:
             size, field_name = step.layout.unknowns[name].size, f"Initial.values[{name!r}]"
             found[name] = value = _as_shape(field_name, initial.values[name], () if size is None else (size,))
             sampler.require(inner(value, value), f"|{name}_0|^2")

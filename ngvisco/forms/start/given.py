@@ -15,7 +15,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from ngvisco.errors import ParameterError, require_type
 from ngvisco.forms.elimination import _inverse_mass
-from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.mesh.quadrature import Quadrature
 
 
 class QuadraturePoints:

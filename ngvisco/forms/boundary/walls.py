@@ -17,14 +17,14 @@ import numpy as np
 from ngsolve import H1, Compress, FacetFESpace, FESpace, Mesh, Region
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.boundaries import (
+from ngvisco.forms.boundary.boundaries import (
     axis_parallel_walls,
     check_boundary_names,
     interior_boundaries,
     periodic_boundaries,
     walls_of,
 )
-from ngvisco.forms.kinks import require_curved_cells
+from ngvisco.forms.boundary.kinks import require_curved_cells
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.model import as_vector

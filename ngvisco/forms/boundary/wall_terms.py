@@ -7,11 +7,11 @@ from functools import partial
 
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.forms.boundaries import facet_indicator
+from ngvisco.forms.boundary.boundaries import facet_indicator
+from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
 from ngvisco.forms.unknowns import Setting, Unknown
-from ngvisco.forms.walls import Walls
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.walls import NavierFriction, Traction
 
@@ -45,7 +45,7 @@ class TangentialStress(PointTerm):
 
     def __init__(self, walls: Walls, name: str) -> None:
         self.name = name
-        self.indicator = facet_indicator(walls.mesh, [name])
+        self.indicator, self.region = facet_indicator(walls.mesh, [name]), walls.region([name])
         wall = walls.conditions[name]
         self.f: CoefficientFunction | None = None
         self.friction: CoefficientFunction | None = None
@@ -57,7 +57,7 @@ class TangentialStress(PointTerm):
             self.friction = CF(wall.coefficient)
 
     def _traction(self, u: Fields) -> CoefficientFunction:
-        return _tangential(u.context.average(self.f), u.context.normal)
+        return _tangential(u.context.average(self.f, self.region), u.context.normal)
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         parts = []

@@ -20,7 +20,7 @@ from ngsolve import (
 
 from ngvisco.forms.context import Context
 from ngvisco.forms.elimination import LocalProjection
-from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.term import tested
 from ngvisco.forms.unknowns import Unknown

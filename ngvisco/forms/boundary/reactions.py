@@ -23,13 +23,13 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, GridFunction, LinearForm, ds, specialcf, x, y, z
 
 from ngvisco.errors import UnknownNameError
-from ngvisco.forms.boundaries import facet_indicator
+from ngvisco.forms.boundary.boundaries import facet_indicator
+from ngvisco.forms.boundary.moving_walls import MovingWalls
+from ngvisco.forms.boundary.wall_terms import TangentialStress
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.interpolation import Interpolation
-from ngvisco.forms.moving_walls import MovingWalls
+from ngvisco.forms.start.interpolation import Interpolation
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
-from ngvisco.forms.wall_terms import TangentialStress
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.tensors import inner

@@ -23,9 +23,9 @@ from ngsolve import (
 )
 
 from ngvisco.errors import InputWarning, ParameterError
-from ngvisco.forms.boundaries import walls_of
-from ngvisco.forms.moving_walls import OPEN
-from ngvisco.forms.sampling import Sampler
+from ngvisco.forms.boundary.boundaries import walls_of
+from ngvisco.forms.boundary.moving_walls import OPEN
+from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material
@@ -131,12 +131,15 @@ def warn_of_mismatch(step: Step, sampler: Sampler, values: Mapping[str, Coeffici
             continue
         expected = variable.from_distortion(F)
         scale = 1 + sampler.extrema(square(expected))[1]
-        worst = sampler.extrema(square(values[variable.name] - expected))[1]
+        gap = square(values[variable.name] - expected)
+        worst = sampler.extrema(gap)[1]
         if worst > _MATCH**2 * scale:
+            place = ", ".join(f"{c:.4g}" for c in sampler.place_of_largest(gap))
             _warn(
                 step,
                 f"initial values: {variable.name} is not that of {distortion.name} (they differ by up to "
-                f"{worst**0.5:.3g}); both are transported as they are given, as variables of their own",
+                f"{worst**0.5:.3g}, at ({place}) m); both are transported as they are given, as "
+                "variables of their own",
             )
 
 

@@ -29,7 +29,7 @@ from ngsolve import (
     specialcf,
 )
 
-from ngvisco.forms.points import csr
+from ngvisco.forms.mesh.points import csr
 
 NEGLIGIBLE = 1e-14
 """Entries smaller than this, relative to the largest, are rounding: a side sees its own facet alone."""

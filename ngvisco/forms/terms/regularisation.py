@@ -7,7 +7,7 @@ which is the natural condition n . grad u = 0 of BC-disc).  For a flux c grad u,
       + sum_K int_{dK} s/h c_pen (u - u_hat)(w - w_hat),
 
 s = penalty (m + 1)^2.  The test w_hat makes the flux single-valued, so that w = w_hat = 1 conserves mass.
-That of the fields is in ``ngvisco.forms.field_diffusion``.
+That of the fields is in ``ngvisco.forms.terms.field_diffusion``.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 from ngsolve import CF, CoefficientFunction, IfPos
 
-from ngvisco.forms.field_diffusion import FieldDiffusion
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
+from ngvisco.forms.terms.field_diffusion import FieldDiffusion
 from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.model import Model
 from ngvisco.physics.regularisation import Regularisation

@@ -13,7 +13,7 @@ from ngsolve import (
 )
 
 from ngvisco.errors import MeshError
-from ngvisco.forms.facets import boundary_facets, facets_with_two_sides
+from ngvisco.forms.mesh.facets import boundary_facets, facets_with_two_sides
 from ngvisco.parallel.communicator import Communicator
 
 _ORDER = 4  # degree of the points at which the determinant is looked at; curved cells vary inside

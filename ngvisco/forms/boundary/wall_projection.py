@@ -17,11 +17,11 @@ import scipy.sparse as sp
 from ngsolve import BilinearForm, FESpace
 
 from ngvisco.algebra.factorised import Direct, DirectSolver
+from ngvisco.forms.boundary.wall_terms import Impenetrability
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.points import csr
-from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.mesh.points import csr
+from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
-from ngvisco.forms.wall_terms import Impenetrability
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.petsc import SumInverse

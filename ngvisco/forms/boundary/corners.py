@@ -15,7 +15,7 @@ from ngsolve import CF, ET, H1, VOL, GridFunction, HCurl, IntegrationRule, x, y,
 
 from ngvisco.errors import InputWarning
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers

@@ -9,7 +9,7 @@ import numpy as np
 from ngsolve import CF, ET, VOL, CoefficientFunction, Integrate, IntegrationRule, Mesh, x, y, z
 
 from ngvisco.errors import InitialDataError
-from ngvisco.forms.quadrature import Quadrature
+from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.parallel.communicator import Communicator
 
 _VERTICES: dict[Any, list[tuple[float, ...]]] = {
@@ -62,6 +62,14 @@ class Sampler:
         """Minimum and maximum of a scalar, over all ranks."""
         values = self.values(f)
         return self.ranks.least(values), self.ranks.most(values)
+
+    def place_of_largest(self, f: CoefficientFunction) -> tuple[float, ...]:
+        """Where a scalar is largest over all ranks, m."""
+        values, mine = self.values(f), None
+        if len(values):
+            at = int(np.argmax(values))
+            mine = (float(values[at]), tuple(float(c) for c in self.coordinates(np.array([at]))[0]))
+        return max(one for one in self.ranks.gathered(mine) if one is not None)[1]
 
     def require(self, f: CoefficientFunction, name: str, minimum: float | None = None) -> None:
         """Raise InitialDataError unless f is finite (and > ``minimum``) at all points."""

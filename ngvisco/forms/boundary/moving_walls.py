@@ -21,12 +21,14 @@ from ngsolve import (
 )
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.interpolation import Interpolation
-from ngvisco.forms.mesh_arrays import mask_of
+from ngvisco.forms.boundary.walls import Walls
+from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.spaces import Layout
-from ngvisco.forms.walls import Walls
+from ngvisco.forms.start.interpolation import Interpolation
+from ngvisco.forms.time_means import TimeMean
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.model import as_vector
+from ngvisco.physics.signals import may_read_time
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.walls import PrescribedTangential
 
@@ -34,7 +36,10 @@ OPEN = 1e-3  # |V.n|^2/|V|^2 that the geometry's approximation may leave of a ta
 
 
 class MovingWalls:
-    """The constrained coefficients of v: zero, or a prescribed wall velocity at the end of the step.
+    """The constrained coefficients of v: zero, or a prescribed wall velocity.
+
+    Of a Rothe step that is its mean over the time that loads are averaged over: the wall is displaced by what
+    it moves in the step, whatever it does within.
 
     The rows of R(u; .) at these coefficients are not zero but the wall's reaction; tested by v they
     give its power, which is what is missing in R(u; v) = 0 for the energy identity.
@@ -56,6 +61,22 @@ class MovingWalls:
                 taken |= mask
                 velocity = as_vector(wall.velocity, mesh.dim, "PrescribedTangential.velocity")
                 self.moving[name] = (velocity, mask)
+        self._means = {
+            name: self._mean(name) for name, (velocity, _) in self.moving.items() if may_read_time(velocity)
+        }
+        self._found: dict[str, np.ndarray] = {}
+        self._averaged: tuple[float, float] | None = None
+
+    def _mean(self, name: str) -> TimeMean:
+        velocity, mask = self.moving[name]
+
+        def make() -> np.ndarray:
+            return self.interpolate(name, velocity)[mask]
+
+        def put(values: np.ndarray) -> None:
+            self._found[name] = values
+
+        return TimeMean(velocity, self.walls.mesh, make, put, self.walls.region([name]))
 
     @staticmethod
     def constrained(layout: Layout, regions: Sequence[Region | None]) -> np.ndarray:
@@ -65,11 +86,24 @@ class MovingWalls:
         return unconstrained & ~free
 
     def set_values(self) -> None:
-        """Write the constrained coefficients of v into the state, at the present ``ngvisco.time``."""
+        """Write the constrained coefficients of v of the Rothe step into the state."""
+        context = self.layout.context
+        window = context.loads_from.Get(), context.loads_over.Get()
+        if window != self._averaged:
+            for name, mean in self._means.items():
+                context.require_mean(f"the velocity of the wall {name!r}", mean.update(*window))
+            self._averaged = window
+        self._write(self.velocities() | self._found)
+
+    def set_present_values(self) -> None:
+        """Write those of the present ``ngvisco.time`` into the state."""
+        self._write(self.velocities())
+
+    def _write(self, velocities: dict[str, np.ndarray]) -> None:
         v = self._view()
         v[self.zero] = 0.0
-        for name, (velocity, mask) in self.moving.items():
-            v[mask] = self.interpolate(name, velocity)[mask]
+        for name, (_, mask) in self.moving.items():
+            v[mask] = velocities[name]
 
     def velocities(self) -> dict[str, np.ndarray]:
         """Coefficients on every moving wall at the present ``ngvisco.time``, m/s."""

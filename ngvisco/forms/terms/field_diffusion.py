@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-from ngsolve import CF, CoefficientFunction
+from ngsolve import CoefficientFunction
 
 from ngvisco.forms.energy import column, total
 from ngvisco.forms.fields import Fields
@@ -16,7 +15,7 @@ from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.curvature import Curvature, curvature_of
 from ngvisco.physics.material import Material
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.tensors import inner, masked
+from ngvisco.physics.tensors import constant, inner, masked
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class FieldDiffusion(PointTerm):
     def of_itself(self) -> CoefficientFunction | None:
         """The projection on what has a slope of its own: linear directions and parameters; None without."""
         matrix = self.curvature.of_itself
-        return _constant(matrix) if matrix.any() else None
+        return constant(matrix) if matrix.any() else None
 
     def _of_strains(self, value: CoefficientFunction) -> CoefficientFunction:
         """Components, or their gradients, with zero for those of parameters."""
@@ -91,7 +90,7 @@ class FieldDiffusion(PointTerm):
     def _through_facets(
         self, u: Fields, across: CoefficientFunction, jump: CoefficientFunction, G: CoefficientFunction
     ) -> list[CoefficientFunction]:
-        delta, C = self.law.delta_fields, _constant(self.curvature.compliance)
+        delta, C = self.law.delta_fields, constant(self.curvature.compliance)
         return [
             delta * inner(self._of_strains(across), G),
             -delta * self._weight(u) * inner(C * jump, G),
@@ -119,7 +118,7 @@ class FieldDiffusion(PointTerm):
             parts = u.context.energy.curved(u, u.z_slope)
             cells = delta * total([inner(part, column(u.z_slope, j)) for j, part in enumerate(parts)])
             curved = self.curvature.compliance - self.curvature.compliance @ self.curvature.linear
-            facets = delta * self._weight(u) * inner(_constant(curved) * jump, jump)
+            facets = delta * self._weight(u) * inner(constant(curved) * jump, jump)
         else:
             cells = delta * inner(self._of_strains(u.z_slope), u.grad_zeta)
             facets = total(self._through_facets(u, self._across(u), jump, u.zeta))
@@ -144,7 +143,3 @@ class FieldDiffusion(PointTerm):
 
     def _weight(self, u: Fields) -> CoefficientFunction:
         return self.law.penalty_weight(u.layout.discretisation.m) / u.context.h
-
-
-def _constant(matrix: np.ndarray) -> CoefficientFunction:
-    return CF(tuple(float(entry) for entry in matrix.ravel()), dims=matrix.shape)

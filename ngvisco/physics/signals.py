@@ -1,0 +1,166 @@
+"""Functions of the run's time that loads and walls are made of: steps, pulses, tables.
+
+Their means over a step are exact: the rule in time (``ngvisco.forms.time_means``) knows where they break.
+Of any other function it looks for the signs of what its ``IfPos`` decides by.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from os import PathLike, fspath
+
+import numpy as np
+from ngsolve import CF, BSpline, CoefficientFunction, IfPos
+
+from ngvisco.errors import ParameterError, as_number
+from ngvisco.physics.time import time
+
+_CHOICE, _TABLE, _TIME = "IfPosCoefficientFunction", "bspline", "ParameterCoefficientFunction"
+_knots: dict[bytes, np.ndarray] = {}
+
+
+def step(at: float) -> CoefficientFunction:
+    """0 before the time ``at`` (s), 1 from it on.
+
+    Raises
+    ------
+    ParameterError
+        If ``at`` is no finite number.
+    """
+    return IfPos(_number("step", "at", at) - time, 0.0, 1.0)
+
+
+def pulse(begin: float, duration: float) -> CoefficientFunction:
+    """1 from ``begin`` (s) on for ``duration`` (s), else 0.
+
+    Raises
+    ------
+    ParameterError
+        If ``begin`` is no finite number, or ``duration`` no positive one.
+    """
+    if _number("pulse", "duration", duration) <= 0:
+        raise ParameterError("pulse.duration", duration, "a number > 0, s")
+    return step(begin) - step(_number("pulse", "begin", begin) + duration)
+
+
+def table(
+    source: str | PathLike[str] | Sequence[float], values: Sequence[float] | Sequence[Sequence[float]] = ()
+) -> CoefficientFunction:
+    """A function of time by a table: straight lines between its rows, constant before and after them.
+
+    Parameters
+    ----------
+    source : path or sequence of float
+        A CSV file, of numbers with at most one line of names before them, the first column the time (s); or
+        the times, s.
+    values : sequence of float, or of rows of them
+        With times as ``source``: the value of each time, or several.
+
+    Returns
+    -------
+    CoefficientFunction
+        A scalar for one column of values, a vector for several.
+
+    Raises
+    ------
+    ParameterError
+        If the file cannot be read, a row is not of finite numbers, or times do not increase.
+    """
+    if isinstance(source, (str, PathLike)):
+        rows = read_table(source)
+    else:
+        rows = _checked("table", _rows_from(source, values))
+    times, columns = rows[:, 0], rows[:, 1:]
+    _knots[times.tobytes()] = times.copy()
+    knots = [times[0], *times, times[-1]]
+    begin, end = float(times[0]), float(times[-1])
+    within = IfPos(time - begin, IfPos(end - time, time, end), begin)
+    # a spline is zero from its last knot on
+    parts = [
+        IfPos(end - time, BSpline(2, knots, [float(v) for v in column])(within), float(column[-1]))
+        for column in columns.T
+    ]
+    return parts[0] if len(parts) == 1 else CF(tuple(parts))
+
+
+def read_table(path: str | PathLike[str]) -> np.ndarray:
+    """The rows of a CSV file as ``table`` has them, (rows, 1 + values); raises ParameterError."""
+    return _checked(f"table {fspath(path)!r}", _rows_of(fspath(path)))
+
+
+def breaking(function: CoefficientFunction) -> tuple[list[CoefficientFunction], list[np.ndarray]]:
+    """What a function of time breaks by: what its choices by sign decide by, and times of tables, s.
+
+    Only what reads the time is returned.  The times are those of all tables that were made: a rule with more
+    breaks than it needs is right, too.
+    """
+    found: list[CoefficientFunction] = []
+    _collect(function, found)
+    return found, list(_knots.values()) if _TABLE in str(function) else []
+
+
+def _collect(function: CoefficientFunction, found: list[CoefficientFunction]) -> None:
+    text = str(function)
+    if _CHOICE not in text or not may_read_time(function):
+        return
+    children = [child for child in function.data["childs"] if child is not None]
+    if _CHOICE in text.split("\n", 1)[0] and may_read_time(children[0]):
+        found.append(children[0])
+    for child in children:
+        _collect(child, found)
+
+
+def may_read_time(function: CoefficientFunction) -> bool:
+    """Whether a function has a parameter of NGSolve's in it, as the run's time is."""
+    return _TIME in str(function)
+
+
+def _number(name: str, field: str, value: object) -> float:
+    number = as_number(value)
+    if number is None:
+        raise ParameterError(f"{name}.{field}", value, "a finite number, s")
+    return number
+
+
+def _checked(name: str, rows: np.ndarray) -> np.ndarray:
+    if len(rows) < 2 or rows.shape[1] < 2:
+        raise ParameterError(name, f"{len(rows)} rows of {rows.shape[1]} numbers", "two rows of two at least")
+    if not np.isfinite(rows).all():
+        raise ParameterError(name, "a number that is not finite", "finite numbers")
+    times = rows[:, 0]
+    if (late := np.flatnonzero(np.diff(times) <= 0)).size:
+        found = f"{times[late[0]]:g} s, then {times[late[0] + 1]:g} s"
+        raise ParameterError(f"{name}, times", found, "times that increase from row to row")
+    return rows
+
+
+def _rows_from(times: Sequence[float], values: Sequence[float] | Sequence[Sequence[float]]) -> np.ndarray:
+    try:
+        first, rest = np.array(times, dtype=float), np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ParameterError("table", (times, values), "times, and as many values or rows of them") from None
+    if first.ndim != 1 or rest.ndim not in (1, 2) or len(first) != len(rest):
+        found = f"{first.shape} times, values of shape {rest.shape}"
+        raise ParameterError("table", found, "times, and as many values or rows of them")
+    return np.column_stack([first, rest])
+
+
+def _rows_of(path: str) -> np.ndarray:
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            lines = [(n, row) for n, row in enumerate(csv.reader(file), 1) if any(map(str.strip, row))]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ParameterError("table", path, f"a CSV file that can be read ({error})") from None
+    rows: list[list[float]] = []
+    for number, parts in lines:
+        try:
+            rows.append([float(part) for part in parts])
+        except ValueError:
+            if number == lines[0][0]:
+                continue  # the columns' names
+            raise ParameterError(f"table {path!r}, line {number}", ",".join(parts), "numbers") from None
+        if len(rows[-1]) != len(rows[0]):
+            found = f"{len(rows[-1])} numbers"
+            raise ParameterError(f"table {path!r}, line {number}", found, f"{len(rows[0])} as in the others")
+    return np.array(rows).reshape(len(rows), -1 if rows else 0)

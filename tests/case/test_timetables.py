@@ -1,0 +1,78 @@
+"""Loads and walls by tables of time: files beside the case, numbers in the run's directory."""
+
+from pathlib import Path
+
+import pytest
+
+import ngvisco as nv
+from ngvisco.case.build import load_case, parse_case
+from ngvisco.case.errors import CaseError
+
+CASE = """
+[units]
+time = "ms"
+acceleration = "km/s^2"
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 1.0
+[material]
+kind = "BarotropicFluid"
+B = 1.0
+gamma = 1.4
+[time]
+dt = 100.0
+until = 200.0
+[[loads]]
+kind = "Gravity"
+g = [{ file = "load.csv", column = 2 }, 0]
+[walls.top]
+kind = "Traction"
+f = { file = "pull.csv" }
+"""
+
+
+def written(folder: Path, text: str = CASE) -> Path:
+    (folder / "load.csv").write_text("t,a,b\n0,5,0\n10,5,0.003\n30,5,0\n")
+    (folder / "pull.csv").write_text("0,1,0\n100,3,0\n")
+    (folder / "case.toml").write_text(text)
+    return folder / "case.toml"
+
+
+def test_tables_are_read_in_the_case_s_units(tmp_path):
+    """Times in ms, accelerations in km/s^2; the means of the first step are those of the tables."""
+    case = load_case(written(tmp_path))
+    load = case.sections.loads[0].g
+    assert load[0] == {"times": [0.0, pytest.approx(0.01), pytest.approx(0.03)], "values": [0.0, 3.0, 0.0]}
+    run = case.simulation(case.mesh())
+    average = run.rothe_step.context.average
+    gravity, pull = run.model.loads[0].g, run.rothe_step.walls.conditions["top"].f
+    run.rothe_step.context.set_loads(0.0, 0.1)
+    assert average(gravity)(run.mesh(0.3, 0.3)) == pytest.approx((0.45, 0.0))
+    nv.time.Set(0.05)
+    assert pull(run.mesh(0.3, 0.3)) == pytest.approx((2, 0))
+    nv.time.Set(0.0)
+
+
+def test_a_resolved_case_needs_no_file(tmp_path):
+    case = load_case(written(tmp_path))
+    again = parse_case(case.resolved, "again", Path("nowhere"))
+    assert again.resolved == case.resolved and again.hash == case.hash
+    (tmp_path / "load.csv").write_text("0,1,2\n1,5,9\n")
+    assert load_case(tmp_path / "case.toml").hash != case.hash
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"load.csv"', '"none.csv"', "can be read"),
+        ("column = 2", "column = 3", "from 1 to 2"),
+        ("column = 2", "column = true", "from 1 to 2"),
+        ('"load.csv"', "7", "path of a CSV file"),
+        ("column = 2", "row = 2", "a number, or an expression"),
+    ],
+)
+def test_bad_tables_are_faults_of_their_keys(tmp_path, old, new, message):
+    with pytest.raises(CaseError, match=message) as caught:
+        load_case(written(tmp_path, CASE.replace(old, new)))
+    assert ":18: loads.0.g" in str(caught.value)

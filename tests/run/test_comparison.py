@@ -1,0 +1,132 @@
+"""Pictures of several runs: what all of them measure, each quantity in an axis of its own."""
+
+import numpy as np
+import pytest
+
+import ngvisco as nv
+from ngvisco.cli.main import main
+from ngvisco.run import comparison
+from ngvisco.run.comparison import plot_comparison
+from ngvisco.run.outlines import outline
+from ngvisco.run.plots import LABELS, PAGE, figure, subdivision
+
+HEAD = """\
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 0.7
+[[loads]]
+kind = "Gravity"
+g = [0, -1]
+[time]
+dt = 0.02
+until = 0.04
+[output.vtk]
+enabled = false
+[[output.probes]]
+name = "p"
+point = [0.5, 0.5]
+[material]
+kind = "NeoHookean"
+K_e = 10
+G_e = 5
+epsilon = 0.1
+"""
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    place = tmp_path_factory.mktemp("runs")
+    (place / "case.toml").write_text(HEAD)
+    for name in ("a", "b"):
+        settings = ["material.G_e=1"] if name == "b" else []
+        nv.case.run(nv.load_case(place / "case.toml", settings), place / name)
+    return place
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """The pictures that are saved, by name."""
+    found, save = {}, comparison.save
+
+    def noted(fig, path):
+        found[path.stem] = fig
+        save(fig, path)
+
+    monkeypatch.setattr(comparison, "save", noted)
+    return found
+
+
+def test_runs_are_compared_in_one_picture_each(runs, tmp_path, drawn):
+    written = plot_comparison({name: runs / name for name in "ab"}, tmp_path)
+    assert [path.name for path in written] == ["comparison-energies.png", "comparison-probes.png"]
+    assert all(path.stat().st_size > 0 for path in written)
+    ledgers = [nv.read_ledger(runs / name / "run.h5") for name in "ab"]
+    axes = {axis.get_title(): axis for axis in drawn["comparison-energies"].axes}
+    lines = axes["kinetic energy, J"].lines
+    for line, ledger in zip(lines, ledgers, strict=True):
+        assert np.array_equal(line.get_ydata(), ledger["kinetic"])
+    work = axes["work of loads and walls, J"].lines[1].get_ydata()
+    assert work[-1] == pytest.approx((ledgers[1]["dt"] * ledgers[1]["power_gravity"]).sum(), rel=1e-14)
+    titles = {axis.get_title() for axis in drawn["comparison-probes"].axes}
+    assert {"p.density, kg/m³", "p.velocity 1, m/s", "p.pressure, Pa"} <= titles
+    for fig in drawn.values():
+        texts = [
+            text
+            for axis in fig.axes
+            for text in (axis.title, *axis.get_xticklabels(), *axis.get_yticklabels())
+        ]
+        assert fig.get_figwidth() == PAGE and min(text.get_fontsize() for text in texts) >= LABELS
+
+
+def test_probes_of_chosen_fields(runs, tmp_path, drawn):
+    plot_comparison({name: runs / name for name in "ab"}, tmp_path, ["velocity_2"])
+    assert [axis.get_title() for axis in drawn["comparison-probes"].axes][:1] == ["p.velocity 2, m/s"]
+    with pytest.raises(
+        nv.UnknownNameError, match="unknown field of the probes 'desity'; did you mean 'density'"
+    ):
+        plot_comparison({name: runs / name for name in "ab"}, tmp_path, ["desity"])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--movie"], "plot --movie"),
+        (["--step", "1"], "plot --step = 1: expected one run directory"),
+        (["--section", "x"], "plot --section = 'x'"),
+    ],
+)
+def test_what_is_of_one_run_is_refused_of_several(runs, capsys, words, message):
+    assert main(["plot", str(runs / "a"), str(runs / "b"), *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_what_is_no_run_is_refused(runs, tmp_path, capsys):
+    assert main(["plot", str(runs / "a"), str(tmp_path), "-o", str(tmp_path)]) == 3
+    assert "not a run directory with results" in capsys.readouterr().err
+
+
+def test_a_study_is_compared_by_the_values_that_vary(runs, capsys):
+    """Of a study those of its runs that made a step, by their names."""
+    (runs / "sweep.csv").write_text(
+        "run,material.G_e,state,message\na,5,finished,\nb,1,finished,\nc,2,failed,no\n"
+    )
+    try:
+        assert main(["plot", str(runs), "--format", "svg"]) == 0
+        said = capsys.readouterr().out.splitlines()
+        assert said == [str(runs / f"comparison-{name}.svg") for name in ("energies", "probes")]
+    finally:
+        (runs / "sweep.csv").unlink()
+
+
+def test_outlines_are_finer_than_the_cells():
+    """A circle's level at the corners of 72 triangles, whose linear line is off by a twentieth of a cell."""
+    n = 6
+    lattice, small = subdivision(n)
+    halves = np.concatenate([lattice, 1 - lattice])
+    triangles = np.concatenate([small, small + len(lattice)])
+    level = 0.5 + 2 * (0.3**2 - ((halves - 0.5) ** 2).sum(axis=1))
+    _, ((axis,),) = figure(1, 1, (4, 4))
+    (path,) = outline(axis, *halves.T, triangles, level).get_paths()
+    off = np.abs(np.linalg.norm(path.vertices - 0.5, axis=1) - 0.3)
+    assert len(path.vertices) > 60 and off.max() < 0.01 / n * 2
