@@ -94,6 +94,8 @@ def test_energy_never_rises_without_load_for_any_step(name, factor):
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.filterwarnings("ignore::ngvisco.run.ledger.DefectWarning")
 def test_cavity_goes_on_where_the_body_is_torn(tmp_path):
     """Under a lid of full speed cells are limited; under a smooth one none is."""
@@ -142,7 +144,14 @@ CELLS = {"collision": [7, 4], "slab": [6, 6]}
 """The same of boxes of rows of cells."""
 
 
-@pytest.mark.parametrize("name", sorted(p.name for p in DEMOS.iterdir() if p.is_dir()))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(p.name, marks=[LONG, pytest.mark.ci] if p.name == "collision" else [])
+        for p in sorted(DEMOS.iterdir())
+        if p.is_dir()
+    ],
+)
 def test_case_file_gives_the_numbers_of_its_script(name, tmp_path):
     """Through the run directory, whose mesh file keeps coordinates to rounding and curvature to 1e-9."""
     script = SCRIPTS[name](load(name))

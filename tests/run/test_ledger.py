@@ -328,7 +328,7 @@ def test_an_open_ledger_is_said_once_and_counted(monkeypatch: pytest.MonkeyPatch
     lenient.step(run, run.ledger.rows[-1])
     assert not lenient.failures and not lenient.message
     with pytest.warns(ClosureWarning, match="is inf"):
-        lenient.step(run, {"closure_relative": float("nan"), "step": 1})
+        lenient.step(run, {"closure_relative": float("nan"), "step": 1, "time": 0.1})
 
 
 # --- the other columns ---------------------------------------------------------------------------------

@@ -175,6 +175,12 @@ def test_a_run_of_a_study_ends_with_its_standard_input(case_file, tmp_path):
     process = begun(command, out / "ledger.csv", stdin=subprocess.PIPE)
     process.communicate(timeout=60)
     assert process.returncode == 143 and "stopped on request" in (out / "log.txt").read_text()
+    words[words.index("time.until=40")] = "time.until=0.02"  # to the end, with the input open: nothing waits
+    process = subprocess.Popen(
+        [*command[:3], *words, "--force"], stdin=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert process.wait(timeout=60) == 0, process.stderr.read()
+    process.communicate()
 
 
 @pytest.mark.long
