@@ -44,7 +44,7 @@ class Continuity(PointTerm):
 
             sum_K int_{dK} [(1 - n^-) (rho_hat - f^+(rho)) - n^- f^-(rho)] q_hat = 0,
 
-    <<<<<<< HEAD:ngvisco/forms/momentum.py
+    <<<<<<< HEAD:ngvisco/forms/terms/momentum.py
         the same as above below the density of the largest f.  A cell of constant density rho_max + width gets
         nothing, and its density never passes that (paper: Euler-small-est3+++).
     =======
