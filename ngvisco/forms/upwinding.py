@@ -6,9 +6,9 @@ With a = v* . n, zero on walls, and the smooth modulus |a|_eta = sqrt(a^2 + eta^
 
 The shares of both sides of a facet are 1 - n^- in (0, 1) and sum up to one, so that a trace weighted by them
 is a convex combination.  The velocity v* is known before a step is solved: in the energy identity the two
-uses of B_h (``ngvisco.forms.terms.transport``) cancel for any weights, and with weights that do not depend on the
-step's own velocity the equations of the step are smooth.  With those of the step's own velocity the elastic
-force would jump by [z] : [zeta] where v . n changes its sign, and the step could fold.
+uses of B_h (``ngvisco.forms.terms.transport``) cancel for any weights, and with weights that do not depend on
+the step's own velocity the equations of the step are smooth.  With those of the step's own velocity the
+elastic force would jump by [z] : [zeta] where v . n changes its sign, and the step could fold.
 """
 
 from __future__ import annotations

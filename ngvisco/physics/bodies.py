@@ -37,8 +37,8 @@ Where: TypeAlias = CoefficientFunction | Region
 class Amount(Variable):
     """n_i, the volume that body i has in its reference state per actual volume: dt n_i + div(n_i v) = 0.
 
-    It is conserved, transported by its own flux through facets (``ngvisco.forms.terms.transport``), and with it
-    the mass of the body, int rho_i n_i.  It is no strain: theta_i = n_i/sum n_j.
+    It is conserved, transported by its own flux through facets (``ngvisco.forms.terms.transport``), and with
+    it the mass of the body, int rho_i n_i.  It is no strain: theta_i = n_i/sum n_j.
 
     Parameters
     ----------

@@ -32,30 +32,20 @@ from ngvisco.physics.tensors import inner, square, sym
 @dataclass(frozen=True)
 class Continuity(PointTerm):
     """int (rho - rho_old)/tau q - rho v . grad q + sum_K int_{dK} (v . n) rho_hat q = 0
-        (paper: Euler-small-viscoelastodyn+0disc; its delta-term is ``DensityDiffusion``).
+    (paper: Euler-small-viscoelastodyn+0disc; its delta-term is ``DensityDiffusion``).
 
-        rho_hat is the upwind trace, sum_K int_{dK} (1 - n^-) (rho_hat - rho) q_hat = 0 with the weights of the
-        step (``ngvisco.forms.upwinding``), a convex combination of both sides' densities.  The flux through a
-        facet is single-valued and zero on walls: q = 1 conserves mass to rounding (paper: Euler-small-est-1+).
+    rho_hat is the upwind trace, sum_K int_{dK} (1 - n^-) (rho_hat - rho) q_hat = 0 with the weights of the
+    step (``ngvisco.forms.upwinding``), a convex combination of both sides' densities.  The flux through a
+    facet is single-valued and zero on walls: q = 1 conserves mass to rounding (paper: Euler-small-est-1+).
 
-        With a cut-off, rho is f(rho) = K(rho) rho in the fluxes, which falls where rho > rho_max: an upwind flux
-        would go on filling full cells.  The trace is then that of Engquist and Osher (Math. Comp. 36, 1981), the
-        rising part f^+ of f upstream and the falling part f^- downstream,
+    With a cut-off, rho is f(rho) = K(rho) rho in the fluxes, which falls where rho > rho_max: an upwind flux
+    would go on filling full cells.  The trace is then that of Engquist and Osher (Math. Comp. 36, 1981), the
+    rising part f^+ of f upstream and the falling part f^- downstream,
 
-            sum_K int_{dK} [(1 - n^-) (rho_hat - f^+(rho)) - n^- f^-(rho)] q_hat = 0,
+        sum_K int_{dK} [(1 - n^-) (rho_hat - f^+(rho)) - n^- f^-(rho)] q_hat = 0,
 
-    <<<<<<< HEAD:ngvisco/forms/terms/momentum.py
-        the same as above below the density of the largest f.  A cell of constant density rho_max + width gets
-        nothing, and its density never passes that (paper: Euler-small-est3+++).
-    =======
-        F_hat = a^+ rho - a^- rho_hat with a = v.n and a^{+-} = (sqrt(a^2 + eta^2) +- a)/2 > 0.  The test q_hat
-        makes the flux single-valued, i.e. rho_hat the upwind value n^+ rho_1 + n^- rho_2, a convex
-        combination whatever v.n; q = q_hat = 1 conserves mass to rounding (paper: Euler-small-est-1+).
-
-        With ``by_trace`` F_hat = a rho_hat and rho_hat is the upwind value by ``UpwindTrace``'s equation: the
-        flux of conserved variables (``ngvisco.forms.terms.transport``), so that rho stays the sum rho_i n_i of
-        bodies.
-    >>>>>>> origin/main:ngvisco/forms/terms/momentum.py
+    the same as above below the density of the largest f.  A cell of constant density rho_max + width gets
+    nothing, and its density never passes that (paper: Euler-small-est3+++).
     """
 
     regularisation: Regularisation | None = None
