@@ -16,9 +16,10 @@ from ngvisco.errors import StepError
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box, structured_box
+from ngvisco.physics.flow_rules import Creep
 from ngvisco.physics.materials import NeoHookean
 from ngvisco.physics.model import Model
-from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
 from ngvisco.physics.walls import NoSlip, PrescribedTangential
 from ngvisco.run.simulation import Simulation
 from ngvisco.run.stepping import Rejection
