@@ -31,6 +31,7 @@ from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.notices import print_own
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
+from ngvisco.physics.flow_rules import Creep, FlowRule
 from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import (
@@ -56,7 +57,7 @@ from ngvisco.physics.materials import (
 from ngvisco.physics.model import BodyForce, CentralGravity, Gravity, Model
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import Creep, HyperViscosity, LinearViscosity, StokesViscosity
+from ngvisco.physics.rheology import HyperViscosity, LinearViscosity, StokesViscosity
 from ngvisco.physics.signals import pulse, step, table
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.bodies import Bodies
@@ -131,6 +132,7 @@ __all__ = [
     "DefectWarning",
     "Discretisation",
     "Entry",
+    "FlowRule",
     "Gravity",
     "HalfSpace",
     "HardeningElastic",

@@ -14,6 +14,7 @@ from ngvisco.case.meshfile import read_mesh
 from ngvisco.case.regions import closed_surface, image
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
+from ngvisco.physics.flow_rules import Creep
 from ngvisco.physics.materials import (
     FENEP,
     BarotropicFluid,
@@ -33,7 +34,7 @@ from ngvisco.physics.materials import (
 )
 from ngvisco.physics.model import BodyForce, CentralGravity, Gravity
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import Creep, HyperViscosity, LinearViscosity, StokesViscosity
+from ngvisco.physics.rheology import HyperViscosity, LinearViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.stepping import AdaptiveSteps
 from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon

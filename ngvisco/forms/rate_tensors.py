@@ -11,20 +11,22 @@ law of creep with a trace).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from ngsolve import L2, GridFunction, VectorValued
 
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.rates import Conjugate
+from ngvisco.forms.rates import Conjugate, Rates
 from ngvisco.physics.arrays import Array, Linear
+from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.physics.increments import TINY
 from ngvisco.physics.material import Material, creep_tensors
 from ngvisco.physics.model import Model
 from ngvisco.physics.pointwise import squares
-from ngvisco.physics.rheology import Creep
-from ngvisco.physics.tensors import constant, embed_gradient, tensor_space
+from ngvisco.physics.tensors import constant, dev, embed_gradient, trace_free_tensors
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class RateTensors:
     """How many of the X are entries of L; the others are components of Pi."""
 
     @classmethod
-    def of(cls, material: Material, dim: int, creep: Creep | None = None) -> RateTensors:
+    def of(cls, material: Material, dim: int, creep: FlowRule | None = None) -> RateTensors:
         """Read off from ``material.variables`` at z = 0 and at unit vectors of the components."""
         n, space = material.states(dim).size, creep_tensors(creep, dim)
         zero = constant(np.zeros((3, 3)))
@@ -106,28 +108,21 @@ def _add_product(
         target += product
 
 
-class TabulatedRates:
-    """What ``Rates`` is for coefficient functions, for arrays of values and tests of them.
-
-    Pi and M are in components, (p, points).
-    """
+class TabulatedRates(Rates):
+    """What ``Rates`` is for coefficient functions, for arrays of values and tests of them."""
 
     def __init__(self, model: Model, dim: int) -> None:
-        self.law = None if model.creep is None or model.creep.R == 0 else model.creep
+        super().__init__(model, dim)
         self.tensors = RateTensors.of(model.material, dim, model.creep)
-        kept = ~model.material.states(dim).conserved
+        states = model.material.states(dim)
+        kept = ~states.conserved
         self._without_flux = self.tensors
         """Those of what is not conserved: theirs is within their flux."""
         if not kept.all():
             of_kept = self.tensors.constant * kept, self.tensors.linear * kept[:, None]
             self._without_flux = RateTensors(*of_kept, self.tensors.gradients)
-        self._of_conjugates: np.ndarray | None = None
-        if self.law is not None and self.law.weights[1]:
-            assert model.material.conformation is not None
-            where = model.material.states(dim).slices[model.material.conformation]
-            self._of_conjugates = np.zeros((self.tensors.creep_size, model.material.states(dim).size))
-            columns = tensor_space("symmetric", dim).columns
-            self._of_conjugates[:, where] = creep_tensors(self.law, dim).columns.T @ columns
+        self._space = creep_tensors(self.rule, dim)
+        """The tensors among which Pi is, and the forces that drive it."""
 
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[Linear]:
         """rate(z; grad w, 0) : G with either w or G a test."""
@@ -142,37 +137,77 @@ class TabulatedRates:
 
     def creep_power(self, z: Fields, Pi: Array, G: Fields, name: Conjugate) -> Sequence[Linear]:
         """rate(z; 0, Pi) : G, with G a test."""
-        rate = self.tensors.rate(z.z.value, Pi.value, first=self.tensors.gradients)
+        components = self._space.components(Pi).value
+        rate = self.tensors.rate(z.z.value, components, first=self.tensors.gradients)
         return [G.parts[name].InnerProduct(Array(rate, None))]
 
-    def mandel_components(self, u: Fields) -> Array:
-        """Mandel stress of the projected conjugates in components, Pa."""
+    def mandel(self, u: Fields) -> Array:
+        """Mandel stress of the projected conjugates, 3x3, Pa."""
         t = self.tensors
-        M = t.stress(u.z.value, u.zeta.value, t.gradients, len(t.constant))
-        return Array(np.negative(M, out=M), None)
+        M = Array(t.stress(u.z.value, u.zeta.value, t.gradients, len(t.constant)), None)
+        tensor = -self._space.tensor(M)
+        return dev(tensor) if self.rule is not None and self.rule.has_trace else tensor
 
-    def creep(self, u: Fields) -> Array | None:
-        """Pi in components, 1/s."""
-        law = self.law
-        if law is None:
-            return None
-        if not law.is_local:
-            return u.parts["Pi"]
-        M = self.mandel_components(u) if law.weights[0] else None
-        zeta = None
-        if self._of_conjugates is not None:
-            zeta = Array(self._of_conjugates @ u.zeta.value, None)
-        return law.rate(M, zeta, u.z_tensors)
+    def mandel_components(self, u: Fields) -> Array:
+        """The same in the components that a creep rate field has."""
+        return trace_free_tensors(self.dim).components(self.mandel(u))
 
-    def creep_slopes(self, u: Fields) -> tuple[np.ndarray, np.ndarray | None]:
-        """dPi/dM, (points,), and dPi/dzeta at a given M, (points, p, n) or None, of local creep.
+    def creep_components(self, u: Fields) -> np.ndarray:
+        """Pi of a local rule in components, (p, points)."""
+        return self._space.components(self.creep(u)).value
 
-        That of the mobility by z is left out: these are for tangents.
+    def creep_slopes(self, u: Fields) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """dPi/dM, (points, p, p), and of local creep at a given M dPi/dzeta and dPi/dz, (points, p, n).
+
+        By complex increments of one component of M, zeta and z after the other; of zeta and z only if the
+        rule reads them.
         """
-        assert self.law is not None
-        a, b = self.law.weights
-        mobility = self.law.mobility(u.z_tensors)
-        R = np.broadcast_to(mobility.value if isinstance(mobility, Array) else mobility, u.z.value.shape[1:])
-        if self._of_conjugates is None:
-            return a * R, None
-        return a * R, (b * R)[:, None, None] * self._of_conjugates
+        rule, states = self.rule, self.material.states(self.dim)
+        assert rule is not None
+        M, conformation, z = self.mandel(u), self.material.conformation, _Read(u.z_tensors)
+        zeta = None if conformation is None else u.zeta_tensors[conformation]
+        p, n, points = self._space.size, states.size, u.z.value.shape[-1]
+
+        def slope(Pi: Array) -> np.ndarray:
+            part = self._space.components(Pi).value.imag / TINY
+            return np.broadcast_to(part, (p, points)).T
+
+        of_mandel, of_zeta, of_z = np.zeros((points, p, p)), *np.zeros((2, points, p, n))
+        for i, unit in enumerate(self._space.basis):
+            deviator = np.array(unit) - np.trace(unit) / 3 * np.eye(3)
+            of_mandel[:, :, i] = slope(rule.rate(M + _tiny(deviator), zeta, z))
+        if rule.reads_conjugate:
+            assert conformation is not None
+            where, space = states.slices[conformation], states.spaces[conformation]
+            for i, unit in enumerate(space.basis):
+                of_zeta[:, :, where.start + i] = slope(rule.rate(M, zeta + _tiny(unit), z))
+        for name in z.read:
+            where, space = states.slices[name], states.spaces[name]
+            units: Sequence[Any] = space.basis or (1.0,)
+            for i, unit in enumerate(units):
+                values = {**u.z_tensors, name: u.z_tensors[name] + _tiny(unit)}
+                of_z[:, :, where.start + i] = slope(rule.rate(M, zeta, values))
+        return of_mandel, of_zeta, of_z
+
+
+class _Read(Mapping[str, Any]):
+    """Values by name that note which were asked for."""
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self._values, self.read = values, set[str]()
+
+    def __getitem__(self, name: str) -> Any:
+        value = self._values[name]
+        self.read.add(name)
+        return value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+
+def _tiny(unit: Any) -> Array:
+    """A complex increment in a direction, a scalar or a tensor."""
+    return Array((1j * TINY) * np.asarray(unit)[..., None], None)

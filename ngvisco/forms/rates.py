@@ -1,7 +1,8 @@
 """Rates of the transported variables and their power, as the terms of a step ask for them.
 
-``Rates`` writes them with coefficient functions, ``TabulatedRates`` (``ngvisco.forms.rate_tensors``) with
-the constant tensors that these are made of, for arrays of values.
+``Rates`` writes them with coefficient functions.  ``TabulatedRates`` (``ngvisco.forms.rate_tensors``) has the
+same methods for arrays of values, with the constant tensors that the rates are made of: a term asks
+``u.context.rates`` and need not know which of them it is.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from typing import Literal, TypeAlias
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.physics.material import creep_tensors, mandel_stress
+from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.physics.material import mandel_stress, rate_power
 from ngvisco.physics.model import Model
-from ngvisco.physics.rheology import Creep
-from ngvisco.physics.tensors import inner, trace_free_tensors
+from ngvisco.physics.tensors import inner, square, trace_free_tensors
 from ngvisco.physics.variables import Values
 
 Conjugate: TypeAlias = Literal["z", "zeta"]
@@ -43,7 +44,7 @@ class Rates:
     def creep_power(
         self, z: Fields, Pi: CoefficientFunction, G: Fields, name: Conjugate
     ) -> Sequence[CoefficientFunction]:
-        """rate(z; 0, Pi) : G in summands; the affine parts of a rate vanish at L = 0."""
+        """rate(z; 0, Pi) : G in summands, Pi 3x3; the affine parts of a rate vanish at L = 0."""
         tensors = _tensors(G, name)
         return [
             inner(variable.rate(z.z_tensors, 0 * Pi, Pi), tensors[variable.name])
@@ -59,23 +60,41 @@ class Rates:
         """The same in the components that a creep rate field has."""
         return trace_free_tensors(self.dim).components(self.mandel(u))
 
-    def creep(self, u: Fields) -> CoefficientFunction | None:
-        """Pi, 3x3, 1/s: local, R M or by another law, or the field of its own; None without creep."""
-        law = self.model.creep
-        if law is None or law.R == 0:
-            return None
-        return self.local_creep(law, u) if law.is_local else u.Pi
+    @property
+    def rule(self) -> FlowRule | None:
+        """The model's flow rule; None where nothing creeps."""
+        rule = self.model.creep
+        return None if rule is None or not rule.flows else rule
 
-    def local_creep(self, law: Creep, u: Fields) -> CoefficientFunction:
-        """Pi by a local law, 3x3, 1/s."""
-        M = zeta = None
-        if law.weights[0]:
-            M = self.mandel(u)
-        if law.weights[1]:
-            assert self.material.conformation is not None
-            space = creep_tensors(law, self.dim)
-            zeta = space.tensor(space.components(u.zeta_tensors[self.material.conformation]))
-        return law.rate(M, zeta, u.z_tensors)
+    def creep(self, u: Fields) -> CoefficientFunction | None:
+        """Pi, 3x3, 1/s: of a local rule, or the field of its own; None without creep."""
+        if self.rule is None:
+            return None
+        return self.local_creep(self.rule, u) if self.rule.is_local else u.Pi
+
+    def local_creep(self, rule: FlowRule, u: Fields) -> CoefficientFunction:
+        """Pi by a rule at the values at the point, 3x3, 1/s."""
+        conformation = self.material.conformation
+        zeta = None if conformation is None else u.zeta_tensors[conformation]
+        return rule.rate(self.mandel(u), zeta, u.z_tensors)
+
+    def dissipation(self, u: Fields) -> CoefficientFunction | None:
+        """The power of creep, W/m^3, without that of its gradient term; None without creep."""
+        Pi = self.creep(u)
+        if self.rule is None or Pi is None:
+            return None
+        if not self.rule.is_local:
+            return inner(self.rule.force(Pi, u.z_tensors), Pi)
+        if not self.rule.has_trace:
+            return inner(Pi, self.mandel(u))
+        return -rate_power(self.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi)
+
+    def gradient_dissipation(self, u: Fields) -> CoefficientFunction | None:
+        """nu |grad Pi|^q, W/m^3; None where creep has no gradient term."""
+        if self.rule is None or self.rule.is_local:
+            return None
+        size = square(u.grad_Pi)
+        return self.rule.gradient_coefficient(size) * size
 
 
 def _tensors(G: Fields, name: Conjugate) -> Values:

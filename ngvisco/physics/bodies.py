@@ -12,8 +12,9 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 from ngsolve import CoefficientFunction, Det
 
 from ngvisco.errors import ParameterError, as_integer, as_number
+from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.material import Material
-from ngvisco.physics.rheology import Creep, Viscosity
+from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import tr
 from ngvisco.physics.variables import Values, Variable
 
@@ -117,7 +118,7 @@ class Body:
     where: Where | None = field(default=None, repr=False)  # of the start alone, not of what the body is
     material: Material
     viscosity: Viscosity | None = None
-    creep: Creep | None = None
+    creep: FlowRule | None = None
     density: float | None = None
     order: int = 0
 
@@ -131,7 +132,7 @@ class Body:
             raise ParameterError(f"{owner}.where", self.where, expected)
         if isinstance(self.where, CoefficientFunction) and (self.where.dim != 1 or self.where.is_complex):
             raise ParameterError(f"{owner}.where", self.where, "a real scalar function of x, y, z")
-        for name, kind in (("material", Material), ("viscosity", Viscosity), ("creep", Creep)):
+        for name, kind in (("material", Material), ("viscosity", Viscosity), ("creep", FlowRule)):
             value = getattr(self, name)
             if not (isinstance(value, kind) or (value is None and name != "material")):
                 raise ParameterError(f"{owner}.{name}", value, f"a {kind.__name__}")

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from ngsolve import CoefficientFunction, Cof, log, sqrt
 
+from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.material import Material
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.rheology import Creep
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import (
     Cofactor,
@@ -27,7 +27,7 @@ from ngvisco.physics.variables import (
 
 
 def relative_defects(
-    material: Material, z: Values, creep: Creep | None = None
+    material: Material, z: Values, creep: FlowRule | None = None
 ) -> dict[str, CoefficientFunction]:
     """Relative defects of the variables' relations by what is compared; empty where there are none.
 

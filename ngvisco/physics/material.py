@@ -22,8 +22,8 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError
+from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.parameters import Modulus
-from ngvisco.physics.rheology import Creep
 from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import (
     IDENTITY,
@@ -193,8 +193,8 @@ def mandel_stress(material: Material, z: Values, zeta: Values, dim: int) -> Coef
     return space.tensor(CF(tuple(entries)))
 
 
-def creep_tensors(creep: Creep | None, dim: int) -> TensorSpace:
-    """The tensors among which Pi is: trace-free ones but for a law of creep with a trace."""
+def creep_tensors(creep: FlowRule | None, dim: int) -> TensorSpace:
+    """The tensors among which Pi is: trace-free ones but for a flow rule with a trace."""
     return symmetric_tensors(dim) if creep is not None and creep.has_trace else trace_free_tensors(dim)
 
 

@@ -21,9 +21,10 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError
 from ngvisco.physics.bodies import Amount, Body
+from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, substituted, typical_value
-from ngvisco.physics.rheology import Creep, ValueOfModulus, Viscosity
+from ngvisco.physics.rheology import ValueOfModulus, Viscosity
 from ngvisco.physics.variables import Values, Variable
 
 AMOUNT = "n_"
@@ -180,16 +181,26 @@ class MixedViscosity(Viscosity):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MixedCreep(Creep):
-    """Local creep of one law with R = sum theta_i R_i; its own G_m is the least of the bodies' numbers."""
+class MixedCreep(FlowRule):
+    """sum theta_i Pi_i of the bodies' local rules."""
 
-    parts: tuple[tuple[str, Creep], ...]
-    """Names of the bodies that creep, and their creep."""
+    parts: tuple[tuple[str, FlowRule], ...]
+    """Names of the bodies that creep, and their rules."""
     fractions: Fractions
 
-    def mobility(self, z: Values) -> ValueOfModulus:
+    @property
+    def reads_conjugate(self) -> bool:  # type: ignore[override]
+        return any(part.reads_conjugate for _, part in self.parts)
+
+    @property
+    def has_trace(self) -> bool:  # type: ignore[override]
+        return any(part.has_trace for _, part in self.parts)
+
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
         theta = self.fractions.at(z)
-        return reduce(add, (theta[name] * part.mobility(z) for name, part in self.parts))
+        return reduce(add, (theta[name] * part.rate(M, zeta, z) for name, part in self.parts))
 
 
 def mixed_viscosity(bodies: Sequence[Body]) -> Viscosity | None:
@@ -198,26 +209,20 @@ def mixed_viscosity(bodies: Sequence[Body]) -> Viscosity | None:
     return MixedViscosity(parts=parts, fractions=_fractions(bodies)) if parts else None
 
 
-def mixed_creep(bodies: Sequence[Body]) -> Creep | None:
+def mixed_creep(bodies: Sequence[Body]) -> FlowRule | None:
     """That of the bodies; None without any.
 
     Raises
     ------
     ParameterError
-        For different laws, or a gradient term.
+        For a gradient term.
     """
-    parts = tuple((b.name, b.creep) for b in bodies if b.creep is not None and b.creep.R > 0)
-    if not parts:
-        return None
-    law = parts[0][1].law
+    parts = tuple((b.name, b.creep) for b in bodies if b.creep is not None and b.creep.flows)
     for name, part in parts:
-        if part.law != law:
-            raise ParameterError(f"bodies[{name!r}].creep", part, f"law = {law!r}, that of {parts[0][0]!r}")
         if part.nu:
             expected = "nu = 0: the creep of several bodies is local"
             raise ParameterError(f"bodies[{name!r}].creep", part, expected)
-    least = 1 / max(part.R for _, part in parts)
-    return MixedCreep(G_m=least, law=law, parts=parts, fractions=_fractions(bodies))
+    return MixedCreep(parts=parts, fractions=_fractions(bodies)) if parts else None
 
 
 def _defined(variable: Variable) -> str:

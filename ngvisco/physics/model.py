@@ -12,12 +12,14 @@ from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 
 from ngvisco.errors import ParameterError, _is_number, as_number, require_number, require_positive
 from ngvisco.physics.bodies import Body
+from ngvisco.physics.flow_rule_check import check_rule
+from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.material import ElasticState, Material, check_material
 from ngvisco.physics.materials.heterogeneous import carrying
 from ngvisco.physics.mixture import MixedCreep, MixedViscosity, Mixture, mixed_creep, mixed_viscosity
 from ngvisco.physics.parameters import parameters_in
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import Creep, HyperViscosity, Viscosity
+from ngvisco.physics.rheology import HyperViscosity, Viscosity
 from ngvisco.physics.state_function import check_energy
 
 VectorLike: TypeAlias = CoefficientFunction | Sequence[float | CoefficientFunction]
@@ -111,7 +113,7 @@ class Model:
         there is none.
     viscosity : StokesViscosity or LinearViscosity, optional
     hyperviscosity : HyperViscosity, optional
-    creep : Creep, optional
+    creep : FlowRule, optional
         None (default) is the Kelvin-Voigt rheology, otherwise Jeffreys in the deviatoric part.
     loads : sequence of Gravity, CentralGravity or BodyForce
     regularisation : Regularisation, optional
@@ -123,7 +125,8 @@ class Model:
     Raises
     ------
     ParameterError
-        If a part is of the wrong type, two loads or two bodies share a name, bodies have variables of one
+        If a part is of the wrong type, a flow rule gives energy (``check_rule``),
+        two loads or two bodies share a name, bodies have variables of one
         name that differ, the material's list of variables makes no sense, or the law of creep needs a
         conformation tensor that the material does not have.
     UnknownNameError
@@ -133,7 +136,7 @@ class Model:
     material: Material = None  # type: ignore[assignment]
     viscosity: Viscosity | None = None
     hyperviscosity: HyperViscosity | None = None
-    creep: Creep | None = None
+    creep: FlowRule | None = None
     loads: tuple[Load, ...] = field(default=())
     regularisation: Regularisation | None = None
     bodies: tuple[Body, ...] = field(default=())
@@ -144,7 +147,7 @@ class Model:
             ("material", Material),
             ("viscosity", Viscosity),
             ("hyperviscosity", HyperViscosity),
-            ("creep", Creep),
+            ("creep", FlowRule),
             ("regularisation", Regularisation),
         ):
             value = getattr(self, name)
@@ -164,9 +167,8 @@ class Model:
         check_material(self.material)
         laws = (self.material, self.viscosity, self.hyperviscosity, self.creep)
         carried = parameters_in(laws)
-        law = "mandel" if self.creep is None else self.creep.law
-        if law != "mandel" and self.material.conformation is None:
-            raise ParameterError("Model.creep", f"law = {law!r}", "a material with a conformation tensor")
+        if self.creep is not None and self.creep.reads_conjugate and self.material.conformation is None:
+            raise ParameterError("Model.creep", self.creep, "a material with a conformation tensor")
         state = "B" if self.bodies else default_elastic_state(self.creep)
         material = carrying(self.material.with_elastic_state(state), carried)
         check_material(material)
@@ -174,6 +176,8 @@ class Model:
         if isinstance(material, Mixture):
             object.__setattr__(self, "bodies", material.bodies)
         check_energy(material)
+        if self.creep is not None and self.creep.flows:
+            check_rule(self.creep, material)
 
     def _take_bodies(self) -> None:
         """Make material, viscosity and creep those of the bodies, where there are such."""
@@ -232,12 +236,15 @@ solver that sees both in one cell."""
 _MIXED = (Mixture, MixedViscosity, MixedCreep)
 """What a model with bodies has already, where it is made of another one."""
 
-_EXPECTED = {"viscosity": "a StokesViscosity or a LinearViscosity"}
+_EXPECTED = {
+    "viscosity": "a StokesViscosity or a LinearViscosity",
+    "creep": "a Creep or another FlowRule",
+}
 
 
-def default_elastic_state(creep: Creep | None) -> ElasticState:
+def default_elastic_state(creep: FlowRule | None) -> ElasticState:
     """How a material that leaves it open knows of its elastic state: by B where there is creep, else by F."""
-    return "B" if creep is not None and creep.R > 0 else "F"
+    return "B" if creep is not None and creep.flows else "F"
 
 
 _NAME = re.compile(r"(?!traction_|wall_)[A-Za-z][A-Za-z0-9_]*")

@@ -1,13 +1,12 @@
-"""Dissipative mechanisms: Stokes-type viscosity, hyperviscosity, Maxwellian creep."""
+"""Dissipative mechanisms of the velocity: Stokes-type viscosity and hyperviscosity."""
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from ngsolve import CoefficientFunction
@@ -17,7 +16,6 @@ from ngvisco.errors import (
     ParameterError,
     require_above,
     require_choice,
-    require_nonnegative,
     require_positive,
 )
 from ngvisco.physics.fourth_order import Notation, full_tensor, mandel_matrix, require_semidefinite
@@ -25,7 +23,6 @@ from ngvisco.physics.parameters import (
     Modulus,
     require_nonnegative_moduli,
     require_positive_moduli,
-    typical_value,
     value_at,
 )
 from ngvisco.physics.tensors import (
@@ -237,110 +234,3 @@ class HyperViscosity:
     def slope(self, s: Scalar, z: Values) -> Scalar:
         """c'(s) = mu (p-2)/2 s^{(p-4)/2}."""
         return 0.5 * (self.p - 2) * self.moduli(z)[0] * power_of_square(s, 0.5 * (self.p - 4), self.floor)
-
-
-CreepLaw: TypeAlias = Literal["mandel", "conformation", "leonov"]
-
-_LAWS = {"mandel": (1.0, 0.0), "conformation": (0.0, 2.0), "leonov": (0.5, 1.0)}
-"""Weights of M and of zeta (its deviator where Pi is trace-free) in G_m Pi."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Creep:
-    """Maxwellian creep G_m Pi - div(nu |grad Pi|^{q-2} grad Pi) = M (paper: ED-Euler-large3).
-
-    With nu = 0 (default) that is Pi = R M at every point, R = 1/G_m; with nu > 0, Pi is a continuous field
-    with (n . grad) Pi = 0 on walls.
-
-    ``law`` says what drives Pi at every point; the others than the paper's need a conformation tensor B with
-    the conjugate zeta (``OldroydB``, ``FENEP``), are local (nu = 0), and agree with it at small elastic
-    strains, where zeta = M/2 for incompressible ones:
-
-    * ``"mandel"``: G_m Pi = M,
-    * ``"conformation"``: G_m Pi = 2 zeta, with a trace, so that det B relaxes too (Oldroyd-B, FENE-P),
-    * ``"leonov"``: G_m Pi = M/2 + dev zeta (Leonov).
-
-    In the linearised model this is E_ZJ = eps(v) - R dev S (paper: Euler-small-viscoelastodyn+2).
-    The sign is that of the energy balance; the paper's flow rules print G_m Pi = -M.
-
-    G_m is twice the usual viscosity eta of the Maxwell dashpot, G_m = 2 eta: a steady flow with the strain
-    rate eps has the deviatoric stress dev T = G_m dev eps, as a fluid's is 2 eta dev eps.  With the usual
-    shear modulus G (G_e of the small-strain materials, 2 G_e of the neo-Hookean ones, 2 (G_e + G_mr) of the
-    Mooney-Rivlin ones) the stress relaxes like exp(-t/lambda), with the Maxwell time
-    lambda = G_m/(2 G) = eta/G.
-
-    Parameters
-    ----------
-    G_m : float
-        Maxwellian viscosity modulus, Pa s, > 0; ``math.inf`` is no creep (Kelvin-Voigt).
-    nu : float
-        Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; >= 0.
-    q : float
-        Its exponent, > 1; the paper's analysis wants q > 3.  Default 4.
-    floor : float
-        Regularisation of |grad Pi| at zero for exponents that are no even integers, 1/(m s), > 0.
-    law : str
-        ``"mandel"`` (default), ``"conformation"`` or ``"leonov"``.
-    """
-
-    G_m: Modulus
-    nu: float = 0.0
-    q: float = 4.0
-    floor: float = 1e-10
-    law: CreepLaw = "mandel"
-
-    def __post_init__(self) -> None:
-        require_choice(self, tuple(_LAWS), law=self.law)
-        if self.law != "mandel" and self.nu != 0:
-            raise ParameterError("Creep.nu", self.nu, f"0 for law = {self.law!r}, which is local")
-        if not (isinstance(self.G_m, float) and self.G_m == math.inf):
-            require_positive_moduli(self, G_m=self.G_m)
-        require_nonnegative(self, nu=self.nu)
-        require_above(self, 1, q=self.q)
-        require_positive(self, floor=self.floor)
-
-    @classmethod
-    def from_reciprocal(cls, R: float) -> Creep:
-        """Creep with R = 1/G_m >= 0, 1/(Pa s), as the linearised model writes it."""
-        if not (isinstance(R, (int, float)) and math.isfinite(R) and R >= 0):
-            raise ParameterError("Creep.R", R, "a finite number >= 0")
-        return cls(G_m=1 / R if R else math.inf)
-
-    @property
-    def R(self) -> float:
-        """Reciprocal creep modulus 1/G_m, 1/(Pa s); where G_m is an expression, of its typical value."""
-        return 1 / typical_value(self.G_m)
-
-    def mobility(self, z: Values) -> ValueOfModulus:
-        """R, 1/(Pa s), where the variables have the values ``z``."""
-        return 1 / value_at(self.G_m, z)
-
-    def rate(
-        self, M: CoefficientFunction | None, zeta: CoefficientFunction | None, z: Values
-    ) -> CoefficientFunction:
-        """Pi = R (a M + b zeta), 1/s, of a local law, at a point with the values ``z``.
-
-        M and zeta are tensors, or both components in a space of tensors; None where their weight is zero.
-        """
-        a, b = self.weights
-        parts = [weight * value for weight, value in ((a, M), (b, zeta)) if weight and value is not None]
-        return self.mobility(z) * (parts[0] if len(parts) == 1 else parts[0] + parts[1])
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        """(a, b) of G_m Pi = a M + b zeta."""
-        return _LAWS[self.law]
-
-    @property
-    def has_trace(self) -> bool:
-        """Whether tr Pi is not zero: the determinant of B is then not that of a distortion."""
-        return self.law == "conformation"
-
-    @property
-    def is_local(self) -> bool:
-        """Whether Pi = R M at every point, without a field of its own (nu = 0, or no creep at all)."""
-        return self.nu == 0 or self.R == 0
-
-    def gradient_coefficient(self, s: CoefficientFunction) -> CoefficientFunction:
-        """nu s^{(q-2)/2} for s = |grad Pi|^2."""
-        return self.nu * power_of_square(s, 0.5 * (self.q - 2), self.floor)

@@ -46,16 +46,14 @@ class PointTangent:
         # -(w . grad z) : zeta with its share of the facets is  phi'(z) : dz div w  to leading order
         for i in range(step.mesh.dim):
             force[:, i * (step.mesh.dim + 1)] += self.zeta.T
-        if self.residual.rates.law is not None and self.residual.rates.law.is_local:
-            by_Pi = columns[:, :, g:]
-            of_mandel, of_conjugates = self.residual.rates.creep_slopes(u)
-            creep = self.residual.rates.creep(u)
-            assert creep is not None
-            Pi = creep.value
+        rule = self.residual.rates.rule
+        if rule is not None and rule.is_local:
+            of_mandel, of_conjugates, of_z = self.residual.rates.creep_slopes(u)
+            Pi = self.residual.rates.creep_components(u)
             K += np.einsum("xnm,xp->pnm", rates.linear[g:], Pi, optimize=True)
-            K -= of_mandel[:, None, None] * (by_Pi @ force[:, g:])
-            if of_conjugates is not None:
-                K += by_Pi @ (of_conjugates @ slopes)
+            if rule.reads_conjugate:
+                of_z = of_z + of_conjugates @ slopes
+            K += columns[:, :, g:] @ (of_z - of_mandel @ force[:, g:])
         for m in range(self.components if self.others else 0):
             changed = self.z.astype(complex)
             changed[m] += 1j * TINY

@@ -109,7 +109,7 @@ def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
         eps = sym(u.L)
         loss = loss + theta * body.viscosity.bulk_dissipation(eps, values)
         loss = loss + theta * body.viscosity.shear_dissipation(eps, values)
-    if body.creep is not None and body.creep.R > 0:
+    if body.creep is not None and body.creep.flows:
         Pi = theta * step.context.rates.local_creep(body.creep, u)
         loss = loss - rate_power(material, values, u.zeta_tensors, 0 * Pi, Pi)
     return [

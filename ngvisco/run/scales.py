@@ -16,6 +16,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.terms.momentum import Loading
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
+from ngvisco.physics.flow_rule_check import values_at_rest
 from ngvisco.physics.material import Material, cauchy_stress
 from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.model import Model
@@ -193,12 +194,14 @@ class Place:
         """Those of the laws at rest, F = I."""
         viscosity, creep, z = self.laws.viscosity, self.laws.creep, self.parameters
         longitudinal, shear = moduli(self.laws.material, dim, z)
-        mobility = 0.0 if creep is None else float(creep.mobility(z))
+        maxwell = math.inf
+        if creep is not None and creep.flows and shear > 0:
+            maxwell = creep.relaxation_time(shear, values_at_rest(self.laws.material, z))
         return LocalScales(
             math.sqrt(max(longitudinal, 0.0) / self.density),
             math.sqrt(max(shear, 0.0) / self.density),
             0.0 if viscosity is None else float(viscosity.shear_viscosity(z)) / self.density,
-            1 / (2 * shear * mobility) if shear > 0 and mobility > 0 else math.inf,
+            maxwell,
         )
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from ngvisco.physics.flow_rules import Creep
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, MooneyRivlin, NeoHookean
 from ngvisco.physics.model import Gravity, Model
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
 from ngvisco.verification.differences import Coefficients
 
 KINDS = ("linear", "neo-hookean")

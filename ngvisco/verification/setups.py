@@ -10,10 +10,11 @@ from ngsolve import CF, CoefficientFunction, Integrate, Mesh, cos, pi, sin, x, y
 
 from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box
+from ngvisco.physics.flow_rules import Creep
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, NeoHookean
 from ngvisco.physics.model import Gravity, Model
-from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
 from ngvisco.run.simulation import Simulation
 from ngvisco.verification.case import Curve
 from ngvisco.verification.problems import distance

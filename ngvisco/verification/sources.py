@@ -53,7 +53,7 @@ class Sources:
         values, L = new.values, embed_gradient(new.grad_v, self.dim)
         Pi = 0 * L
         if model.creep is not None:
-            Pi = model.creep.R * self._mandel if model.creep.is_local else new.Pi
+            Pi = model.creep.rate(self._mandel, None, values) if model.creep.is_local else new.Pi
         rates = {v.name: v.rate(values, L, Pi) for v in model.material.variables}
         total = (new.z - old.z) / self.tau - model.material.states(self.dim).components(rates)
         for v_j, dz in zip((new.v[j] for j in range(self.dim)), gradient(new.z, self.dim), strict=True):
@@ -70,7 +70,7 @@ class Sources:
 
     @property
     def creep(self) -> CoefficientFunction | None:
-        """G_m Pi - div(nu |grad Pi|^{q-2} grad Pi) - M, 3x3; None where Pi is no field of its own."""
+        """psi'(Pi) - div(nu |grad Pi|^{q-2} grad Pi) - M, 3x3; None where Pi is no field of its own."""
         creep = self.model.creep
         if creep is None or creep.is_local:
             return None
@@ -78,7 +78,7 @@ class Sources:
         coefficient = creep.gradient_coefficient(
             sum((inner(d, d) for d in slopes[1:]), inner(slopes[0], slopes[0]))
         )
-        total = creep.G_m * self.new.Pi - self._mandel
+        total = creep.force(self.new.Pi, self.new.values) - self._mandel
         for s, d in zip(COORDINATES, slopes, strict=False):
             total = total - (coefficient * d).Diff(s)
         return total

@@ -20,9 +20,10 @@ from ngsolve import CF, IfPos, Mesh, cos, pi, x, z
 from ngvisco.errors import StepError
 from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box, structured_box
+from ngvisco.physics.flow_rules import Creep
 from ngvisco.physics.materials import NeoHookean
 from ngvisco.physics.model import Gravity, Model
-from ngvisco.physics.rheology import Creep, HyperViscosity, StokesViscosity
+from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
 from ngvisco.physics.walls import NoSlip, PrescribedTangential
 from ngvisco.run.scales import scales
 from ngvisco.run.simulation import Simulation

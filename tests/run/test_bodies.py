@@ -233,11 +233,6 @@ class SharesOnly:
         (lambda: [disc(), rest(material=nv.NeoHookean(K_e=1.0, G_e=1.0, epsilon=0.1))], "the same 'B'"),
         (lambda: [disc(material=nv.Yosida(material=SOLID, eps=0.01)), rest()], "Yosida approximation"),
         (lambda: [disc(creep=nv.Creep(G_m=1.0, nu=0.1)), rest()], "nu = 0"),
-        (
-            lambda: [disc(material=nv.OldroydB(K_e=1.0, G_e=1.0), creep=nv.Creep(G_m=1.0, law="leonov")),
-                     rest(material=nv.NeoHookean(K_e=1.0, G_e=1.0, epsilon=0.1), creep=nv.Creep(G_m=1.0))],
-            "law = 'leonov'",
-        ),
     ],
 )  # fmt: skip
 def test_bad_bodies_are_refused_by_name(make, match):

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from ngsolve import CF, cos, pi, sin, x, y
+from test_flow_rules import Cubic
 from test_split_derivative import assert_is_the_derivative
 
 import ngvisco as nv
 from ngvisco.geometries import box
+from ngvisco.physics.tensors import square
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +31,15 @@ class StiffeningHyper(nv.HyperViscosity):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Softening(nv.Creep):
-    def mobility(self, z):
-        return self.R * (z["J"] * z["J"])
+class Softening(nv.FlowRule):
+    G_m: float
+    nu: float = 0.0
+
+    def rate(self, M, zeta, z):
+        return (z["J"] * z["J"] * (1 / self.G_m)) * M
+
+    def psi(self, Pi, z):
+        return (0.5 * self.G_m / (z["J"] * z["J"])) * square(Pi)
 
 
 LAWS = {
@@ -40,6 +48,8 @@ LAWS = {
     "linear hyperviscosity": {"hyperviscosity": StiffeningHyper(mu=1e-4, mu_1=1e-4, p=2)},
     "creep": {"creep": Softening(G_m=0.5)},
     "creep with a gradient": {"creep": Softening(G_m=0.5, nu=1e-3)},
+    "power law": {"creep": Cubic(A=0.1)},
+    "power law with a gradient": {"creep": Cubic(A=0.1, nu=1e-3)},
 }
 UNIFORM = {
     "viscosity": {"viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1)},
@@ -47,6 +57,8 @@ UNIFORM = {
     "linear hyperviscosity": {"hyperviscosity": nv.HyperViscosity(mu=1e-4, mu_1=1e-4, p=2)},
     "creep": {"creep": nv.Creep(G_m=0.5)},
     "creep with a gradient": {"creep": nv.Creep(G_m=0.5, nu=1e-3)},
+    "power law": {"creep": nv.Creep(G_m=10.0)},
+    "power law with a gradient": {"creep": nv.Creep(G_m=10.0, nu=1e-3)},
 }
 
 

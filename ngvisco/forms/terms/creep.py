@@ -1,7 +1,9 @@
 """Creep with a gradient term: its rate Pi is a field of its own.
 
-    G_m Pi - div(nu |grad Pi|^{q-2} grad Pi) = M,   (n . grad) Pi = 0 on walls
+    psi'(Pi) - div(nu |grad Pi|^{q-2} grad Pi) = M,   (n . grad) Pi = 0 on walls
     (paper: ED-Euler-large3, Euler-large-viscoelastodyn+4disc, with + M as the energy balance needs)
+
+psi'(Pi) = G_m Pi in the paper; any flow rule with a potential of Pi gives its own.
 
 Pi is continuous, in the components of an orthonormal basis of R^{3x3}_dev (plane strain in 2D), so that
 it is symmetric and trace-free by construction.
@@ -17,35 +19,34 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.forms.unknowns import Setting, Unknown
-from ngvisco.physics.rheology import Creep
+from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.tensors import inner, square, trace_free_tensors
 
 
 @dataclass(frozen=True)
 class CreepRate(PointTerm):
-    """int G_m Pi : P + nu |grad Pi|^{q-2} grad Pi : grad P - M : P = 0, M of the projected conjugates.
+    """int psi'(Pi) : P + nu |grad Pi|^{q-2} grad Pi : grad P - M : P = 0, M of the projected conjugates.
 
     P = Pi gives the creep power that the kinematic equations, tested by zeta, take from the stored energy.
     """
 
-    law: Creep
+    rule: FlowRule
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         return (Unknown("Pi", "continuous", max(1, setting.m), trace_free_tensors(setting.dim).size),)
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        gradient = self.law.gradient_coefficient(square(u.grad_Pi))
+        gradient = self.rule.gradient_coefficient(square(u.grad_Pi))
+        force = trace_free_tensors(u.dim).components(self.rule.force(u.Pi, u.z_tensors))
         return [
-            inner(u.parts["Pi"], w.parts["Pi"]) / self.law.mobility(u.z_tensors),
+            inner(force, w.parts["Pi"]),
             gradient * inner(u.grad_Pi, w.grad_Pi),
             -inner(u.context.rates.mandel_components(u), w.parts["Pi"]),
         ]
 
     def entries(self, u: Fields) -> list[Entry]:
-        size = square(u.grad_Pi)
-        gradient = Integrand(self.law.gradient_coefficient(size) * size)
-        local = Integrand(square(u.parts["Pi"]) / self.law.mobility(u.z_tensors))
+        rates = u.context.rates
         return [
-            Entry("dissipation_creep", "dissipation", local),
-            Entry("dissipation_creep_gradient", "dissipation", gradient),
+            Entry("dissipation_creep", "dissipation", Integrand(rates.dissipation(u))),
+            Entry("dissipation_creep_gradient", "dissipation", Integrand(rates.gradient_dissipation(u))),
         ]

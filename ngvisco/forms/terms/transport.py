@@ -29,7 +29,6 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
 from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, tested
 from ngvisco.forms.unknowns import Setting, Unknown
-from ngvisco.physics.material import rate_power
 from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner, masked
@@ -63,8 +62,8 @@ class Kinematics(PointTerm):
     viscoelastodyn+2disc, Euler-large-viscoelastodyn+2disc, +3disc, viscoelastodyn-H, -H+).
 
     G is the test function of z in the discontinuous P_m.  Keeps: J untouched by creep, tr Pi = 0.
-    With creep and nu = 0 the rate Pi = R M is pointwise, M the Mandel stress of the projected
-    conjugates, so that G = zeta gives the dissipation R |M|^2 = G_m |Pi|^2; see ``CreepRate`` for nu > 0.
+    With creep and nu = 0 the rate Pi is a function of M at the point, the Mandel stress of the projected
+    conjugates, so that G = zeta gives the dissipation M : Pi >= 0; see ``CreepRate`` for nu > 0.
     """
 
     model: Model
@@ -85,15 +84,10 @@ class Kinematics(PointTerm):
 
     def entries(self, u: Fields) -> list[Entry]:
         """Creep's dissipation, where it has no equation of its own."""
-        rates, creep = u.context.rates, self.model.creep
-        Pi = rates.creep(u)
-        if creep is None or Pi is None or not creep.is_local:
+        rates = u.context.rates
+        if rates.rule is None or not rates.rule.is_local:
             return []
-        if creep.law == "mandel":
-            power = inner(Pi, rates.mandel(u))
-        else:
-            power = -rate_power(self.model.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi)
-        return [Entry("dissipation_creep", "dissipation", Integrand(power))]
+        return [Entry("dissipation_creep", "dissipation", Integrand(rates.dissipation(u)))]
 
     def energy(self, u: Fields) -> Entry:
         """phi(z)."""

@@ -12,10 +12,11 @@ from scipy.optimize import brentq
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.geometries import channel
+from ngvisco.physics.flow_rules import Creep, CreepLaw
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import FENEP, OldroydB
 from ngvisco.physics.model import BodyForce, Model
-from ngvisco.physics.rheology import Creep, CreepLaw, StokesViscosity
+from ngvisco.physics.rheology import StokesViscosity
 from ngvisco.physics.walls import NoSlip
 from ngvisco.run.simulation import Simulation
 from ngvisco.verification.case import Bound, Case, Curve, Outcome, Plot, Table

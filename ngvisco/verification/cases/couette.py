@@ -10,10 +10,11 @@ from ngsolve import x, y
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import annulus
+from ngvisco.physics.flow_rules import Creep
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean
 from ngvisco.physics.model import Model
-from ngvisco.physics.rheology import Creep, StokesViscosity
+from ngvisco.physics.rheology import StokesViscosity
 from ngvisco.physics.walls import NoSlip, PrescribedTangential
 from ngvisco.run.simulation import Simulation
 from ngvisco.verification.case import Bound, Case, Curve, Outcome, Plot, Table

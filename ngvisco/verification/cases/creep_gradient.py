@@ -13,9 +13,9 @@ from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box, disc, sphere
+from ngvisco.physics.flow_rules import Creep
 from ngvisco.physics.materials import LinearElastic
 from ngvisco.physics.model import Model
-from ngvisco.physics.rheology import Creep
 from ngvisco.run.simulation import Simulation
 from ngvisco.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from ngvisco.verification.cases.manufactured import AGREES, LABELS, NAMES, TERMS

@@ -11,9 +11,10 @@ from ngsolve import pi as PI
 from ngvisco.forms.context import time
 from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box, channel
+from ngvisco.physics.flow_rules import Creep
 from ngvisco.physics.materials import LinearElastic
 from ngvisco.physics.model import Gravity, Model
-from ngvisco.physics.rheology import Creep, StokesViscosity
+from ngvisco.physics.rheology import StokesViscosity
 from ngvisco.physics.walls import NoSlip, PrescribedTangential
 from ngvisco.run.simulation import Simulation
 from ngvisco.verification.case import Bound, Case, Curve, Outcome, Plot

@@ -25,9 +25,10 @@ from ngsolve import CF, IfPos
 
 from ngvisco.geometries import structured_box
 from ngvisco.physics.bodies import Body
+from ngvisco.physics.flow_rules import Creep
 from ngvisco.physics.materials import CustomMaterial, OldroydB
 from ngvisco.physics.model import Gravity, Model
-from ngvisco.physics.rheology import Creep, StokesViscosity
+from ngvisco.physics.rheology import StokesViscosity
 from ngvisco.physics.time import time
 from ngvisco.physics.variables import Jacobian
 from ngvisco.physics.walls import NoSlip

@@ -10,9 +10,10 @@ import numpy as np
 from ngsolve import CoefficientFunction, GridFunction, Integrate, Mesh
 
 from ngvisco.forms.fields import Fields
+from ngvisco.physics.flow_rules import Creep
 from ngvisco.physics.materials import WithQuadratic, Yosida
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import Creep, HyperViscosity
+from ngvisco.physics.rheology import HyperViscosity
 from ngvisco.physics.tensors import dev, square
 from ngvisco.run.simulation import Simulation
 from ngvisco.verification.case import Bound, Case, Curve, Outcome, Plot, Table

@@ -12,10 +12,11 @@ from ngvisco.errors import StepError
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.context import time
 from ngvisco.geometries import box
+from ngvisco.physics.flow_rules import Creep
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import CustomMaterial
 from ngvisco.physics.model import BodyForce, Model
-from ngvisco.physics.rheology import Creep, StokesViscosity
+from ngvisco.physics.rheology import StokesViscosity
 from ngvisco.physics.tensors import dev, square, sym, tr
 from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen, Values
 from ngvisco.physics.walls import NoSlip, PrescribedTangential

@@ -1,0 +1,79 @@
+"""A sampling check of flow rules: power, symmetry, and that the potential belongs to the rate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from ngsolve import CF, Id
+
+from ngvisco.errors import ParameterError
+from ngvisco.physics.arrays import Array
+from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.physics.material import Material
+from ngvisco.physics.pointwise import squares
+from ngvisco.physics.tensors import trace_free_tensors
+from ngvisco.physics.variables import Values
+
+_SIZES = 10.0 ** np.arange(-9, 13)
+"""|M|, Pa, of the samples; rules do not tell their scale."""
+_ROUNDING = 1e-10
+_INVERSE = 1e-3
+"""By how much psi'(rate(M)) may miss M, relatively: both are smoothed near zero."""
+
+
+def values_at_rest(material: Material, parameters: Mapping[str, float] | None = None) -> Values:
+    """Values of a material's variables at F = I as arrays of one point, with those of ``parameters``."""
+    states = material.states(3)
+    values = {v.name: v.from_distortion(Id(3)) for v in material.variables}
+    values |= {name: CF(value) for name, value in (parameters or {}).items() if name in values}
+    components = np.asarray(CF(states.components(values))(squares(1)[1])).reshape(-1, 1)
+    return {name: states.tensor(name, Array(components, None)) for name in values}
+
+
+def check_rule(rule: FlowRule, material: Material) -> None:
+    """Raise ParameterError for a rule that gives energy, or whose rate or potential makes no sense.
+
+    By samples of M of 22 sizes in 8 directions, at rest; where a rule overflows it is not asked.
+    """
+    name, z = f"{type(rule).__name__}", values_at_rest(material)
+    directions = np.random.default_rng(0).standard_normal((8, 5))
+    components = directions.T[:, :, None] / np.linalg.norm(directions, axis=1)[None, :, None] * _SIZES
+    sizes = np.tile(_SIZES, len(directions))
+    M = trace_free_tensors(3).tensor(Array(components.reshape(5, -1), None))
+    with np.errstate(all="ignore"):
+        try:
+            value: Any = rule.rate(M, 0.5 * M if rule.reads_conjugate else None, z).value
+        except Exception as error:
+            expected = f"a function of tensors by ngvisco.physics.tensors: {type(error).__name__}: {error}"
+            raise ParameterError(f"{name}.rate", rule, expected) from error
+        if value.shape[:2] != (3, 3):
+            raise ParameterError(f"{name}.rate", value.shape[:-1], "a 3x3 tensor")
+        Pi = np.broadcast_to(value, M.value.shape)
+        size = np.sqrt((Pi * Pi).sum(axis=(0, 1)))
+        power = (Pi * M.value).sum(axis=(0, 1))
+        asked = np.isfinite(power) & np.isfinite(size)
+        if not asked.any():
+            raise ParameterError(f"{name}.rate", rule, "finite rates for some M between 1e-9 and 1e12 Pa")
+        _refuse(f"{name}.rate", power < -_ROUNDING * size * sizes, asked, power, sizes, "M : Pi >= 0")
+        skew = abs(Pi - Pi.swapaxes(0, 1)).max(axis=(0, 1))
+        _refuse(f"{name}.rate", skew > _ROUNDING * size, asked, skew, sizes, "a symmetric Pi")
+        if not rule.has_trace:
+            trace = abs(np.einsum("iip->p", Pi))
+            _refuse(f"{name}.rate", trace > _ROUNDING * size, asked, trace, sizes, "tr Pi = 0")
+        if rule.is_local:
+            return
+        force = rule.force(Array(Pi, None), z).value
+        force = force - np.eye(3)[:, :, None] * np.einsum("iip->p", force) / 3
+        gap = np.sqrt(((force - M.value) ** 2).sum(axis=(0, 1))) / sizes
+        asked &= (size > 1e3 * rule.rate_floor) & np.isfinite(gap)
+        _refuse(f"{name}.psi", gap > _INVERSE, asked, gap, sizes, "psi'(rate(M)) = M; its relative distance")
+
+
+def _refuse(
+    field: str, wrong: np.ndarray, asked: np.ndarray, value: np.ndarray, sizes: np.ndarray, expected: str
+) -> None:
+    if (at := np.flatnonzero(wrong & asked)).size:
+        where = f"{expected}, here at |M| = {sizes[at[0]]:g} Pa"
+        raise ParameterError(field, float(value[at[0]]), where)

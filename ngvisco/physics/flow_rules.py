@@ -1,0 +1,218 @@
+"""Flow rules: the creep rate Pi as a function of what drives it, and the linear rule of the paper.
+
+A rule is local, Pi = rate(M, zeta, z) at every point, or has a gradient term,
+
+    psi'(Pi) - div(nu |grad Pi|^{q-2} grad Pi) = M,   (n . grad) Pi = 0 on walls   (paper: ED-Euler-large3)
+
+with psi(Pi) the potential whose derivative is the inverse of M -> rate(M).  Both are written with the
+operations of ``ngvisco.physics.tensors``, for coefficient functions and arrays alike; derivatives are never
+written.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import (
+    ParameterError,
+    require_above,
+    require_choice,
+    require_nonnegative,
+    require_positive,
+)
+from ngvisco.physics.arrays import Array, derivatives
+from ngvisco.physics.parameters import Modulus, require_positive_moduli, typical_value, value_at
+from ngvisco.physics.tensors import dev, power_of_square, square
+from ngvisco.physics.variables import Values
+
+SMALL_STRAIN = 1e-2
+"""Elastic shear strain at which a rule is asked for its relaxation time."""
+
+
+class FlowRule(ABC):
+    """What a material's creep rate Pi is; derived classes are frozen dataclasses that give ``rate``.
+
+    A rule with a gradient term declares ``nu`` and gives ``psi`` as well; ``Model`` refuses a rule whose
+    power M : Pi is negative, whose Pi is not symmetric and trace-free, or whose psi' is not the inverse of
+    ``rate``, by samples.
+
+    Attributes
+    ----------
+    nu : float
+        Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; 0 (default) is a local rule.
+    q : float
+        Its exponent, > 1.
+    floor : float
+        Regularisation of |grad Pi| at zero for exponents that are no even integers, 1/(m s), > 0.
+    rate_floor : float
+        |Pi| below which ``psi`` is smoothed at zero where it is no even power, 1/s, > 0.
+    reads_conjugate : bool
+        Whether ``rate`` reads zeta: the material then needs a conformation tensor, and the rule is local.
+    has_trace : bool
+        Whether tr Pi is not zero: the determinant of B is then not that of a distortion.
+    """
+
+    nu: float = 0.0
+    q: float = 4.0
+    floor: float = 1e-10
+    rate_floor: float = 1e-9
+    reads_conjugate: bool = False
+    has_trace: bool = False
+
+    @abstractmethod
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        """Pi, 3x3, 1/s, of the Mandel stress M, 3x3, Pa, at a point with the values ``z``.
+
+        ``zeta`` is the conjugate of the conformation tensor, 3x3, Pa; None where the material has none.
+        """
+
+    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """The potential of Pi, 3x3, W/m^3, whose derivative by Pi is M; convex, where nu > 0.
+
+        Raises
+        ------
+        ParameterError
+            For a rule that does not give it.
+        """
+        raise ParameterError(f"{type(self).__name__}.nu", self.nu, "0: the rule gives no potential psi(Pi)")
+
+    def force(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """psi'(Pi), 3x3, Pa."""
+        if isinstance(Pi, Array):
+            variable = Array(Pi.value)
+            return Array(derivatives(self.psi(variable, z), [variable])[0], None)
+        variable = Pi.MakeVariable()
+        return self.psi(variable, z).Diff(variable)
+
+    @property
+    def flows(self) -> bool:
+        """Whether Pi is not zero always."""
+        return True
+
+    @property
+    def is_local(self) -> bool:
+        """Whether Pi is a function of the values at a point, without a field of its own."""
+        return self.nu == 0 or not self.flows
+
+    def gradient_coefficient(self, s: CoefficientFunction) -> CoefficientFunction:
+        """nu s^{(q-2)/2} for s = |grad Pi|^2."""
+        return self.nu * power_of_square(s, 0.5 * (self.q - 2), self.floor)
+
+    def relaxation_time(self, shear: float, z: Values) -> float:
+        """Elastic strain over its rate, s, in shear by ``SMALL_STRAIN``; ``inf`` where it does not flow.
+
+        ``shear`` is the modulus G of shear, Pa.
+        """
+        strain = np.zeros((3, 3, 1))
+        strain[0, 1] = strain[1, 0] = SMALL_STRAIN
+        M = Array(2 * shear * strain, None)
+        Pi = self.rate(M, 0.5 * M, z)
+        fastest = float(np.linalg.norm(Pi.value.real))
+        return float(np.linalg.norm(strain)) / fastest if fastest > 0 else math.inf
+
+    def _require_gradient(self) -> None:
+        """Raise ParameterError for parameters of the gradient term that make no sense."""
+        require_nonnegative(self, nu=self.nu)
+        require_above(self, 1, q=self.q)
+        require_positive(self, floor=self.floor)
+
+
+CreepLaw: TypeAlias = Literal["mandel", "conformation", "leonov"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Creep(FlowRule):
+    """Maxwellian creep G_m Pi - div(nu |grad Pi|^{q-2} grad Pi) = M (paper: ED-Euler-large3).
+
+    With nu = 0 (default) that is Pi = R M at every point, R = 1/G_m; with nu > 0, Pi is a continuous field
+    with (n . grad) Pi = 0 on walls.
+
+    ``law`` says what drives Pi at every point; the others than the paper's need a conformation tensor B with
+    the conjugate zeta (``OldroydB``, ``FENEP``), are local (nu = 0), and agree with it at small elastic
+    strains, where zeta = M/2 for incompressible ones:
+
+    * ``"mandel"``: G_m Pi = M,
+    * ``"conformation"``: G_m Pi = 2 zeta, with a trace, so that det B relaxes too (Oldroyd-B, FENE-P),
+    * ``"leonov"``: G_m Pi = M/2 + dev zeta (Leonov).
+
+    In the linearised model this is E_ZJ = eps(v) - R dev S (paper: Euler-small-viscoelastodyn+2).
+    The sign is that of the energy balance; the paper's flow rules print G_m Pi = -M.
+
+    G_m is twice the usual viscosity eta of the Maxwell dashpot, G_m = 2 eta: a steady flow with the strain
+    rate eps has the deviatoric stress dev T = G_m dev eps, as a fluid's is 2 eta dev eps.  With the usual
+    shear modulus G (G_e of the small-strain materials, 2 G_e of the neo-Hookean ones, 2 (G_e + G_mr) of the
+    Mooney-Rivlin ones) the stress relaxes like exp(-t/lambda), with the Maxwell time
+    lambda = G_m/(2 G) = eta/G.
+
+    Parameters
+    ----------
+    G_m : float
+        Maxwellian viscosity modulus, Pa s, > 0; ``math.inf`` is no creep (Kelvin-Voigt).
+    nu : float
+        Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; >= 0.
+    q : float
+        Its exponent, > 1; the paper's analysis wants q > 3.  Default 4.
+    floor : float
+        Regularisation of |grad Pi| at zero for exponents that are no even integers, 1/(m s), > 0.
+    law : str
+        ``"mandel"`` (default), ``"conformation"`` or ``"leonov"``.
+    """
+
+    G_m: Modulus
+    nu: float = 0.0
+    q: float = 4.0
+    floor: float = 1e-10
+    law: CreepLaw = "mandel"
+
+    def __post_init__(self) -> None:
+        require_choice(self, ("mandel", "conformation", "leonov"), law=self.law)
+        if self.law != "mandel" and self.nu != 0:
+            raise ParameterError("Creep.nu", self.nu, f"0 for law = {self.law!r}, which is local")
+        if not (isinstance(self.G_m, float) and self.G_m == math.inf):
+            require_positive_moduli(self, G_m=self.G_m)
+        self._require_gradient()
+
+    @classmethod
+    def from_reciprocal(cls, R: float) -> Creep:
+        """Creep with R = 1/G_m >= 0, 1/(Pa s), as the linearised model writes it."""
+        if not (isinstance(R, (int, float)) and math.isfinite(R) and R >= 0):
+            raise ParameterError("Creep.R", R, "a finite number >= 0")
+        return cls(G_m=1 / R if R else math.inf)
+
+    @property
+    def R(self) -> float:
+        """Reciprocal creep modulus 1/G_m, 1/(Pa s); where G_m is an expression, of its typical value."""
+        return 1 / typical_value(self.G_m)
+
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        R = 1 / value_at(self.G_m, z)
+        if self.law == "mandel":
+            return R * M
+        assert zeta is not None
+        return R * (2 * zeta if self.law == "conformation" else 0.5 * M + dev(zeta))
+
+    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """G_m |Pi|^2/2, W/m^3."""
+        return (0.5 * value_at(self.G_m, z)) * square(Pi)
+
+    @property
+    def reads_conjugate(self) -> bool:  # type: ignore[override]
+        return self.law != "mandel"
+
+    @property
+    def has_trace(self) -> bool:  # type: ignore[override]
+        return self.law == "conformation"
+
+    @property
+    def flows(self) -> bool:
+        return self.R > 0

@@ -1,0 +1,72 @@
+"""Flow rules in both solvers, local and with a gradient, alone and of bodies, against a step at a point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from ngsolve import CF, x
+from scipy.optimize import root
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.physics.tensors import power_of_square, square
+
+MATERIAL = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="F")
+F_0 = np.diag([1.3, 0.9, 1.1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cubic(nv.FlowRule):
+    """Pi = A |M|^2 M, a rule of one's own."""
+
+    A: float
+    nu: float = 0.0
+
+    def rate(self, M, zeta, z):
+        return self.A * square(M) * M
+
+    def psi(self, Pi, z):
+        return 0.75 * self.A ** (-1 / 3) * power_of_square(square(Pi), 2 / 3, self.rate_floor)
+
+
+def stretched(rule, solver, bodies):
+    """A homogeneous box at rest whose shape cannot change: what moves is the elastic strain alone."""
+    initial = nv.Initial(F=CF(tuple(F_0.ravel()), dims=(3, 3)))
+    viscosity = nv.StokesViscosity(K_v=1.0, G_v=1.0)
+    if bodies:
+        left, right = (
+            nv.Body(name=name, where=where, material=MATERIAL, viscosity=viscosity, creep=rule, density=1.0)
+            for name, where in (("left", 0.5 - x), ("right", None))
+        )
+        model = nv.Model(bodies=[left, right])
+    else:
+        model = nv.Model(material=MATERIAL, viscosity=viscosity, creep=rule)
+    return nv.Simulation(box((1, 1), maxh=1.0), model, dt=0.02, initial=initial, solver=solver)
+
+
+def implicit_steps(rate, lengths):
+    """H, a diagonal, after steps of backward Euler for H' = -H Pi, with M = dev(2 G_e H^T H)."""
+    H = np.diag(F_0) * np.linalg.det(F_0) ** (-5 / 6)
+
+    def defect(new, old, tau):
+        M = 2 * MATERIAL.G_e * new * new
+        return new - old + tau * new * rate(M - M.mean())
+
+    for tau in lengths:
+        H = root(defect, H, args=(H, tau), tol=1e-13).x
+    return H
+
+
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+@pytest.mark.parametrize(("nu", "bodies"), [(0.0, False), (0.1, False), (0.0, True)])
+def test_a_rule_of_one_s_own_gives_what_it_says(nu, bodies, solver):
+    """At a point its step is that of an ordinary equation."""
+    run = stretched(Cubic(A=0.02, nu=nu), solver, bodies)
+    ledger = run.run(0.04)
+    H = np.diag(np.array(run.fields["H"](run.mesh(0.3, 0.4))).reshape(3, 3))
+    expected = implicit_steps(lambda M: 0.02 * (M @ M) * M, np.diff(ledger.column("time")))
+    assert np.abs(H - expected).max() <= 1e-8
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert ledger.column("dissipation_creep")[1:].min() > 0
