@@ -74,6 +74,22 @@ class CoupledOptions(_Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
+class KrylovOptions(_Checked):
+    """Newton-Krylov iteration of the split solver, where its own is slow."""
+
+    tolerance: float = 0.01
+    """Of an increment's linear system; with 0.1 one of six long steps failed."""
+    directions: int = 40
+    """Derivatives taken for one increment at most."""
+    largest: float = 0.05
+    """Increment up to which it takes over: farther off half of the step is solved at once."""
+    window: int = 4
+    """Iterations that shorten an increment to a fifth, or it gives up."""
+    min_damping: float = 0.05
+    """Smallest step length tried."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class TwoLevelOptions(_Checked):
     """The smoother of ``TwoLevelSolver``."""
 
@@ -127,6 +143,8 @@ class SplitOptions(_Checked):
     """What may be left, in tolerances, when the last increment, which is below one, has been added: by the
     contraction of the last iterations.  A last increment as small as that costs an iteration in ten more, and
     the ledger closes to rounding without."""
+    slow: int = 24
+    """Iterations after which Newton-Krylov takes over."""
     growth: float = 4.0
     """Of an increment over the smallest one, above which the iterate is given up for one half as far from the
     best one."""
@@ -155,6 +173,7 @@ class SplitOptions(_Checked):
     direct_at_most: tuple[int, int] = (100_000, 15_000)
     """Unknowns of v up to which it is so in what is left of a step, where ``flow_iterations`` by two levels
     do not solve the flow's system."""
+    krylov: KrylovOptions = KrylovOptions()
     two_level: TwoLevelOptions = TwoLevelOptions()
     fields: FieldOptions = FieldOptions()
     sweeps: SweepOptions = SweepOptions()

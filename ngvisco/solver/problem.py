@@ -25,6 +25,12 @@ class Interval:
     loads_from: float
     loads_over: float
 
+    def shortened(self, fraction: float) -> Interval:
+        """The step with a part of the length, as a start value of the whole one."""
+        end = self.end if fraction == 1.0 else self.begin + fraction * (self.end - self.begin)
+        loads_from = self.loads_from if self.loads_over > 0 else end
+        return Interval(fraction * self.tau, self.begin, end, loads_from, fraction * self.loads_over)
+
 
 @dataclass(frozen=True)
 class RotheProblem:

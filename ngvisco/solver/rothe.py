@@ -31,6 +31,9 @@ _TOO_FAST = 0.8
 """Courant number down to which the split solver slows a start value: where tau grad v is above one the
 linearised rates of the variables lead away from the solution."""
 
+_SHORTEST, _FACTOR, _LENGTHS = 0.25 / 8**3, 4.0, 20
+"""The shortest part of a step that leads to it by growing lengths, the factor between two, and how many."""
+
 _TOO_FAR = 0.5
 """Change of the velocity, |dv| tau/h, above which extrapolation leads it too far: after the first of some
 long steps."""
@@ -129,6 +132,9 @@ class RotheSolver:
                     self.extrapolation.keep(interval.end)
                     return attempts
                 self.newton.reset()  # what was factorised belongs to iterates that have been given up
+            if self.method == "coupled" and self._grows(interval, attempts):
+                self.extrapolation.keep(interval.end)
+                return attempts
             raise StepError(attempts[-1].solution.reason, attempts)
         except BaseException:  # also an interrupt: never leave an iterate behind
             self.return_to(self._start)
@@ -144,6 +150,29 @@ class RotheSolver:
         if self.method == "split" and courant > _TOO_FAST:
             guess.FV().NumPy()[self.step.layout.ranges["v"]] *= _TOO_FAST / courant
         yield "from the last state", guess
+
+    def _grows(self, interval: Interval, attempts: list[Attempt]) -> bool:
+        """Whether steps of growing length, each the start value of the next, lead to the whole one.
+
+        It is stiff creep that the coupled solver needs them for.
+        """
+        guess, solved, factor = self._start.Copy(), 0.0, _FACTOR
+        length = _SHORTEST
+        for _ in range(_LENGTHS):
+            solution = self._attempt(interval.shortened(length), guess)
+            attempts.append(Attempt("by growing lengths", solution))
+            if solution.converged and length == 1.0:
+                return True
+            if solution.converged:
+                guess.data = self.step.state.vec
+                solved, factor = length, min(_FACTOR, factor**1.5)
+            elif not solved:
+                return False
+            else:
+                self.newton.reset()
+                factor **= 0.5
+            length = min(1.0, solved * factor)
+        return False
 
     def _courant(self, interval: Interval, values: BaseVector) -> float:
         """|v| tau/h of the fastest coefficient and the smallest cell."""

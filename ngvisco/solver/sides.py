@@ -36,6 +36,10 @@ _NEAR = 0.25
 """Share of ``COURANT`` below which a change of coefficients makes no side wrong: values are their sums."""
 
 
+_AT_REST = 1e-3
+"""Courant number up to which a start from rest needs no side."""
+
+
 class Sides:
     """Chooses ``Step.wind``."""
 
@@ -44,7 +48,7 @@ class Sides:
         self.step, self._h_min, self._ranks = step, h_min, Communicator.of(step.mesh)
         self.corrections = 0
         """In the present iteration."""
-        self._provisional = False
+        self._provisional = self._is_from_rest = False
         self._prescribed = ~mask_of(step.layout.blocks["v"].FreeDofs())
         c, (v, h) = step.context, (step.now.v, step.context.h)
         through = c.inner * (v * c.normal)
@@ -55,6 +59,7 @@ class Sides:
     def choose(self, velocity: np.ndarray) -> None:
         """Take the coefficients ``velocity`` for v*, (unknowns of v,), m/s; a new iteration begins."""
         self.corrections, self._provisional = 0, False
+        self._is_from_rest = not self._ranks.any(velocity.any())
         self.step.wind.vec.FV().NumPy()[:] = velocity
 
     def take_walls(self) -> None:
@@ -68,8 +73,10 @@ class Sides:
             changes = self._is_wrong()
             self._provisional = self._provisional or changes
         elif increment <= CERTAIN and self.corrections < CORRECTIONS:
-            changes = self._provisional or self._is_wrong()
+            moves = self._is_from_rest and self._moved(_AT_REST)
+            changes = self._provisional or moves or self._is_wrong()
             self.corrections += changes
+            self._is_from_rest = False
         else:
             return False
         if changes:
@@ -78,10 +85,12 @@ class Sides:
 
     def _is_wrong(self) -> bool:
         # a side is wrong where v differs from v* by as much as makes it matter: most steps end here
+        return self._moved(_NEAR * COURANT) and self.step.quadrature.integrate_facets(self._wrong) > 0
+
+    def _moved(self, courant: float) -> bool:
+        """Whether v differs from v* by more than this Courant number of the smallest cell."""
         change = abs(self._velocity - self.step.wind.vec.FV().NumPy()).max(initial=0.0)
-        if not self._ranks.most(change) * self.step.context.tau.Get() > _NEAR * COURANT * self._h_min:
-            return False
-        return self.step.quadrature.integrate_facets(self._wrong) > 0
+        return self._ranks.most(change) * self.step.context.tau.Get() > courant * self._h_min
 
     @property
     def _velocity(self) -> np.ndarray:

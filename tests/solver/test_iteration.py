@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ngvisco.solver.options import NewtonOptions
+from ngvisco.solver.options import NewtonOptions, SplitOptions
 from ngvisco.solver.solution import Problem, Status
 from ngvisco.solver.split.iteration import iterate
 from ngvisco.solver.split.solver import Split
@@ -24,7 +24,8 @@ class Increments:
     has_converged, wear = Split.has_converged, lambda self, f, size: None
 
     def __init__(self, sizes):
-        self.sizes, self.options, self.is_factorised = sizes, NewtonOptions(), True
+        self.sizes, self.is_factorised = sizes, True
+        self.options = NewtonOptions(split=SplitOptions(slow=60))  # Newton-Krylov does not take over
         self.at, self.starts, self.resets, self.solution = [], 0, 0, None
         self.unknowns = SimpleNamespace(pack=lambda: np.zeros(1), unpack=lambda x: None)
         self.residual = SimpleNamespace(put=self._put, start=self._start)

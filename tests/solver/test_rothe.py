@@ -60,7 +60,7 @@ def test_failed_step_restores_the_state_bitwise() -> None:
     assert (run.t, run.number, time.Get()) == (0.0, 0, 0.0)
     assert len(run.ledger.rows) == 1
     lines = iterations(error.value.history)
-    assert len(lines) == 2
+    assert len(lines) >= 2
     assert all(line.increment > 0 for line in lines)
 
 

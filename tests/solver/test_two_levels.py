@@ -7,14 +7,10 @@ from functools import partial
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from ngsolve import cos, pi, sin, x, y
 
-import ngvisco as nv
 from ngvisco.algebra.factorised import MANY, DirectSolver, TwoLevelSolver, largest_eigenvalue
-from ngvisco.geometries import box
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.reduced import upwind_switch
 
 
 @pytest.mark.parametrize("size", [MANY // 2, 5 * MANY])
@@ -31,32 +27,6 @@ def test_one_cell_s_eigenvalue_is_found_among_many(size):
     exact = np.linalg.eigvalsh(A.toarray() / np.outer(D, D)).max()
     assert exact > 3.7
     assert largest_eigenvalue(A) == pytest.approx(exact, rel=0.03)
-
-
-def test_the_bound_misses_no_facet(monkeypatch):
-    """The facets that count are those that would without the bound which chooses where to look."""
-    model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
-        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
-    )
-    velocity = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
-    run = nv.Simulation(
-        box((1, 1), maxh=0.2), model, dt=0.05, initial=nv.Initial(velocity=velocity), solver="split"
-    )
-    run.advance()
-    split = run.solver.newton
-    operator, at = split.preconditioner.operator, split.residual(split.unknowns.pack())
-    chosen = []
-    for sudden in (1e-8, 1e-6, 1e-4):
-        monkeypatch.setattr(operator.switch, "share", sudden)
-        for bound in (None, 1e100):
-            if bound is not None:
-                monkeypatch.setattr(upwind_switch.UpwindSwitchJacobian, "_largest", lambda self, zeta: 1e100)
-            operator.switch.update(at)
-            chosen.append(len(operator.switch._slope) if operator.switch.exists else 0)
-        monkeypatch.undo()
-    assert chosen[0::2] == chosen[1::2]
-    assert 0 < chosen[2] < chosen[0]
 
 
 @pytest.mark.usefixtures("double_precision")

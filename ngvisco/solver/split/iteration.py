@@ -2,7 +2,7 @@
 
 f(x) = P^{-1} R(x) is Newton's increment of the unknowns x but for a coarser rule and a fixed number of
 sweeps.  An iterate at which it is no number, or much longer than the smallest one, is given up for one nearer
-to the best.
+to the best.  Where it is slow, Newton-Krylov takes over.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ngvisco.solver.solution import NewtonIteration, Problem, Status
+from ngvisco.solver.split.newton_krylov import newton_krylov
 
 if TYPE_CHECKING:
     from ngvisco.solver.split.solver import Split
@@ -24,6 +25,8 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
     last, halvings = np.inf, 0
     best = np.inf, x, x  # the smallest increment's size, its iterate, and it
     while len(history) < split.options.max_iterations:
+        if len(history) > options.slow and last <= options.krylov.largest:
+            return newton_krylov(split, problem, x, history)
         fresh = not split.is_factorised
         f, size = split.increment(problem, x, last)
         history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, fresh))
@@ -41,7 +44,8 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
         elif best[0] == np.inf:
             return Status.NOT_FINITE
         elif halvings == options.halvings:
-            return Status.STALLED
+            near = best[0] <= options.krylov.largest
+            return newton_krylov(split, problem, best[1], history) if near else Status.STALLED
         else:
             halvings += 1
             x, last = best[1] - 0.5**halvings * best[2], np.inf
