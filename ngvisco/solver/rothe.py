@@ -72,7 +72,7 @@ class RotheSolver:
         self.newton = self._made()
         self._warn_without_multigrid()
         self._last_tau: float | None = None
-        self._factorised = {name: getattr(step, name).vec.CreateVector() for name in _FACTORISED_AT}
+        self._factorised = {name: step.state.vec.CreateVector() for name in _FACTORISED_AT}
         self._factorised_at = dict.fromkeys(_PARAMETERS, 0.0)
         self._start = step.state.vec.CreateVector()
         self.extrapolation = Extrapolation(step)
@@ -216,21 +216,28 @@ class RotheSolver:
         self.extrapolation.load_state_dict(numbers, arrays)
         if "last_tau" not in numbers:
             return
-        step, now = self.step, time.Get()
-        kept = {name: getattr(step, name).vec.FV().NumPy().copy() for name in self._factorised}
-        for name in self._factorised:
-            getattr(step, name).vec.FV().NumPy()[:] = arrays[name]
+        now, kept = time.Get(), {name: vector.copy() for name, vector in self._vectors().items()}
+        v = self.step.layout.ranges["v"]
+        for name, vector in self._vectors().items():
+            vector[:] = arrays[name][v] if name == "wind" else arrays[name]
         parameters = {name: numbers[name] for name in _PARAMETERS}
         self.newton.factorise(self.problem(Interval(begin=now, **parameters)))
         self._last_tau = numbers["last_tau"]
-        for name, values in kept.items():
-            getattr(step, name).vec.FV().NumPy()[:] = values
+        for name, vector in self._vectors().items():
+            vector[:] = kept[name]
         time.Set(now)
+
+    def _vectors(self) -> dict[str, np.ndarray]:
+        """What a factorisation depends on, for reading and writing."""
+        return {name: getattr(self.step, name).vec.FV().NumPy() for name in _FACTORISED_AT}
 
     def _remember(self, problem: RotheProblem) -> None:
         self._factorised_at = {name: getattr(problem.interval, name) for name in _PARAMETERS}
-        for name, vector in self._factorised.items():
-            vector.data = getattr(self.step, name).vec
+        v = self.step.layout.ranges["v"]
+        for name, values in self._vectors().items():
+            # v* as a state's v: a checkpoint numbers states
+            where = v if name == "wind" else slice(None)
+            self._factorised[name].FV().NumPy()[where] = values
 
     def _judged(self, solution: Solution) -> Solution:
         """The solution, which has failed too where its energy is no number or rho or J is not positive."""
