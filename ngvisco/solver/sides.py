@@ -21,7 +21,7 @@ from ngvisco.parallel.communicator import Communicator
 COURANT = 0.1
 """|v . n| tau/h from which a wrong side matters."""
 
-SETTLED, CERTAIN = 1e-2, 1e-6
+SETTLED, CERTAIN = 1e-2, 1e-8
 """Increments from which v* stays, and from which the iterate's velocity is that of the step."""
 
 CORRECTIONS = 2
