@@ -1,15 +1,20 @@
-"""The package as a user gets it: one version, geometries from a clone and from a wheel."""
+"""The package as a user gets it: one version, a wheel that installs and runs, pages of its API."""
 
+import os
+import re
+import shlex
 import shutil
 import subprocess
 import sys
 import tomllib
+import warnings
 import zipfile
-from pathlib import Path
+from importlib.util import find_spec
+
+import pytest
+from documents import ROOT
 
 import ngvisco
-
-ROOT = Path(__file__).resolve().parents[1]
 
 
 def test_there_is_one_version_string():
@@ -23,36 +28,68 @@ def test_public_names_exist():
     assert all(hasattr(ngvisco, name) for name in ngvisco.__all__)
 
 
-def test_geometries_import_from_a_clone(tmp_path):
-    code = "import ngvisco.geometries as g; print(g.box((1, 1), maxh=1).ne > 0, g.__file__)"
-    # isolated from an installed copy: only the clone and NGSolve's site-packages are on the path
-    result = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}); {code}"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert result.stdout.startswith("True")
-
-
-def test_wheel_holds_geometries_and_nothing_else_of_the_top_level(tmp_path):
+def test_wheel_holds_geometries_and_nothing_else_of_the_top_level_and_runs(tmp_path):
     source = tmp_path / "source"  # building leaves files beside the sources
     for name in ("ngvisco", "geometries", "demos"):
-        shutil.copytree(ROOT / name, source / name)
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
-    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation"]
-    subprocess.run([*command, "-w", str(tmp_path), str(source)], check=True, capture_output=True)
+    pip = [sys.executable, "-m", "pip", "-q", "--disable-pip-version-check"]
+    build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "-w", str(tmp_path), str(source)]
+    subprocess.run(build, check=True, capture_output=True)
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
-    assert "ngvisco/demos/swirl/swirl.toml" in names  # of which `ngvisco new swirl` makes a template
-    assert "ngvisco/geometries/boxes.py" in names and "ngvisco/forms/system.py" in names
     assert {name.split("/")[0] for name in names} == {"ngvisco", f"{wheel.stem.rsplit('-', 3)[0]}.dist-info"}
     sources = {str(p.relative_to(ROOT)) for p in (ROOT / "ngvisco").rglob("*.py")}
     pages = {str(p.relative_to(ROOT)) for p in (ROOT / "ngvisco").rglob("*.md")}
-    assert sources | pages | {"ngvisco/geometries/README.md"} <= set(names)
+    assert sources | pages | {"ngvisco/geometries/README.md", "ngvisco/geometries/boxes.py"} <= set(names)
     assert not any(name.endswith(".png") for name in names)  # the kept reports are with the tests
+    place = tmp_path / "installed"
+    install = [*pip, "install", "--no-deps", "--no-index", "--target", str(place), str(wheel)]
+    subprocess.run(install, check=True, capture_output=True)
+    (tmp_path / "case.toml").symlink_to(place / "ngvisco/demos/swirl/swirl.toml")
+    said = subprocess.run(
+        [place / "bin" / "ngvisco", "check", "case.toml", "--set", "domain.maxh=0.7"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(place), "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert said.returncode == 0 and "valid" in said.stdout, said.stderr
+
+
+def api_command():
+    """What the package's README says to make pages of the API by."""
+    page = (ROOT / "ngvisco" / "README.md").read_text()
+    (command,) = re.findall(r"<!-- api begins -->\n```sh\npdoc (.*)\n```", page)
+    return shlex.split(command)
+
+
+PAGES = {
+    "ngvisco.physics.variables": ("LeftCauchyGreen", "kinematic rates"),
+    "ngvisco.geometries": ("annulus", '<h6 id="parameters">Parameters</h6>'),
+}
+"""Modules whose pages are soon made, and what these have."""
+
+
+@pytest.mark.parametrize(
+    "pages", [PAGES, pytest.param(None, marks=[pytest.mark.long, pytest.mark.ci])], ids=["two", "all"]
+)
+def test_api_pages_are_made_by_the_printed_command(pages, tmp_path):
+    pdoc = pytest.importorskip("pdoc.__main__")
+    words = api_command()
+    modules = [word for word in words if word.startswith("ngvisco")]
+    options = words[: -len(modules)]
+    assert all(find_spec(module) for module in modules)
+    rooms = {path.parent.name for path in (ROOT / "ngvisco").glob("*/__init__.py")}
+    assert {f"ngvisco.{room}" for room in rooms} <= set(modules)
+    options[options.index("-o") + 1] = str(tmp_path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")  # pdoc warns of types that it cannot link
+        pdoc.cli([*options, *(pages or modules)])
+    for name, has in PAGES.items():
+        text = (tmp_path / f"{name.replace('.', '/')}.html").read_text()
+        assert all(word in text for word in has), name
 
 
 def test_top_level_is_the_agreed_one():
