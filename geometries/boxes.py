@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 from netgen.occ import (
     Box,
@@ -21,8 +21,17 @@ from netgen.occ import (
 )
 from ngsolve import Mesh
 
-from ngvisco.errors import ParameterError, as_number, require_names
-from ngvisco.geometries.meshing import CURVE_ORDER, as_length, box_lengths, is_delicate, mesh_of, unit_of
+from ngvisco.errors import ParameterError, Quantity, as_number, require_names
+from ngvisco.geometries.meshing import (
+    CURVE_ORDER,
+    CellSize,
+    Length,
+    as_length,
+    box_lengths,
+    is_delicate,
+    mesh_of,
+    unit_of,
+)
 
 _WALLS = {
     2: (("left", -X), ("right", X), ("bottom", -Y), ("top", Y)),
@@ -31,11 +40,11 @@ _WALLS = {
 
 
 def box(
-    size: Sequence[float],
-    maxh: float,
+    size: Annotated[Sequence[float], Quantity("m", example=[1.0, 1.0])],
+    maxh: CellSize,
     *,
-    periodic: str | Sequence[str] = (),
-    refine: Mapping[str, float] | None = None,
+    periodic: Annotated[str | Sequence[str], Quantity(example="x")] = (),
+    refine: Annotated[Mapping[str, float] | None, Quantity("m", example={"left": 0.05})] = None,
     split_corners: bool = False,
 ) -> Mesh:
     """A box [0, size_1] x [0, size_2] (x [0, size_3]).
@@ -45,16 +54,16 @@ def box(
     Parameters
     ----------
     size : two or three positive numbers
-        Edge lengths, m.
+        Edge lengths, two (plane strain) or three.
     maxh : float
-        Largest cell size, m, > 0.
+        Largest size of a cell.
     periodic : some of "x", "y", "z", e.g. "x" or "xy"
-        Directions in which the two walls are identified.
+        Directions in which opposite walls are one, some of "x", "y", "z".
     refine : mapping of walls to cell sizes, optional
-        Smaller cell sizes on walls, m.
+        Smaller cell sizes at walls, by the wall's name.
     split_corners : bool
-        Divide the cells in corners, so that walls with different velocities may meet there
-        (``split_corner_cells``).
+        Divide cells whose edges at a vertex all lie on walls, so that walls with different velocities may
+        meet there.
 
     Raises
     ------
@@ -66,26 +75,25 @@ def box(
 
 
 def channel(
-    length: float,
-    height: float,
-    maxh: float,
+    length: Length,
+    height: Length,
+    maxh: CellSize,
     *,
-    width: float | None = None,
-    refine: Mapping[str, float] | None = None,
+    width: Annotated[float | None, Quantity("m", example=1.0)] = None,
+    refine: Annotated[Mapping[str, float] | None, Quantity("m", example={"top": 0.05})] = None,
     split_corners: bool = False,
 ) -> Mesh:
     """A channel along x between the walls ``bottom`` and ``top``, periodic in x (and in y in 3D).
 
     Parameters
     ----------
-    length, height : float
-        m; the height is that of y in 2D and of z in 3D.
-    maxh : float
-        Largest cell size, m.
+    length : float
+        Length, along x.
+    height : float
+        Height, along y in 2D and z in 3D.
     width : float, optional
-        Makes it three-dimensional, m.
-    refine : mapping of walls to cell sizes, optional
-    split_corners : bool
+        Width along y; makes the channel three-dimensional.
+    maxh, refine, split_corners
         As for ``box``.
     """
     sizes = [("length", length), ("height", height)]
@@ -96,22 +104,25 @@ def channel(
 
 
 def bar(
-    length: float,
-    thickness: float,
-    maxh: float,
+    length: Length,
+    thickness: Length,
+    maxh: CellSize,
     *,
     dim: int = 2,
-    refine: Mapping[str, float] | None = None,
+    refine: Annotated[Mapping[str, float] | None, Quantity("m", example={"left": 0.05})] = None,
     split_corners: bool = False,
 ) -> Mesh:
     """A bar along x of square cross-section, with the walls of a box.
 
     Parameters
     ----------
-    length, thickness, maxh : float
-        m.
+    length : float
+        Length, along x.
+    thickness : float
+        Edge of the square cross-section.
     dim : 2 or 3
-    refine, split_corners
+        2 (plane strain) or 3.
+    maxh, refine, split_corners
         As for ``box``.
     """
     if isinstance(dim, bool) or dim not in (2, 3):
@@ -122,32 +133,27 @@ def bar(
 
 
 def block_with_hole(
-    size: Sequence[float],
-    radius: float,
-    maxh: float,
+    size: Annotated[Sequence[float], Quantity("m", example=[1.0, 1.0])],
+    radius: Length,
+    maxh: CellSize,
     *,
-    fillet: float = 0.0,
+    fillet: Annotated[float, Quantity("m", example=0.05)] = 0.0,
     order: int = CURVE_ORDER,
-    refine: Mapping[str, float] | None = None,
+    refine: Annotated[Mapping[str, float] | None, Quantity("m", example={"left": 0.05})] = None,
     split_corners: bool = False,
 ) -> Mesh:
     """A box with a circular hole in its middle, in 3D along y; walls of the box, ``hole`` and ``fillet``.
 
     Parameters
     ----------
-    size : two or three positive numbers
-        Edge lengths, m.
     radius : float
-        Less than half of the edges that it is between, m.
-    maxh : float
-        m.
+        Radius of the hole, less than half of the edges that it is between.
     fillet : float
-        Radius to which all corners (2D) or edges and corners (3D) of the box are rounded, m, less than half
-        of its edges; 0 leaves them sharp.
+        Radius to which corners (2D), or edges and corners (3D), of the box are rounded, less than half of its
+        edges; 0 leaves them sharp.
     order : int
-        Of the curved cells.
-    refine : mapping of walls to cell sizes, optional
-    split_corners : bool
+        Polynomial order of curved cells.
+    size, maxh, refine, split_corners
         As for ``box``.
     """
     lengths = box_lengths("block_with_hole", size)

@@ -14,7 +14,7 @@ import sys
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeAlias
 
 from netgen.meshing import NetgenGeometry
 from netgen.occ import OCCGeometry, Pnt
@@ -23,12 +23,16 @@ from ngsolve import BND, CF, VOL, Integrate, Mesh
 from ngvisco.errors import (
     MeshError,
     ParameterError,
+    Quantity,
     UnknownNameError,
     as_integer,
     as_number,
     require_names,
 )
 from ngvisco.geometries.corners import split_corner_cells
+
+Length: TypeAlias = Annotated[float, Quantity("m", "> 0", 1.0)]
+CellSize: TypeAlias = Annotated[float, Quantity("m", "> 0", 0.1)]
 
 CURVE_ORDER = 3
 """Order of curved cells: one above the default velocity, so that the geometry's error is not the largest."""

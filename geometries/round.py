@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Annotated
 
 from netgen.occ import Circle, Cylinder, Pnt, Sphere, Z
 from ngsolve import Mesh
 
-from ngvisco.errors import ParameterError
-from ngvisco.geometries.meshing import CURVE_ORDER, as_length, is_delicate, mesh_of, unit_of
+from ngvisco.errors import ParameterError, Quantity
+from ngvisco.geometries.meshing import CURVE_ORDER, CellSize, Length, as_length, is_delicate, mesh_of, unit_of
 
 
 def disc(
-    radius: float, maxh: float, *, order: int = CURVE_ORDER, refine: Mapping[str, float] | None = None
+    radius: Length,
+    maxh: CellSize,
+    *,
+    order: int = CURVE_ORDER,
+    refine: Annotated[Mapping[str, float] | None, Quantity("m", example={"wall": 0.05})] = None,
 ) -> Mesh:
     """A disc about the origin; wall ``wall``.
 
     Parameters
     ----------
-    radius, maxh : float
-        m.
+    radius : float
+        Radius.
     order : int
-        Of the curved cells; 1 gives a polygon, on which slip is refused.
-    refine : mapping of walls to cell sizes, optional
+        Polynomial order of curved cells; 1 gives a polygon, on which slip is refused.
+    maxh, refine
+        As for ``box``.
     """
     radius = as_length("disc.radius", radius)
     unit = unit_of("disc", 2, [("radius", radius)], ["radius"])
@@ -32,14 +38,26 @@ def disc(
 
 
 def annulus(
-    inner: float,
-    outer: float,
-    maxh: float,
+    inner: Length,
+    outer: Length,
+    maxh: CellSize,
     *,
     order: int = CURVE_ORDER,
-    refine: Mapping[str, float] | None = None,
+    refine: Annotated[Mapping[str, float] | None, Quantity("m", example={"inner": 0.05})] = None,
 ) -> Mesh:
-    """The ring inner < r < outer about the origin; walls ``inner`` and ``outer``.  Lengths in m."""
+    """The ring inner < r < outer about the origin; walls ``inner`` and ``outer``.
+
+    Parameters
+    ----------
+    inner : float
+        Inner radius.
+    outer : float
+        Outer radius, above the inner one.
+    maxh, refine
+        As for ``box``.
+    order
+        As for ``disc``.
+    """
     r, R, unit, delicate = _radii("annulus", 2, inner, outer)
     ring, hole = Circle((0, 0), R).Face(), Circle((0, 0), r).Face()
     ring.edges.name, hole.edges.name = "outer", "inner"
@@ -47,17 +65,26 @@ def annulus(
 
 
 def cylinder(
-    radius: float,
-    height: float,
-    maxh: float,
+    radius: Length,
+    height: Length,
+    maxh: CellSize,
     *,
     order: int = CURVE_ORDER,
-    refine: Mapping[str, float] | None = None,
+    refine: Annotated[Mapping[str, float] | None, Quantity("m", example={"side": 0.05})] = None,
     split_corners: bool = False,
 ) -> Mesh:
-    """The cylinder r < radius, 0 < z < height; walls ``side``, ``bottom``, ``top``.  Lengths in m.
+    """The cylinder r < radius, 0 < z < height; walls ``side``, ``bottom``, ``top``.
 
-    ``split_corners`` as for ``box``.
+    Parameters
+    ----------
+    radius : float
+        Radius.
+    height : float
+        Height, along z.
+    maxh, refine, split_corners
+        As for ``box``.
+    order
+        As for ``disc``.
     """
     sizes = [
         ("radius", as_length("cylinder.radius", radius)),
@@ -74,9 +101,23 @@ def cylinder(
 
 
 def sphere(
-    radius: float, maxh: float, *, order: int = CURVE_ORDER, refine: Mapping[str, float] | None = None
+    radius: Length,
+    maxh: CellSize,
+    *,
+    order: int = CURVE_ORDER,
+    refine: Annotated[Mapping[str, float] | None, Quantity("m", example={"wall": 0.05})] = None,
 ) -> Mesh:
-    """A ball about the origin; wall ``wall``.  Lengths in m."""
+    """A ball about the origin; wall ``wall``.
+
+    Parameters
+    ----------
+    radius : float
+        Radius.
+    maxh, refine
+        As for ``box``.
+    order
+        As for ``disc``.
+    """
     radius = as_length("sphere.radius", radius)
     unit = unit_of("sphere", 3, [("radius", radius)], ["radius"])
     solid = Sphere(Pnt(0, 0, 0), radius / unit)
@@ -85,14 +126,26 @@ def sphere(
 
 
 def spherical_shell(
-    inner: float,
-    outer: float,
-    maxh: float,
+    inner: Length,
+    outer: Length,
+    maxh: CellSize,
     *,
     order: int = CURVE_ORDER,
-    refine: Mapping[str, float] | None = None,
+    refine: Annotated[Mapping[str, float] | None, Quantity("m", example={"inner": 0.05})] = None,
 ) -> Mesh:
-    """The shell inner < r < outer about the origin; walls ``inner`` and ``outer``.  Lengths in m."""
+    """The shell inner < r < outer about the origin; walls ``inner`` and ``outer``.
+
+    Parameters
+    ----------
+    inner : float
+        Inner radius.
+    outer : float
+        Outer radius, above the inner one.
+    maxh, refine
+        As for ``box``.
+    order
+        As for ``disc``.
+    """
     r, R, unit, delicate = _radii("spherical_shell", 3, inner, outer)
     ball, core = Sphere(Pnt(0, 0, 0), R), Sphere(Pnt(0, 0, 0), r)
     ball.faces.name, core.faces.name = "outer", "inner"

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated
 
 from ngsolve import Mesh
 from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
-from ngvisco.errors import ParameterError, as_integer, as_number, require_names
+from ngvisco.errors import ParameterError, Quantity, as_integer, as_number, require_names
 from ngvisco.geometries.corners import split_corner_cells
 from ngvisco.geometries.meshing import MAX_CELLS, box_lengths, check_flag
 
@@ -17,11 +18,11 @@ _NAMES = {"back": "left", "front": "right", "left": "front", "right": "back"}
 
 
 def structured_box(
-    size: Sequence[float],
-    cells: Sequence[int],
+    size: Annotated[Sequence[float], Quantity("m", example=[1.0, 1.0])],
+    cells: Annotated[Sequence[int], Quantity("1", example=[2, 40])],
     *,
-    periodic: str | Sequence[str] = (),
-    grading: Mapping[str, float] | None = None,
+    periodic: Annotated[str | Sequence[str], Quantity(example="x")] = (),
+    grading: Annotated[Mapping[str, float] | None, Quantity("1", example={"y": 5.0})] = None,
     split_corners: bool = False,
 ) -> Mesh:
     """A box [0, size_1] x [0, size_2] (x [0, size_3]) of rows of cells, with the walls of ``box``.
@@ -31,15 +32,12 @@ def structured_box(
 
     Parameters
     ----------
-    size : two or three positive numbers
-        Edge lengths, m.
     cells : as many whole numbers
         Rows of cells along each direction, >= 1.
-    periodic : some of "x", "y", "z"
-        Directions in which the two walls are identified.
     grading : mapping of directions to numbers from 1e-6 to 1e6, optional
-        Length of the last row over that of the first one, which between them is geometric; default 1.
-    split_corners : bool
+        Length of the last row over that of the first one, by direction, from 1e-6 to 1e6; geometric between
+        them, 1 where nothing is said.
+    size, periodic, split_corners
         As for ``box``.
 
     Raises

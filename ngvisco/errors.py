@@ -13,7 +13,7 @@ import numbers
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -96,6 +96,24 @@ class NgviscoWarning(UserWarning):
 
 class InputWarning(NgviscoWarning):
     """Input that the model takes otherwise than it may be meant; the message says how, and what to change."""
+
+
+class Quantity(NamedTuple):
+    """What an annotation says of a parameter beside its type: ``Annotated[float, Quantity("Pa", "> 0")]``.
+
+    Attributes
+    ----------
+    unit : str
+        SI unit; "1" for pure numbers, "" for what is no number.  Exponents may be other parameters.
+    range : str
+        The numbers that are admitted, as ``"> 0"`` or ``"in (0, 1)"``; "" for all.
+    example : value, optional
+        As a case file may have it, for what has no default.
+    """
+
+    unit: str = ""
+    range: str = ""
+    example: Any = None
 
 
 def as_number(value: object) -> float | None:

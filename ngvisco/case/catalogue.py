@@ -6,7 +6,7 @@ Keys of a section are the parameters of the dataclass or function, read from its
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
@@ -129,3 +129,13 @@ SECTIONS: dict[str, type] = {
     "initial": Initial,
     "solver": NewtonOptions,
 }
+
+TABLES: tuple[Mapping[str, Callable[..., Any]], ...] = (
+    GEOMETRIES,
+    ALL_MATERIALS,
+    MECHANISMS,
+    LOADS,
+    WALLS,
+    SHAPES,
+    SECTIONS,
+)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Literal, NewType
+from typing import Annotated, Literal, NewType
 
 from ngvisco.case.energies import RESERVED, UNIT, EnergyExpression, parse_energy
-from ngvisco.errors import ParameterError, require_names
+from ngvisco.errors import ParameterError, Quantity, require_names
 from ngvisco.expressions import ExpressionError, number
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import (
@@ -55,28 +55,29 @@ _VARIABLE = (
 
 
 def custom_material(
-    variables: Sequence[str],
-    energy: EnergyText,
-    parameters: Mapping[str, float] | None = None,
+    variables: Annotated[Sequence[str], Quantity(example=["F", "J"])],
+    energy: Annotated[EnergyText, Quantity("Pa", example="3*norm2(F)/J**(2/3) + 4*(J + 1/J)")],
+    parameters: Annotated[Mapping[str, float] | None, Quantity("any", example={"G": 5.0})] = None,
     per: Literal["volume", "referential volume", "mass"] = "volume",
-    rho_R: float | None = None,
+    rho_R: Annotated[float | None, Quantity("kg/m^3", "> 0", 1000.0)] = None,
 ) -> Material:
     """A material of the user's own: any variables, and an energy as an expression of them.
 
     Parameters
     ----------
     variables : sequence of str
-        Names, ``"F"``, ``"H"`` (Cof F), ``"B"`` (F F^T), ``"N"`` (Cof(F F^T)), ``"J"``, ``"A"`` (1/J),
-        ``"K"`` (ln J/J), ``"E"``; or definitions with a power of J, ``"H = J**(-5/6)*F"``.
+        What is carried: F, H = cof(F), B = F*trans(F), N = cof(F*trans(F)), J = det(F), A = 1/J, K =
+        log(J)/J, the small strain E; with a power of J as in "H = J**(-5/6)*F".
     energy : str
-        Energy per actual volume, Pa, see ``ngvisco.case.energies``.
+        Stored energy of the variables; by per = "mass" in J/kg.
     parameters : mapping of names to numbers, optional
-        Further names that the energy reads.
+        Numbers that the energy reads by name, as they stand.
     per : str
-        ``"referential volume"`` (Pa) or ``"mass"`` (J/kg) otherwise, see ``PerReferentialVolume`` and
-        ``PerMass``.
+        What the energy is per: "volume" (the actual one), "referential volume" or "mass"; by the latter two
+        what is carried are the tensors over J, and A = 1/J.
     rho_R : float, optional
-        Referential density, kg/m^3; an energy per mass needs it.
+        Density where J = 1, which an energy per mass needs; with it the initial density and J follow from one
+        another.
 
     Raises
     ------
@@ -115,16 +116,17 @@ def custom_material(
 
 
 def isotropic_strain_energy(
-    energy: EnergyText, parameters: Mapping[str, float] | None = None
+    energy: Annotated[EnergyText, Quantity("Pa", example="5*tr(E)**2 + 5*norm2(dev(E))")],
+    parameters: Annotated[Mapping[str, float] | None, Quantity("any", example={"G": 5.0})] = None,
 ) -> IsotropicStrainEnergy:
     """Any convex isotropic energy phi(E) of the small strain, as an expression of E.
 
     Parameters
     ----------
     energy : str
-        Energy per actual volume, Pa, see ``ngvisco.case.energies``.
+        Stored energy per actual volume of the small strain E, isotropic and convex.
     parameters : mapping of names to numbers, optional
-        Further names that the energy reads.
+        Numbers that the energy reads by name, as they stand.
 
     Raises
     ------

@@ -7,7 +7,6 @@ of tables; keys that only some kinds of a section have are listed with these kin
 from __future__ import annotations
 
 import difflib
-import inspect
 import json
 import types
 from collections.abc import Iterator, Mapping
@@ -15,11 +14,10 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 
 from ngvisco.case import toml
 from ngvisco.case.faults import models_in
-from ngvisco.case.keys import key
+from ngvisco.case.keys import meanings, quantities, summary
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import _TARGETS, annotation_of
@@ -31,7 +29,7 @@ from ngvisco.case.values import (
     TensorValue,
     VectorValue,
 )
-from ngvisco.errors import ParameterError
+from ngvisco.errors import ParameterError, Quantity
 
 _TAGS = ("geometry", "kind")
 
@@ -109,16 +107,19 @@ def _walk(model: type[BaseModel], path: tuple[str, ...], kinds: tuple[str, ...])
         here, inner = (*path, name), models_in(field.annotation)
         if name in _TAGS:
             continue
-        meant = key(owner_name(model), name)
+        said, default = quantity(model, name), None if inner or field.is_required() else field.default
+        example = (
+            said.example if default in (None, "", [], {}, False) and said.example is not None else default
+        )
         yield Entry(
             here,
             kinds,
-            type_text(annotation_of(model, name)),
-            meant.unit,
+            ", ".join(filter(None, (type_text(annotation_of(model, name)), said.range))),
+            said.unit,
             field.is_required(),
-            None if inner or field.is_required() else field.default,
-            meant.meaning,
-            None if inner else meant.example,
+            default,
+            meaning(model, name),
+            None if inner else example,
         )
         if inner and here not in _SAME_KEYS:
             yield from _walk_kinds(inner, (*here, *_place(field.annotation)), name)
@@ -128,19 +129,26 @@ def _walk_kinds(models: list[type[BaseModel]], path: tuple[str, ...], name: str)
     tag = next((tag for tag in _TAGS if tag in models[0].model_fields), None)
     if tag is not None:
         names = tuple(kind_of(model, tag) for model in models)
-        meant = key(name, tag)
-        yield Entry(
-            (*path, tag), (), f"one of {', '.join(names)}", "", True, None, meant.meaning, meant.example
-        )
+        yield Entry((*path, tag), (), f"one of {', '.join(names)}", "", True, None, "Which one", names[0])
     for model in models:
         yield from _walk(model, path, () if tag is None else (kind_of(model, tag),))
 
 
-def owner_name(model: type[BaseModel]) -> str:
-    """Name of the class or function whose parameters a section holds."""
+def quantity(model: type[BaseModel], name: str) -> Quantity:
+    """Unit, range and example of a key."""
+    return quantities(owner_of(model))[name]
+
+
+def meaning(model: type[BaseModel], name: str) -> str:
+    """What a key means; a table that its section does not describe is what it holds."""
+    inner = models_in(model.model_fields[name].annotation)
+    return meanings(owner_of(model)).get(name) or summary(owner_of(inner[0]))
+
+
+def owner_of(model: type[BaseModel]) -> Any:
+    """The class or function whose parameters a section holds."""
     targets: Mapping[Any, Any] = _TARGETS
-    target = targets.get(model, model)
-    return model.__name__ if set(_TAGS) & set(model.model_fields) else str(target.__name__)
+    return targets.get(model, model)
 
 
 def kind_of(model: type[BaseModel], tag: str) -> str:
@@ -251,10 +259,7 @@ def _names(every: list[Entry]) -> list[str]:
 
 def _summary(kind: str) -> str:
     """First line of the docstring behind a kind."""
-    for model, target in _TARGETS.items():
-        if model.__name__ == kind:
-            return (inspect.getdoc(target) or "").split("\n")[0]
-    return ""
+    return next((summary(target) for model, target in _TARGETS.items() if model.__name__ == kind), "")
 
 
 def line(entry: Entry) -> str:
@@ -327,9 +332,9 @@ def json_schema() -> dict[str, Any]:
         node["title"] = name
         for field_name, prop in list(node["properties"].items()):
             if field_name not in _TAGS:
-                if key(owner_name(model), field_name).unit not in ("", "1", "any"):
+                if quantity(model, field_name).unit not in ("", "1", "any"):
                     node["properties"][field_name] = prop = _with_quantities(prop)
-                prop.update(_annotations(model, field_name, model.model_fields[field_name]))
+                prop.update(_annotations(model, field_name))
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "ngvisco case file"}
 
 
@@ -342,13 +347,12 @@ def _collect(model: type[BaseModel], into: dict[str, type[BaseModel]]) -> None:
                 _collect(inner, into)
 
 
-def _annotations(model: type[BaseModel], name: str, field: FieldInfo) -> dict[str, Any]:
-    meant = key(owner_name(model), name)
-    unit = f" [{meant.unit}]" if meant.unit not in ("", "1") else ""
-    found: dict[str, Any] = {"description": f"{meant.meaning}{unit}", "title": name}
-    if meant.example is not None:
-        found["examples"] = [meant.example]
-    return found
+def _annotations(model: type[BaseModel], name: str) -> dict[str, Any]:
+    said = quantity(model, name)
+    words = ", ".join(filter(None, (meaning(model, name), said.range)))
+    unit = f" [{said.unit}]" if said.unit not in ("", "1") else ""
+    examples = {} if said.example is None else {"examples": [said.example]}
+    return {"description": f"{words}{unit}", "title": name, **examples}
 
 
 def _with_quantities(node: Any) -> Any:

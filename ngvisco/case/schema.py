@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, mo
 from ngvisco.case import catalogue
 from ngvisco.case.section import Section, materials, section, tagged
 from ngvisco.case.values import RegionText
-from ngvisco.errors import ParameterError
+from ngvisco.errors import ParameterError, Quantity
 from ngvisco.run.stepping import HALVINGS, MOST_HALVINGS
 from ngvisco.timestepping.scheme import SCHEMES, scheme_of
 
@@ -47,17 +47,44 @@ Adaptive, Discretisation, Initial, Solver = (
 
 
 class Time(Section):
-    """Step length, end, scheme, and what belongs to them."""
+    """Step length and end.
 
-    dt: float
-    until: float
+    Parameters
+    ----------
+    dt
+        Length of a step; of the first one, with [time.adaptive].
+    until
+        End of the run, a multiple of dt where steps have one length.
+    scheme
+        Time scheme: "backward-euler" (order 1), "midpoint" (order 2, damps nothing), "sdirk2" (order 2, damps
+        what the step does not resolve) or "theta".
+    theta
+        Of scheme = "theta": 1/2 is midpoint, 1 backward-euler.
+    startup
+        First steps of the run that are of backward-euler, which damps rough data.
+    relaxation
+        With midpoint and [time.adaptive]: end each step where the scheme dissipates nothing.
+    limiter
+        Whether cells in which rho, J, det F, ... are not positive at a point, though in the mean, are scaled
+        towards their means after a step; false ends the run there.
+    halvings
+        Of a step of fixed length that is not solved, before the coupled solver is asked; 0 asks at once.
+    velocity_scale
+        A typical velocity, which sets the width of the upwinding; default: of flow, walls, free fall or
+        elastic release, at rest a tenth of the speed of sound.
+    adaptive
+        Step lengths chosen by the run; of one length without this table.
+    """
+
+    dt: Annotated[float, Quantity("s", "> 0", 0.02)]
+    until: Annotated[float, Quantity("s", "> 0", 1.0)]
     scheme: Literal[tuple(SCHEMES)] = "backward-euler"  # type: ignore[valid-type]
-    theta: float | None = None
+    theta: Annotated[float | None, Quantity("1", "in [1/2, 1]", 0.6)] = None
     startup: int = Field(default=0, ge=0)
     relaxation: bool = False
     limiter: bool = True
     halvings: int = Field(default=HALVINGS, ge=0, le=MOST_HALVINGS)
-    velocity_scale: float | None = None
+    velocity_scale: Annotated[float | None, Quantity("m/s", "> 0", 1.0)] = None
     adaptive: Adaptive | None = None  # type: ignore[valid-type]
 
     @model_validator(mode="after")
@@ -88,17 +115,42 @@ class Time(Section):
 
 
 class VTK(Section):
-    """The VTK series: every so many steps, or at multiples of ``interval`` (s)."""
+    """The VTK series.
+
+    Parameters
+    ----------
+    enabled
+        Whether the VTK series is written.
+    every
+        A file every so many steps.
+    interval
+        A file at every multiple of this time instead of every so many steps.
+    fields
+        Which fields; without this key all but creep_rate, mandel_stress, viscous_stress, hyperstress_1 (to
+        3), principal_stresses, principal_stretches.
+    subdivision
+        Bisections of cells, 0 to 4: fields are linear in the pieces.
+    """
 
     enabled: bool = True
     every: int = Field(default=10, ge=1)
-    interval: float | None = Field(default=None, gt=0, allow_inf_nan=False)
-    fields: Names | None = None
+    interval: Annotated[float | None, Quantity("s", "> 0", 0.1)] = Field(
+        default=None, gt=0, allow_inf_nan=False
+    )
+    fields: Annotated[Names | None, Quantity(example=["velocity", "density"])] = None
     subdivision: int = Field(default=0, ge=0, le=4)
 
 
 class Checkpoint(Section):
-    """Checkpoints in run.h5: every so many steps, the last ``keep`` of them."""
+    """Checkpoints in run.h5.
+
+    Parameters
+    ----------
+    every
+        A checkpoint every so many steps, and at the end.
+    keep
+        How many checkpoints run.h5 holds.
+    """
 
     every: int = Field(default=10, ge=1)
     keep: int = Field(default=2, ge=1)
@@ -114,50 +166,121 @@ Name = Annotated[str, AfterValidator(_check_name)]
 """A name that becomes that of a file and of its columns."""
 
 
-class Probe(Section):
-    """Fields at a point over time."""
+Components = Annotated[Names | None, Quantity(example=["velocity", "F_12"])]
 
-    name: Name
-    point: list[float]
-    fields: Names | None = None
+
+class Table(Section):
+    """A table over time.
+
+    Parameters
+    ----------
+    every
+        A row every so many steps, and at the end.
+    """
+
     every: int = Field(default=1, ge=1)
 
 
-class Line(Section):
-    """Fields along a line over time."""
+class NamedTable(Table):
+    """One of several tables.
 
-    name: Name
-    start: list[float]
-    end: list[float]
+    Parameters
+    ----------
+    name
+        Letters, digits, _ and -; the file is samples/NAME.csv.
+    """
+
+    name: Annotated[Name, Quantity(example="middle")]
+
+
+class Probe(NamedTable):
+    """Fields at a point over time.
+
+    Parameters
+    ----------
+    point
+        Where, a coordinate for each dimension.
+    fields
+        Fields or components of them; without this key as for output.vtk.fields.
+    """
+
+    point: Annotated[list[float], Quantity("m", example=[0.5, 0.5])]
+    fields: Components = None
+
+
+class Line(NamedTable):
+    """Fields along a line over time.
+
+    Parameters
+    ----------
+    start
+        One end, a coordinate for each dimension.
+    end
+        The other end.
+    points
+        How many points, equally spaced, the ends among them.
+    fields
+        Fields or components of them; without this key as for output.vtk.fields.
+    """
+
+    start: Annotated[list[float], Quantity("m", example=[0.0, 0.5])]
+    end: Annotated[list[float], Quantity("m", example=[1.0, 0.5])]
     points: int = Field(default=101, ge=2, le=100_000)
-    fields: Names | None = None
+    fields: Components = None
     every: int = Field(default=10, ge=1)
 
 
-class Forces(Section):
-    """Forces and torques on walls over time."""
+class Forces(Table):
+    """Forces and torques on walls over time.
 
-    walls: Names | None = None
-    about: list[float] | None = None
-    every: int = Field(default=1, ge=1)
+    Parameters
+    ----------
+    walls
+        Names of walls; all without this key.
+    about
+        The point that torques refer to; the origin without this key.
+    """
+
+    walls: Annotated[Names | None, Quantity(example=["left"])] = None
+    about: Annotated[list[float] | None, Quantity("m", example=[0.5, 0.5])] = None
 
 
-class DomainIntegral(Section):
-    """The integral of an expression of the fields over the domain, over time."""
+class DomainIntegral(NamedTable):
+    """The integral of an expression of the fields over the domain, over time.
 
-    name: Name
-    of: str
-    every: int = Field(default=1, ge=1)
+    Parameters
+    ----------
+    of
+        An expression of x, y, z, t and fields' components.
+    """
 
-
-class BodiesTable(Section):
-    """What is measured of each body over time."""
-
-    every: int = Field(default=1, ge=1)
+    of: Annotated[str, Quantity(example="density*velocity_1")]
 
 
 class Output(Section):
-    """What is written into the run directory."""
+    """What is written into the run directory.
+
+    Parameters
+    ----------
+    vtk
+        The VTK series, for ParaView.
+    checkpoint
+        Checkpoints in run.h5.
+    probes
+        Fields at points over time, each a file samples/NAME.csv.
+    lines
+        Fields along lines over time, each a file samples/NAME.csv.
+    forces
+        Forces and torques on walls over time, in samples/forces.csv.
+    integrals
+        Integrals over the domain over time, each a file samples/NAME.csv.
+    bodies
+        Mass, centroid, energies, ... of each body over time, in bodies.csv.
+    log_every
+        A line in log.txt every so many steps.
+    passive
+        Further fields to carry along: F_tot, reference_map, creep_strain.
+    """
 
     vtk: VTK = VTK()
     checkpoint: Checkpoint = Checkpoint()
@@ -165,9 +288,11 @@ class Output(Section):
     lines: list[Line] = Field(default=[])
     forces: Forces | None = None
     integrals: list[DomainIntegral] = Field(default=[])
-    bodies: BodiesTable | None = None
+    bodies: Table | None = None
     log_every: int = Field(default=1, ge=1)
-    passive: Annotated[list[str], AfterValidator(_check_once)] = Field(default=[])
+    passive: Annotated[list[str], AfterValidator(_check_once), Quantity(example=["reference_map"])] = Field(
+        default=[]
+    )
 
     @model_validator(mode="after")
     def _distinct(self) -> Output:
@@ -204,15 +329,36 @@ Where = Annotated[
 
 
 class Body(Section):
-    """A body of one material, and where it is at the start."""
+    """A body of one material, and where it is at the start.
 
-    name: str
+    Parameters
+    ----------
+    name
+        Letters, digits and _; fields and columns of the body begin with it.
+    where
+        Where the body is at the start: a condition on x, y, z, a shape, or several of which it is the union;
+        what the other bodies leave without this key, which one of them at most may lack.
+    material
+        Its material, with the keys of [material].
+    viscosity
+        Its Stokes viscosity, with the keys of [rheology.viscosity].
+    linear_viscosity
+        Any linear viscosity instead, as [rheology.linear_viscosity].
+    creep
+        Its creep, with the keys of [rheology.creep].
+    density
+        Its density where J = 1; that of its material where this has rho_R.
+    order
+        Of two bodies that overlap at the start the one of higher order is there.
+    """
+
+    name: Annotated[str, Quantity(example="disc")]
     where: Where | None = None
     material: Material  # type: ignore[valid-type]
     viscosity: Viscosity | None = None  # type: ignore[valid-type]
     linear_viscosity: LinearViscosity | None = None  # type: ignore[valid-type]
     creep: Creep | None = None  # type: ignore[valid-type]
-    density: float | None = None
+    density: Annotated[float | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
     order: int = 0
 
     @model_validator(mode="after")
@@ -229,8 +375,25 @@ class Body(Section):
 
 
 class Units(Section):
-    """The units of plain numbers; they are converted before the case is validated
-    (``ngvisco.case.units``)."""
+    """The units of plain numbers; they are converted before the case is validated (``ngvisco.case.units``).
+
+    Parameters
+    ----------
+    length
+        Of lengths, and of x, y, z in expressions.
+    time
+        Of times, and of t in expressions.
+    velocity
+        Of velocities.
+    acceleration
+        Of accelerations.
+    density
+        Of densities.
+    pressure
+        Of stresses and elastic moduli.
+    viscosity
+        Of viscosities and the creep modulus.
+    """
 
     length: str = "m"
     time: str = "s"
@@ -242,9 +405,39 @@ class Units(Section):
 
 
 class CaseSections(Section):
-    """A whole case file."""
+    """A whole case file.
 
-    title: str = ""
+    Parameters
+    ----------
+    title
+        What the case is, for logs and pictures.
+    units
+        Units of plain numbers; SI where nothing is said.
+    domain
+        The domain and its mesh.
+    material
+        The material: its variables and its stored energy.
+    bodies
+        Bodies of different material, each an element of the array, in place of [material].
+    time
+        Step length and end.
+    walls
+        What holds on the walls, by name; Slip where nothing is said.
+    rheology
+        Dissipative mechanisms, each a table of its own.
+    loads
+        Forces, each an element of the array.
+    initial
+        The state at t = 0.
+    discretisation
+        Orders in space.
+    solver
+        Method and tolerances of a step's solver.
+    output
+        What the run directory gets.
+    """
+
+    title: Annotated[str, Quantity(example="A block under gravity")] = ""
     units: Units = Units()
     domain: Domain  # type: ignore[valid-type]
     material: Material | None = None  # type: ignore[valid-type]

@@ -21,9 +21,8 @@ from pydantic import BaseModel
 
 from ngvisco.case.errors import Fault
 from ngvisco.case.faults import Locator, models_in
-from ngvisco.case.keys import key
 from ngvisco.case.laws import EnergyText
-from ngvisco.case.reference import owner_name
+from ngvisco.case.reference import quantity
 from ngvisco.case.values import FIELDS, NumberValues, is_table
 from ngvisco.expressions import ExpressionError, parse, parse_region
 
@@ -159,7 +158,7 @@ class Converter:
             return self._region(value, path)
         if name in ("kind", "geometry") or inner:
             return value
-        unit = key(owner_name(model), name).unit
+        unit = quantity(model, name).unit
         if annotation is EnergyText:
             # [units] has none of energies per mass: these are in J/kg
             return value if data.get("per") == "mass" else self._energy(value, unit, path)

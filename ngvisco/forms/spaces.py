@@ -57,11 +57,11 @@ class Discretisation:
     Parameters
     ----------
     k : int
-        Order of the continuous velocity, 2 (default) or 3.
+        Order of the continuous velocity, 2 or 3.
     m : int
-        Order of the discontinuous density and transported fields, 0, 1 (default) or 2.
+        Order of the discontinuous density and transported variables, 0, 1 or 2.
     quadrature_bonus : int
-        Added to the default quadrature degree of forms and ledger alike, >= 0.
+        Added to the degree of all quadrature of forms and ledger alike, 0 to 12.
     """
 
     k: int = 2

@@ -14,13 +14,14 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import (
     ParameterError,
+    Quantity,
     require_above,
     require_choice,
     require_nonnegative,
@@ -155,21 +156,22 @@ class Creep(FlowRule):
     Parameters
     ----------
     G_m : float
-        Maxwellian viscosity modulus, Pa s, > 0; ``math.inf`` is no creep (Kelvin-Voigt).
+        Creep modulus: twice the usual viscosity eta of the Maxwell dashpot, G_m = 2 eta; with the usual shear
+        modulus G the relaxation time of shear is G_m/(2 G). Infinite is no creep (Kelvin-Voigt).
     nu : float
-        Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; >= 0.
+        Gradient of the creep rate: nu |grad Pi|^q is its dissipation.
     q : float
-        Its exponent, > 1; the paper's analysis wants q > 3.  Default 4.
+        Exponent of the creep rate's gradient; the paper's analysis has q > 3.
     floor : float
-        Regularisation of |grad Pi| at zero for exponents that are no even integers, 1/(m s), > 0.
+        |grad Pi| below which powers that are no even integers are smoothed.
     law : str
-        ``"mandel"`` (default), ``"conformation"`` or ``"leonov"``.
+        "mandel" (the paper), or "conformation" or "leonov" of a conformation tensor's fluid.
     """
 
-    G_m: Modulus
-    nu: float = 0.0
-    q: float = 4.0
-    floor: float = 1e-10
+    G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 5.0)]
+    nu: Annotated[float, Quantity("W/m^3 (m s)^q", ">= 0", 1e-4)] = 0.0
+    q: Annotated[float, Quantity("1", "> 1")] = 4.0
+    floor: Annotated[float, Quantity("1/(m s)", "> 0")] = 1e-10
     law: CreepLaw = "mandel"
 
     def __post_init__(self) -> None:

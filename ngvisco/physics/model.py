@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 
-from ngvisco.errors import ParameterError, _is_number, as_number, require_number, require_positive
+from ngvisco.errors import ParameterError, Quantity, _is_number, as_number, require_number, require_positive
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.flow_rule_check import check_rule
 from ngvisco.physics.flow_rules import FlowRule
@@ -32,24 +32,28 @@ class Gravity:
     Parameters
     ----------
     g : sequence of numbers or coefficient functions, or a vector coefficient function
-        Acceleration, m/s^2, of the length of the mesh's dimension; a function of x and of the
-        run's time ``ngvisco.time``.
+        Acceleration, a component for each dimension; a function of x and of the run's time.
     name : str
-        Under which the ledger reports its power, ``power_<name>``.
+        The ledger's column of its power is power_<name>.
     """
 
-    g: VectorLike
+    g: Annotated[VectorLike, Quantity("m/s^2", example=[0.0, -9.81])]
     name: str = "gravity"
 
 
 @dataclass(frozen=True)
 class BodyForce:
-    """A force per actual volume, N/m^3, of the length of the mesh's dimension.
+    """A force per actual volume.
 
-    The name is that of the ledger's column, ``power_<name>``.
+    Parameters
+    ----------
+    force : vector
+        Force per actual volume, a component for each dimension.
+    name
+        As for ``Gravity``.
     """
 
-    force: VectorLike
+    force: Annotated[VectorLike, Quantity("N/m^3", example=[0.0, "-sin(t)"])]
     name: str = "body_force"
 
 
@@ -60,21 +64,21 @@ class CentralGravity:
     Parameters
     ----------
     strength : float
-        |g| at r = radius, m/s^2; negative is outward.
+        Acceleration towards the centre at r = radius; negative is outward.
     centre : sequence of two or three numbers
-        m.
+        The centre, a component for each dimension.
     radius : float
-        Reference radius, m, > 0.
+        Radius at which the strength holds.
     exponent : float
-        0 is constant (a mantle), 1 is that inside a homogeneous ball, -2 that outside (-1 in 2D).  Below
-        1 the centre itself must not be in the domain.
-    name : str
+        The acceleration goes like r^exponent: 0 is constant (a mantle), 1 that inside a homogeneous ball, -2
+        that outside (-1 in 2D); below 1 the centre must not be in the domain.
+    name
         As for ``Gravity``.
     """
 
-    strength: float
-    centre: tuple[float, ...] = (0.0, 0.0)
-    radius: float = 1.0
+    strength: Annotated[float, Quantity("m/s^2", example=9.81)]
+    centre: Annotated[tuple[float, ...], Quantity("m", example=[0.0, 0.0])] = (0.0, 0.0)
+    radius: Annotated[float, Quantity("m", "> 0", 1.0)] = 1.0
     exponent: float = 0.0
     name: str = "gravity"
 

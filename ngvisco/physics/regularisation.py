@@ -10,44 +10,43 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import ParameterError, require_above, require_nonnegative, require_positive
+from ngvisco.errors import ParameterError, Quantity, require_above, require_nonnegative, require_positive
 from ngvisco.physics.tensors import Scalar, if_positive, power_of_square
 
 
 @dataclass(frozen=True, kw_only=True)
 class Regularisation:
-    """delta-, epsilon- and cut-off terms of the scheme.
+    """The paper's regularising terms: diffusions by delta, friction by epsilon, and the cut-off.
 
     Parameters
     ----------
     delta_density : float
-        delta in div(delta |grad rho|^{r-2} grad rho) of the continuity equation, with its compensating
-        term in the momentum equation; >= 0, in (m^2/s)(kg/m^4)^{2-r}.  It moves mass without power: no
-        energy enters or leaves by it.
+        Diffusion of the density by the r-Laplacian, div(delta |grad rho|^{r-2} grad rho), with its
+        compensating term in the momentum equation: it moves mass without power.
     r : float
-        Its exponent, > 1; the paper's analysis wants r > 3.  Default 4.
+        Its exponent; the paper's analysis has r > 3.
     delta_fields : float
-        delta in the Laplacian of all transported variables, m^2/s, >= 0.  The ledger has its power under
-        ``dissipation_delta_fields``, >= 0 for every convex energy.  phi'' at rest has to be positive definite
-        in the variables that the energy is not linear in; ``WithQuadratic`` makes it so.
+        Diffusion of all transported variables; phi'' at rest has to be positive definite in those that the
+        energy is not linear in, as ``WithQuadratic`` makes it.
     epsilon : float
-        Coefficient of epsilon |v|^{p-2} v in the momentum equation, such that epsilon |v|^p is W/m^3; >= 0.
+        Friction epsilon |v|^{p-2} v in the momentum equation.
     p : float
-        Its exponent, > 1.  Default 4; the paper takes that of the hyperviscosity.
+        Exponent of that friction; the paper takes that of the hyperviscosity.
     rho_max : float, optional
-        Density above which the cut-off acts, kg/m^3, > 0; None (default) is no cut-off.  A density that
-        starts at most at rho_max + width stays so: with m = 0 by the scheme, with m > 0 by the limiter.
+        Density above which the paper's cut-off acts; none where nothing is said. A density that starts at
+        most at rho_max + width stays so: with m = 0 by the scheme, with m > 0 by the limiter.
     width : float
-        The cut-off falls from 1 at rho_max to 0 at rho_max + width, kg/m^3, > 0; the paper has 1.
+        The cut-off falls from 1 to 0 over this width; the paper has 1.
     penalty : float
-        Dimensionless weight of the interior penalty of the two diffusions, > 0.
+        Weight of the diffusions' interior penalty.
     gradient_floor : float
-        |grad rho| (kg/m^4) below which the penalty of the r-Laplacian stops following it, > 0.
+        |grad rho| below which the r-Laplacian's penalty is constant.
     floor : float
-        Regularisation of |v| and |grad rho| at zero for exponents that are no even integers, > 0.
+        |v| and |grad rho|, in SI units, below which powers that are no even integers are smoothed.
 
     Raises
     ------
@@ -55,16 +54,16 @@ class Regularisation:
         If a parameter is out of its range.
     """
 
-    delta_density: float = 0.0
-    r: float = 4.0
-    delta_fields: float = 0.0
-    epsilon: float = 0.0
-    p: float = 4.0
-    rho_max: float | None = None
-    width: float = 1.0
-    penalty: float = 4.0
-    gradient_floor: float = 1e-3
-    floor: float = 1e-10
+    delta_density: Annotated[float, Quantity("m^2/s (kg/m^4)^(2-r)", ">= 0", 1e-6)] = 0.0
+    r: Annotated[float, Quantity("1", "> 1")] = 4.0
+    delta_fields: Annotated[float, Quantity("m^2/s", ">= 0", 1e-6)] = 0.0
+    epsilon: Annotated[float, Quantity("W/m^3 (s/m)^p", ">= 0", 1e-3)] = 0.0
+    p: Annotated[float, Quantity("1", "> 1")] = 4.0
+    rho_max: Annotated[float | None, Quantity("kg/m^3", "> 0", 10.0)] = None
+    width: Annotated[float, Quantity("kg/m^3", "> 0")] = 1.0
+    penalty: Annotated[float, Quantity("1", "> 0")] = 4.0
+    gradient_floor: Annotated[float, Quantity("kg/m^4", "> 0")] = 1e-3
+    floor: Annotated[float, Quantity("1", "> 0")] = 1e-10
 
     def __post_init__(self) -> None:
         require_nonnegative(

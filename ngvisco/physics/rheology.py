@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from ngsolve import CoefficientFunction
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from ngvisco.errors import (
     ParameterError,
+    Quantity,
     require_above,
     require_choice,
     require_positive,
@@ -74,16 +75,18 @@ class Viscosity(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class StokesViscosity(Viscosity):
-    """D eps = K_v (tr eps) I + 2 G_v dev eps (paper: dissipation-pot, Euler-small-ass-D).
+    """Stokes viscosity D eps = K_v (tr eps) I + 2 G_v dev eps (paper: dissipation-pot, Euler-small-ass-D).
 
     Parameters
     ----------
-    K_v, G_v : float
-        Bulk and shear viscosity, Pa s, >= 0.
+    K_v : float
+        Bulk viscosity: stress K_v (div v) I.
+    G_v : float
+        Shear viscosity: stress 2 G_v dev eps(v), the usual dynamic viscosity.
     """
 
-    K_v: Modulus
-    G_v: Modulus
+    K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
+    G_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
 
     def __post_init__(self) -> None:
         require_nonnegative_moduli(self, K_v=self.K_v, G_v=self.G_v)
@@ -108,7 +111,7 @@ class StokesViscosity(Viscosity):
 
 @dataclass(frozen=True, kw_only=True)
 class LinearViscosity(Viscosity):
-    """D eps for any linear, symmetric, positive semidefinite D (paper: Euler-small-ass-D).
+    """Any linear viscosity D eps, with D symmetric, positive semidefinite (paper: Euler-small-ass-D).
 
     D is constant in the actual frame: directions that it prefers are those of space, not of the matter, and
     do not turn with it.  Both parts of the ledger's viscous dissipation can be of either sign where D couples
@@ -127,11 +130,11 @@ class LinearViscosity(Viscosity):
     Parameters
     ----------
     D : array_like
-        (6, 6) or (3, 3, 3, 3), Pa s.
+        Viscous stress D eps(v): 6x6 or 3x3x3x3, symmetric and positive semidefinite.
     notation : str
-        ``"mandel"``, ``"voigt"`` or ``"tensor"``, see ``ngvisco.physics.fourth_order``.  Indices of the 6x6
-        ones are 11, 22, 33, 23, 13, 12.  An isotropic D has D_11 = K_v + 4/3 G_v in both, and D_44 = G_v in
-        Voigt's, 2 G_v in Mandel's.
+        How D is written, entries in the order 11, 22, 33, 23, 13, 12: "voigt" has the D_ijkl themselves,
+        "mandel" those of an orthonormal basis, "tensor" is 3x3x3x3. An isotropic D has D_11 = K_v + 4/3 G_v
+        in both, and D_44 = G_v in Voigt's, 2 G_v in Mandel's.
 
     Raises
     ------
@@ -140,8 +143,8 @@ class LinearViscosity(Viscosity):
         positive semidefinite (with the strain rate that shows it).
     """
 
-    D: ArrayLike
-    notation: Notation
+    D: Annotated[ArrayLike, Quantity("Pa s", example=np.eye(6).tolist())]
+    notation: Annotated[Notation, Quantity(example="mandel")]
 
     def __post_init__(self) -> None:
         require_choice(self, ("mandel", "voigt", "tensor"), notation=self.notation)
@@ -180,30 +183,29 @@ def _as_tuples(array: np.ndarray) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class HyperViscosity:
-    """Hyperstress (mu_1 + mu |hess v|^{p-2}) hess v (paper: Euler-small-viscoelastodyn+1).
+    """Hyperviscosity, the stress (mu_1 + mu |hess v|^{p-2}) hess v (paper: Euler-small-viscoelastodyn+1).
 
     The paper's analysis wants p > 3; any p > 1 runs.
 
     Parameters
     ----------
     mu : float
-        Coefficient of the p-homogeneous part, in units such that
-        mu |hess v|^p is W/m^3; > 0.
+        Hyperviscosity: mu |hess v|^p is its dissipation.
     p : float
-        Exponent, > 1.
+        Exponent; the paper's analysis has p > 3.
     mu_1 : float
-        Coefficient of the quadratic part, Pa s m^2, >= 0 (the paper's mu_1 + mu_2 |.|^{p-2}).
+        Coefficient of the quadratic part (the paper's mu_1 + mu_2 |.|^{p-2}).
     penalty : float
-        Dimensionless weight sigma of the interior penalty in the lifted form, > 0.
+        Weight of the interior penalty in the lifted form.
     floor : float
-        Regularisation of |hess v| at zero for exponents that are no even integers, 1/(m s), > 0.
+        |hess v| below which powers that are no even integers are smoothed.
     """
 
-    mu: Modulus
-    p: float = 4.0
-    mu_1: Modulus = 0.0
-    penalty: float = 1.0
-    floor: float = 1e-10
+    mu: Annotated[Modulus, Quantity("W/m^3 (m s)^p", "> 0", 1e-5)]
+    p: Annotated[float, Quantity("1", "> 1", 4.0)] = 4.0
+    mu_1: Annotated[Modulus, Quantity("Pa s m^2", ">= 0", 1e-4)] = 0.0
+    penalty: Annotated[float, Quantity("1", "> 0")] = 1.0
+    floor: Annotated[float, Quantity("1/(m s)", "> 0")] = 1e-10
 
     def __post_init__(self) -> None:
         require_positive_moduli(self, mu=self.mu)

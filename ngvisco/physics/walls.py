@@ -6,10 +6,11 @@ The tangential part of a vector is a_t = a - (a.n) n.  Names of walls are the me
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, as_number, require_nonnegative
+from ngvisco.errors import ParameterError, Quantity, as_number, require_nonnegative
 from ngvisco.physics.model import VectorLike
 
 
@@ -27,11 +28,11 @@ class Slip(Wall):
     Parameters
     ----------
     straight : bool
-        The wall really is a polygon or polyhedron.  Straight facets of one wall that meet at less than 60
+        Straight facets of this wall are meant, though they meet at an angle. Those that meet at less than 60
         degrees are refused otherwise: where they approach a curved wall, slip turns into no slip.
     """
 
-    straight: bool = False
+    straight: Annotated[bool, Quantity(example=True)] = False
 
 
 @dataclass(frozen=True)
@@ -46,11 +47,11 @@ class PrescribedTangential(Wall):
     Parameters
     ----------
     velocity : vector of the mesh's dimension
-        V, m/s, a function of x and of the run's time ``ngvisco.time``, of which each step has the mean.
+        V, the velocity of the wall, a function of x and of the run's time, of which each step has the mean.
         V.n must vanish up to the geometry's approximation: walls are not open.
     """
 
-    velocity: VectorLike
+    velocity: Annotated[VectorLike, Quantity("m/s", example=["0.1*y", "-0.1*x"])]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,16 +61,16 @@ class Traction(Wall):
     Parameters
     ----------
     f : vector of the mesh's dimension
-        Traction, Pa, a function of x and ``ngvisco.time``, averaged over the step; its normal part has
-        no power and is left out, which an ``InputWarning`` says.
+        Tangential traction, a component for each dimension, averaged over the step; its normal part has no
+        power and is left out with a warning.
     friction : float
-        eps >= 0, Pa s/m.
-    straight : bool
-        As in ``Slip``.
+        Traction -friction v_t besides.
+    straight
+        As for ``Slip``.
     """
 
-    f: VectorLike
-    friction: float = 0.0
+    f: Annotated[VectorLike, Quantity("Pa", example=["0.1*sin(t)", 0.0])]
+    friction: Annotated[float, Quantity("Pa s/m", ">= 0", 0.1)] = 0.0
     straight: bool = False
 
     def __post_init__(self) -> None:
@@ -83,12 +84,12 @@ class NavierFriction(Wall):
     Parameters
     ----------
     coefficient : number or coefficient function
-        Pa s/m, >= 0, may depend on x.
-    straight : bool
-        As in ``Slip``.
+        Tangential stress is -coefficient v_t; it may depend on x.
+    straight
+        As for ``Slip``.
     """
 
-    coefficient: float | CoefficientFunction
+    coefficient: Annotated[float | CoefficientFunction, Quantity("Pa s/m", ">= 0", 0.1)]
     straight: bool = False
 
     def __post_init__(self) -> None:

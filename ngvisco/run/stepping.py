@@ -23,11 +23,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, StepError, as_integer, require_count, require_positive
+from ngvisco.errors import ParameterError, Quantity, StepError, as_integer, require_count, require_positive
 from ngvisco.timestepping.error import ErrorEstimate
 from ngvisco.timestepping.integrator import StepTaken
 
@@ -56,21 +56,21 @@ class AdaptiveSteps:
 
     Parameters
     ----------
-    dt_min, dt_max : float
-        Bounds of the length, s, 0 < dt_min <= dt_max.  A step may be shorter than ``dt_min`` to meet
-        an output time.
+    dt_min : float
+        Shortest step; a shorter one ends the run, but for those that meet an output time.
+    dt_max : float
+        Longest step.
     tolerance : float, optional
-        Relative error of one step, e.g. 1e-3: of velocity, density and elastic variables in L2, as estimated
-        by the scheme (the ledger's ``error_estimate``); None (default) rejects only steps that cannot be
-        solved.
+        Of a step's relative error in velocity, density and elastic variables, as the scheme estimates it (the
+        ledger's error_estimate); without it only unsolvable steps are shortened.
     patience : int
-        Accepted steps in a row before the length is doubled, where no error is estimated.
+        Accepted steps in a row before the length is doubled, without a tolerance.
     """
 
-    dt_min: float
-    dt_max: float
-    tolerance: float | None = None
-    patience: int = 4
+    dt_min: Annotated[float, Quantity("s", "> 0", 1e-3)]
+    dt_max: Annotated[float, Quantity("s", "> 0", 0.1)]
+    tolerance: Annotated[float | None, Quantity("1", "> 0", 1e-3)] = None
+    patience: Annotated[int, Quantity("1", ">= 1")] = 4
 
     def __post_init__(self) -> None:
         require_positive(self, dt_min=self.dt_min, dt_max=self.dt_max)

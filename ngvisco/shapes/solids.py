@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, require_positive
+from ngvisco.errors import ParameterError, Quantity, require_positive
 from ngvisco.shapes.places import Places
 from ngvisco.shapes.shape import Shape, as_place, require_dim
 
@@ -18,13 +19,13 @@ class Ball(Shape):
     Parameters
     ----------
     centre : two or three numbers
-        m.
+        Its centre, a coordinate for each dimension.
     radius : float
-        m, > 0.
+        Radius.
     """
 
-    centre: tuple[float, ...]
-    radius: float
+    centre: Annotated[tuple[float, ...], Quantity("m", example=[0.6, 0.5])]
+    radius: Annotated[float, Quantity("m", "> 0", 0.2)]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", as_place("Ball.centre", self.centre))
@@ -41,12 +42,14 @@ class Block(Shape):
 
     Parameters
     ----------
-    low, high : two or three numbers
-        m, each coordinate of ``low`` below that of ``high``.
+    low : two or three numbers
+        Corner of the smallest coordinates, a coordinate for each dimension.
+    high : two or three numbers
+        Corner of the largest coordinates.
     """
 
-    low: tuple[float, ...]
-    high: tuple[float, ...]
+    low: Annotated[tuple[float, ...], Quantity("m", example=[0.2, 0.2])]
+    high: Annotated[tuple[float, ...], Quantity("m", example=[0.8, 0.4])]
 
     def __post_init__(self) -> None:
         low, high = as_place("Block.low", self.low), as_place("Block.high", self.high)
@@ -68,13 +71,13 @@ class HalfSpace(Shape):
     Parameters
     ----------
     point : two or three numbers
-        A point of the plane, m.
+        A point of the plane, a coordinate for each dimension.
     normal : as many numbers
-        Outward normal, of any length > 0.
+        Outward normal of the plane, of any length.
     """
 
-    point: tuple[float, ...]
-    normal: tuple[float, ...]
+    point: Annotated[tuple[float, ...], Quantity("m", example=[0.0, 0.5])]
+    normal: Annotated[tuple[float, ...], Quantity("1", example=[0.0, 1.0])]
 
     def __post_init__(self) -> None:
         point, normal = as_place("HalfSpace.point", self.point), as_place("HalfSpace.normal", self.normal)
@@ -100,10 +103,11 @@ class Polygon(Shape):
     Parameters
     ----------
     points : three pairs of numbers at least
-        m, in either sense of rotation; edges do not cross each other.
+        Three corners at least, in either sense of rotation; the last is joined to the first, and edges do not
+        cross each other.
     """
 
-    points: tuple[tuple[float, float], ...]
+    points: Annotated[tuple[tuple[float, float], ...], Quantity("m", example=[[0, 0], [1, 0], [0, 1]])]
 
     def __post_init__(self) -> None:
         expected = "at least three points of two finite numbers"

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, UnknownNameError, require_names
+from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_names
 from ngvisco.shapes.places import Places
 from ngvisco.shapes.shape import Shape
 
@@ -19,10 +20,10 @@ class Subdomain(Shape):
     Parameters
     ----------
     names : str or sequence of str
-        At least one; a mesh that has none of that name raises UnknownNameError.
+        Names of subdomains of the mesh.
     """
 
-    names: str | Sequence[str]
+    names: Annotated[str | Sequence[str], Quantity(example=["inclusion"])]
 
     def __post_init__(self) -> None:
         names = (self.names,) if isinstance(self.names, str) else require_names("Subdomain.names", self.names)

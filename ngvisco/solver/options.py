@@ -6,10 +6,12 @@ Pairs are values in 2D and in 3D.  Measurements behind the defaults are in ``ngv
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Annotated
 
 from ngvisco.algebra.factorised import is_available
 from ngvisco.errors import (
     ParameterError,
+    Quantity,
     as_integer,
     require_choice,
     require_count,
@@ -185,29 +187,37 @@ class SplitOptions(_Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class NewtonOptions(_Checked):
-    """Tolerances of the iteration, in the norm of ``ngvisco.solver.norm``, and the parts of the solvers."""
+    """Tolerances of the iteration, in the norm of ``ngvisco.solver.norm``, and the parts of the solvers.
 
-    tolerance: float = 1e-10
-    """The iteration ends when an increment is below it; that increment is still added."""
-    max_iterations: int = 60
-    """Residual evaluations of one attempt to solve a Rothe step, after which it has failed."""
-    refresh: float = 0.25
-    """Contraction above which the Jacobian is assembled anew, in (0, 1)."""
-    min_damping: float = 1e-3
-    """Smallest step length tried."""
+    Parameters
+    ----------
+    tolerance : float
+        The iteration ends when a relative increment is below it; that increment is still added.
+    max_iterations : int
+        Residual evaluations of one attempt to solve a step, after which it has failed.
+    refresh : float
+        Contraction above which the Jacobian is made anew.
+    min_damping : float
+        Smallest damping of a Newton step that is tried.
+    inverse : str
+        Sparse direct solver, "umfpack", and "pardiso" (``pip install mkl``) or "mumps" where the installation
+        has them.
+    coarse : str
+        What solves for the velocities of the vertices in the split solver's two levels: "direct", or for more
+        vertices than can be factorised PETSc's multigrid, "gamg" or "hypre". A warning says where it has no
+        part in a run.
+    method : str
+        "coupled", all unknowns at once (small meshes), "split", the fields as functions of the velocity
+        (large ones), or "auto"; both solve the same equations.
+    """
+
+    tolerance: Annotated[float, Quantity("1", "> 0")] = 1e-10
+    max_iterations: Annotated[int, Quantity("1", ">= 1")] = 60
+    refresh: Annotated[float, Quantity("1", "in (0, 1)")] = 0.25
+    min_damping: Annotated[float, Quantity("1", "in (0, 1)")] = 1e-3
     inverse: str = "umfpack"
-    """NGSolve's name of a sparse direct solver for nonsymmetric matrices: ``"umfpack"``, and ``"pardiso"``
-    (``pip install mkl``) or ``"mumps"`` where the installation has them."""
     coarse: str = "direct"
-    """What solves for the velocities of the vertices in the split solver's two levels: a factorisation, or a
-    cycle of PETSc's algebraic multigrid, ``"gamg"`` or ``"hypre"`` (BoomerAMG), which vertices too many to be
-    factorised need.  Where it has no part in a run, an ``InputWarning`` says why: the coupled solver, a
-    velocity of few unknowns (``SplitOptions.direct_up_to``), and walls' stresses or creep rates beside it,
-    with which the matrix is not positive definite."""
     method: str = "auto"
-    """``"coupled"``: all unknowns at once; ``"split"``: one problem for the velocity, with the fields as
-    functions of it, whose cost grows like the mesh; ``"auto"``: the faster one for the mesh's dimension and
-    size.  Both solve the same equations."""
     norm: NormOptions = NormOptions()
     coupled: CoupledOptions = CoupledOptions()
     split: SplitOptions = SplitOptions()

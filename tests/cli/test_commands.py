@@ -85,7 +85,7 @@ def test_a_new_case_is_explained_and_valid(capsys, tmp_path):
     (tmp_path / "case.toml").write_text(capsys.readouterr().out)
     assert nv.load_case(tmp_path / "case.toml").until == 1
     assert ended("explain", "time.dt") == 0
-    assert "length of a step" in capsys.readouterr().out
+    assert "Length of a step" in capsys.readouterr().out
     assert ended("list", "--keys") == 0
     assert "  time.dt: number, s; required; length of a step" in capsys.readouterr().out
     assert ended("list", "--schema") == 0

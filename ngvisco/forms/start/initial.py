@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from ngsolve import (
@@ -16,7 +16,7 @@ from ngsolve import (
     specialcf,
 )
 
-from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
+from ngvisco.errors import InitialDataError, ParameterError, Quantity, UnknownNameError, as_number
 from ngvisco.forms.amounts import Amounts
 from ngvisco.forms.cell_means import CellMeans
 from ngvisco.forms.elimination import LocalProjection
@@ -56,23 +56,30 @@ class Initial:
     Parameters
     ----------
     density : number or coefficient function, optional
-        rho_0 > 0, kg/m^3.  Default 1, or rho_R/J_0 for a material with a referential density rho_R.
+        Initial density rho_0; 1 where nothing is said, or rho_R/J_0 for a material with a referential density
+        rho_R.
     velocity : vector of the mesh's dimension, optional
-        v_0, m/s; default zero.  It is projected so that v.n = 0 holds on walls,
-        and vanishes on walls without slip; on moving walls it keeps its tangential part.
+        Initial velocity; at rest where nothing is said. It is projected so that v.n = 0 on walls, and v = 0
+        on those without slip; on moving walls it keeps its tangential part.
     F : 3x3 coefficient function or array, optional
-        Initial elastic distortion, det F_0 > 0, default I (of a material with a referential density that of
-        the density given, (rho_R/rho_0)^{1/3} I); every variable's start value is derived
-        from it (J_0 = det F_0, E_0 = sym F_0 - I, ...).  In 2D its 13, 23, 31, 32 entries must be 0.
+        Initial elastic distortion, 3x3, det F > 0, from which the start values of all variables are derived
+        (J_0 = det F_0, E_0 = sym F_0 - I, ...); the identity where nothing is said, with a referential
+        density (rho_R/rho_0)^{1/3} I. In 2D its 13, 23, 31, 32 entries are 0.
     values : mapping of names to coefficient functions, optional
-        Start values of the material's variables that replace the derived ones, e.g. ``{"E": E_0}``, and of
+        Initial values of single variables of the material, by name, in place of the derived ones, and of
         further terms' unknowns that evolve, else zero.
     """
 
-    density: ScalarLike | None = None
-    velocity: VectorLike | None = None
-    F: CoefficientFunction | None = None
-    values: Mapping[str, CoefficientFunction] = field(default_factory=dict)
+    density: Annotated[ScalarLike | None, Quantity("kg/m^3", "> 0", 1.0)] = None
+    velocity: Annotated[
+        VectorLike | None, Quantity("m/s", example=["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"])
+    ] = None
+    F: Annotated[CoefficientFunction | None, Quantity("1", example=[[1.1, 0, 0], [0, 1, 0], [0, 0, 1]])] = (
+        None
+    )
+    values: Annotated[Mapping[str, CoefficientFunction], Quantity("1", example={"J": "1 + 0.1*x"})] = field(
+        default_factory=dict
+    )
 
     def __post_init__(self) -> None:
         if not isinstance(self.values, Mapping):

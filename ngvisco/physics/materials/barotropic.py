@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import ParameterError, require_above, require_choice, require_positive
+from ngvisco.errors import ParameterError, Quantity, require_above, require_choice, require_positive
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.singular import check_continuation, continued_in_J, inverse_power
 from ngvisco.physics.parameters import Modulus, require_positive_moduli
@@ -37,15 +37,15 @@ class BarotropicFluid(Material):
     Parameters
     ----------
     B : float
-        Energy density at rho = rho_R, Pa, > 0.
+        Energy density at the referential density; the pressure there is (gamma - 1) B.
     gamma : float
-        Adiabatic exponent, > 1.
+        Adiabatic exponent.
     form : str
-        The transported variable, ``"J"`` (default) or ``"A"``.
+        The variable that is carried, "J" or "A" = 1/J.
     J_min : float, optional
-        With ``form="J"``: the energy is continued linearly below it (paper: rem-neo-Hookean-ref).
+        With form = "J": the energy is continued linearly below this J (paper: rem-neo-Hookean-ref).
     rho_R : float, optional
-        Referential density, kg/m^3, > 0.  Without it nothing ties the initial density to J.
+        Density where J = 1; with it the initial density and J follow from one another.
 
     Raises
     ------
@@ -53,11 +53,11 @@ class BarotropicFluid(Material):
         If a parameter is out of its range.
     """
 
-    B: Modulus
-    gamma: float
+    B: Annotated[Modulus, Quantity("Pa", "> 0", 1.0)]
+    gamma: Annotated[float, Quantity("1", "> 1", 1.4)]
     form: str = "J"
-    J_min: float | None = None
-    rho_R: Modulus | None = None
+    J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
+    rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
 
     def __post_init__(self) -> None:
         require_positive_moduli(self, B=self.B)
@@ -72,23 +72,19 @@ class BarotropicFluid(Material):
     @classmethod
     def from_state_equation(
         cls,
-        a: float,
-        gamma: float,
-        rho_R: float,
+        a: Annotated[float, Quantity("Pa (m^3/kg)^gamma", "> 0", 1.0)],
+        gamma: Annotated[float, Quantity("1", "> 1", 1.4)],
+        rho_R: Annotated[float, Quantity("kg/m^3", "> 0", 1000.0)],
         form: Literal["J", "A"] = "J",
-        J_min: float | None = None,
+        J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None,
     ) -> BarotropicFluid:
         """The fluid with the isentropic state equation p = a rho^gamma.
 
         Parameters
         ----------
         a : float
-            Pa (m^3/kg)^gamma, > 0.
-        gamma : float
-            Adiabatic exponent, > 1.
-        rho_R : float
-            Referential density, kg/m^3, > 0: that of J = 1.
-        form, J_min
+            Of the state equation p = a rho^gamma.
+        gamma, rho_R, form, J_min
             As for ``BarotropicFluid``.
 
         Raises

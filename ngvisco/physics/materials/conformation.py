@@ -18,10 +18,11 @@ K_e is the usual bulk modulus and G_e half the usual shear modulus; T(I) = 0.  T
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import require_above
+from ngvisco.errors import Quantity, require_above
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.referential import referential_volume
 from ngvisco.physics.materials.singular import check_continuation, continued_in_J
@@ -39,10 +40,12 @@ class OldroydB(Material):
 
     Parameters
     ----------
-    K_e, G_e : float
-        Bulk modulus and half the shear modulus, Pa, > 0.
+    K_e : float
+        Bulk modulus, the usual one.
+    G_e : float
+        Elastic modulus of shear: half the usual shear modulus.
     J_min : float, optional
-        Where given, the part singular in J is continued linearly below it.
+        The part that is singular at J = 0 is continued linearly below this J.
 
     Raises
     ------
@@ -50,9 +53,9 @@ class OldroydB(Material):
         If a parameter is not a finite positive number.
     """
 
-    K_e: Modulus
-    G_e: Modulus
-    J_min: float | None = None
+    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
+    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
+    J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
 
     def __post_init__(self) -> None:
         require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
@@ -86,10 +89,10 @@ class FENEP(Material):
 
     Parameters
     ----------
+    b : float
+        Square of the chains' largest extension, tr B < b.
     K_e, G_e, J_min
         As for ``OldroydB``.
-    b : float
-        Bound of tr B (the square of the extensibility), > 3.
 
     Raises
     ------
@@ -97,10 +100,10 @@ class FENEP(Material):
         If a parameter is out of its range.
     """
 
-    K_e: Modulus
-    G_e: Modulus
-    b: float
-    J_min: float | None = None
+    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
+    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
+    b: Annotated[float, Quantity("1", "> 3", 50.0)]
+    J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
 
     def __post_init__(self) -> None:
         require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)

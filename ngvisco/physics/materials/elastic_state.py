@@ -9,9 +9,9 @@ still closes.  B has no Q, and isotropic energies need nothing else.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Annotated, Self
 
-from ngvisco.errors import require_choice
+from ngvisco.errors import Quantity, require_choice
 from ngvisco.physics.material import ElasticState, Material
 
 
@@ -22,11 +22,10 @@ class IsotropicElastic(Material):
     Parameters
     ----------
     elastic_state : str, optional
-        ``"F"``, the paper's variables, or ``"B"``, the left Cauchy-Green ones.  None (default) is B in a
-        ``Model`` with creep and F in one without.
+        Variables of the distortion "F" or of "B" = F F^T, for a body that flows; B where there is creep.
     """
 
-    elastic_state: ElasticState | None = None
+    elastic_state: Annotated[ElasticState | None, Quantity(example="B")] = None
 
     def __post_init__(self) -> None:
         if self.elastic_state is not None:

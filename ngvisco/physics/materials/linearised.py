@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, require_above, require_positive
+from ngvisco.errors import ParameterError, Quantity, require_above, require_positive
 from ngvisco.physics.isotropy import require_isotropy
 from ngvisco.physics.material import Material
 from ngvisco.physics.parameters import Modulus, require_nonnegative_moduli, require_positive_moduli
@@ -25,8 +26,10 @@ class LinearElastic(Material):
 
     Parameters
     ----------
-    K_e, G_e : float
-        Elastic bulk and shear modulus, Pa, > 0.
+    K_e : float
+        Elastic bulk modulus: the usual one.
+    G_e : float
+        Elastic shear modulus: the usual one.
 
     Raises
     ------
@@ -34,8 +37,8 @@ class LinearElastic(Material):
         If a modulus is not a finite positive number.
     """
 
-    K_e: Modulus
-    G_e: Modulus
+    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
+    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
 
     def __post_init__(self) -> None:
         require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
@@ -97,14 +100,18 @@ class HardeningElastic(Material):
 
     Parameters
     ----------
-    K_e, G_e : float
-        Elastic bulk and shear modulus at E = 0, Pa, > 0.
-    K_h, G_h : float
-        Hardening moduli, Pa, >= 0.
+    K_e : float
+        Elastic bulk modulus at zero strain: the usual one.
+    G_e : float
+        Elastic shear modulus at zero strain: the usual one.
+    K_h : float
+        Bulk hardening modulus.
+    G_h : float
+        Shear hardening modulus.
     s : float
-        Growth, > 2; default 4.
+        Exponent of the hardening.
     floor : float
-        Regularisation of |tr E| and |dev E| at 0 where s is not an even integer, > 0.
+        Strain below which |E|^s is smoothed, where s is not an even integer.
 
     Raises
     ------
@@ -112,12 +119,12 @@ class HardeningElastic(Material):
         If a parameter is out of its range.
     """
 
-    K_e: Modulus
-    G_e: Modulus
-    K_h: Modulus
-    G_h: Modulus
-    s: float = 4.0
-    floor: float = 1e-8
+    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
+    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
+    K_h: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]
+    G_h: Annotated[Modulus, Quantity("Pa", ">= 0", 5.0)]
+    s: Annotated[float, Quantity("1", "> 2")] = 4.0
+    floor: Annotated[float, Quantity("1", "> 0")] = 1e-8
 
     def __post_init__(self) -> None:
         require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)

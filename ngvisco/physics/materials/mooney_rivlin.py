@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
+from ngvisco.errors import Quantity
 from ngvisco.physics.materials.neo_hookean import NeoHookean, first_invariant, volumetric
 from ngvisco.physics.materials.referential import LogarithmicNeoHookean, ReferentialNeoHookean
 from ngvisco.physics.parameters import Modulus, require_nonnegative_moduli
@@ -42,10 +44,10 @@ class MooneyRivlin(NeoHookean):
 
     Parameters
     ----------
-    K_e, G_e, epsilon, kappa, J_min, elastic_state
-        As for ``NeoHookean``.
+    G_e
+        Weight of |F|^2; G_e + G_mr is half the usual shear modulus.
     G_mr : float
-        Weight of the cofactor's part, Pa, >= 0.
+        Weight of the cofactor; G_e + G_mr is half the usual shear modulus.
 
     Raises
     ------
@@ -53,7 +55,7 @@ class MooneyRivlin(NeoHookean):
         If a parameter is out of its range.
     """
 
-    G_mr: Modulus
+    G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -95,12 +97,10 @@ class ReferentialMooneyRivlin(ReferentialNeoHookean):
 
     Parameters
     ----------
-    K_e, G_e : float
-        Pa, > 0.
+    G_e : float
+        Weight of |F|^2 (C_10); G_e + G_mr is half the usual shear modulus.
     G_mr : float
-        Pa, >= 0.
-    epsilon, kappa, J_min, elastic_state
-        As for ``ReferentialNeoHookean``.
+        Weight of the cofactor (C_01); G_e + G_mr is half the usual shear modulus.
 
     Raises
     ------
@@ -108,7 +108,7 @@ class ReferentialMooneyRivlin(ReferentialNeoHookean):
         If a parameter is out of its range.
     """
 
-    G_mr: Modulus
+    G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -137,12 +137,12 @@ class LogarithmicMooneyRivlin(LogarithmicNeoHookean):
 
     Parameters
     ----------
-    K_e, G_e, epsilon : float
-        Pa, > 0.
+    G_e : float
+        Weight of |H|^2; G_e + G_mr is half the usual shear modulus.
     G_mr : float
-        Weight of the cofactor's part, Pa, >= 0.
-    elastic_state : str, optional
-        ``"F"`` or ``"B"``; see ``IsotropicElastic``.
+        Weight of the cofactor; G_e + G_mr is half the usual shear modulus.
+    K_e, epsilon
+        As for ``LogarithmicNeoHookean``.
 
     Raises
     ------
@@ -150,7 +150,7 @@ class LogarithmicMooneyRivlin(LogarithmicNeoHookean):
         If a parameter is out of its range.
     """
 
-    G_mr: Modulus
+    G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
 
     def __post_init__(self) -> None:
         super().__post_init__()

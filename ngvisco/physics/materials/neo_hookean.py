@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import require_positive
+from ngvisco.errors import Quantity, require_positive
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.singular import (
     check_continuation,
@@ -41,16 +42,17 @@ class NeoHookean(IsotropicElastic):
 
     Parameters
     ----------
-    K_e, G_e, epsilon : float
-        Bulk modulus without the singular term, half the shear modulus, and weight of the singular term,
-        all Pa, > 0.
+    K_e : float
+        Bulk modulus; the usual one is K_e + epsilon, with kappa K_e + kappa (kappa + 1) epsilon.
+    G_e : float
+        Elastic modulus of shear: half the usual shear modulus.
+    epsilon : float
+        Weight of the term that is singular at J = 0.
     kappa : float, optional
-        Exponent of the singular term; None (default) is the logarithm.  The paper has kappa >= 1.
+        Exponent of epsilon/J^kappa, which stands for -epsilon ln J without it; the paper has kappa >= 1.
     J_min : float, optional
-        Where given, the singular term is continued linearly below it (paper: rem-neo-Hookean-ref).
-        G_e J^{-2/3} |F|^2 stays as it is.
-    elastic_state : str, optional
-        ``"F"`` or ``"B"``; see ``IsotropicElastic``.
+        The singular term is continued linearly below this J (paper: rem-neo-Hookean-ref); G_e J^{-2/3} |F|^2
+        stays as it is.
 
     Raises
     ------
@@ -58,11 +60,11 @@ class NeoHookean(IsotropicElastic):
         If a parameter is not a finite positive number, or ``elastic_state`` is another.
     """
 
-    K_e: Modulus
-    G_e: Modulus
-    epsilon: Modulus
-    kappa: float | None = None
-    J_min: float | None = None
+    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
+    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
+    epsilon: Annotated[Modulus, Quantity("Pa", "> 0", 0.1)]
+    kappa: Annotated[float | None, Quantity("1", "> 0", 2.0)] = None
+    J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -16,11 +16,11 @@ convexity, without a growth or a volumetric part of its own.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Annotated, Self
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError
+from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.parameters import Modulus, require_positive_moduli
 from ngvisco.physics.variables import (
@@ -56,11 +56,10 @@ class PerReferentialVolume(Material):
     Parameters
     ----------
     material : Material
-        psi, Pa, of J = det F and tensors J^a F, J^a Cof F, J^a F F^T, J^a Cof(F F^T); in
-        ``material.variables`` the tensor X becomes AX = X/J.
+        psi, of J = det F and tensors J^a F, J^a Cof F, J^a F F^T, J^a Cof(F F^T); of what is carried the
+        tensor X becomes AX = X/J.
     rho_R : float, optional
-        Referential density, kg/m^3, > 0.  Where given, the initial density has to be rho_R/J, and one of the
-        two follows from the other.
+        Density where J = 1; with it the initial density and J follow from one another.
 
     Raises
     ------
@@ -70,7 +69,7 @@ class PerReferentialVolume(Material):
     """
 
     material: Material
-    rho_R: Modulus | None = None
+    rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
 
     def __post_init__(self) -> None:
         owner = type(self).__name__

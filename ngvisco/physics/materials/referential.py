@@ -16,11 +16,11 @@ so that there is no second form by B.)
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import require_nonnegative
+from ngvisco.errors import Quantity, require_nonnegative
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.singular import check_continuation, continued_in_J, inverse_power
 from ngvisco.physics.parameters import Modulus, require_nonnegative_moduli, require_positive_moduli
@@ -51,16 +51,16 @@ class ReferentialNeoHookean(IsotropicElastic):
 
     Parameters
     ----------
-    K_e, G_e : float
-        Bulk modulus and half the shear modulus, Pa, > 0.
+    K_e : float
+        Bulk modulus; the usual one is K_e + kappa (kappa + 1) epsilon.
+    G_e : float
+        Elastic modulus of shear: half the usual shear modulus.
     epsilon : float
-        Weight of the singular term, Pa, >= 0; default 0.
+        Weight of the term epsilon/J^kappa per referential volume, which is singular at J = 0.
     kappa : float
-        Its exponent, >= 0; default 1.
+        Exponent of that term.
     J_min : float, optional
-        Where given, all terms singular in J are continued linearly below it (paper: rem-neo-Hookean-ref).
-    elastic_state : str, optional
-        ``"F"`` or ``"B"``; see ``IsotropicElastic``.
+        All terms singular in J are continued linearly below it (paper: rem-neo-Hookean-ref).
 
     Raises
     ------
@@ -68,11 +68,11 @@ class ReferentialNeoHookean(IsotropicElastic):
         If a parameter is out of its range.
     """
 
-    K_e: Modulus
-    G_e: Modulus
-    epsilon: Modulus = 0.0
-    kappa: float = 1.0
-    J_min: float | None = None
+    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
+    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
+    epsilon: Annotated[Modulus, Quantity("Pa", ">= 0", 0.1)] = 0.0
+    kappa: Annotated[float, Quantity("1", ">= 0", 2.0)] = 1.0
+    J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -104,14 +104,10 @@ class IsochoricNeoHookean(IsotropicElastic):
 
     Parameters
     ----------
-    K_e, G_e : float
-        Bulk modulus and half the shear modulus, Pa, > 0.
-    epsilon, kappa : float
-        Weight (Pa) and exponent of the singular term, >= 0; default none.
     J_min : float, optional
-        Where given, the terms singular in J alone are continued linearly below it.
-    elastic_state : str, optional
-        ``"F"`` or ``"B"``; see ``IsotropicElastic``.
+        The terms singular in J alone are continued linearly below it.
+    K_e, G_e, epsilon, kappa
+        As for ``ReferentialNeoHookean``.
 
     Raises
     ------
@@ -119,11 +115,11 @@ class IsochoricNeoHookean(IsotropicElastic):
         If a parameter is out of its range.
     """
 
-    K_e: Modulus
-    G_e: Modulus
-    epsilon: Modulus = 0.0
-    kappa: float = 1.0
-    J_min: float | None = None
+    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
+    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
+    epsilon: Annotated[Modulus, Quantity("Pa", ">= 0", 0.1)] = 0.0
+    kappa: Annotated[float, Quantity("1", ">= 0", 2.0)] = 1.0
+    J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -158,10 +154,12 @@ class LogarithmicNeoHookean(IsotropicElastic):
 
     Parameters
     ----------
-    K_e, G_e, epsilon : float
-        Bulk modulus, half the shear modulus, weight of the singular term, all Pa, > 0.
-    elastic_state : str, optional
-        ``"F"`` or ``"B"``; see ``IsotropicElastic``.
+    K_e : float
+        Bulk modulus; the usual one is K_e + epsilon.
+    G_e : float
+        Elastic modulus of shear: half the usual shear modulus.
+    epsilon : float
+        Weight of -epsilon ln J per referential volume, which is singular at J = 0.
 
     Raises
     ------
@@ -169,9 +167,9 @@ class LogarithmicNeoHookean(IsotropicElastic):
         If a parameter is not a finite positive number.
     """
 
-    K_e: Modulus
-    G_e: Modulus
-    epsilon: Modulus
+    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
+    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
+    epsilon: Annotated[Modulus, Quantity("Pa", "> 0", 0.1)]
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
+from typing import Annotated
 
 import numpy as np
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, UnknownNameError, require_names, require_positive
+from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_names, require_positive
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.pointwise import Respond, Response
@@ -27,11 +28,12 @@ class WithQuadratic(Material):
     Parameters
     ----------
     material : Material
+        The material that is regularised.
     delta : float
-        The paper's delta, Pa^2, > 0.
+        sqrt(delta)/2 |z|^2 is added to the energy.
     only : tuple of str, optional
-        Names of the variables it is added for; default all strains (paper: rem-neo-Hookean-ref omits those
-        in which phi is strongly convex already).  It is not added for parameters.
+        Variables for which it is added, no parameters; all strains where nothing is said (paper:
+        rem-neo-Hookean-ref omits those in which phi is strongly convex already).
 
     Raises
     ------
@@ -40,8 +42,8 @@ class WithQuadratic(Material):
     """
 
     material: Material
-    delta: float
-    only: tuple[str, ...] | None = None
+    delta: Annotated[float, Quantity("Pa^2", "> 0", 1e-6)]
+    only: Annotated[tuple[str, ...] | None, Quantity(example=["J"])] = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.material, Material):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id
 
-from ngvisco.errors import NgviscoError, ParameterError, require_positive
+from ngvisco.errors import NgviscoError, ParameterError, Quantity, require_positive
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.pointwise import Respond, Response, respond, squares
@@ -39,9 +40,9 @@ class Yosida(Material):
     Parameters
     ----------
     material : Material
-        Its energy convex, or at least |z|^2/(2 eps) + phi so.
+        The material that is regularised: its energy convex, or at least |z|^2/(2 eps) + phi so.
     eps : float
-        The paper's epsilon, 1/Pa, > 0.
+        Width of the approximation, the paper's epsilon.
 
     Raises
     ------
@@ -50,7 +51,7 @@ class Yosida(Material):
     """
 
     material: Material
-    eps: float
+    eps: Annotated[float, Quantity("1/Pa", "> 0", 1e-3)]
 
     def __post_init__(self) -> None:
         if not isinstance(self.material, Material):
