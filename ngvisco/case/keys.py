@@ -13,8 +13,6 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any, get_type_hints
 
-from docstring_parser import DocstringStyle, parse
-
 from ngvisco.case import catalogue
 from ngvisco.errors import Quantity
 
@@ -35,6 +33,8 @@ def quantities(owner: Any) -> Mapping[str, Quantity]:
 @cache
 def meanings(owner: Any) -> Mapping[str, str]:
     """What the docstring of a class or function says of its parameters, without the final stop."""
+    from docstring_parser import DocstringStyle, parse  # no run needs it
+
     found = {}
     for each in reversed(inspect.getmro(owner) if inspect.isclass(owner) else (owner,)):
         for part in parse(each.__doc__ or "", DocstringStyle.NUMPYDOC).params:
