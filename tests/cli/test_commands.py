@@ -87,7 +87,7 @@ def test_a_new_case_is_explained_and_valid(capsys, tmp_path):
     assert ended("explain", "time.dt") == 0
     assert "Length of a step" in capsys.readouterr().out
     assert ended("list", "--keys") == 0
-    assert "  time.dt: number, s; required; length of a step" in capsys.readouterr().out
+    assert "  time.dt: number, > 0, s; required; Length of a step" in capsys.readouterr().out
     assert ended("list", "--schema") == 0
     assert json.loads(capsys.readouterr().out)["title"] == "ngvisco case file"
     for words in (("new", "swril"), ("explain", "tim.dt"), ("list", "--keys", "--schema")):
