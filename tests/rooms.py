@@ -16,14 +16,18 @@ from pathlib import Path
 
 from documents import ROOT, section, tracked
 
-TOPS = {"ngvisco": ROOT / "ngvisco", "ngvisco.geometries": ROOT / "geometries"}
-"""Where the packages' sources are; ``geometries`` stands beside ``ngvisco`` in a clone."""
+TOPS = {
+    "ngvisco": ROOT / "ngvisco",
+    "ngvisco.geometries": ROOT / "geometries",
+    "tests.verification": ROOT / "tests" / "verification",
+}
+"""Where the rooms' sources are; ``geometries`` stands beside ``ngvisco`` in a clone, and in it in a wheel."""
 
 
 def _modules() -> dict[str, Path]:
     found = {}
     for top, folder in TOPS.items():
-        for path in sorted(folder.rglob("*.py")):
+        for path in sorted(set(folder.rglob("*.py")) - set(folder.rglob("test_*.py"))):
             parts = path.relative_to(folder).with_suffix("").parts
             parts = parts[:-1] if parts[-1] == "__init__" else parts
             found[".".join((top, *parts))] = path
@@ -151,8 +155,9 @@ def first_line(path: Path) -> str:
 
 
 def files_of(room: str) -> set[str]:
-    """Names of the project's files and folders in a room; folders end in a slash."""
+    """Names of the project's files and folders in a room, but tests; folders end in a slash."""
     inside = [path.relative_to(ROOMS[room]) for path in tracked(f"{ROOMS[room].relative_to(ROOT)}/*")]
+    inside = [path for path in inside if not path.name.startswith("test_")]
     return {f"{path.parts[0]}/" if len(path.parts) > 1 else path.name for path in inside} - {"README.md"}
 
 

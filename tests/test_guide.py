@@ -49,8 +49,9 @@ def test_changes_apply_at_one_place_only():
 
 def copied(folder: Path) -> Path:
     """The sources that a program imports."""
-    for name in ("ngvisco", "geometries"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("ngvisco", "geometries", "tests/verification"):
+        ignored = shutil.ignore_patterns("__pycache__", "pictures")
+        shutil.copytree(ROOT / name, folder / name, ignore=ignored)
     return folder
 
 

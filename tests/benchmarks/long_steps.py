@@ -28,8 +28,8 @@ from ngvisco.physics.walls import NoSlip, PrescribedTangential
 from ngvisco.run.scales import scales
 from ngvisco.run.simulation import Simulation
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.verification.cases import in_space, riemann, robustness
-from ngvisco.verification.setups import KINDS, SWIRL, block
+from tests.verification.cases import in_space, riemann, robustness
+from tests.verification.setups import KINDS, SWIRL, block
 
 SPLIT = NewtonOptions(method="split")
 

@@ -23,7 +23,7 @@ import ngvisco as nv
 from ngvisco.forms.terms.momentum import Convection
 from ngvisco.geometries import box
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.verification.cases.invariants import converging
+from tests.verification.cases.invariants import converging
 
 MATERIALS = {
     "linear": nv.LinearElastic(K_e=10, G_e=5),

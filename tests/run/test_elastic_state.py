@@ -13,9 +13,9 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import dev, square, tr
 from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen
-from ngvisco.verification.cases.conformation import FLUIDS, G_M
-from ngvisco.verification.cases.rheology import startup_ode
-from ngvisco.verification.cases.shear import sheared
+from tests.verification.cases.conformation import FLUIDS, G_M
+from tests.verification.cases.rheology import startup_ode
+from tests.verification.cases.shear import sheared
 
 SCHEMES = {"backward-euler": 1, "midpoint": 2, "sdirk2": 2}
 """Orders in tau."""

@@ -10,7 +10,7 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.physics.variables import Cofactor, Distortion, Jacobian
 from ngvisco.run.scales import moduli, scales, wave_speed
-from ngvisco.verification.cases import riemann
+from tests.verification.cases import riemann
 
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 

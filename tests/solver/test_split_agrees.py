@@ -13,9 +13,9 @@ from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.geometries import box, disc, structured_box
 from ngvisco.physics.materials import examples
 from ngvisco.solver.options import KrylovOptions, SplitOptions
-from ngvisco.verification.manufactured import Exact
-from ngvisco.verification.models import model as manufactured_model
-from ngvisco.verification.sources import Sources
+from tests.verification.manufactured import Exact
+from tests.verification.models import model as manufactured_model
+from tests.verification.sources import Sources
 
 EXAMPLES = {example.constructor: example.material for example in examples()}
 DOWN = nv.Gravity((0.0, -1.0))

@@ -11,13 +11,13 @@ from scipy.special import jn_zeros, jv, spherical_jn
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.verification.case import VerificationError
-from ngvisco.verification.cases.creep_gradient import NU, independent
-from ngvisco.verification.convergence import coupled_rates
-from ngvisco.verification.differences import mismatch
-from ngvisco.verification.models import KINDS, coefficients, model
-from ngvisco.verification.radial_creep import RadialCreep
-from ngvisco.verification.sources import Sources
+from tests.verification.case import VerificationError
+from tests.verification.cases.creep_gradient import NU, independent
+from tests.verification.convergence import coupled_rates
+from tests.verification.differences import mismatch
+from tests.verification.models import KINDS, coefficients, model
+from tests.verification.radial_creep import RadialCreep
+from tests.verification.sources import Sources
 
 T, TAU = 0.3, 0.05
 

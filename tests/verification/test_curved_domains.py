@@ -23,8 +23,8 @@ from scipy.special import jv, spherical_jn
 from ngvisco import Creep, Initial, LinearElastic, Model, Simulation, Slip, StokesViscosity, Traction
 from ngvisco.geometries import disc, sphere
 from ngvisco.physics.tensors import embed_gradient
-from ngvisco.verification.problems import distance
-from ngvisco.verification.rates import RateTable
+from tests.verification.problems import distance
+from tests.verification.rates import RateTable
 
 RHO, G_E, G_V, G_M, TAU, STEPS = 1.3, 0.4, 0.05, 0.6, 0.05, 4
 AMPLITUDE = 1e-6

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ngvisco.verification.cases.soft_disc import PATH
-from ngvisco.verification.immersed import CAVITY, TAYLOR_GREEN, Immersed, Problem, computed
+from tests.verification.cases.soft_disc import PATH
+from tests.verification.immersed import CAVITY, TAYLOR_GREEN, Immersed, Problem, computed
 
 
 def test_forces_are_the_slope_of_the_energy_and_in_balance():

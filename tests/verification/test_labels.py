@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from ngvisco.verification import labels as module
-from ngvisco.verification.case import Bound, Case, Outcome, VerificationError
-from ngvisco.verification.labels import label_modules, label_table, labels, labels_in, rows
-from ngvisco.verification.registry import all_cases
-from ngvisco.verification.report import as_html, markdown
+import ngvisco
+from tests.verification import labels as module
+from tests.verification.case import Bound, Case, Outcome, VerificationError
+from tests.verification.labels import label_modules, label_table, labels, labels_in, rows
+from tests.verification.registry import all_cases
+from tests.verification.report import as_html, markdown
 
 TESTS = Path(__file__).resolve().parents[1]
 
@@ -66,7 +67,7 @@ def test_a_label_is_measured_or_it_is_said_why_not():
 
 def test_every_label_that_the_package_or_a_case_names_is_one_of_the_paper():
     """Sources name labels after "paper: "; cases name them, or what is no label, between commas."""
-    package = Path(module.__file__).resolve().parents[1]
+    package = Path(ngvisco.__file__).parent
     unknown = set()
     for path in package.rglob("*.py"):
         for text in path.read_text(encoding="utf-8").split("(paper: ")[1:]:

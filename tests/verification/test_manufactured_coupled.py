@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from ngvisco.physics.model import Model
-from ngvisco.verification import convergence
-from ngvisco.verification.convergence import coupled_rates
-from ngvisco.verification.models import FURTHER, KINDS
-from ngvisco.verification.sources import Sources
+from tests.verification import convergence
+from tests.verification.convergence import coupled_rates
+from tests.verification.models import FURTHER, KINDS
+from tests.verification.sources import Sources
 
 
 @pytest.mark.parametrize("kind", ["neo-hookean", pytest.param("linear", marks=pytest.mark.long)])

@@ -9,11 +9,11 @@ from ngvisco.forms.term import Integrand
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Convection, Inertia, Stokes
 from ngvisco.physics.tensors import inner
-from ngvisco.verification.manufactured import Exact
-from ngvisco.verification.models import hyperviscosity, material
-from ngvisco.verification.problems import Problem, Source, distance, refinements
-from ngvisco.verification.rates import RateTable
-from ngvisco.verification.sources import Sources
+from tests.verification.manufactured import Exact
+from tests.verification.models import hyperviscosity, material
+from tests.verification.problems import Problem, Source, distance, refinements
+from tests.verification.rates import RateTable
+from tests.verification.sources import Sources
 
 TAU = 0.25
 VISCOSITY = StokesViscosity(K_v=0.3, G_v=0.2)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ngvisco.geometries import box
-from ngvisco.verification.differences import FiniteDifferences, difference, mismatch
-from ngvisco.verification.models import KINDS, coefficients, model
-from ngvisco.verification.sources import Sources
+from tests.verification.differences import FiniteDifferences, difference, mismatch
+from tests.verification.models import KINDS, coefficients, model
+from tests.verification.sources import Sources
 
 T, TAU = 0.3, 0.05
 TOLERANCE = 1e-6

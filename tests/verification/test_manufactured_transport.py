@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import pytest
 
-from ngvisco.verification.convergence import transport_rates
-from ngvisco.verification.models import KINDS
+from tests.verification.convergence import transport_rates
+from tests.verification.models import KINDS
 
 
 @pytest.mark.parametrize("m", [0, 1, pytest.param(2, marks=pytest.mark.long)])

@@ -25,10 +25,10 @@ from ngvisco.forms.context import Context
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.terms.transport import Conjugates, Kinematics, UpwindTrace
 from ngvisco.geometries import box
-from ngvisco.verification.cases.maxwell import MYR, ROCK, relaxed_stress
-from ngvisco.verification.models import KINDS
-from ngvisco.verification.problems import PartialLayout
-from ngvisco.verification.rates import RateTable
+from tests.verification.cases.maxwell import MYR, ROCK, relaxed_stress
+from tests.verification.models import KINDS
+from tests.verification.problems import PartialLayout
+from tests.verification.rates import RateTable
 
 SCALED = {"G": 1.0, "eta": 1.0, "tau_0": 2e-3, "duration": 7.9, "size": 1.0, "rho": 1.0}
 UNITS = {"scaled": SCALED, "SI": ROCK}

@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import pytest
 
-from ngvisco.verification import registry
-from ngvisco.verification.__main__ import BAD_INPUT, DONE, FAILED, INTERRUPTED, main
-from ngvisco.verification.case import Bound, Case, Curve, Outcome, Plot, Result, Table, VerificationError
-from ngvisco.verification.rates import RateTable
-from ngvisco.verification.registry import all_cases, select
+from tests.verification import registry
+from tests.verification.__main__ import BAD_INPUT, DONE, FAILED, INTERRUPTED, main
+from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Result, Table, VerificationError
+from tests.verification.rates import RateTable
+from tests.verification.registry import all_cases, select
 
 
 def case(name, value, limit=1.0, **options):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ngvisco.verification.cases.riemann import SOUND, solved, star_of_expansion, star_of_impact, stars
+from tests.verification.cases.riemann import SOUND, solved, star_of_expansion, star_of_impact, stars
 
 
 def test_weak_waves_are_acoustic():

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from ngvisco.verification.convergence import free_solution, separation
-from ngvisco.verification.models import KINDS
-from ngvisco.verification.rates import RateTable
+from tests.verification.convergence import free_solution, separation
+from tests.verification.models import KINDS
+from tests.verification.rates import RateTable
 
 DURATION = 0.1
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ngvisco.verification.tube import densities
+from tests.verification.tube import densities
 
 
 def test_a_small_wave_is_the_damped_standing_one():

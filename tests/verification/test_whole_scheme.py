@@ -5,8 +5,8 @@ import pytest
 from ngsolve import Integrate
 
 import ngvisco as nv
-from ngvisco.verification.cases.whole_scheme import Norms, whole
-from ngvisco.verification.setups import KINDS, cube_mesh, separation, square_mesh
+from tests.verification.cases.whole_scheme import Norms, whole
+from tests.verification.setups import KINDS, cube_mesh, separation, square_mesh
 
 
 def after_two_steps(kind, mesh, solver):

@@ -1,0 +1,186 @@
+"""Two elastic discs that are thrown at each other in a soft light medium meet and part again.
+
+There is one velocity field: what keeps two bodies apart is that it is continuous, and what lets them part
+is that the film of the medium between them opens again.  The mesh is its own image under a turn by a half
+about the middle, and so is the motion: momentum and places of both are opposite to rounding, until limiters
+decide differently at a threshold.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction, IfPos, x, y
+
+from ngvisco.forms.start.initial import Initial
+from ngvisco.geometries import structured_box
+from ngvisco.physics.bodies import Body
+from ngvisco.physics.materials import CustomMaterial, OldroydB
+from ngvisco.physics.mixture import Mixture
+from ngvisco.physics.model import Model
+from ngvisco.physics.rheology import StokesViscosity
+from ngvisco.physics.variables import Jacobian
+from ngvisco.run.bodies import Bodies
+from ngvisco.run.simulation import Simulation
+from ngvisco.shapes.solids import Ball
+from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.setups import closure
+
+SIZE, CELLS, RADIUS = (1.4, 0.8), (14, 8), 0.21
+PLACES = {"left": 0.37, "right": 1.03}
+SPEED, REACH = 0.2, 0.36
+BULK, SHEAR, DAMPING = 2.0, 1.0, 0.002
+"""Of the discs, Pa and Pa s; their density is 1 kg/m^3."""
+SOFT, LIGHT, THIN = 0.1, 0.05, 0.0002
+"""Of the medium: bulk modulus, Pa, density, kg/m^3, and viscosity, Pa s."""
+TAU, END = 0.05, 2.2
+
+
+def thrown(X: float) -> CoefficientFunction:
+    """Solenoidal, nearly uniform in a disc about (X, H/2), and zero farther than ``REACH`` from there."""
+    Y = SIZE[1] / 2
+    r2 = (x - X) ** 2 + (y - Y) ** 2
+    left = IfPos(REACH**8 - r2**4, 1 - r2**4 / REACH**8, 0.0)
+    slope = 16 * left * r2**3 / REACH**8
+    return SPEED * CF((left**2 - (y - Y) ** 2 * slope, (x - X) * (y - Y) * slope))
+
+
+def discs() -> tuple[Simulation, Bodies]:
+    """The run at its start, and its table."""
+    fluid = CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: SOFT / 2 * (J + 1 / J - 2))
+    bodies = [
+        Body(name="medium", material=fluid, viscosity=StokesViscosity(K_v=THIN, G_v=THIN), density=LIGHT)
+    ]
+    for name, X in PLACES.items():
+        bodies.append(
+            Body(
+                name=name,
+                where=Ball((X, SIZE[1] / 2), RADIUS),
+                material=OldroydB(K_e=BULK, G_e=SHEAR / 2),
+                viscosity=StokesViscosity(K_v=DAMPING, G_v=DAMPING),
+                density=1.0,
+            )
+        )
+    table = Bodies()
+    run = Simulation(
+        structured_box(SIZE, CELLS),
+        Model(bodies=tuple(bodies)),
+        dt=TAU,
+        scheme="midpoint",
+        initial=Initial(velocity=thrown(PLACES["left"]) - thrown(PLACES["right"])),
+        velocity_scale=5.0,
+        observers=[table],
+    )
+    return run, table
+
+
+class Overlap:
+    """Notes int theta_1 theta_2 over the area of a disc, step by step."""
+
+    def __init__(self) -> None:
+        self.values: list[float] = []
+
+    def start(self, simulation: Simulation) -> None:
+        self.step(simulation, {})
+
+    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
+        material, step = simulation.model.material, simulation.rothe_step
+        assert isinstance(material, Mixture)
+        theta = material.fractions.at(step.now.z_tensors)
+        both = step.quadrature.integrate_cells(theta["left"] * theta["right"])
+        self.values.append(float(both) / (math.pi * RADIUS**2))
+
+    def finish(self, simulation: Simulation) -> None:
+        """Nothing is left to do."""
+
+
+def _collision() -> Outcome:
+    run, table = discs()
+    overlap = Overlap()
+    run.observers.append(overlap)
+    run.run(END)
+    ledger, times = run.ledger, table.column("time")
+    momenta = {name: table.column(f"{name}_momentum_x") for name in PLACES}
+    sides = {name: table.column(f"{name}_x") - SIZE[0] / 2 for name in PLACES}
+    distance = sides["right"] - sides["left"]
+    gap = table.column("right_x_min") - table.column("left_x_max")
+    first, kinetic, stored = float(momenta["left"][0]), ledger.column("kinetic"), ledger.column("stored")
+    lost = float(kinetic[0] - kinetic[-1]) - float(stored[-1] - stored[0])
+    dissipated = sum(
+        float(ledger.column("dt") @ ledger.column(entry.name))
+        for entry in ledger.entries
+        if entry.kind == "dissipation"
+    )
+    scheme = sum(float(ledger.column(name).sum()) for name in ("inertial", "bregman", "limiter"))
+    rebound = float(-momenta["left"].min()) / first
+    mass = max(
+        float(np.abs(table.column(f"{n}_mass") / table.column(f"{n}_mass")[0] - 1).max()) for n in PLACES
+    )
+    total = np.abs(momenta["left"] + momenta["right"]).max()
+    return Outcome(
+        values={
+            "least gap, m": float(gap.min()),
+            "how far they part again, m": float(distance[-1] - distance.min()),
+            "coefficient of restitution": rebound,
+            "energy lost less that dissipated, over the first": abs(lost - dissipated - scheme)
+            / float(kinetic[0]),
+            "dissipated by scheme and limiter over all": abs(scheme) / abs(lost),
+            "largest overlap over a disc's area": max(overlap.values),
+            "largest total momentum over a disc's": float(total) / first,
+            "largest asymmetry of places, m": float(np.abs(sides["left"] + sides["right"]).max()),
+            "change of the masses": mass,
+            "largest |closure|": closure(run),
+        },
+        tables=[
+            Table(
+                "the discs",
+                ["t, s", "distance of centroids, m", "gap, m", "momentum of the left, kg m/s", "overlap"],
+                [
+                    [float(v) for v in row]
+                    for row in zip(times, distance, gap, momenta["left"], overlap.values, strict=True)
+                ][::4],
+            )
+        ],
+        remarks=["The bounds were written after a trial of the same run until 0.65 s."],
+        plots=[
+            Plot(
+                "Two discs that meet",
+                "t, s",
+                "momentum, energies over first values",
+                [
+                    Curve("left", list(times), [float(v) / first for v in momenta["left"]], "o-"),
+                    Curve("right", list(times), [float(v) / first for v in momenta["right"]], "s-"),
+                    Curve("kinetic", list(times), [float(v) / float(kinetic[0]) for v in kinetic], "k-"),
+                    Curve("stored", list(times), [float(v) / float(kinetic[0]) for v in stored], "k--"),
+                ],
+            )
+        ],
+    )
+
+
+CASES = (
+    Case(
+        name="discs-that-meet",
+        theme="Bodies and their interfaces",
+        statement="Two elastic discs that are thrown at each other meet, do not overlap, and part again; "
+        "what they lose is what is dissipated.",
+        label="benchmark: after Sulsky, Chen and Schreyer (1994)",
+        setting=f"Discs of {RADIUS:g} m, 1 kg/m3, K_e = {BULK:g} Pa, G = {SHEAR:g} Pa, {DAMPING:g} Pa s, at "
+        f"{SPEED:g} m/s each; box of {SIZE[0]:g} m x {SIZE[1]:g} m, medium of {LIGHT:g} kg/m3, {SOFT:g} Pa "
+        f"and {THIN:g} Pa s; {2 * CELLS[0] * CELLS[1]} triangles, midpoint, tau = {TAU:g} s until {END:g} s.",
+        bounds=(
+            Bound("least gap, m", "<=", 0.1, "less than a cell between them"),
+            Bound("how far they part again, m", ">=", 0.03, "a third of a cell"),
+            Bound("coefficient of restitution", "<=", 0.95, "viscosity of discs and medium"),
+            Bound("energy lost less that dissipated, over the first", "<=", 1e-10, "the sum of the closures"),
+            Bound("dissipated by scheme and limiter over all", "<=", 0.5, "most is the model's"),
+            Bound("largest overlap over a disc's area", "<=", 0.02, "a shared layer of part of a cell"),
+            Bound("largest total momentum over a disc's", "<=", 0.05, "symmetry; walls do not push"),
+            Bound("largest asymmetry of places, m", "<=", 5e-3, "a twentieth of a cell"),
+            Bound("change of the masses", "<=", 1e-10, "conserved"),
+            Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
+        ),
+        run=_collision,
+    ),
+)

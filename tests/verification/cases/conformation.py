@@ -1,0 +1,258 @@
+"""Fluids by a conformation tensor in shear: Oldroyd-B, FENE-P and Leonov against closed forms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from ngvisco.forms.boundary.walls import Conditions
+from ngvisco.forms.spaces import Discretisation
+from ngvisco.geometries import channel
+from ngvisco.physics.flow_rules import Creep, CreepLaw
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials import FENEP, OldroydB
+from ngvisco.physics.model import BodyForce, Model
+from ngvisco.physics.rheology import StokesViscosity
+from ngvisco.physics.walls import NoSlip
+from ngvisco.run.simulation import Simulation
+from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.cases.rheology import THEME
+from tests.verification.cases.shear import CLOSURE, sheared
+from tests.verification.rates import RateTable
+from tests.verification.setups import closure
+
+G_E, LAMBDA = 0.5, 1.0
+"""Half the shear modulus, Pa, and relaxation time, s; the viscosity is 2 G_E LAMBDA = 1 Pa s."""
+G_M = 4 * G_E * LAMBDA
+WEISSENBERG = (0.5, 1.0, 2.0, 4.0)
+EXTENSIBILITY = 30.0
+
+Curves = Callable[[float], tuple[float, float]]
+"""(T_12, N_1) in Pa for a Weissenberg number."""
+
+
+def oldroyd(wi: float) -> tuple[float, float]:
+    """eta rate and 2 eta lambda rate^2: no shear thinning."""
+    return 2 * G_E * wi, 4 * G_E * wi**2
+
+
+def leonov(wi: float) -> tuple[float, float]:
+    """From c_12^2 + c_22^2 = 1, Wi c_22 = c_12 (c_11 + c_22)/2 and det c = 1: with s = c_22^2,
+    s = (sqrt(1 + 4 Wi^2) - 1)/(2 Wi^2), c_12 = Wi s, c_11 = (2 - s)/sqrt s.
+    """
+    s = (np.sqrt(1 + 4 * wi**2) - 1) / (2 * wi**2)
+    return float(2 * G_E * wi * s), float(4 * G_E * (1 - s) / np.sqrt(s))
+
+
+def fenep(wi: float) -> tuple[float, float]:
+    """f c - I = the convected rate of c, so that c_22 = 1/f, c_12 = Wi/f^2, c_11 = (1 + 2 Wi^2/f^2)/f."""
+    b = EXTENSIBILITY
+
+    def defect(f: float) -> float:
+        return f - (b - 3) / (b - (3 + 2 * wi**2 / f**2) / f)
+
+    # the root with tr c < b lies above the pole
+    pole = brentq(lambda f: b * f**3 - 3 * f**2 - 2 * wi**2, 1e-6, 10 + 2 * wi**2)
+    f = brentq(defect, pole * (1 + 1e-12), 10 + 2 * wi**2)
+    return 2 * G_E * wi / f, 4 * G_E * wi**2 / f**2
+
+
+FLUIDS: dict[str, tuple[Material, CreepLaw, Curves, str]] = {
+    "oldroyd-b": (
+        OldroydB(K_e=100.0, G_e=G_E),
+        "conformation",
+        oldroyd,
+        "An Oldroyd-B fluid in steady shear has no shear thinning, and N_1 = 2 eta lambda rate².",
+    ),
+    "fene-p": (
+        FENEP(K_e=100.0, G_e=G_E, b=EXTENSIBILITY),
+        "conformation",
+        fenep,
+        f"A FENE-P fluid (b = {EXTENSIBILITY:g}) in steady shear has the stresses of its closed form.",
+    ),
+}
+
+
+def _steady(name: str) -> Outcome:
+    material, law, exact, _ = FLUIDS[name]
+    rows, errors, runs, found = [], [0.0, 0.0], [], []
+    for wi in WEISSENBERG:
+        run, stress = sheared(material, 0.25, 25.0, rate=wi / LAMBDA, G_m=G_M, law=law)
+        runs.append(run)
+        T, N = float(stress[-1, 1]), float(stress[-1, 2])
+        T_exact, N_exact = exact(wi)
+        found.append((T, N))
+        errors = [max(errors[0], abs(T / T_exact - 1)), max(errors[1], abs(N / N_exact - 1))]
+        rows.append([wi, T, T_exact, N, N_exact, float(run.ledger.column("closure_relative").max())])
+    fine = np.geomspace(0.2, 6, 40)
+    curves = [
+        Curve("T_12", list(WEISSENBERG), [T for T, _ in found], "o"),
+        Curve("N_1", list(WEISSENBERG), [N for _, N in found], "s"),
+        Curve("T_12, closed form", fine.tolist(), [exact(w)[0] for w in fine], "k-"),
+        Curve("N_1, closed form", fine.tolist(), [exact(w)[1] for w in fine], "k--"),
+    ]
+    return Outcome(
+        values={
+            "largest relative error of T_12": errors[0],
+            "largest relative error of N_1": errors[1],
+            "largest |closure|": closure(*runs),
+        },
+        tables=[Table("steady stresses, Pa", ["Wi", "T_12", "exact", "N_1", "exact", "closure"], rows)],
+        plots=[Plot(f"Steady shear, {name}", "Wi", "Pa", curves, log="xy")],
+    )
+
+
+def _leonov() -> Outcome:
+    """Extrapolated: Pi is trace-free, so that what the start-up's steps lose of det B = 1 stays lost."""
+    material, dt, until = OldroydB(K_e=100.0, G_e=G_E), 0.1, 12.0
+    rows, errors, rates, runs, found = [], [0.0, 0.0], [], [], []
+    for wi in WEISSENBERG[:3]:
+        a, b, c = (
+            sheared(material, dt / n, until, rate=wi / LAMBDA, G_m=G_M, law="leonov") for n in (1, 2, 4)
+        )
+        runs += [a[0], b[0], c[0]]
+        (A, B, C), exact = (part[1][-1, 1:3] for part in (a, b, c)), np.array(leonov(wi))
+        T, N = (8 * C - 6 * B + A) / 3
+        errors = [max(errors[0], abs(T / exact[0] - 1)), max(errors[1], abs(N / exact[1] - 1))]
+        rates.append(float(np.log2(abs(B - exact) / abs(C - exact)).min()))
+        found.append((float(T), float(N)))
+        rows.append([wi, float(C[0]), float(T), float(exact[0]), float(N), float(exact[1]), rates[-1]])
+    fine = np.geomspace(0.2, 6, 40)
+    curves = [
+        Curve("T_12", list(WEISSENBERG[:3]), [T for T, _ in found], "o"),
+        Curve("N_1", list(WEISSENBERG[:3]), [N for _, N in found], "s"),
+        Curve("T_12, closed form", fine.tolist(), [leonov(w)[0] for w in fine], "k-"),
+        Curve("N_1, closed form", fine.tolist(), [leonov(w)[1] for w in fine], "k--"),
+    ]
+    return Outcome(
+        values={
+            "relative error of T_12, extrapolated": float(errors[0]),
+            "relative error of N_1, extrapolated": float(errors[1]),
+            "smallest rate in tau": min(rates),
+            "largest |closure|": closure(*runs),
+        },
+        tables=[
+            Table(
+                "steady stresses, Pa",
+                ["Wi", "T_12, tau = 0.025 s", "extrapolated", "exact", "N_1", "exact", "rate"],
+                rows,
+            )
+        ],
+        plots=[Plot("Steady shear, Leonov", "Wi", "Pa", curves, log="xy")],
+    )
+
+
+def channel_startup(t: np.ndarray, heights: np.ndarray, eta_s: float, modes: int = 40) -> np.ndarray:
+    """v(t, y) of an Oldroyd-B fluid of density 1 under a unit force from rest, (times, heights).
+
+    rho v_t = eta_s v_yy + tau_y + 1, lambda tau_t = eta_p v_y - tau (Waters and King 1970), for each sine in
+    y an equation for two numbers with constant coefficients, solved by the matrix exponential.
+    """
+    eta_p = 2 * G_E * LAMBDA
+    v = np.zeros((len(t), len(heights)))
+    for n in range(1, 2 * modes, 2):
+        k, force = n * np.pi, 4 / (n * np.pi)
+        A = np.array([[-eta_s * k * k, -k], [eta_p * k / LAMBDA, -1 / LAMBDA]])
+        steady = np.linalg.solve(A, [-force, 0.0])
+        amplitudes = [(steady - expm(A * s) @ steady)[0] for s in t]
+        v += np.outer(amplitudes, np.sin(k * heights))
+    return v
+
+
+def _waters_king() -> Outcome:
+    eta_s, until = 0.1, 4.0
+    heights = np.linspace(0.05, 0.95, 19)
+    table, curves, runs = RateTable("largest error of the velocity, relative to the steady maximum"), [], []
+    found = []
+    largest = 1 / (8 * (eta_s + 2 * G_E * LAMBDA))
+    for steps in (40, 80, 160):
+        model = Model(
+            material=OldroydB(K_e=200.0, G_e=G_E),
+            viscosity=StokesViscosity(K_v=eta_s, G_v=eta_s),
+            creep=Creep(G_m=G_M, law="conformation"),
+            loads=(BodyForce((1.0, 0.0)),),
+        )
+        walls: Conditions = {"bottom": NoSlip(), "top": NoSlip()}
+        mesh = channel(0.3, 1.0, maxh=0.15)
+        orders = Discretisation(k=2, m=1)
+        run = Simulation(mesh, model, dt=until / steps, walls=walls, discretisation=orders)
+        rows = []
+        for _ in range(steps):
+            run.advance()
+            rows.append(run.fields["velocity"](mesh(0 * heights + 0.11, heights))[:, 0])
+        runs.append(run)
+        t = run.dt * np.arange(1, steps + 1)
+        exact = channel_startup(t, heights, eta_s)
+        found.append(np.array(rows))
+        table.add(run.dt, v=float(np.abs(np.array(rows) - exact).max() / largest))
+        middle = [float(row[9]) for row in rows]
+        curves.append(Curve(f"{steps} steps", [float(s) for s in t], middle, "."))
+    extrapolated = (8 * found[2][3::4] - 6 * found[1][1::2] + found[0]) / 3
+    curves.append(Curve("series", [float(s) for s in t], [float(v) for v in exact[:, 9]], "k-"))
+    return Outcome(
+        values={
+            "rate in tau": table.last("v"),
+            "error, extrapolated": float(np.abs(extrapolated - exact[3::4]).max() / largest),
+            "overshoot of the exact solution": float(exact[:, 9].max() / exact[-1, 9]),
+            "largest |closure|": closure(*runs),
+        },
+        tables=[table.table("tau, s")],
+        plots=[Plot("Start-up of channel flow, Oldroyd-B", "t, s", "v in the middle, m/s", curves)],
+    )
+
+
+def _case(name: str) -> Case:
+    return Case(
+        name=f"{name}-shear",
+        theme=THEME,
+        statement=FLUIDS[name][3],
+        label="Bird, Armstrong, Hassager 1987; Leonov 1976",
+        setting="Channel of 1 m x 1 m between a resting and a sliding wall, lambda = 1 s, eta = 1 Pa s, "
+        "K_e = 100 Pa, Wi = 0.5 to 4, 100 steps of 0.25 s.",
+        bounds=(
+            Bound("largest relative error of T_12", "<=", 1e-6, "a steady state has no error of time"),
+            Bound("largest relative error of N_1", "<=", 1e-6, "a steady state has no error of time"),
+            CLOSURE,
+        ),
+        run=partial(_steady, name),
+        reduced=name == "oldroyd-b",
+    )
+
+
+CASES = (
+    *(_case(name) for name in FLUIDS),
+    Case(
+        name="leonov-shear",
+        theme=THEME,
+        statement="A Leonov fluid in steady shear has the stresses of its closed form; its shear stress has "
+        "a bound.",
+        label="Leonov 1976",
+        setting="The same channel, Wi = 0.5 to 2, until 12 s, extrapolated twice from tau = 0.1 s.",
+        bounds=(
+            Bound("relative error of T_12, extrapolated", "<=", 0.02, "two extrapolations"),
+            Bound("relative error of N_1, extrapolated", "<=", 0.02, "two extrapolations"),
+            Bound("smallest rate in tau", ">=", 0.8, "implicit Euler"),
+            CLOSURE,
+        ),
+        run=_leonov,
+    ),
+    Case(
+        name="waters-king",
+        theme=THEME,
+        statement="The start-up of plane channel flow of an Oldroyd-B fluid overshoots as the series says.",
+        label="Waters and King 1970",
+        setting="Channel of height 1 m, density 1, body force 1 N/m3, eta_s = 0.1 and eta_p = 1 Pa s, "
+        "lambda = 1 s, K_e = 200 Pa; cells of 0.15 m, 40, 80 and 160 steps until 4 s.",
+        bounds=(
+            Bound("rate in tau", ">=", 0.8, "implicit Euler, with an inertial start"),
+            Bound("error, extrapolated", "<=", 0.05, "two extrapolations"),
+            Bound("overshoot of the exact solution", ">=", 1.5, "the fluid is elastic"),
+            CLOSURE,
+        ),
+        run=_waters_king,
+    ),
+)

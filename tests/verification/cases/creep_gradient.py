@@ -1,0 +1,204 @@
+"""Creep with a gradient term, nu > 0: manufactured solutions of the whole system, and an independent Pi."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from ngsolve import CF, VOL, x, y, z
+
+from ngvisco.forms.context import time
+from ngvisco.forms.mesh.points import CellPoints
+from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import Initial
+from ngvisco.geometries import box, disc, sphere
+from ngvisco.physics.flow_rules import Creep
+from ngvisco.physics.materials import LinearElastic
+from ngvisco.physics.model import Model
+from ngvisco.run.simulation import Simulation
+from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.cases.manufactured import AGREES, LABELS, NAMES, TERMS
+from tests.verification.convergence import coupled_rates
+from tests.verification.differences import mismatch
+from tests.verification.models import coefficients, model
+from tests.verification.radial_creep import RadialCreep
+from tests.verification.rates import RateTable
+from tests.verification.setups import KINDS
+from tests.verification.sources import Sources
+
+THEME = "Creep with a gradient"
+NU = 0.1
+LABEL = {
+    "linear": "Euler-small-flow-rule",
+    "neo-hookean": "ED-Euler-large3, Euler-large-viscoelastodyn+4disc",
+}
+
+# --- the whole system -----------------------------------------------------------------------------------
+
+MESHES = {
+    2: (0.4, 3, "unit square, 0.4 m refined twice"),
+    3: (1.0, 3, "unit cube, 12 tetrahedra refined twice"),
+}
+RATES = {"v": 1.7, "rho": 1.7, "z": 1.7, "Pi": 1.7}
+
+
+def manufactured(kind: str, dim: int) -> Outcome:
+    """Sources against finite differences, and rates in space."""
+    tau, t = 0.05, 0.3
+    sources = Sources(model(kind, dim, 4.0, True, nu=NU), dim, tau)
+    mesh, right = box((1,) * dim, 1.0), coefficients(kind, 4.0, True, NU)
+    wrong = coefficients(kind, 4.0, True, 1.01 * NU)
+    differences = mismatch(right, sources, kind, t, mesh)
+    control = mismatch(wrong, sources, kind, t, mesh)["Pi"]
+    maxh, levels, _ = MESHES[dim]
+    table = coupled_rates(kind, dim, 4.0, 2, 1, maxh, levels, regularised=True, nu=NU)
+    rows: list[list[str | float]] = [[name, value] for name, value in differences.items()]
+    return Outcome(
+        values={
+            "largest difference of a source and its independent residual": max(differences.values()),
+            "difference of the flow rule with a nu that is 1 % off": control,
+            **{f"rate of {name}": table.last(name) for name in RATES},
+        },
+        tables=[
+            Table("relative differences at eight random points", ["equation", "difference"], rows),
+            table.table("h, m"),
+        ],
+        plots=[table.plot("h, m", "L2 error")],
+    )
+
+
+# --- an independent creep rate -----------------------------------------------------------------------------
+
+G_E, G_M, Q = 1.0, 2.0, 4.0
+DIRECTION = np.array([[1.0, 0.5, 0.0], [0.5, -0.4, 0.0], [0.0, 0.0, -0.6]])
+DIRECTION /= np.linalg.norm(DIRECTION)
+CELLS = "(|Omega|/cells)^(1/d), m"
+STRENGTH = 0.3
+"""nu, W/m^3 (m s)^4: it halves the creep rate at the centre."""
+
+
+def profile(square: Any) -> Any:
+    """The strain's size for r^2, of an array or a coefficient function."""
+    return 0.5 - 2.0 * square + 1.2 * square * square
+
+
+def solved(dim: int, maxh: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Pi (points, 9), r and weights at quadrature points after one step of 1e-8 s, in which nothing moves.
+
+    The last is the cells' size, (|Omega|/cells)^(1/dim), m: a mesher's 0.4 m makes twice as many cells of a
+    ball as its 0.8 m, not eight times.
+    """
+    mesh = disc(1.0, maxh) if dim == 2 else sphere(1.0, maxh)
+    square = x * x + y * y + (z * z if dim == 3 else 0.0)
+    E = profile(square) * CF(tuple(DIRECTION.ravel().tolist()), dims=(3, 3))
+    time.Set(0.0)
+    run = Simulation(
+        mesh,
+        Model(material=LinearElastic(K_e=1.0, G_e=G_E), creep=Creep(G_m=G_M, nu=STRENGTH, q=Q)),
+        dt=1e-8,
+        initial=Initial(values={"E": E}),
+        discretisation=Discretisation(k=2, m=2),
+    )
+    run.advance()
+    points = CellPoints(mesh, 4)
+    at = mesh.MapToAllElements(points.rules, VOL)
+    r = np.sqrt(np.asarray(square(at)).ravel())
+    size = float((points.weights.sum() / mesh.ne) ** (1 / dim))
+    return np.asarray(run.rothe_step.now.Pi(at)).reshape(-1, 9), r, points.weights, size
+
+
+def independent(dim: int, sizes: tuple[float, ...]) -> Outcome:
+    """Pi of M = m(r) D against the minimiser in one dimension."""
+
+    def driving(r: np.ndarray) -> np.ndarray:
+        return np.asarray(2 * G_E * profile(r * r))
+
+    nodes, a = RadialCreep(dim, 1.0, G_M, STRENGTH, Q, driving).solve()
+    table = RateTable(f"Pi against the radial reference, {dim}D, m = 2")
+    for maxh in sizes:
+        Pi, r, weights, h = solved(dim, maxh)
+        exact = np.interp(r, nodes, a)
+        gap = Pi - exact[:, None] * DIRECTION.ravel()
+        size = float((weights * exact**2).sum())
+        table.add(h, Pi=float(((weights[:, None] * gap**2).sum() / size) ** 0.5))
+        without = driving(r) / G_M - exact
+        distance = float(((weights * without**2).sum() / size) ** 0.5)
+    at = np.linspace(0, 1, 51)
+    curves = [
+        Curve("reference", at.tolist(), np.interp(at, nodes, a).tolist(), "-"),
+        Curve("without the gradient, M/G_m", at.tolist(), (driving(at) / G_M).tolist(), "--"),
+    ]
+    return Outcome(
+        values={
+            "relative L2 error of Pi on the finest mesh": table.errors["Pi"][-1],
+            "rate of Pi": table.last("Pi"),
+            "relative L2 distance of M/G_m from the reference": distance,
+        },
+        tables=[table.table(CELLS)],
+        plots=[
+            table.plot(CELLS, "relative L2 error"),
+            Plot("creep rate over the radius", "r, m", "1/s", curves),
+        ],
+    )
+
+
+def _manufactured_case(kind: str, dim: int) -> Case:
+    name = NAMES[kind]
+    return Case(
+        name=f"creep-gradient-{dim}d-{name}",
+        theme=THEME,
+        statement=f"With nu > 0 the whole system of {KINDS[name]} with all its terms converges in space in "
+        f"{dim}D, the creep rate too; its source is the independent residual.",
+        label=f"{LABEL[kind]}, {LABELS[kind]}",
+        setting=f"{TERMS}, nu = {NU} with q = 4; {MESHES[dim][2]}; k = 2, m = 1, two steps of 0.05 s with "
+        "the discrete time derivative in the sources; Pi of order 1 with (n . grad) Pi = 0.",
+        bounds=(
+            Bound("largest difference of a source and its independent residual", "<=", AGREES, "differences"),
+            Bound(
+                "difference of the flow rule with a nu that is 1 % off",
+                ">=",
+                10 * AGREES,
+                "the negative control",
+            ),
+            *(
+                Bound(f"rate of {what}", ">=", least, "order 2 of the penalty with p = 4 and of m = 1")
+                for what, least in RATES.items()
+            ),
+        ),
+        run=partial(manufactured, kind, dim),
+    )
+
+
+def _independent_case(dim: int, sizes: tuple[float, ...], largest: float, rate: float) -> Case:
+    shape = "disc" if dim == 2 else "ball"
+    return Case(
+        name=f"creep-gradient-{shape}",
+        theme=THEME,
+        statement=f"The creep rate of a driving stress that varies along the radius of a {shape} is the "
+        "minimiser of its potential, found in one dimension without the package.",
+        label="ED-Euler-large3, Euler-large-viscoelastodyn+4disc",
+        setting=f"Unit {shape}, E = (0.5 - 2 r² + 1.2 r⁴) D, G_e = 1 Pa, G_m = 2 Pa s, nu = {STRENGTH}, "
+        f"q = 4; one step of 1e-8 s; k = 2, m = 2, curved cells of {', '.join(map(str, sizes))} m.",
+        bounds=(
+            Bound("relative L2 error of Pi on the finest mesh", "<=", largest, "a few cells over the radius"),
+            Bound(
+                "rate of Pi",
+                ">=",
+                rate,
+                "a' is like r^(1/3) at the centre and like (1 - r)^(1/3) at the wall: two, not three",
+            ),
+            Bound(
+                "relative L2 distance of M/G_m from the reference", ">=", 0.2, "nu is not small: the control"
+            ),
+        ),
+        run=partial(independent, dim, sizes),
+        reduced=dim == 2,
+    )
+
+
+CASES = (
+    *(_manufactured_case(kind, dim) for kind in NAMES for dim in (2, 3)),
+    _independent_case(2, (0.5, 0.25, 0.125), 2e-3, 1.7),
+    _independent_case(3, (0.8, 0.4, 0.3), 0.06, 1.5),
+)

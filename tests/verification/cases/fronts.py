@@ -1,0 +1,96 @@
+"""The first Stokes problem."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import numpy as np
+from ngsolve import CF, erf, y
+
+from ngvisco.forms.boundary.walls import Conditions
+from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import Initial
+from ngvisco.geometries import box
+from ngvisco.physics.flow_rules import Creep
+from ngvisco.physics.materials import LinearElastic
+from ngvisco.physics.model import Model
+from ngvisco.physics.rheology import StokesViscosity
+from ngvisco.physics.walls import NoSlip, PrescribedTangential
+from ngvisco.run.simulation import Simulation
+from tests.verification.case import Bound, Case, Curve, Outcome, Plot
+from tests.verification.problems import distance
+from tests.verification.rates import RateTable
+from tests.verification.setups import closure
+
+THEME = "Exact solutions: layers and fronts"
+CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
+
+
+def _stokes(creeping: bool) -> Outcome:
+    """Viscosity 1e-2 Pa s, as a Stokes viscosity or as the creep of a Maxwell fluid (lambda = 1 ms)."""
+    eta, top, begin, end = 1e-2, 0.1, 0.25, 1.0
+    # exact fluid at t = 0.25 s: the wall's jump has become a layer of 0.05 m
+    profile = top * erf(y / (2 * math.sqrt(eta * begin)))
+    exact = top * erf(y / (2 * math.sqrt(eta * end)))
+    table, curves, closures = RateTable("error of v_1 at t = 1 s, relative to 0.1 m/s"), [], []
+    ys = np.linspace(0.0, 1.0, 41)
+    for steps in (5, 10, 20):
+        model = Model(
+            material=LinearElastic(K_e=20.0, G_e=10.0) if creeping else LinearElastic(K_e=1e-6, G_e=1e-6),
+            viscosity=None if creeping else StokesViscosity(K_v=eta, G_v=eta),
+            creep=Creep(G_m=2 * eta) if creeping else None,
+        )
+        walls: Conditions = {"bottom": NoSlip(), "top": PrescribedTangential((top, 0.0))}
+        # a Maxwell fluid starts with the stress of the layer it starts with
+        slope = profile.Diff(y) * (eta / 20.0 if creeping else 0.0)
+        E_0 = CF((0, slope, 0, slope, 0, 0, 0, 0, 0), dims=(3, 3))
+        initial = Initial(velocity=(profile, 0.0), values={"E": E_0})
+        mesh = box((0.2, 1.0), 0.1, periodic="x")
+        orders = Discretisation(k=3, m=2)
+        run = Simulation(
+            mesh, model, dt=(end - begin) / steps, walls=walls, initial=initial, discretisation=orders
+        )
+        run.run(end - begin)
+        error = distance(run.fields["velocity"][0], exact, mesh) / (top * math.sqrt(0.2))
+        table.add(run.dt, v=error)
+        closures.append(closure(run))
+        v = [float(run.fields["velocity"](mesh(0.05, min(s, 1 - 1e-12)))[0]) for s in ys]
+        curves.append(Curve(f"{steps} steps", [float(s) for s in ys], v, "."))
+    points = [float(s) for s in ys]
+    curves.append(Curve("exact", points, [top * math.erf(s / 0.2) for s in points], "k-"))
+    return Outcome(
+        values={
+            "rate in tau": table.last("v"),
+            "relative error, extrapolated": abs(2 * table.errors["v"][-1] - table.errors["v"][-2]),
+            "largest |closure|": max(closures),
+        },
+        tables=[table.table("tau, s")],
+        plots=[Plot("First Stokes problem at t = 1 s", "y, m", "v_1, m/s", curves)],
+    )
+
+
+CASES = (
+    *(
+        Case(
+            name=f"stokes-layer-{name}",
+            theme=THEME,
+            statement=f"The first Stokes problem, v = 0.1 erf(x/(2 sqrt(mu t))), is met by {what}.",
+            label="Euler-small-viscoelastodyn+; benchmarks: first Stokes problem",
+            setting="Column of 0.2 m x 1 m, periodic in x, at rest below, 0.1 m/s above, rho = 1, mu = "
+            "1e-2 Pa s; from the exact layer at t = 0.25 s to t = 1 s in 5, 10, 20 steps; k = 3, "
+            "m = 2, cells of 0.1 m.",
+            bounds=(
+                Bound("rate in tau", ">=", 0.85, "implicit Euler"),
+                Bound("relative error, extrapolated", "<=", 5e-3, "one extrapolation, cells of 0.1 m"),
+                CLOSURE,
+            ),
+            run=partial(_stokes, creeping),
+            reduced=not creeping,
+        )
+        for name, what, creeping in (
+            ("viscous", "a fluid of Stokes viscosity", False),
+            ("maxwell", "a Maxwell body in its fluid limit (relaxation time 1 ms)", True),
+        )
+    ),
+)

@@ -1,0 +1,118 @@
+"""Runs that leave their bounds at points: limited, and ended where they are not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ngvisco.errors import StepError
+from ngvisco.forms.boundary.walls import Conditions
+from ngvisco.geometries import box
+from ngvisco.physics.materials import NeoHookean
+from ngvisco.physics.model import Model
+from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
+from ngvisco.physics.walls import NoSlip, PrescribedTangential
+from ngvisco.run.simulation import Simulation
+from ngvisco.run.stepping import AdaptiveSteps
+from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+
+THEME = "Robustness of the scheme"
+DT, END = 0.02, 0.4
+SCHEMES = ("backward-euler", "midpoint", "sdirk2")
+
+
+def cavity(scheme: str, limiter: bool) -> Simulation:
+    """The body of demos/cavity; without a limiter steps are not tried in other ways."""
+    model = Model(
+        material=NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1, elastic_state="F"),
+        viscosity=StokesViscosity(K_v=0.01, G_v=0.01),
+        hyperviscosity=HyperViscosity(mu=1e-5, p=4),
+    )
+    walls: Conditions = {"top": PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): NoSlip()}
+    steps = None if limiter else AdaptiveSteps(dt_min=DT, dt_max=DT)
+    return Simulation(
+        box((1, 1), 0.1), model, dt=DT, walls=walls, scheme=scheme, limiter=limiter, stepping=steps
+    )
+
+
+def _measured() -> Outcome:
+    rows: list[list[str | float]] = []
+    curves, worst = [], dict.fromkeys(("closure", "mass", "iterations"), 0.0)
+    reached, ended = END, 0.0
+    for scheme in SCHEMES:
+        for limiter in (True, False):
+            run = cavity(scheme, limiter)
+            try:
+                run.run(END)
+            except StepError:
+                ended = max(ended, run.t)
+            ledger = run.ledger
+            column = {name: ledger.column(name)[1:] for name in ("newton_iterations", "limited_cells")}
+            closure = float(np.abs(ledger.column("closure_relative")).max())
+            mass = float(np.abs(ledger.column("mass_drift")).max())
+            its = column["newton_iterations"]
+            rows.append(
+                [
+                    scheme,
+                    "on" if limiter else "off",
+                    run.t,
+                    *(float(number) for number in (its[0], np.median(its), its.max())),
+                    float(column["limited_cells"].sum()),
+                    float(ledger.column("limiter").sum()),
+                    closure,
+                    mass,
+                ]
+            )
+            if limiter:
+                reached = min(reached, run.t)
+                stages = run.scheme.stages
+                worst["closure"], worst["mass"] = max(worst["closure"], closure), max(worst["mass"], mass)
+                worst["iterations"] = max(worst["iterations"], float(its.max()) / stages)
+                t = [float(s) for s in ledger.column("time")[1:]]
+                curves.append(Curve(scheme, t, [float(n) for n in column["limited_cells"]], ".-"))
+    return Outcome(
+        values={
+            "time reached with a limiter, s": reached,
+            "latest time reached without, s": ended,
+            "largest |closure|": worst["closure"],
+            "largest |mass drift|": worst["mass"],
+            "most iterations of a solve": worst["iterations"],
+        },
+        tables=[
+            Table(
+                "runs with and without",
+                [
+                    *("scheme", "limiter", "t reached, s", "iterations: first step", "median", "most"),
+                    *("limited cells", "limiter, J", "|closure|", "|mass drift|"),
+                ],
+                rows,
+            )
+        ],
+        plots=[Plot("Cells that were limited", "time, s", "cells", curves)],
+        remarks=[
+            "Limited cells are counted once for each step. Without a limiter a run ends with the first "
+            "solution that is not positive at a point."
+        ],
+    )
+
+
+CASES = (
+    Case(
+        name="limited-cavity",
+        theme=THEME,
+        statement="A body under a lid that starts at full speed, up to its corners, is torn there: cells "
+        "whose means are positive are limited, mass and the energy's balance kept, and the run goes on.",
+        label="Zhang and Shu, J. Comput. Phys. 229 (2010); paper: Euler-large-ass-phi",
+        setting="demos/cavity: a unit box of 230 triangles, the lid at 1 m/s from t = 0 on, other walls "
+        "without slip; neo-Hookean, K_e = 20, G_e = 0.05, epsilon = 0.1 Pa, viscosities 0.01 Pa s, "
+        "mu = 1e-5, p = 4; 20 steps of 0.02 s.",
+        bounds=(
+            Bound("time reached with a limiter, s", ">=", END * (1 - 1e-9), "the run's end"),
+            Bound("latest time reached without, s", "<=", 0.3, "the finding: it ends"),
+            Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
+            Bound("largest |mass drift|", "<=", 1e-11, "rounding, and the transport's tolerance"),
+            Bound("most iterations of a solve", "<=", 30.0, "an impulsive start and none harder after it"),
+        ),
+        run=_measured,
+        reduced=True,
+    ),
+)

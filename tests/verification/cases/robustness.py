@@ -1,0 +1,206 @@
+"""Robustness: over a grid of parameters, how many steps converge at the first try, and what fails."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+from itertools import product
+
+import numpy as np
+from ngsolve import CoefficientFunction, Mesh, cos, pi, sin, x, y
+
+from ngvisco.errors import StepError
+from ngvisco.forms.start.initial import Initial
+from ngvisco.geometries import box
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean
+from ngvisco.run.simulation import Simulation
+from ngvisco.run.stepping import Accepted, FixedStepper
+from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.setups import KINDS, block
+
+THEME = "Robustness of the scheme"
+STIFFNESS = (1.0, 1e2, 1e4, 1e6)
+RATIOS = (2.0, 1e4)
+"""K_e/G_e: compressible, nearly incompressible."""
+
+VISCOSITIES = (0.0, 0.1, 10.0)
+TAUS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
+STEPS = 3
+
+
+DRIFT = (1 + 0.5 * sin(2 * pi * x) * cos(2 * pi * y), 0.5 - 0.5 * cos(2 * pi * x) * sin(2 * pi * y))
+"""An eddy that the mean flow carries: what is left of it when a long step has damped it still has its
+Courant number."""
+
+
+@cache
+def drifting_mesh() -> Mesh:
+    """The unit box, periodic in both directions."""
+    return box((1, 1), 0.4, periodic="xy")
+
+
+LATER = "After a step that is not solved the later ones of its run count as not solved."
+ROUNDING = (
+    "At 1e6 Pa and tau = 10 s rounding of the stress, 1e-10 Pa, moves the mean flow by up to 7e-9 m/s: there "
+    "Newton ends, above its tolerance, by what rounding changes in its increment (solver/newton.py)."
+)
+
+
+class FirstTry(FixedStepper):
+    """Fixed steps that note whether Newton converged from the old state without any help."""
+
+    def __init__(self, dt: float) -> None:
+        super().__init__(dt)
+        self.directly = self.helped = 0
+
+    def advance(self, simulation: Simulation, stop: float) -> Accepted:
+        integrator = simulation.integrator
+        try:
+            taken = integrator.advance(simulation.t, self.dt)
+            self.directly += 1
+        except StepError:
+            taken = integrator.advance(simulation.t, self.dt)
+            self.helped += 1
+        return Accepted((simulation.number + 1) * self.dt, taken)
+
+
+@dataclass
+class Tally:
+    """What the steps of some configurations did."""
+
+    tried: int = 0
+    directly: int = 0
+    helped: int = 0
+    iterations: int = 0
+    closure: float = 0.0
+    cfl: float = 0.0
+
+    def add(self, other: Tally) -> None:
+        """Add another tally to this one."""
+        for name in ("tried", "directly", "helped", "iterations"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.closure, self.cfl = max(self.closure, other.closure), max(self.cfl, other.cfl)
+
+    @property
+    def row(self) -> list[float]:
+        """Steps, shares at first try and in the end, mean iterations, closure, CFL number."""
+        solved = self.directly + self.helped
+        shares = [self.directly / self.tried, solved / self.tried]
+        return [self.tried, *shares, self.iterations / max(solved, 1), self.closure, self.cfl]
+
+
+def material(kind: str, stiffness: float, ratio: float) -> Material:
+    """Shear modulus ``stiffness``, bulk modulus ``ratio`` times that."""
+    if kind == "linearised":
+        return LinearElastic(K_e=ratio * stiffness, G_e=stiffness)
+    return ReferentialNeoHookean(K_e=ratio * stiffness, G_e=stiffness / 2, elastic_state="F")
+
+
+def attempt(
+    kind: str,
+    stiffness: float,
+    ratio: float,
+    viscosity: float,
+    tau: float,
+    mesh: Mesh | None = None,
+    drift: tuple[CoefficientFunction, ...] = DRIFT,
+) -> tuple[Tally, str]:
+    """Three steps of one configuration, and how it failed, if it did."""
+    tally = Tally(tried=STEPS)
+    run = block(
+        kind,
+        tau,
+        mesh=mesh or drifting_mesh(),
+        of=material(kind, stiffness, ratio),
+        viscosity=viscosity,
+        initial=Initial(density=1 + 0.2 * cos(2 * pi * x), velocity=drift),
+    )
+    run.stepper = stepper = FirstTry(tau)
+    failure = ""
+    for _ in range(STEPS):
+        try:
+            run.advance()
+        except StepError as error:
+            failure = f"step {run.number + 1}: {str(error).split(': ', 1)[-1][:100]}"
+            break
+    ledger = run.ledger
+    tally.directly, tally.helped = stepper.directly, stepper.helped
+    if len(ledger.rows) > 1:
+        tally.iterations = int(ledger.column("newton_iterations").sum())
+        tally.closure = float(np.abs(ledger.column("closure_relative")).max())
+        tally.cfl = float(ledger.column("cfl").max())
+    return tally, failure
+
+
+AXES = {"stiffness, Pa": STIFFNESS, "K_e/G_e": RATIOS, "viscosity, Pa s": VISCOSITIES, "tau, s": TAUS}
+
+
+def measure(
+    kind: str,
+    axes: Mapping[str, Sequence[float]] = AXES,
+    mesh: Mesh | None = None,
+    drift: tuple[CoefficientFunction, ...] = DRIFT,
+) -> Outcome:
+    """The whole grid, summed along each of its axes."""
+    sums = {(name, value): Tally() for name, values in axes.items() for value in values}
+    total = Tally()
+    failures: list[list[str | float]] = []
+    for point in product(*axes.values()):
+        stiffness, ratio, viscosity, tau = point
+        tally, failure = attempt(kind, stiffness, ratio, viscosity, tau, mesh, drift)
+        total.add(tally)
+        for name, value in zip(axes, point, strict=True):
+            sums[name, value].add(tally)
+        if failure:
+            failures.append([*point, tally.directly + tally.helped, failure])
+    rows: list[list[str | float]] = [[name, value, *tally.row] for (name, value), tally in sums.items()]
+    rows.append(["all", "", *total.row])
+    columns = ["", "value", "steps", "first try", "solved", "its a step", "closure", "CFL"]
+    taus = axes["tau, s"]
+    curves = [
+        Curve("at first try", list(taus), [sums["tau, s", tau].row[1] for tau in taus]),
+        Curve("solved", list(taus), [sums["tau, s", tau].row[2] for tau in taus], "s--"),
+    ]
+    tables = [Table("shares of the steps, summed over the other parameters", columns, rows)]
+    if failures:
+        tables.append(Table("what fails", [*axes, "steps solved", "why"], failures))
+    return Outcome(
+        values={
+            "share of the steps solved at the first try": total.row[1],
+            "share of the steps solved": total.row[2],
+            "largest |closure|": total.closure,
+            "largest CFL number": total.cfl,
+        },
+        tables=tables,
+        plots=[Plot("Steps solved, over tau", "tau, s", "share", curves, log="x")],
+        remarks=[LATER] + ([ROUNDING] if kind == "finite" else []),
+    )
+
+
+CASES = tuple(
+    Case(
+        name=f"robustness-{kind}",
+        theme=THEME,
+        statement=f"In {KINDS[kind]} steps are solved over six decades of stiffness, four of tau, "
+        f"viscosity 0 to "
+        "10 Pa s, compressible to nearly incompressible, at CFL numbers up to 20 and beyond.",
+        label="Euler-small-viscoelastodyn+disc"
+        if kind == "linearised"
+        else "Euler-large-viscoelastodyn+disc",
+        setting="A periodic box of 1 m x 1 m, density 1 + 0.2 cos(2 pi x), an eddy of 0.5 m/s in a mean "
+        "flow of "
+        "(1, 0.5) m/s, cells of 0.4 m, three steps of each of "
+        f"{len(STIFFNESS) * len(RATIOS) * len(VISCOSITIES) * len(TAUS)} configurations: shear modulus 1 "
+        f"to 1e6 Pa, K_e/G_e = 2 and 1e4, viscosity 0, 0.1, 10 Pa s, tau = 1e-3 to 10 s.",
+        bounds=(
+            Bound("share of the steps solved at the first try", ">=", 0.9, "a scheme for daily use"),
+            Bound("share of the steps solved", ">=", 0.98, "a scheme for daily use"),
+            Bound("largest |closure|", "<=", 1e-10, "wherever a step is solved"),
+            Bound("largest CFL number", ">=", 20.0, "what the grid is to cover"),
+        ),
+        run=partial(measure, kind),
+    )
+    for kind in KINDS
+)

@@ -1,0 +1,283 @@
+"""Time schemes: waves and their energy over long runs, what the schemes dissipate of a swirl."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+
+from ngvisco.forms.start.initial import Initial
+from ngvisco.geometries import box
+from ngvisco.physics.materials import NeoHookean
+from ngvisco.physics.model import Gravity, Model
+from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
+from ngvisco.run.simulation import Simulation
+from ngvisco.timestepping.scheme import scheme_of
+from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.cases.waves import G_E, MU, dispersion, standing_wave
+from tests.verification.rates import RateTable
+from tests.verification.setups import KINDS, SWIRL, closure
+
+THEME = "Time schemes"
+SECOND_ORDER = ("midpoint", "sdirk2")
+CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
+LABEL = "Euler-small-viscoelastodyn+disc, Euler-large-viscoelastodyn+disc, and beyond the paper"
+
+
+def growth(scheme: str, z: complex) -> complex:
+    """The factor by which a step of length tau multiplies a solution of u' = s u, z = s tau."""
+    tableau = scheme_of(scheme)
+    A, b = np.array(tableau.A), np.array(tableau.b)
+    return complex(1 + z * (b @ np.linalg.solve(np.eye(len(b)) - z * A, np.ones(len(b)))))
+
+
+def numerical(run: Simulation) -> float:
+    """What the scheme has dissipated, J."""
+    return float(run.ledger.column("inertial").sum() + run.ledger.column("bregman").sum())
+
+
+# --- waves -----------------------------------------------------------------------------------------------
+
+
+def _standing(scheme: str) -> Outcome:
+    k, periods = 2.0, 5
+    omega = k * math.sqrt(G_E)
+    table, curves, deviation, runs = RateTable("largest error of the amplitude"), [], 0.0, []
+    drifts = []
+    for per_period in (20, 40, 80):
+        dt = 2 * math.pi / omega / per_period
+        run, a = standing_wave(
+            "linearised", "shear", k, dt, periods * per_period, mu=0.0, viscous=False, scheme=scheme
+        )
+        n, z = np.arange(len(a)), growth(scheme, 1j * omega * dt)
+        deviation = max(deviation, float(np.abs(a - (z**n).real).max()))
+        t = dt * n
+        table.add(dt, amplitude=float(np.abs(a - np.cos(omega * t)).max()))
+        energy = run.ledger.column("kinetic") + run.ledger.column("stored")
+        drifts.append(abs(float(math.log(energy[-1] / energy[0]))))
+        runs.append(run)
+        times = [float(s) for s in t]
+        curves.append(Curve(f"{per_period} steps a period", times, [float(v) for v in a], "-"))
+    curves.append(Curve("exact", times, [math.cos(omega * s) for s in times], "k--"))
+    return Outcome(
+        values={
+            "deviation from the scheme's own formula": deviation,
+            "rate of the amplitude in tau": table.last("amplitude"),
+            "energy drift in five periods of 40 steps": drifts[1],
+            "largest |closure|": closure(*runs),
+        },
+        tables=[table.table("tau, s")],
+        plots=[Plot(f"Elastic standing wave by {scheme}", "t, s", "relative velocity amplitude", curves)],
+    )
+
+
+def _hundred_periods() -> Outcome:
+    """A wave without viscosity over 100 periods of 20 steps: energy and phase."""
+    k, periods, per_period = 2.0, 100, 20
+    omega = k * math.sqrt(G_E)
+    dt = 2 * math.pi / omega / per_period
+    rows: list[list[str | float]] = []
+    curves, values, runs = [], {}, []
+    for scheme in SECOND_ORDER:
+        run, a = standing_wave(
+            "linearised", "shear", k, dt, periods * per_period, mu=0.0, viscous=False, scheme=scheme
+        )
+        energy = run.ledger.column("kinetic") + run.ledger.column("stored")
+        drift = abs(float(energy[-1] / energy[0] - 1))
+        z = growth(scheme, 1j * omega * dt)
+        n = np.arange(len(a))
+        slip = abs(cmath.phase(z)) / (omega * dt) - 1
+        off = float(np.abs(a - (z**n).real).max())
+        rows.append([scheme, drift, abs(z) ** (2 * len(n) - 2) - 1, slip, off])
+        if scheme == "midpoint":
+            values["midpoint: relative energy drift"] = drift
+            values["midpoint: deviation from its formula"] = off
+        if scheme == "sdirk2":
+            values["sdirk2: relative energy drift"] = drift
+        runs.append(run)
+        every = slice(None, None, 10)
+        t = [float(s) for s in (dt * n)[every]]
+        curves.append(Curve(scheme, t, [float(e) for e in (energy / energy[0])[every]], "-"))
+    z = growth("backward-euler", 1j * omega * dt)  # of which nothing is left after ten periods
+    rows.append(
+        [
+            "backward-euler",
+            "",
+            abs(z) ** (2 * periods * per_period) - 1,
+            cmath.phase(z) / (omega * dt) - 1,
+            "",
+        ]
+    )
+    head = ["scheme", "energy drift", "its formula", "relative slip of the phase", "deviation from formula"]
+    return Outcome(
+        values={**values, "largest |closure|": closure(*runs)},
+        tables=[Table("after 100 periods of 20 steps", head, rows)],
+        plots=[Plot("Energy of an elastic wave over 100 periods", "t, s", "relative to the start", curves)],
+    )
+
+
+def _dispersion(scheme: str, kind: str) -> Outcome:
+    """Phase speed and decay as they come, with nothing of the scheme undone, over the step.
+
+    The rate is that of the differences of successive steps on one mesh, whose own error they do not have.
+    """
+    k = 5.0
+    exact = dispersion(k, "shear", MU)
+    found, runs, counts = [], [], (3, 6, 12, 24)
+    for per_time in counts:
+        dt = 1 / (per_time * abs(exact))
+        run, a = standing_wave(kind, "shear", k, dt, 6 * per_time, scheme=scheme)
+        fit = np.linalg.lstsq(np.array([a[2:-1], a[1:-2]]).T, a[3:], rcond=None)[0]
+        s = cmath.log(complex(np.roots([1.0, -fit[0], -fit[1]])[0])) / dt
+        found.append(complex(s.real, abs(s.imag)))
+        runs.append(run)
+    table = RateTable("s in exp(s t): difference to the run with half the step, relative")
+    for per_time, (coarse, fine) in zip(counts, pairwise(found), strict=False):
+        table.add(1 / (per_time * abs(exact)), s=abs(coarse - fine) / abs(exact))
+    error = abs(found[-1] - complex(exact.real, abs(exact.imag))) / abs(exact)
+    return Outcome(
+        values={
+            "rate of s in tau": table.last("s"),
+            "error at 24 steps a radian": error,
+            "largest |closure|": closure(*runs),
+        },
+        tables=[table.table("tau, s")],
+        plots=[table.plot("tau, s", "relative difference of s")],
+    )
+
+
+LIMIT = 0.20386
+"""Kinetic energy of the swirl at 0.2 s, J, extrapolated from the two finest midpoint runs."""
+
+
+def swirl(scheme: str, dt: float) -> Simulation:
+    """The demo's swirl with cells of 0.25 m, until 0.2 s."""
+    model = Model(
+        material=NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        viscosity=StokesViscosity(K_v=0.01, G_v=0.01),
+        hyperviscosity=HyperViscosity(mu=1e-5, p=4),
+        loads=(Gravity((0.0, -1.0)),),
+    )
+    initial = Initial(velocity=SWIRL)
+    run = Simulation(box((1, 1), 0.25), model, dt=dt, initial=initial, scheme=scheme)
+    run.run(0.2)
+    return run
+
+
+def _swirl() -> Outcome:
+    rows: list[list[str | float]] = []
+    runs, error = [], {}
+    for scheme, steps in (
+        ("backward-euler", (0.02, 0.0025, 0.000625)),
+        ("midpoint", (0.04, 0.02, 0.01, 0.005, 0.0025)),
+        ("sdirk2", (0.04, 0.02, 0.01)),
+    ):
+        for dt in steps:
+            run = swirl(scheme, dt)
+            runs.append(run)
+            kinetic = float(run.ledger.column("kinetic")[-1])
+            error[scheme, dt] = abs(kinetic / LIMIT - 1)
+            count = float(run.ledger.column("newton_iterations").sum())
+            rows.append([scheme, dt, count, kinetic, error[scheme, dt], numerical(run), closure(run)])
+            if (scheme, dt) == ("midpoint", 0.02):
+                lost = abs(numerical(run))
+    head = ["scheme", "dt, s", "iterations", "kinetic energy, J", "error", "numerical, J", "closure"]
+    return Outcome(
+        values={
+            "error of midpoint, dt = 0.04 s": error["midpoint", 0.04],
+            "error of midpoint, dt = 0.02 s": error["midpoint", 0.02],
+            "error of backward Euler, dt = 0.000625 s": error["backward-euler", 0.000625],
+            "numerical dissipation of midpoint, dt = 0.02 s, J": lost,
+            "largest |closure|": closure(*runs),
+        },
+        tables=[Table("kinetic energy at 0.2 s", head, rows)],
+        remarks=["The limit is 0.20386 J, extrapolated from the two finest midpoint runs."],
+    )
+
+
+def _cases(scheme: str) -> tuple[Case, ...]:
+    midpoint = scheme == "midpoint"
+    drift = 1e-8 if midpoint else 1e-2
+    waves = (
+        Case(
+            name=f"standing-wave-{scheme}",
+            theme=THEME,
+            statement=f"By {scheme} a small elastic standing wave follows cos(k x) cos(c_s k t) to second "
+            "order.",
+            label=LABEL,
+            setting="The strip of standing-wave: five periods of 20, 40 and 80 steps.",
+            bounds=(
+                Bound("deviation from the scheme's own formula", "<=", 2e-3, "the error in space"),
+                Bound("rate of the amplitude in tau", ">=", 1.9, "second order"),
+                Bound("energy drift in five periods of 40 steps", "<=", drift, "none, or of third order"),
+                CLOSURE,
+            ),
+            run=partial(_standing, scheme),
+        ),
+        *(
+            Case(
+                name=f"dispersion-shear-{kind}-{scheme}",
+                theme=THEME,
+                statement=f"By {scheme} a damped shear wave in {KINDS[kind]} decays and travels as the "
+                "dispersion relation says, to second order in the step.",
+                label=LABEL,
+                setting="The strip of dispersion-shear with k = 5 1/m; 3, 6, 12, 24 steps a radian.",
+                bounds=(
+                    Bound(
+                        "rate of s in tau",
+                        ">=",
+                        1.9 if kind == "linearised" else 1.7,
+                        "second order"
+                        + ("" if kind == "linearised" else "; the upwinding of F changes sides"),
+                    ),
+                    Bound("error at 24 steps a radian", "<=", 2e-3, "tau²/12 |s|² and the error in space"),
+                    CLOSURE,
+                ),
+                run=partial(_dispersion, scheme, kind),
+                reduced=midpoint and kind == "linearised",
+            )
+            for kind in KINDS
+        ),
+    )
+    return waves
+
+
+CASES = (
+    *(case for scheme in SECOND_ORDER for case in _cases(scheme)),
+    Case(
+        name="hundred-periods",
+        theme=THEME,
+        statement="Over 100 periods of an elastic wave the midpoint rule keeps the energy; what its phase "
+        "is off "
+        "by is the scheme's own formula.",
+        label=LABEL,
+        setting="The strip of standing-wave without viscosity; 100 periods of 20 steps.",
+        bounds=(
+            Bound("midpoint: relative energy drift", "<=", 1e-6, "R is of rounding for a linear wave"),
+            Bound("midpoint: deviation from its formula", "<=", 0.03, "the error in space, 100 periods long"),
+            Bound("sdirk2: relative energy drift", "<=", 0.2, "its formula: 0.13"),
+            CLOSURE,
+        ),
+        run=_hundred_periods,
+    ),
+    Case(
+        name="swirl-schemes",
+        theme=THEME,
+        statement="Of a swirl's kinetic energy at 0.2 s the midpoint rule with 0.02 s is nearer to the "
+        "limit than "
+        "backward Euler with a thirtieth of that step, and dissipates nothing of its own.",
+        label="Euler-large-viscoelastodyn+disc, and beyond the paper",
+        setting="The demo's swirl, cells of 0.25 m; three schemes, eleven steps' lengths.",
+        bounds=(
+            Bound("error of midpoint, dt = 0.04 s", "<=", 0.04, "second order"),
+            Bound("error of midpoint, dt = 0.02 s", "<=", 0.01, "second order"),
+            Bound("error of backward Euler, dt = 0.000625 s", ">=", 0.02, "first order: not nearer"),
+            Bound("numerical dissipation of midpoint, dt = 0.02 s, J", "<=", 1e-5, "of the 0.25 J of motion"),
+            CLOSURE,
+        ),
+        run=_swirl,
+    ),
+)

@@ -1,0 +1,269 @@
+"""Time schemes: order against exact solutions of shear and flow, and against manufactured ones."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from ngsolve import sin
+
+from ngvisco.forms.context import time
+from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.start.initial import Initial
+from ngvisco.geometries import channel
+from ngvisco.physics.materials import BarotropicFluid, LinearElastic
+from ngvisco.physics.model import Model
+from ngvisco.physics.rheology import StokesViscosity
+from ngvisco.physics.walls import NoSlip, PrescribedTangential
+from ngvisco.run.simulation import Simulation
+from tests.verification.case import Bound, Case, Outcome
+from tests.verification.cases.maxwell import oscillating
+from tests.verification.cases.rheology import G_M, G_V, startup_ode
+from tests.verification.cases.rheology import material as rheological
+from tests.verification.cases.schemes import CLOSURE, LABEL, SECOND_ORDER, THEME
+from tests.verification.cases.shear import ETA, RATE, TABLE, G, sheared
+from tests.verification.convergence import free_solution, separation
+from tests.verification.models import KINDS as MODELS
+from tests.verification.rates import RateTable
+from tests.verification.setups import KINDS, closure
+
+# --- shear -----------------------------------------------------------------------------------------------
+
+
+def _jaumann(scheme: str) -> Outcome:
+    table, runs = RateTable("largest error in t <= 2 s, relative to eta gamma'"), []
+    times = (0.25, 0.5, 1.0, 2.0)
+    for steps in (16, 32, 64):
+        run, rows = sheared(
+            LinearElastic(K_e=2 * G, G_e=G), 2 / steps, 2.0, rate=RATE, G_m=2 * ETA, scheme=scheme
+        )
+        r, t = RATE, rows[:, 0]
+        decay, scale = np.exp(-t), RATE * ETA / (1 + RATE**2)
+        tau_12 = scale * (1 - decay * (np.cos(r * t) - r * np.sin(r * t)))
+        tau_11 = scale * (r - decay * (r * np.cos(r * t) + np.sin(r * t)))
+        table.add(
+            2 / steps,
+            tau_12=float(np.abs(rows[:, 1] - tau_12).max() / (RATE * ETA)),
+            tau_11=float(np.abs(rows[:, 3] - tau_11).max() / (RATE * ETA)),
+        )
+        runs.append(run)
+    at_table = max(abs(rows[round(t * 32), 1] / TABLE[t][0] - 1) for t in times)
+    return Outcome(
+        values={
+            "rate of tau_12": table.last("tau_12"),
+            "rate of tau_11": table.last("tau_11"),
+            "relative error against the reference's table, 64 steps": float(at_table),
+            "largest |closure|": closure(*runs),
+        },
+        tables=[table.table("tau, s")],
+        plots=[table.plot("tau, s", "error")],
+    )
+
+
+def _startup(scheme: str, kind: str) -> Outcome:
+    rate, until = 1.0, 4.0
+    table, runs = RateTable("largest error over the run, relative to G"), []
+    for steps in (20, 40, 80):
+        run, rows = sheared(
+            rheological(kind), until / steps, until, rate=rate, G_m=G_M, viscosity=G_V, scheme=scheme
+        )
+        errors = np.abs(rows[:, 1:3] - startup_ode(kind, rate, rows[:, 0])).max(axis=0)
+        table.add(until / steps, T_12=float(errors[0]), N_1=float(errors[1]))
+        runs.append(run)
+    return Outcome(
+        values={
+            "rate of T_12": table.last("T_12"),
+            "rate of T_11 − T_22": table.last("N_1"),
+            "error at the finest step": max(table.errors["T_12"][-1], table.errors["N_1"][-1]),
+            "largest |closure|": closure(*runs),
+        },
+        tables=[table.table("tau, s")],
+        plots=[table.plot("tau, s", "error")],
+    )
+
+
+def _oscillation(scheme: str) -> Outcome:
+    table, runs, plain = RateTable("largest error, relative to eta gamma_0"), [], 0.0
+    for steps in (40, 80, 160):
+        run, _, found, exact = oscillating(steps, scheme)
+        table.add(8 / steps, tau_12=float(np.abs(found - exact).max()))
+        runs.append(run)
+    _, _, found, exact = oscillating(160)
+    plain = float(np.abs(found - exact).max())
+    return Outcome(
+        values={
+            "rate in tau": table.last("tau_12"),
+            "error at 80 steps a period": table.errors["tau_12"][-1],
+            "the same by backward Euler / by this scheme": plain / table.errors["tau_12"][-1],
+            "largest |closure|": closure(*runs),
+        },
+        tables=[table.table("tau, s")],
+        plots=[table.plot("tau, s", "error")],
+    )
+
+
+def channel_velocity(y: np.ndarray, t: float, nu: float, speed: float) -> np.ndarray:
+    """Couette start-up of a Newtonian fluid whose upper wall moves at speed sin²(t): Fourier's series."""
+    n = np.arange(1, 200)[:, None]
+    decay, modes = nu * (math.pi * n) ** 2, np.sin(math.pi * n * y)
+    # of the wall's acceleration sin(2 t): int_0^t exp(-decay (t - s)) sin(2 s) ds
+    memory = (decay * math.sin(2 * t) - 2 * math.cos(2 * t) + 2 * np.exp(-decay * t)) / (decay**2 + 4)
+    return speed * (math.sin(t) ** 2 * y + (2 * (-1.0) ** n / (math.pi * n) * modes * memory).sum(axis=0))
+
+
+def _couette(scheme: str) -> Outcome:
+    """A lid that is accelerated smoothly over a Newtonian channel, against Fourier's series."""
+    nu, speed, until = 0.2, 0.1, 1.5
+    table, runs = RateTable("largest error of v_1 on a line, relative to the wall's speed"), []
+    y = np.linspace(0.05, 0.95, 19)
+    for steps in (6, 12, 24):
+        run = Simulation(
+            channel(0.5, 1, maxh=0.2),
+            Model(material=BarotropicFluid(B=1.0, gamma=1.4), viscosity=StokesViscosity(K_v=nu, G_v=nu / 2)),
+            dt=until / steps,
+            walls={"top": PrescribedTangential((speed * sin(time) ** 2, 0)), "bottom": NoSlip()},
+            initial=Initial(density=0.5),
+            discretisation=Discretisation(k=3, m=2),
+            scheme=scheme,
+        )
+        run.run(until)
+        v = np.array([run.fields["velocity"](run.mesh(0.21, s))[0] for s in y])
+        exact = channel_velocity(y, until, nu, speed)
+        table.add(until / steps, v=float(np.abs(v - exact).max() / speed))
+        runs.append(run)
+    return Outcome(
+        values={
+            "rate of v in tau": table.last("v"),
+            "error at 24 steps": table.errors["v"][-1],
+            "largest |closure|": closure(*runs),
+        },
+        tables=[table.table("tau, s")],
+        plots=[table.plot("tau, s", "error")],
+    )
+
+
+# --- manufactured solutions, the swirl ---------------------------------------------------------------------
+
+
+def _manufactured(scheme: str, kind: str) -> Outcome:
+    """One mesh, sources that drive all terms, steps tau to tau/4 against tau/8 extrapolated by the order."""
+    duration, coarsest = 0.1, 4
+    runs = [
+        free_solution(kind, n * coarsest, duration, p=2.0, driven=True, scheme=scheme, velocity_scale=3e3)
+        for n in (1, 2, 4, 8)
+    ]
+    table = RateTable(f"differences of successive steps, {kind}")
+    for n, (coarse, fine) in zip((1, 2, 4), pairwise(runs), strict=True):
+        table.add(duration / (n * coarsest), **separation(fine, coarse))
+    return Outcome(
+        values={f"rate of {name}": table.last(name) for name in table.errors},
+        tables=[table.table("tau, s")],
+        plots=[table.plot("tau, s", "difference in L2")],
+        remarks=["The upwinding is smooth here (0.3 m/s): a sharp one makes v piecewise smooth in time."],
+    )
+
+
+def _cases(scheme: str) -> tuple[Case, ...]:
+    midpoint = scheme == "midpoint"
+    order = Bound("rate in tau", ">=", 1.9, "second order")
+    shear = (
+        Case(
+            name=f"jaumann-shear-{scheme}",
+            theme=THEME,
+            statement=f"By {scheme} the stresses of a Zaremba–Jaumann Maxwell fluid in simple shear are "
+            "those "
+            "of the closed form, to second order and without extrapolation.",
+            label="ZJ, Euler-small-flow-rule; Farrington et al. 2014",
+            setting="The channel of jaumann-shear until 2 s; 16, 32, 64 steps.",
+            bounds=(
+                Bound("rate of tau_12", ">=", 1.9, "second order"),
+                Bound("rate of tau_11", ">=", 1.9, "second order"),
+                Bound(
+                    "relative error against the reference's table, 64 steps", "<=", 1e-3, "as extrapolated"
+                ),
+                CLOSURE,
+            ),
+            run=partial(_jaumann, scheme),
+            reduced=midpoint,
+        ),
+        *(
+            Case(
+                name=f"jeffreys-startup-{kind}-{scheme}",
+                theme=THEME,
+                statement=f"By {scheme} start-up of shear of a Jeffreys material in {KINDS[kind]} follows "
+                "its "
+                "ODE to second order.",
+                label="ED-Euler-large2, ED-Euler-large3" if kind == "finite" else "Euler-small-flow-rule",
+                setting="The channel of jeffreys-startup; 20, 40, 80 steps until 4 s.",
+                bounds=(
+                    Bound("rate of T_12", ">=", 1.9, "second order"),
+                    Bound("rate of T_11 − T_22", ">=", 1.9, "second order"),
+                    Bound("error at the finest step", "<=", 1e-3, "a fiftieth of backward Euler's bound"),
+                    CLOSURE,
+                ),
+                run=partial(_startup, scheme, kind),
+            )
+            for kind in KINDS
+        ),
+        Case(
+            name=f"oscillatory-shear-{scheme}",
+            theme=THEME,
+            statement=f"By {scheme} oscillatory shear of a Maxwell material follows the closed form to "
+            "second "
+            "order: the excess viscosity G dt/2 of backward Euler is gone.",
+            label="Euler-small-viscoelastodyn+2; Underworld3",
+            setting="The channel of oscillatory-shear: load and lid depend on time; 40, 80, 160 steps in two "
+            "periods.",
+            bounds=(
+                order,
+                Bound("error at 80 steps a period", "<=", 1e-3, "second order"),
+                Bound("the same by backward Euler / by this scheme", ">=", 20.0, "an order more"),
+                CLOSURE,
+            ),
+            run=partial(_oscillation, scheme),
+        ),
+        Case(
+            name=f"couette-startup-{scheme}",
+            theme=THEME,
+            statement=f"By {scheme} a Newtonian fluid under a lid that is accelerated follows Fourier's "
+            + ("series, to second order." if midpoint else "series, to order 1.5 at least."),
+            label="Euler-small-viscoelastodyn+1",
+            setting="Channel of 1 m, P3 velocity, rho = 0.5 kg/m3, D = 0.1 Pa s of shear, lid 0.1 sin²(t) "
+            "m/s until 1.5 s; 6, 12, 24 steps.",
+            bounds=(
+                Bound(
+                    "rate of v in tau",
+                    ">=",
+                    1.9 if midpoint else 1.5,
+                    "second order"
+                    if midpoint
+                    else "order reduction: its stages are of order one where a wall's velocity changes",
+                ),
+                Bound("error at 24 steps", "<=", 2e-3, "tau = 0.0625 s"),
+                CLOSURE,
+            ),
+            run=partial(_couette, scheme),
+        ),
+    )
+    manufactured = tuple(
+        Case(
+            name=f"order-in-time-{'finite' if kind == 'neo-hookean' else 'linearised'}-{scheme}",
+            theme=THEME,
+            statement=f"With manufactured sources that drive every term, {scheme} is of second order in "
+            "v, rho "
+            "and z.",
+            label=LABEL,
+            setting="Creep, gravity, viscosity, hyperviscosity, delta- and epsilon-terms; one mesh, "
+            "differences "
+            "of successive runs of 4, 8, 16, 32 steps in 0.1 s.",
+            bounds=tuple(Bound(f"rate of {name}", ">=", 1.9, "second order") for name in ("v", "rho", "z")),
+            run=partial(_manufactured, scheme, kind),
+        )
+        for kind in MODELS
+    )
+    return (*shear, *manufactured)
+
+
+CASES = tuple(case for scheme in SECOND_ORDER for case in _cases(scheme))

@@ -1,0 +1,180 @@
+"""The paper's sequence of limits with all terms: tau -> 0, then delta -> 0, then epsilon -> 0."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import pairwise
+
+from ngsolve import L2, CoefficientFunction, GridFunction, Mesh, OuterProduct
+
+from ngvisco.forms.elimination import LocalProjection
+from ngvisco.forms.term import tested
+from ngvisco.physics.material import cauchy_stress
+from ngvisco.physics.tensors import sym
+from ngvisco.run.simulation import Simulation
+from tests.verification.case import Bound, Case, Curve, Outcome, Plot
+from tests.verification.cases.whole_scheme import THEME, WHOLE, whole
+from tests.verification.problems import distance
+from tests.verification.rates import RateTable
+from tests.verification.setups import KINDS, closure, slope_line, square_mesh, state
+
+DURATION = 0.08
+MESHES = (0.35, 0.175)
+STEPS = (8, 16, 32)
+"""For tau; delta and epsilon go to zero with the middle one."""
+
+SIZES = {"linearised": (1e-2, 1e-3, 1e-4), "finite": (1e-3, 1e-4, 1e-5)}
+"""Of delta and epsilon: sqrt(delta) against moduli, where the energy has it."""
+
+DELTA = EPSILON = 1e-2
+"""While tau goes to zero, and epsilon while delta does."""
+
+
+def fields(run: Simulation) -> dict[str, CoefficientFunction]:
+    """v, rho, z, p and p x v, slopes of v, rho, z, and the Cauchy stress; at finite strain Pi and Mandel's.
+
+    The second gradient of v is that which the scheme recovers (FORMULATION.md, Section 5).
+    The energy in the stress is projected in every run, as a Yosida approximation has it (it has no values but
+    at the quadrature points): else its projection would be seen in the distance to the limit.
+    """
+    step = run.rothe_step
+    u, energy = step.now, GridFunction(L2(run.mesh, order=step.discretisation.m))
+    LocalProjection(energy.space, energy, step.quadrature, tested(step.energy.density(u)))()
+    found = state(run) | {"T": cauchy_stress(run.model.material, u.z_tensors, u.zeta_tensors, energy)}
+    p = u.rho * u.v
+    found |= {"p": p, "p x v": OuterProduct(p, u.v), "eps(v)": sym(u.L), "hess v": u.hess}
+    found |= {"grad rho": u.grad_rho, "grad z": u.grad_z}
+    if "Pi" in u.parts:
+        found |= {"Pi": u.Pi, "M": u.context.rates.mandel(u)}
+    return found
+
+
+def separation(one: Simulation, other: Simulation) -> dict[str, float]:
+    """L2 distances of the ``fields`` of two runs on one mesh."""
+    a, b = fields(one), fields(other)
+    return {name: distance(a[name], b[name], one.mesh) for name in a}
+
+
+def _against(runs: Sequence[tuple[float, Simulation]], limit: Simulation, title: str) -> RateTable:
+    table = RateTable(title)
+    for size, run in runs:
+        table.add(size, **separation(run, limit))
+    return table
+
+
+def sequence(
+    kind: str,
+    meshes: Mapping[float, Mesh] | None = None,
+    numbers: Sequence[int] = STEPS,
+    sizes: Sequence[float] = (),
+) -> Outcome:
+    """Limits in tau, in delta, and without it in epsilon, on meshes by their h, m."""
+    meshes, sizes = meshes or {h: square_mesh(h) for h in MESHES}, sizes or SIZES[kind]
+    values: dict[str, float] = {}
+    tables, plots, everything = [], [], []
+    least: dict[str, dict[str, float]] = {}
+    for h, mesh in meshes.items():
+
+        def run_of(steps: int, delta: float, epsilon: float, mesh: Mesh = mesh) -> Simulation:
+            run = whole(kind, DURATION / steps, mesh, delta, epsilon)
+            run.run(DURATION)
+            everything.append(run)
+            return run
+
+        at = f"h = {h:g} m, t = {DURATION:g} s"
+        in_tau = [(DURATION / n, run_of(n, DELTA, EPSILON)) for n in numbers]
+        tau = RateTable(f"tau: distance to the run with half the step, {at}")
+        for (size, coarse), (_, fine) in pairwise(in_tau):
+            tau.add(size, **separation(coarse, fine))
+        steps = numbers[len(numbers) // 2]
+        in_delta = [(delta, run_of(steps, delta, EPSILON)) for delta in sizes]
+        without_delta = run_of(steps, 0.0, EPSILON)
+        delta = _against(in_delta, without_delta, f"delta: distance to delta = 0, {at}")
+        in_epsilon = [(epsilon, run_of(steps, 0.0, epsilon)) for epsilon in sizes]
+        limit = run_of(steps, 0.0, 0.0)
+        epsilon = _against(in_epsilon, limit, f"epsilon: distance to epsilon = 0, {at}")
+        for name, table in (("tau", tau), ("delta", delta), ("epsilon", epsilon)):
+            rates = {field: table.last(field) for field in table.errors}
+            known = least.setdefault(name, rates)
+            least[name] = {field: min(rates[field], known[field]) for field in rates}
+            tables.append(table.table(name))
+            if h == list(meshes)[-1]:
+                plots.append(_plot(table, name))
+    for name, rates in least.items():
+        values |= {f"last rate of {field} in {name}": rate for field, rate in rates.items()}
+    return Outcome(values=values | {"largest |closure|": closure(*everything)}, tables=tables, plots=plots)
+
+
+def _plot(table: RateTable, name: str) -> Plot:
+    plot = table.plot(name, "distance in L2")
+    line: Curve = slope_line(table.sizes, table.errors["z"], RATES[name][0])
+    return Plot(plot.title, plot.xlabel, plot.ylabel, [*plot.curves, line], log="xy")
+
+
+RATES = {
+    "tau": (0.8, "implicit Euler is of first order"),
+    "delta": (0.45, "sqrt(delta): the stress of sqrt(delta)/2 |z|^2 and the size of the delta-terms"),
+    "epsilon": (0.9, "terms and an approximation of first order in epsilon"),
+}
+
+"""On a fixed mesh all norms are equivalent: slopes have the rates of the functions."""
+
+LABELS: dict[str, dict[str, str]] = {
+    "linearised": {
+        "v": "Euler-small-converge-bar-v, Euler-small-converge-strong-vv, Euler-small-converge-bar-v+",
+        "rho": "Euler-small-converge-strong, Euler-small-converge-strong-rho",
+        "z": "Euler-small-converge-strong-E, Euler-small-converge+E",
+        "p": "Euler-small-converge-bar-p, Euler-small-converge-p, Euler-small-converge-strong-p-, "
+        "Euler-small-converge-strong-p, Euler-small-converge-p+",
+        "p x v": "Euler-small-converge-strong-pxv",
+        "eps(v)": "Euler-small-strong-hyper+",
+        "hess v": "Euler-small-strong-hyper+",
+        "grad rho": "Euler-small-nabla-rho-strong",
+        "grad z": "Euler-small-converge",
+        "T": "Euler-small-converge-strong+, Euler-small-converge-strong-T",
+    },
+    "finite": {
+        "v": "Euler-large-converge",
+        "rho": "Euler-large-converge",
+        "z": "Euler-large-converge-strong, Euler-large-converge-strong-F",
+        **dict.fromkeys(("p", "p x v", "eps(v)", "hess v", "grad rho", "grad z"), "Euler-large-converge"),
+        "T": "Euler-large-converge-strong+, Euler-large-converge-strong-T",
+        "Pi": "Euler-large-converge-Lp, Euler-large-converge-strong-Lp",
+        "M": "Euler-large-converge-strong-M",
+    },
+}
+
+
+def bounds(kind: str) -> tuple[Bound, ...]:
+    """Those of ``sequence``."""
+    return (
+        *(
+            Bound(f"last rate of {field} in {name}", ">=", rate, f"{reason}; {label}")
+            for name, (rate, reason) in RATES.items()
+            for field, label in LABELS[kind].items()
+        ),
+        Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
+    )
+
+
+def _case(kind: str) -> Case:
+    return Case(
+        name=f"whole-sequence-{kind}",
+        theme=THEME,
+        statement=f"With all terms of the scheme of {KINDS[kind]} at once its solutions converge as tau -> "
+        "0; these, then, as delta -> 0 with epsilon kept; and those as epsilon -> 0: the paper's sequence.",
+        label="Euler-small-viscoelastodyn+disc, Euler-small-converge+, Euler-small-viscoelastodyn+eps"
+        if kind == "linearised"
+        else "Euler-large-viscoelastodyn+disc, ED-Euler-large-polyconvex-eta, ED-Euler-large-polyconvex-eps",
+        setting=f"{WHOLE}; h = 0.35 and 0.175 m, until {DURATION} s; {STEPS[0]} to {STEPS[-1]} steps with "
+        f"delta = epsilon = {DELTA:g}, then {STEPS[1]} with delta from {SIZES[kind][0]:g} to "
+        f"{SIZES[kind][-1]:g}, then delta = 0 with epsilon from {SIZES[kind][0]:g} to "
+        f"{SIZES[kind][-1]:g}.  The least rate of both "
+        "meshes counts.",
+        bounds=bounds(kind),
+        run=partial(sequence, kind),
+    )
+
+
+CASES = tuple(_case(kind) for kind in KINDS)

@@ -1,0 +1,301 @@
+"""Homogeneous simple shear against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from ngsolve import Mesh, y
+
+from ngvisco.forms.boundary.walls import Conditions
+from ngvisco.forms.start.initial import Initial
+from ngvisco.geometries import channel
+from ngvisco.physics.flow_rules import Creep, CreepLaw
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials import LinearElastic, NeoHookean
+from ngvisco.physics.model import Model
+from ngvisco.physics.rheology import StokesViscosity
+from ngvisco.physics.walls import NoSlip, PrescribedTangential
+from ngvisco.run.simulation import Simulation
+from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.rates import RateTable
+
+THEME = "Exact solutions: shear and relaxation"
+G, ETA, RATE = 100.0, 100.0, 0.3
+TABLE = {
+    0.01: (0.298505, 0.000447),
+    0.02: (0.594036, 0.001776),
+    0.1: (2.854460, 0.042106),
+    0.25: (6.630142, 0.238383),
+    0.5: (11.765275, 0.810418),
+    1.0: (18.747691, 2.362833),
+    2.0: (25.079664, 5.231418),
+}
+"""t, s: (tau_12, tau_11), Pa; shared/reference/benchmarks.md, after Farrington et al. 2014."""
+
+
+def sheared(
+    material: Material,
+    dt: float,
+    until: float,
+    *,
+    rate: float,
+    G_m: float | None = None,
+    viscosity: float = 0.0,
+    density: float = 1.0,
+    mesh: Mesh | None = None,
+    scheme: str = "backward-euler",
+    law: CreepLaw = "mandel",
+) -> tuple[Simulation, np.ndarray]:
+    """A channel of 1 m x 1 m between a resting wall and one that slides at ``rate``.
+
+    Returns the run and rows (t, T_12, T_11 - T_22, T_11 - tr T/3) of the Cauchy stress's elastic part
+    (of conjugates; E itself for the linearised model, whose T has the quadratic term phi I).
+    """
+    model = Model(
+        material=material,
+        creep=None if G_m is None else Creep(G_m=G_m, law=law),
+        viscosity=StokesViscosity(K_v=viscosity, G_v=viscosity) if viscosity else None,
+    )
+    walls: Conditions = {"top": PrescribedTangential((rate, 0.0)), "bottom": NoSlip()}
+    initial = Initial(velocity=(rate * y, 0), density=density)
+    run = Simulation(
+        mesh or channel(1, 1, maxh=0.5), model, dt=dt, walls=walls, initial=initial, scheme=scheme
+    )
+    rows = [(0.0, 0.0, 0.0, 0.0)]
+    while run.t < until - dt / 2:
+        run.advance()
+        rows.append((run.t, *stresses(run)))
+    return run, np.array(rows)
+
+
+def stresses(run: Simulation) -> tuple[float, float, float]:
+    """T_12, T_11 - T_22, T_11 - tr T/3 at a point."""
+    T = np.reshape(run.fields["cauchy_stress"](run.mesh(0.4, 0.4)), (3, 3))
+    return float(T[0, 1]), float(T[0, 0] - T[1, 1]), float(T[0, 0] - np.trace(T) / 3)
+
+
+def _jaumann() -> Outcome:
+    material = LinearElastic(K_e=2 * G, G_e=G)
+    rows, largest, closures, marks = [], [0.0, 0.0], [], []
+    for dt, times in ((0.01, (0.01, 0.02, 0.1)), (0.125, (0.25, 0.5, 1.0, 2.0))):
+        runs = [sheared(material, dt / n, times[-1], rate=RATE, G_m=2 * ETA) for n in (1, 2, 4)]
+        closures += [float(np.abs(run.ledger.column("closure_relative")).max()) for run, _ in runs]
+        a, b, c = (values for _, values in runs)
+        curve = (8 * c[::4] - 6 * b[::2] + a) / 3
+        for t in times:
+            tau_12, tau_11 = curve[round(t / dt)][[1, 3]]
+            exact = TABLE[t]
+            errors = abs(tau_12 / exact[0] - 1), abs(tau_11 / exact[1] - 1)
+            largest = [max(pair) for pair in zip(largest, errors, strict=True)]
+            rows.append([t, float(tau_12), exact[0], errors[0], float(tau_11), exact[1], errors[1]])
+            marks.append((t, float(tau_12), float(tau_11)))
+    fine = np.linspace(0, 2, 100)
+    r, decay, scale = RATE, np.exp(-fine), RATE * ETA / (1 + RATE**2)
+    curve_12 = scale * (1 - decay * (np.cos(r * fine) - r * np.sin(r * fine)))
+    curve_11 = scale * (r - decay * (r * np.cos(r * fine) + np.sin(r * fine)))
+    ts = [m[0] for m in marks]
+    return Outcome(
+        values={
+            "largest relative error of tau_12": largest[0],
+            "largest relative error of tau_11": largest[1],
+            "largest |closure|": max(closures),
+        },
+        tables=[
+            Table("stresses, Pa", ["t, s", "tau_12", "table", "error", "tau_11", "table", "error"], rows)
+        ],
+        plots=[
+            Plot(
+                "Zaremba–Jaumann Maxwell fluid in simple shear",
+                "t, s",
+                "Pa",
+                [
+                    Curve("tau_12, exact", fine.tolist(), curve_12.tolist(), "-"),
+                    Curve("tau_11, exact", fine.tolist(), curve_11.tolist(), "-"),
+                    Curve("tau_12", ts, [m[1] for m in marks], "o"),
+                    Curve("tau_11", ts, [m[2] for m in marks], "s"),
+                ],
+            )
+        ],
+    )
+
+
+def _start_up() -> Outcome:
+    """Errors are over the viscous stress eta rate/sqrt(1 + W^2) that the oscillation is about."""
+    modulus, relaxation, rate, until = 20.0, 1.0, 5.0, 2.0
+    viscosity, W = modulus * relaxation, rate * relaxation
+    scale = viscosity * rate / (1 + W**2)
+
+    def exact(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        decay, angle = np.exp(-t / relaxation), rate * t
+        sigma_12 = scale * (1 - decay * (np.cos(angle) - W * np.sin(angle)))
+        return sigma_12, scale * (W - decay * (W * np.cos(angle) + np.sin(angle)))
+
+    table, closure = RateTable("largest error over the time, relative to eta rate/sqrt(1 + W²)"), 0.0
+    for steps in (50, 100, 200):
+        material = LinearElastic(K_e=2 * modulus, G_e=modulus)
+        run, rows = sheared(
+            material,
+            until / steps,
+            until,
+            rate=rate,
+            G_m=2 * viscosity,
+            viscosity=viscosity,
+            scheme="midpoint",
+            mesh=channel(1, 1, maxh=1.0),
+        )
+        t, unit = rows[:, 0], scale * math.sqrt(1 + W**2)
+        sigma_12, sigma_11 = exact(t)
+        error_12 = np.abs(rows[:, 1] - sigma_12).max() / unit
+        error_11 = np.abs(rows[:, 3] - sigma_11).max() / unit
+        table.add(until / steps, sigma_12=float(error_12), sigma_11=float(error_11))
+        closure = max(closure, float(np.abs(run.ledger.column("closure_relative")).max()))
+    unturned = viscosity * rate * (1 - np.exp(-t / relaxation))
+    xs = [float(value) for value in t]
+    return Outcome(
+        values={
+            "rate of sigma_12": table.last("sigma_12"),
+            "rate of sigma_11": table.last("sigma_11"),
+            "largest error of sigma_12": table.errors["sigma_12"][-1],
+            "largest error of sigma_11": table.errors["sigma_11"][-1],
+            "distance to the law without spin": float(np.abs(rows[:, 1] - unturned).max() / unit),
+            "largest |closure|": closure,
+        },
+        tables=[table.table("tau, s")],
+        plots=[
+            Plot(
+                "Zaremba–Jaumann start-up shear, W = 5",
+                "t, s",
+                "Pa",
+                [
+                    Curve("sigma_12, exact", xs, [float(v) for v in sigma_12], "k-"),
+                    Curve("sigma_12", xs, [float(v) for v in rows[:, 1]], "."),
+                    Curve("sigma_11, exact", xs, [float(v) for v in sigma_11], "k--"),
+                    Curve("sigma_11", xs, [float(v) for v in rows[:, 3]], "."),
+                ],
+            )
+        ],
+        remarks=[
+            "The error of the midpoint rule for exp(a t), a = (−1 + iW)/lambda, is (|a| tau)²/12 times "
+            "|a| t exp(−t/lambda), at most |a| lambda/e: 4.1e-4 with 200 steps; bounds are twice that.",
+        ],
+    )
+
+
+def _hypoelastic() -> Outcome:
+    material, until = LinearElastic(K_e=2 * G, G_e=G), 2.0
+    table, curves = RateTable("largest error over gamma <= 2, relative to G"), []
+    for steps in (20, 40, 80):
+        _, rows = sheared(material, until / steps, until, rate=1.0)
+        gamma = rows[:, 0]
+        error_12 = np.abs(rows[:, 1] - G * np.sin(gamma)).max() / G
+        error_11 = np.abs(rows[:, 3] - G * (1 - np.cos(gamma))).max() / G
+        table.add(until / steps, tau_12=float(error_12), tau_11=float(error_11))
+        xs = [float(g) for g in gamma]
+        curves.append(Curve(f"tau_12, {steps} steps", xs, [float(v) for v in rows[:, 1]], "."))
+    curves.append(Curve("G sin gamma", xs, [float(G * math.sin(g)) for g in xs], "k-"))
+    return Outcome(
+        values={
+            "rate of tau_12": table.last("tau_12"),
+            "rate of tau_11": table.last("tau_11"),
+            "error of tau_12, extrapolated": abs(2 * table.errors["tau_12"][-1] - table.errors["tau_12"][-2]),
+            "error of tau_11, extrapolated": abs(2 * table.errors["tau_11"][-1] - table.errors["tau_11"][-2]),
+        },
+        tables=[table.table("tau, s")],
+        plots=[Plot("Zaremba–Jaumann elasticity in simple shear", "gamma", "Pa", curves)],
+    )
+
+
+def _neo_hookean() -> Outcome:
+    material = NeoHookean(K_e=3.0, G_e=0.7, epsilon=0.2)
+    run, rows = sheared(material, 0.1, 2.0, rate=1.0, viscosity=0.1)
+    gamma = rows[1:, 0]
+    error_12 = np.abs(rows[1:, 1] / (1.4 * gamma) - 1).max()
+    error_n = np.abs(rows[1:, 2] / (1.4 * gamma**2) - 1).max()
+    xs = [float(g) for g in gamma]
+    curves = [
+        Curve("T_12", xs, [float(v) for v in rows[1:, 1]], "o"),
+        Curve("2 G gamma", xs, [1.4 * g for g in xs], "k-"),
+        Curve("T_11 - T_22", xs, [float(v) for v in rows[1:, 2]], "s"),
+        Curve("2 G gamma²", xs, [1.4 * g * g for g in xs], "k--"),
+    ]
+    return Outcome(
+        values={
+            "largest relative error of T_12": float(error_12),
+            "largest relative error of T_11 - T_22": float(error_n),
+            "largest |closure|": float(np.abs(run.ledger.column("closure_relative")).max()),
+        },
+        plots=[Plot("Neo-Hookean simple shear", "gamma", "Pa", curves)],
+        remarks=["The implicit step is exact here: L is nilpotent, so (I − tau L)⁻¹ = I + tau L."],
+    )
+
+
+CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
+
+CASES = (
+    Case(
+        name="jaumann-shear",
+        theme=THEME,
+        statement="The stresses of a Zaremba–Jaumann Maxwell fluid in simple shear are those of the "
+        "closed form.",
+        label="ZJ, Euler-small-flow-rule; Farrington et al. 2014",
+        setting="Channel between a resting and a sliding wall (0.3 m/s), mu = eta = 100; extrapolated "
+        "twice from "
+        "steps 0.01 s (t <= 0.1 s) and 0.125 s and their halves and quarters.",
+        bounds=(
+            Bound("largest relative error of tau_12", "<=", 1e-3, "ASPECT documents 0.9 to 2 %"),
+            Bound("largest relative error of tau_11", "<=", 2e-3, "ASPECT documents 0.9 to 2 %"),
+            CLOSURE,
+        ),
+        run=_jaumann,
+    ),
+    Case(
+        name="jaumann-start-up",
+        theme=THEME,
+        statement="Start-up shear of a Zaremba–Jaumann Maxwell fluid at W = lambda rate = 5, turned by five "
+        "radians, is eta rate/(1 + W²) [1 − exp(−t/lambda) (cos rate t − W sin rate t)].",
+        label="ZJ, Euler-small-flow-rule",
+        setting="Channel with a sliding wall, 5 m/s, G = 20 Pa, eta = 20 Pa s, until 2 s by the midpoint "
+        "rule, 50, 100 and 200 steps; with a viscosity of 20 Pa s, without which the flow is unstable where "
+        "its stress falls with the rate.",
+        bounds=(
+            Bound("rate of sigma_12", ">=", 1.9, "midpoint rule"),
+            Bound("rate of sigma_11", ">=", 1.9, "midpoint rule"),
+            Bound("largest error of sigma_12", "<=", 8.2e-4, "twice (|a| tau)² |a| lambda/(12 e)"),
+            Bound("largest error of sigma_11", "<=", 8.2e-4, "twice (|a| tau)² |a| lambda/(12 e)"),
+            Bound("distance to the law without spin", ">=", 1.0, "negative control"),
+            CLOSURE,
+        ),
+        run=_start_up,
+    ),
+    Case(
+        name="jaumann-elastic",
+        theme=THEME,
+        statement="Without creep the Zaremba–Jaumann stress is G sin gamma, and the normal one G (1 − "
+        "cos gamma).",
+        label="ZJ; elastic limit of Farrington et al. 2014",
+        setting="The same channel with G = 100 Pa, shear rate 1/s, up to gamma = 2; 20, 40, 80 steps.",
+        bounds=(
+            Bound("rate of tau_12", ">=", 0.9, "implicit Euler"),
+            Bound("rate of tau_11", ">=", 0.9, "implicit Euler"),
+            Bound("error of tau_12, extrapolated", "<=", 2e-3, "one extrapolation"),
+            Bound("error of tau_11, extrapolated", "<=", 2e-3, "one extrapolation"),
+        ),
+        run=_hypoelastic,
+        reduced=True,
+    ),
+    Case(
+        name="neo-hookean-shear",
+        theme=THEME,
+        statement="A neo-Hookean body in simple shear has T_12 = 2 G_e gamma and T_11 − T_22 = 2 G_e gamma².",
+        label="neo-Hookean-potential-actual, ED-Euler-large2",
+        setting="Channel with a sliding wall, 1 m/s, G_e = 0.7 Pa, 20 steps of 0.1 s up to gamma = 2.",
+        bounds=(
+            Bound("largest relative error of T_12", "<=", 1e-8, "exact for any step"),
+            Bound("largest relative error of T_11 - T_22", "<=", 1e-8, "exact for any step"),
+            CLOSURE,
+        ),
+        run=_neo_hookean,
+        reduced=True,
+    ),
+)

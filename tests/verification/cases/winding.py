@@ -1,0 +1,276 @@
+"""Creeping flow that goes on: what F loses and B keeps, over a hundred Maxwell times."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Literal
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction, Det, IfPos, Integrate, cos, pi, sin, x, y
+
+from ngvisco.errors import StepError
+from ngvisco.forms.boundary.walls import Conditions
+from ngvisco.forms.context import time
+from ngvisco.geometries import box
+from ngvisco.physics.flow_rules import Creep
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials import CustomMaterial
+from ngvisco.physics.model import BodyForce, Model
+from ngvisco.physics.rheology import StokesViscosity
+from ngvisco.physics.tensors import dev, square, sym, tr
+from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen, Values
+from ngvisco.physics.walls import NoSlip, PrescribedTangential
+from ngvisco.run.ledger import DefectWarning
+from ngvisco.run.simulation import Simulation
+from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.cases.flows import CLOSURE
+from tests.verification.rates import RateTable
+from tests.verification.setups import closure
+
+THEME = "Creeping flow at finite strain"
+K_E, G_E, G_M, VISCOSITY = 20.0, 0.05, 0.005, 0.01
+"""Pa, Pa, Pa s, Pa s; the Maxwell time G_M/(4 G_E) is 0.025 s in shear, 0.05 s by the stress's square."""
+
+
+def material(state: Literal["F", "B", "none"], G_e: float = G_E) -> Material:
+    """phi = K/2 (J - 1)^2 + G_e (tr(J^(-2/3) F F^T) - 3) by F, by B, or without shear."""
+
+    def volume(J: CoefficientFunction) -> CoefficientFunction:
+        return K_E / 2 * (J - 1) * (J - 1)
+
+    if state == "F":
+        return CustomMaterial(
+            transported=(Distortion(), Jacobian()),
+            stored_energy=lambda F, J: volume(J) + G_e * (J ** (-2 / 3) * square(F) - 3),
+        )
+    if state == "B":
+        return CustomMaterial(
+            transported=(LeftCauchyGreen(exponent=-2 / 3), Jacobian()),
+            stored_energy=lambda B, J: volume(J) + G_e * (tr(B) - 3),
+        )
+    return CustomMaterial(transported=(Jacobian(),), stored_energy=volume)
+
+
+def isochoric(state: str, fields: Values) -> CoefficientFunction:
+    """J^(-2/3) F F^T, whose determinant is one."""
+    if state == "B":
+        return fields["B"]
+    return fields["J"] ** (-2 / 3) * fields["F"] * fields["F"].trans
+
+
+def lid(
+    of: Material, maxh: float, dt: float, *, creep: Creep | None = None, viscosity: float = VISCOSITY
+) -> Simulation:
+    """A unit box under a lid with the speed 16 x^2 (1 - x)^2 m/s, ramped up until 0.2 s."""
+    model = Model(material=of, viscosity=StokesViscosity(K_v=VISCOSITY, G_v=viscosity), creep=creep)
+    ramp = IfPos(time - 0.2, 1, time / 0.2)
+    speed = ramp * 16 * x * x * (1 - x) * (1 - x)
+    walls: Conditions = {"top": PrescribedTangential((speed, 0.0)), ("left", "right", "bottom"): NoSlip()}
+    time.Set(0.0)
+    return Simulation(box((1, 1), maxh), model, dt=dt, walls=walls, velocity_scale=1.0)
+
+
+TABLE = (
+    ("F", 0.1, 0.02, (0.5, 1.0, 2.0)),
+    ("F", 0.1, 0.005, (1.0,)),
+    ("F", 0.05, 0.02, (1.0,)),
+    ("B", 0.1, 0.02, (0.5, 1.0, 4.0)),
+    ("B", 0.05, 0.02, (1.0,)),
+)
+"""Form, cell size in m, step in s, times in s."""
+
+
+def _side_by_side() -> Outcome:
+    rows: list[list[str | float]] = []
+    runs, gaps, ends, warned = [], {"F": [0.0], "B": [0.0]}, "", {"F": 0, "B": 0}
+    for state, maxh, dt, times in TABLE:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", DefectWarning)
+            run = lid(material(state), maxh, dt, creep=Creep(G_m=G_M))  # type: ignore[arg-type]
+            runs.append(run)
+            for until in times:
+                try:
+                    run.run(until)
+                except StepError as error:
+                    ends = ends or f"by F with cells of {maxh:g} m the run ends at {run.t:.2f} s: {error}"
+                    break
+                A = isochoric(state, run.fields)
+                low, high = run.sampler.extrema(Det(A))
+                J = run.sampler.extrema(run.fields["J"])
+                if until <= 1.0 or state == "B":
+                    gaps[state].append(max(1 - low, high - 1))
+                last = run.ledger.rows[-1]
+                trace = run.sampler.extrema(tr(A))[1]
+                numbers = [low, high, trace, *J, last["stored"], last["defect_rms"], closure(run)]
+                rows.append([state, maxh, dt, until, *numbers])
+        warned[state] += sum(issubclass(w.category, DefectWarning) for w in caught)
+    return Outcome(
+        values={
+            "largest |det B − 1|": max(gaps["B"]),
+            "smallest |det J^(−2/3) F Fᵀ − 1| by F at 1 s": min(gaps["F"][1:]),
+            "runs by F that warned": float(warned["F"]),
+            "largest |closure|": closure(*runs),
+        },
+        tables=[
+            Table(
+                "a creeping neo-Hookean body under a lid; A = J^(−2/3) F Fᵀ, or B",
+                [
+                    *("form", "h, m", "tau, s", "t, s", "det A from", "to", "largest tr A", "J from", "to"),
+                    *("stored, J", "defect", "closure"),
+                ],
+                rows,
+            )
+        ],
+        remarks=[
+            "The ledger closes in every row: closure is not correctness.",
+            *([ends] if ends else []),
+        ],
+    )
+
+
+def _cavity() -> Outcome:
+    """Small Maxwell times at one viscosity: the stress of the Navier-Stokes flow of G_v + G_m/2."""
+    G_m, maxh, dt, until = 0.02, 0.125, 0.05, 5.0
+    fluid = lid(material("none"), maxh, dt, viscosity=VISCOSITY + G_m / 2)
+    fluid.run(until)
+    viscous = G_m * dev(sym(fluid.rothe_step.now.L))
+    size = Integrate(square(viscous), fluid.mesh, order=6) ** 0.5
+    # not at the lid's corners, where the strain rate of the exact flow has no bound
+    inside = IfPos((y - 0.8), 0.0, 1.0)
+    table, runs, gaps = RateTable("against the Navier–Stokes flow, relative in L2, y < 0.8 m"), [fluid], []
+    rows: list[list[str | float]] = []
+    for maxwell_time in (0.05, 0.025, 0.0125):
+        run = lid(material("B", G_m / (4 * maxwell_time)), maxh, dt, creep=Creep(G_m=G_m))
+        run.run(until)
+        runs.append(run)
+        low, high = run.sampler.extrema(Det(run.fields["B"]))
+        gaps.append(max(1 - low, high - 1))
+        T = dev(run.fields["cauchy_stress"])
+        # functions of another mesh object: the two meshes are the same, cell by cell
+        stress = _cell_means(T, run) - _cell_means(viscous, fluid)
+        weight = _cell_means(inside * CF((1.0,) * 9, dims=(3, 3)), fluid)
+        reference = _cell_means(viscous, fluid)
+        error = float(np.linalg.norm(weight * stress) / np.linalg.norm(weight * reference))
+        table.add(maxwell_time, stress=error)
+        rows.append([maxwell_time, until / maxwell_time, low, high, error, closure(run)])
+    return Outcome(
+        values={
+            "largest |det B − 1|": max(gaps),
+            "rate of the stress in the Maxwell time": table.last("stress"),
+            "error of the stress at the smallest one": table.errors["stress"][-1],
+            "Maxwell times of the first run": until / 0.05,
+            "largest |closure|": closure(*runs),
+        },
+        tables=[
+            Table(
+                f"stress against G_m dev ε(v) of the viscous flow (of size {size:.3g} Pa m)",
+                ["Maxwell time, s", "Maxwell times", "det B from", "to", "stress, relative", "closure"],
+                rows,
+            )
+        ],
+        plots=[table.plot("Maxwell time, s", "stress, relative")],
+    )
+
+
+def _cell_means(A: CoefficientFunction, run: Simulation) -> np.ndarray:
+    """Means over cells times the root of the volume, (cells, 9): an L2 product of means."""
+    volume = Integrate(CF(1), run.mesh, element_wise=True).NumPy()
+    parts = [Integrate(A[i, j], run.mesh, element_wise=True).NumPy() for i in range(3) for j in range(3)]
+    return np.array(parts).T / np.sqrt(volume)[:, None]
+
+
+def vortex(state: Literal["F", "B"], maxh: float, dt: float) -> Simulation:
+    """A force that keeps an eddy of 1 m/s turning in the unit box, slip on its walls."""
+    eta = VISCOSITY + G_M / 2
+    eddy = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+    ramp = IfPos(time - 0.2, 1, time / 0.2)
+    force = tuple(2 * eta * pi**2 * ramp * v for v in eddy)
+    model = Model(
+        material=material(state),
+        viscosity=StokesViscosity(K_v=VISCOSITY, G_v=VISCOSITY),
+        creep=Creep(G_m=G_M),
+        loads=(BodyForce(force),),
+    )
+    time.Set(0.0)
+    return Simulation(box((1, 1), maxh), model, dt=dt, velocity_scale=1.0)
+
+
+def _vortex() -> Outcome:
+    until, curves, values = 5.0, [], {}
+    runs = []
+    for state in ("F", "B"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DefectWarning)
+            run = vortex(state, 0.15, 0.05)
+            try:
+                run.run(until)
+            except StepError:
+                assert state == "F"  # which may end: that is the finding
+        runs.append(run)
+        rows = run.ledger
+        curves.append(
+            Curve(f"by {state}", rows.column("time").tolist(), rows.column("defect_rms").tolist(), ".-")
+        )
+        values[state] = rows.column("defect_rms")
+    return Outcome(
+        values={
+            "largest defect by B": float(values["B"].max()),
+            "largest defect by F": float(values["F"].max()),
+            "Maxwell times by B": runs[1].t / 0.05,
+            "largest |closure|": closure(*runs),
+        },
+        plots=[Plot("det of the distortion against J, root mean square", "t, s", "", curves, log="y")],
+    )
+
+
+CASES = (
+    Case(
+        name="winding-lid",
+        theme=THEME,
+        statement="A creeping body under a lid: det(J^(−2/3) F Fᵀ) is one by B over 80 Maxwell times; by F "
+        "it is lost after ten, whatever step and mesh, with a ledger that closes, and the run says so.",
+        label="ED-Euler-large2, ED-Euler-large3",
+        setting=f"Unit box, K_e = {K_E:g} Pa, G_e = {G_E:g} Pa, G_m = {G_M:g} Pa s (Maxwell time 0.05 s), "
+        f"viscosity {VISCOSITY:g} Pa s, lid 16 x²(1 − x)² m/s ramped until 0.2 s.",
+        bounds=(
+            Bound("largest |det B − 1|", "<=", 0.03, "first order in tau, 0.02 s, at the lid's corners"),
+            Bound("smallest |det J^(−2/3) F Fᵀ − 1| by F at 1 s", ">=", 0.1, "the finding: F is wrong"),
+            Bound("runs by F that warned", ">=", 3, "each of them"),
+            CLOSURE,
+        ),
+        run=_side_by_side,
+    ),
+    Case(
+        name="creeping-cavity",
+        theme=THEME,
+        statement="Cavity flow by B over a hundred Maxwell times keeps det B, and its stress is that of the "
+        "Navier–Stokes flow of the same viscosity in the limit of a small Maxwell time.",
+        label="ED-Euler-large3",
+        setting="The same box and lid, cells of 0.125 m, 100 steps of 0.05 s, G_m = 0.02 Pa s, Maxwell times "
+        "0.05, 0.025 and 0.0125 s.",
+        bounds=(
+            Bound("largest |det B − 1|", "<=", 0.1, "first order in tau, 0.05 s, at the lid's corners"),
+            Bound("rate of the stress in the Maxwell time", ">=", 0.7, "of first order in Wi"),
+            Bound("error of the stress at the smallest one", "<=", 0.05, "of the order of Wi"),
+            Bound("Maxwell times of the first run", ">=", 100, "what is claimed"),
+            CLOSURE,
+        ),
+        run=_cavity,
+    ),
+    Case(
+        name="winding-vortex",
+        theme=THEME,
+        statement="A creeping fluid in a steady vortex, a hundred Maxwell times: by B its variables belong "
+        "together all the time, by F they part.",
+        label="ED-Euler-large2, ED-Euler-large3",
+        setting="Unit box with slip, an eddy of 1 m/s driven by a body force, cells of 0.15 m, 100 steps of "
+        "0.05 s; the material of the lid.",
+        bounds=(
+            Bound("largest defect by B", "<=", 0.01, "where a run would warn"),
+            Bound("largest defect by F", ">=", 0.1, "the finding: F is wrong"),
+            Bound("Maxwell times by B", ">=", 99, "what is claimed"),
+            CLOSURE,
+        ),
+        run=_vortex,
+    ),
+)

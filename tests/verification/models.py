@@ -1,0 +1,78 @@
+"""The two models of the manufactured solutions, with all the mechanisms asked for."""
+
+from __future__ import annotations
+
+from ngvisco.physics.flow_rules import Creep
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials import LinearElastic, MooneyRivlin, NeoHookean
+from ngvisco.physics.model import Gravity, Model
+from ngvisco.physics.regularisation import Regularisation
+from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
+from tests.verification.differences import Coefficients
+
+KINDS = ("linear", "neo-hookean")
+FURTHER = ("by B", "cofactors")
+"""Materials of other variables: B = F F^T, of which creep is another law, and Cof F beside F and J."""
+DELTA, DELTA_FIELDS, EPSILON = 0.02, 0.03, 1.0
+
+
+def material(kind: str) -> Material:
+    """The linearised model's or the finite-strain model's material."""
+    if kind == "linear":
+        return LinearElastic(K_e=2.0, G_e=1.0)
+    if kind == "cofactors":
+        return MooneyRivlin(K_e=2.0, G_e=0.6, G_mr=0.4, epsilon=0.5, elastic_state="F")
+    if kind == "by B":
+        return NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5, elastic_state="B")
+    return NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5, elastic_state="F")
+
+
+def hyperviscosity(p: float | None) -> HyperViscosity | None:
+    """Of about the size of the Stokes viscosity on these fields."""
+    return None if p is None else HyperViscosity(mu=1e-2 if p == 2 else 1e-3, p=p)
+
+
+def model(
+    kind: str,
+    dim: int,
+    p: float | None,
+    regularised: bool = False,
+    delta: bool = True,
+    nu: float = 0.0,
+) -> Model:
+    """Creep, gravity, viscosity, hyperviscosity with exponent p unless None, delta- and epsilon-terms.
+
+    With nu > 0 creep has its gradient term (q = 4), and its rate is a field of its own.
+    """
+    law = Regularisation(
+        delta_density=DELTA if delta else 0.0,
+        delta_fields=DELTA_FIELDS if delta else 0.0,
+        epsilon=EPSILON,
+    )
+    return Model(
+        material=material(kind),
+        viscosity=StokesViscosity(K_v=0.3, G_v=0.2),
+        hyperviscosity=hyperviscosity(p),
+        creep=Creep(G_m=2.0, nu=nu, q=4.0),
+        loads=(Gravity((0.0, -0.7, 0.0)[:dim]),),
+        regularisation=law if regularised else None,
+    )
+
+
+def coefficients(kind: str, p: float | None, regularised: bool = False, nu: float = 0.0) -> Coefficients:
+    """The same constants once more, for the formulas in numpy."""
+    return Coefficients(
+        K_e=2.0,
+        G_e=1.0,
+        epsilon=0.0 if kind == "linear" else 0.5,
+        K_v=0.3,
+        G_v=0.2,
+        mu=0.0 if p is None else (1e-2 if p == 2 else 1e-3),
+        p=2.0 if p is None else p,
+        R=0.5,
+        nu=nu,
+        g=-0.7,
+        delta=DELTA if regularised else 0.0,
+        delta_fields=DELTA_FIELDS if regularised else 0.0,
+        damping=EPSILON if regularised else 0.0,
+    )

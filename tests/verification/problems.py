@@ -1,0 +1,142 @@
+"""Single equations of a step, with the other unknowns given; and sequences of meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ngsolve import BilinearForm, CoefficientFunction, GridFunction, Integrate, Mesh
+
+from ngvisco import Discretisation, Model, NewtonOptions, time
+from ngvisco.errors import StepError
+from ngvisco.forms.boundary.boundaries import slip_constraints
+from ngvisco.forms.context import Context
+from ngvisco.forms.elimination import Elimination
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh.quadrature import Quadrature
+from ngvisco.forms.spaces import Layout
+from ngvisco.forms.system import equations
+from ngvisco.forms.term import Entry, Integrand, Term
+from ngvisco.geometries import box
+from ngvisco.physics.tensors import square
+from ngvisco.solver.newton import Newton
+from ngvisco.solver.norm import BlockNorm
+from ngvisco.solver.solution import Attempt
+from ngvisco.solver.solution import Problem as Posed
+from tests.verification.manufactured import Exact
+
+ERROR_ORDER = 12
+
+
+def refinements(dim: int, maxh: float, levels: int) -> Iterator[tuple[float, Mesh]]:
+    """The unstructured mesh of the unit box and its uniform refinements, each with its cell size."""
+    mesh = box((1.0,) * dim, maxh)
+    for level in range(levels):
+        if level:
+            mesh.Refine()
+        yield maxh / 2**level, mesh
+
+
+def distance(f: CoefficientFunction, g: CoefficientFunction, mesh: Mesh) -> float:
+    """L2 norm of f - g."""
+    return float(Integrate(square(f - g), mesh, order=ERROR_ORDER)) ** 0.5
+
+
+class PartialLayout(Layout):
+    """Some of a step's blocks; the other fields are given functions."""
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        model: Model,
+        discretisation: Discretisation,
+        names: Sequence[str],
+    ) -> None:
+        terms = equations(model, mesh.dim)
+        super().__init__(mesh, model.material, discretisation, terms, slip_constraints(mesh))
+        self._make([name for name in self.names if name in names])
+
+    def with_given(self, parts: Sequence[Any], exact: Exact | None) -> Fields:
+        """Fields of this layout's blocks, completed by the exact ones."""
+        known = dict(zip(self.names, parts, strict=True))
+        if exact is not None:
+            given = {name: getattr(exact, name) for name in ("v", "rho", "z") if name not in self.names}
+            known |= given
+        fields = Fields(self, known)
+        if exact is not None and "v" not in self.names:
+            fields.grad_v = exact.grad_v
+        return fields
+
+
+class Source:
+    """A load -int s . w of a partial system, given as integrands of the test functions."""
+
+    def __init__(self, integrands: Callable[[Fields], list[Integrand]]) -> None:
+        self.integrands = integrands
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        return self.integrands(w)
+
+    def entries(self, u: Fields) -> list[Entry]:
+        return []
+
+
+class Problem:
+    """Rothe steps of some of the equations."""
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        model: Model,
+        discretisation: Discretisation,
+        names: Sequence[str],
+        terms: Sequence[Term],
+        tau: float,
+        given: bool = True,
+    ) -> None:
+        """``terms`` are those of the equations; fields not in ``names`` are the exact ones if ``given``."""
+        self.mesh, self.tau = mesh, tau
+        self.layout = layout = PartialLayout(mesh, model, discretisation, names)
+        self.state, self.state_old = GridFunction(layout.space), GridFunction(layout.space)
+        new = Exact(model, mesh.dim, time) if given else None
+        old = Exact(model, mesh.dim, time - tau) if given else None
+        self.now = layout.with_given(self.state.components, new)
+        self.context = layout.context = Context(
+            mesh, model, layout.with_given(self.state_old.components, old), Exact(model, mesh.dim, time).v
+        )
+        self.context.tau.Set(tau)
+        self.context.eta.Set(1e-4)
+        self.quadrature = Quadrature.for_orders(mesh, discretisation.k, discretisation.m)
+        self.terms = tuple(terms)
+        trial, test = layout.space.TnT()
+        u, w = layout.with_given(trial, new), layout.fields(test)
+        form = BilinearForm(layout.space, condense=True)
+        for term in self.terms:
+            self.quadrature.add(form, term.form(u, w))
+        eliminate = Elimination(layout, self.state, self.quadrature, self.terms)
+        norm = BlockNorm(layout.ranges, dict.fromkeys(set(layout.names) & {"v", "rho", "z"}, 1.0))
+        self.newton = Newton(form, self.state.vec, norm, eliminate, NewtonOptions())
+
+    def set(self, name: str, value: CoefficientFunction) -> None:
+        """Start value of a block."""
+        self.state.components[self.layout.names.index(name)].Set(value)
+
+    def advance(self, t_old: float) -> None:
+        """One step from t_old; with terms without a time derivative, their stationary problem."""
+        self.state_old.vec.data = self.state.vec
+        solution = self.newton.solve(_StepFrom(self.context, t_old, self.tau), self.state_old.vec)
+        if not solution.converged:
+            raise StepError(solution.reason, [Attempt("coupled", solution)])
+
+
+@dataclass(frozen=True)
+class _StepFrom(Posed):
+    """The step from ``begin`` over ``tau``, s."""
+
+    context: Context
+    begin: float
+    tau: float
+
+    def pose(self) -> None:
+        self.context.set_step(self.tau, self.begin + self.tau, self.begin, self.tau)

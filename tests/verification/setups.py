@@ -1,0 +1,113 @@
+"""Problems that several cases share: a block set in rotation in its box, in both models."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction, Integrate, Mesh, cos, pi, sin, x, y, z
+
+from ngvisco.forms.start.initial import Initial
+from ngvisco.geometries import box
+from ngvisco.physics.flow_rules import Creep
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials import LinearElastic, NeoHookean
+from ngvisco.physics.model import Gravity, Model
+from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
+from ngvisco.run.simulation import Simulation
+from tests.verification.case import Curve
+from tests.verification.problems import distance
+
+KINDS = {"linearised": "the linearised model", "finite": "the finite-strain model"}
+"""Suffix of a case's name, and how its statement calls it."""
+
+LABELS = {"linearised": "Euler-small-viscoelastodyn+disc", "finite": "Euler-large-viscoelastodyn+disc"}
+
+SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+"""An eddy of at most 1 m/s that fills the unit box."""
+
+SETTING = (
+    "A block of 1 m x 1 m, density 1 + 0.2 cos(pi x) kg/m3, set in rotation in its box (slip); K_e = 10 Pa, "
+    "G_e = 5 Pa (finite strain: neo-Hookean with epsilon = 0.1 Pa), K_v = G_v = 0.1 Pa s"
+)
+
+
+def material(kind: str) -> Material:
+    """LinearElastic or the paper's neo-Hookean material."""
+    if kind == "linearised":
+        return LinearElastic(K_e=10.0, G_e=5.0)
+    return NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
+
+
+@cache
+def cube_mesh(maxh: float) -> Mesh:
+    """The unit cube."""
+    return box((1, 1, 1), maxh)
+
+
+@cache
+def square_mesh(maxh: float) -> Mesh:
+    """The unit box; runs on one mesh can be compared by ``separation``."""
+    return box((1, 1), maxh)
+
+
+def block(
+    kind: str,
+    dt: float,
+    *,
+    mesh: Mesh | None = None,
+    speed: float = 1.0,
+    gravity: float = 0.0,
+    viscosity: float | StokesViscosity = 0.1,
+    hyperviscosity: HyperViscosity | None = None,
+    creep: float | Creep | None = None,
+    of: Material | None = None,
+    **parts: Any,
+) -> Simulation:
+    """The block of ``SETTING``; ``creep`` is G_m or a law, ``of`` a material, ``parts`` of model or run."""
+    regularisation, mesh = parts.pop("regularisation", None), mesh or square_mesh(0.5)
+    if not isinstance(viscosity, StokesViscosity):
+        viscosity = StokesViscosity(K_v=viscosity, G_v=viscosity)
+    model = Model(
+        material=of or material(kind),
+        viscosity=viscosity,
+        hyperviscosity=hyperviscosity,
+        creep=Creep(G_m=creep) if isinstance(creep, float) else creep,
+        loads=(Gravity((0.0,) * (mesh.dim - 1) + (-gravity,)),) if gravity else (),
+        regularisation=regularisation,
+    )
+    swirl = SWIRL if mesh.dim == 2 else (*(v * (1 + 0.3 * cos(pi * z)) for v in SWIRL), CF(0.0))
+    velocity = CF(tuple(speed * v for v in swirl))
+    initial = parts.pop("initial", None) or Initial(density=1 + 0.2 * cos(pi * x), velocity=velocity)
+    return Simulation(mesh, model, dt=dt, initial=initial, **parts)
+
+
+def potential(simulation: Simulation, gravity: float) -> float:
+    """gravity int rho y, J: what the weight can still do."""
+    if not gravity:
+        return 0.0
+    return gravity * float(Integrate(simulation.fields["density"] * y, simulation.mesh, order=6))
+
+
+def state(simulation: Simulation) -> dict[str, CoefficientFunction]:
+    """v, rho and z of the present state."""
+    u = simulation.rothe_step.now
+    return {"v": u.v, "rho": u.rho, "z": u.z}
+
+
+def separation(one: Simulation, other: Simulation) -> dict[str, float]:
+    """L2 distances of v, rho and z of two runs on one mesh."""
+    a, b = state(one), state(other)
+    return {name: distance(a[name], b[name], one.mesh) for name in a}
+
+
+def closure(*simulations: Simulation) -> float:
+    """The largest |closure| of all steps, relative."""
+    return max(float(np.abs(run.ledger.column("closure_relative")).max()) for run in simulations)
+
+
+def slope_line(xs: list[float], ys: list[float], rate: float, label: str = "") -> Curve:
+    """A dashed line of slope ``rate`` through the last point, for doubly logarithmic plots."""
+    line = [ys[-1] * (s / xs[-1]) ** rate for s in xs]
+    return Curve(label or f"slope {rate:g}", xs, line, "k--")

@@ -1,0 +1,180 @@
+"""Sources that make the exact fields solutions: strong residuals, put into the system as a further term.
+
+With the *discrete* time derivative (z(t) - z(t - tau))/tau what remains is the error in space; with a
+tau of the sources that is far shorter than the run's, the error in time is in it too.
+"""
+
+from __future__ import annotations
+
+from ngsolve import CF, CoefficientFunction, specialcf
+
+from ngvisco.forms.context import inner_facets, time
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import Entry, Integrand
+from ngvisco.physics.material import cauchy_stress, conjugates, mandel_stress
+from ngvisco.physics.model import Gravity, Model, as_vector
+from ngvisco.physics.tensors import embed_gradient, inner, sym
+from tests.verification.manufactured import COORDINATES, Exact, divergence, gradient
+
+
+class Sources:
+    """Strong residuals of the exact fields, and the term that puts them into the system.
+
+    The momentum form is that of the momentum equation minus v/2 times the continuity equation, and so
+    is its source.
+    """
+
+    def __init__(self, model: Model, dim: int, tau: float) -> None:
+        self.model, self.dim, self.tau = model, dim, tau
+        self.new, self.old = Exact(model, dim, time), Exact(model, dim, time - tau)
+
+    @property
+    def continuity(self) -> CoefficientFunction:
+        """(rho - rho_old)/tau + div(rho v - delta |grad rho|^{r-2} grad rho)."""
+        new, old = self.new, self.old
+        flux = new.rho * new.v
+        if self.diffusive_flux is not None:
+            flux = flux - self.diffusive_flux
+        return (new.rho - old.rho) / self.tau + sum(d[i] for i, d in enumerate(gradient(flux, self.dim)))
+
+    @property
+    def diffusive_flux(self) -> CoefficientFunction | None:
+        """delta |grad rho|^{r-2} grad rho, None without it."""
+        law = self.model.regularisation
+        if law is None or not law.delta_density:
+            return None
+        slope = CF(tuple(gradient(self.new.rho, self.dim)))
+        return law.diffusivity(slope * slope) * slope
+
+    @property
+    def kinematics(self) -> CoefficientFunction:
+        """(z - z_old)/tau + (v.grad) z - rate(z; L, Pi) - delta Laplace z, components."""
+        new, old, model = self.new, self.old, self.model
+        values, L = new.values, embed_gradient(new.grad_v, self.dim)
+        Pi = 0 * L
+        if model.creep is not None:
+            Pi = model.creep.rate(self._mandel, None, values) if model.creep.is_local else new.Pi
+        rates = {v.name: v.rate(values, L, Pi) for v in model.material.variables}
+        total = (new.z - old.z) / self.tau - model.material.states(self.dim).components(rates)
+        for v_j, dz in zip((new.v[j] for j in range(self.dim)), gradient(new.z, self.dim), strict=True):
+            total = total + v_j * dz
+        if self._delta_fields:
+            for s, dz in zip(COORDINATES, gradient(new.z, self.dim), strict=False):
+                total = total - self._delta_fields * dz.Diff(s)
+        return total
+
+    @property
+    def _mandel(self) -> CoefficientFunction:
+        values = self.new.values
+        return mandel_stress(self.model.material, values, conjugates(self.model.material, values), self.dim)
+
+    @property
+    def creep(self) -> CoefficientFunction | None:
+        """psi'(Pi) - div(nu |grad Pi|^{q-2} grad Pi) - M, 3x3; None where Pi is no field of its own."""
+        creep = self.model.creep
+        if creep is None or creep.is_local:
+            return None
+        slopes = gradient(self.new.Pi, self.dim)
+        coefficient = creep.gradient_coefficient(
+            sum((inner(d, d) for d in slopes[1:]), inner(slopes[0], slopes[0]))
+        )
+        total = creep.force(self.new.Pi, self.new.values) - self._mandel
+        for s, d in zip(COORDINATES, slopes, strict=False):
+            total = total - (coefficient * d).Diff(s)
+        return total
+
+    @property
+    def _delta_fields(self) -> float:
+        law = self.model.regularisation
+        return 0.0 if law is None else law.delta_fields
+
+    def inertia(self) -> CoefficientFunction:
+        """(rho v - rho_old v_old)/tau + div(rho v x v)."""
+        new, old, dim = self.new, self.old, self.dim
+        flux = new.rho * new.v
+        rate = (flux - old.rho * old.v) / self.tau
+        products = CF(tuple(flux[i] * new.v[j] for i in range(dim) for j in range(dim)), dims=(dim, dim))
+        return rate + divergence(products, dim)
+
+    def elastic(self) -> CoefficientFunction:
+        """-div T."""
+        return -divergence(cauchy_stress(self.model.material, self.new.values), self.dim)
+
+    def viscous(self) -> CoefficientFunction:
+        """-div(D eps(v)) + div div(c(|hess v|^2) hess v)."""
+        model, new, dim = self.model, self.new, self.dim
+        total = CF(tuple([0.0] * dim))
+        if model.viscosity is not None:
+            stress = model.viscosity.stress(sym(embed_gradient(new.grad_v, dim)), new.values)
+            total = total - divergence(stress, dim)
+        if model.hyperviscosity is not None:
+            hess = [[gradient(d, dim) for d in gradient(new.v[i], dim)] for i in range(dim)]
+            s = sum(h * h for component in hess for row in component for h in row)
+            c = model.hyperviscosity.coefficient(s, new.values)
+            force = []
+            for i in range(dim):
+                terms = [
+                    (c * hess[i][j][k]).Diff(COORDINATES[k]).Diff(COORDINATES[j])
+                    for j in range(dim)
+                    for k in range(dim)
+                ]
+                force.append(sum(terms[1:], terms[0]))
+            total = total + CF(tuple(force))
+        return total
+
+    def gravity(self) -> CoefficientFunction:
+        """-rho g."""
+        total = CF(tuple([0.0] * self.dim))
+        for load in self.model.loads:
+            assert isinstance(load, Gravity)
+            total = total - self.new.rho * as_vector(load.g, self.dim, "Gravity.g")
+        return total
+
+    def regularising(self) -> CoefficientFunction:
+        """epsilon |v|^{p-2} v + delta |grad rho|^{r-2} (grad v) grad rho."""
+        law, new, dim = self.model.regularisation, self.new, self.dim
+        total = CF(tuple([0.0] * dim))
+        if law is not None and law.epsilon:
+            total = total + law.friction(new.v * new.v) * new.v
+        if self.diffusive_flux is not None:
+            total = total + new.grad_v * self.diffusive_flux
+        return total
+
+    @property
+    def momentum(self) -> CoefficientFunction:
+        """The strong momentum equation's residual."""
+        return self.inertia() + self.elastic() + self.viscous() + self.gravity() + self.regularising()
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        force = self.momentum - 0.5 * self.continuity * self.new.v
+        creep = self.creep
+        return [
+            Integrand(-self.continuity * w.rho),
+            Integrand(-inner(force, w.v)),
+            Integrand(-inner(self.kinematics, w.z)),
+            *([] if creep is None else [Integrand(-inner(creep, w.Pi))]),
+            *self._through_walls(u, w),
+        ]
+
+    def _through_walls(self, u: Fields, w: Fields) -> list[Integrand]:
+        """The delta-terms' fluxes through walls, which the exact fields do not meet as zero."""
+        law = self.model.regularisation
+        parts: list[Integrand] = []
+        if law is None:
+            return parts
+        on_wall, n = 1.0 - inner_facets(u.layout.mesh), specialcf.normal(self.dim)
+        if self.diffusive_flux is not None:
+            flux = on_wall * (self.diffusive_flux * n)
+            parts.append(Integrand(facets=-flux * w.rho_delta_hat))
+            parts.append(Integrand(facets=0.5 * flux * inner(self.new.v, w.v)))
+        if law.delta_fields:
+            slopes = gradient(self.new.z, self.dim)
+            across = slopes[0] * n[0]
+            for i in range(1, self.dim):
+                across = across + slopes[i] * n[i]
+            parts.append(Integrand(facets=-law.delta_fields * on_wall * inner(across, w.z)))
+        return parts
+
+    def entries(self, u: Fields) -> list[Entry]:
+        """None: these runs are compared with their exact solutions, not balanced."""
+        return []
