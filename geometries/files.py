@@ -77,6 +77,8 @@ def load(
     check_flag("load.split_corners", split_corners)
     _check_file(path)
     kind = path.suffix.lower()
+    if maxh is None and kind not in _MESHES:
+        raise ParameterError("load.maxh", maxh, "a cell size, since the file holds a geometry")
     _try_apart(path, maxh)
     try:
         mesh = _read(path, kind, maxh)
@@ -102,14 +104,26 @@ def _check_file(path: Path) -> None:
         raise MeshError(f"{path}: the file is cut short (no end of {_ENDS[kind]!r} in it)")
 
 
+_MESHES = {
+    ".vol": """
+from netgen.meshing import Mesh as NetgenMesh
+mesh = NetgenMesh()
+mesh.Load(path)
+Mesh(mesh)
+""",
+    ".msh": """
+from netgen.read_gmsh import ReadGmsh
+Mesh(ReadGmsh(path))
+""",
+}
+"""How files of meshes are tried: without ngvisco, whose import takes longer than that of Netgen."""
+
 _TRIAL = """
-import sys
 from pathlib import Path
 from ngvisco.errors import NgviscoError
 from ngvisco.geometries.files import _read
-path, maxh = sys.argv[1:]
 try:
-    _read(Path(path), Path(path).suffix.lower(), float(maxh) if maxh else None)
+    _read(Path(path), Path(path).suffix.lower(), float(maxh))
 except NgviscoError:
     pass  # is raised again, and explained, in the process that asked
 """
@@ -118,7 +132,8 @@ except NgviscoError:
 def _try_apart(path: Path, maxh: float | None) -> None:
     """Raise MeshError if Netgen ends its process on the file."""
     # the child finds what this process has found, also in a clone that is not installed
-    code = f"import sys; sys.path[:] = {sys.path!r}\nimport ngvisco\n{_TRIAL}"
+    begin = f"import sys; sys.path[:] = {sys.path!r}\nfrom ngsolve import Mesh\npath, maxh = sys.argv[1:]\n"
+    code = begin + _MESHES.get(path.suffix.lower(), _TRIAL)
     arguments = [sys.executable, "-c", code, str(path), "" if maxh is None else repr(maxh)]
     trial = subprocess.run(arguments, capture_output=True, text=True)
     if trial.returncode != 0:
@@ -143,8 +158,6 @@ def _read(path: Path, kind: str, maxh: float | None) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ResourceWarning)  # ReadGmsh leaves its file open
             return Mesh(ReadGmsh(str(path)))
-    if maxh is None:
-        raise ParameterError("load.maxh", maxh, "a cell size, since the file holds a geometry")
     shape = OCCGeometry(str(path)).shape
     dim = 3 if len(shape.solids) else 2
     if dim == 2:

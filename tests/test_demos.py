@@ -24,7 +24,7 @@ def load(name):
     [
         ("swirl", 5, {"until": 0.1}),
         pytest.param("swirl", 50, {}, marks=[pytest.mark.long, pytest.mark.ci]),
-        ("swirl3d", 20, {"until": 0.4, "maxh": 0.5}),
+        ("swirl3d", 5, {"until": 0.1, "maxh": 0.7}),
         pytest.param("swirl3d", 50, {}, marks=pytest.mark.long),
         ("creep", 5, {"until": 0.25}),
         pytest.param("creep", 50, {}, marks=pytest.mark.long),
@@ -185,12 +185,6 @@ def test_soft_disc_keeps_its_mass_and_is_carried_by_the_flow(tmp_path):
     assert rows["disc_x"][-1] < rows["disc_x"][0]  # below the vortex, against the lid
     for file in ("disc.png", "energies.png", "fields.png", "run.h5"):
         assert (tmp_path / file).stat().st_size > 0
-    case = nv.load_case(
-        DEMOS / "soft_disc" / "soft_disc.toml", ["domain.maxh=0.25", "domain.refine.top=0.125"]
-    )
-    again = case.simulation(case.mesh())
-    again.advance()
-    assert again.ledger.column("stored")[1] == pytest.approx(run.ledger.column("stored")[1], rel=1e-9)
 
 
 def test_the_disc_in_a_vortex_is_a_quarter_of_the_problem():

@@ -10,7 +10,6 @@ from tests.benchmarks.table import summary, summary_of_schemes
 
 
 @pytest.mark.long
-@pytest.mark.ci
 def test_quick_run_saves_its_table(tmp_path, capsys):
     assert main(["--quick", "--steps", "1", "-o", str(tmp_path)]) == 0
     every = json.loads((tmp_path / "benchmark.json").read_text())

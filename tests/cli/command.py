@@ -66,14 +66,6 @@ def command(*arguments):
     return code, out.getvalue(), err.getvalue()
 
 
-def in_a_process(*arguments, **options):
-    """Run to the end in a process; nothing that a user does may show a traceback."""
-    process = start(*arguments, **options)
-    out, err = process.communicate(timeout=200)
-    assert "Traceback" not in out + err, err
-    return process.returncode, out, err
-
-
 def wait_for(condition, process, seconds=60):
     """Until ``condition()`` holds; fails when the process ends before."""
     for _ in range(seconds * 50):

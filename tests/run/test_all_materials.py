@@ -46,7 +46,7 @@ def cases():
 def test_ledger_closes_and_mass_and_positivity_hold(name, dim, m, hyper):
     """Closure in 3D with all terms: 7e-12 at most (LinearElastic), by Newton's tolerance 1e-10."""
     run = simulation(EXAMPLES[name], dim, hyper=hyper, discretisation=nv.Discretisation(m=m))
-    ledger = run.run(0.06 if dim == 2 else 0.04)
+    ledger = run.run(0.06 if dim == 2 else 0.02)
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
     assert np.abs(ledger.column("mass_drift")).max() <= 1e-12
     assert ledger.column("rho_min").min() > 0

@@ -242,7 +242,7 @@ class OtherContinuity(Continuity):
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 
 
-def simulation(terms=(), maxh=0.25, scheme="backward-euler", material=NEO_HOOKEAN, **options):
+def simulation(terms=(), maxh=0.5, scheme="backward-euler", material=NEO_HOOKEAN, **options):
     model = nv.Model(
         material=material,
         hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
@@ -291,7 +291,7 @@ def test_rows_of_the_density_and_on_facets_act_in_both_solvers(term):
 
 
 def test_the_tangent_has_what_a_term_makes_of_the_fields():
-    split, _ = solved(Healing(2e3))
+    split, _ = solved(Healing(2e3), maxh=0.25)
     assert split.column("newton_iterations").max() <= 12
     assert split.column("dissipation_healing").max() > 1e-3
     assert np.abs(split.column("closure_relative")).max() <= 1e-12
@@ -315,12 +315,12 @@ def test_terms_are_told_apart_by_what_they_are_not_by_equality():
 
 def test_a_form_reads_the_energy_of_the_present_state():
     """Also where the energy has values at points only, which are kept."""
-    for ledger in solved(DragByEnergy(), material=nv.Yosida(material=NEO_HOOKEAN, eps=0.05), maxh=0.5):
+    for ledger in solved(DragByEnergy(), material=nv.Yosida(material=NEO_HOOKEAN, eps=0.05)):
         assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
 
 
 def test_averages_of_functions_made_on_the_spot_are_not_kept():
-    run = simulation([GrowthInTime()], maxh=0.5, solver="split")
+    run = simulation([GrowthInTime()], solver="split")
     run.run(0.04)
     kept = run.solver.newton.residual.cell_terms.context._averages
     assert len(kept) <= 2  # that of gravity, and the one made last
@@ -358,7 +358,7 @@ def test_a_term_that_only_forms_can_express_is_refused_by_its_name():
     term = GrowthByForms(0.1)
     with pytest.raises(nv.ParameterError, match=r"GrowthByForms: it has a row of rho.*its form itself"):
         simulation([term], solver="split")
-    ledger = simulation([term], maxh=0.5, solver="coupled").run(0.04)
+    ledger = simulation([term], solver="coupled").run(0.04)
     mass = ledger.column("mass")  # grows as (1 - s tau)^-1 a step
     assert mass[-1] / mass[0] == pytest.approx((1 - 0.1 * 0.02) ** -2, rel=1e-12)
 
@@ -385,7 +385,7 @@ def test_every_term_of_a_step_is_claimed_exactly_once():
 
 def test_a_derived_class_is_another_term():
     """It is evaluated as itself, not taken for its parent."""
-    run = simulation([OtherContinuity()], solver="coupled", maxh=0.5)
+    run = simulation([OtherContinuity()], solver="coupled")
     found = claims.term_obstacle(run.rothe_step)
     assert found is not None and found.startswith("OtherContinuity")
 

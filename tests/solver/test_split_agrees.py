@@ -99,7 +99,7 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
 @pytest.mark.parametrize("name", EXAMPLES)
 @pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_for_every_material_with_creep(name, dim):
-    mesh = box((1,) * dim, maxh=0.4 if dim == 2 else 1)
+    mesh = box((1,) * dim, maxh=0.5 if dim == 2 else 1)
     assert_both_agree(mesh, model(EXAMPLES[name], dim))
 
 
@@ -107,7 +107,7 @@ def test_for_every_material_with_creep(name, dim):
 @pytest.mark.parametrize("name", ["OldroydB", "FENEP"])
 def test_for_laws_of_creep(name, law):
     creep = nv.Creep(G_m=2.0, law=law)
-    assert_both_agree(box((1, 1), maxh=0.4), model(EXAMPLES[name], creep=creep))
+    assert_both_agree(box((1, 1), maxh=0.5), model(EXAMPLES[name], creep=creep))
 
 
 BY_B = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B")
@@ -118,7 +118,7 @@ def test_by_left_cauchy_green_in_three_dimensions():
 
 
 def test_by_left_cauchy_green_with_a_creep_rate_field():
-    assert_both_agree(box((1, 1), maxh=0.4), model(BY_B, creep=nv.Creep(G_m=2.0, nu=1e-3, q=4)))
+    assert_both_agree(box((1, 1), maxh=0.5), model(BY_B, creep=nv.Creep(G_m=2.0, nu=1e-3, q=4)))
 
 
 def test_in_three_dimensions():
@@ -135,7 +135,7 @@ REGULARISED = {
 
 @pytest.mark.parametrize("name", REGULARISED)
 def test_with_regularisations(name):
-    assert_both_agree(box((1, 1), maxh=0.4), model(regularisation=REGULARISED[name]))
+    assert_both_agree(box((1, 1), maxh=0.5), model(regularisation=REGULARISED[name]))
 
 
 PARTS = {
@@ -176,7 +176,7 @@ def assert_on_strip(cells, physics):
 
 @pytest.mark.parametrize("name", PARTS)
 def test_for_other_mechanisms(name):
-    assert_both_agree(box((1, 1), maxh=0.4), model(**PARTS[name]))
+    assert_both_agree(box((1, 1), maxh=0.5), model(**PARTS[name]))
 
 
 @pytest.mark.parametrize(("k", "m"), [(2, 0), (2, 2), (3, 1), (3, 2)])
@@ -187,7 +187,7 @@ def test_for_other_orders(k, m):
 @pytest.mark.parametrize("periodic", ["x", "xy"])
 def test_on_periodic_cells(periodic):
     assert_both_agree(
-        box((1, 1), maxh=0.3, periodic=periodic),
+        box((1, 1), maxh=0.4, periodic=periodic),
         model(loads=[]),
         initial=nv.Initial(velocity=(sin(2 * pi * y), 0.3 * sin(2 * pi * x) * sin(2 * pi * y))),
     )
@@ -203,7 +203,7 @@ WALLS = {
 
 @pytest.mark.parametrize("name", WALLS)
 def test_with_walls(name):
-    assert_both_agree(box((1, 1), maxh=0.4), model(), walls=WALLS[name], initial=nv.Initial())
+    assert_both_agree(box((1, 1), maxh=0.5), model(), walls=WALLS[name], initial=nv.Initial())
 
 
 def test_on_a_curved_wall():
@@ -233,7 +233,7 @@ def test_with_two_levels_and_unknowns_beside_the_velocity(beside):
 def test_with_sources(dim, m, kind):
     """A manufactured problem with all terms; it meets its exact solution as the coupled solver's does."""
     physics, tau = manufactured_model(kind, dim, 4.0, regularised=m > 0), 0.05
-    mesh = box((1,) * dim, maxh=0.4 if dim == 2 else 1)
+    mesh = box((1,) * dim, maxh=0.5 if dim == 2 else 1)
     runs = []
     for name in ("coupled", "split"):
         nv.time.Set(0.0)

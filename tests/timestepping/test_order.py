@@ -19,6 +19,7 @@ ORDER = {"midpoint": 2, "sdirk2": 2, "backward-euler": 1}
 
 
 def run_to(until, steps, scheme, material=NEO_HOOKEAN, mesh=None, creep=2.0, **options):
+    """By the coupled solver, which on few straight cells takes less time; both find the same."""
     model = nv.Model(
         material=material,
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
@@ -34,6 +35,7 @@ def run_to(until, steps, scheme, material=NEO_HOOKEAN, mesh=None, creep=2.0, **o
         dt=until / steps,
         initial=options.pop("initial", nv.Initial(velocity=swirl)),
         scheme=scheme,
+        solver=options.pop("solver", "coupled"),
         **options,
     )
     run.rothe_step.context.eta.Set(0.3)
@@ -110,8 +112,8 @@ def test_second_order_under_a_lid_that_is_accelerated(scheme):
 @pytest.mark.parametrize("scheme", ["midpoint", pytest.param("sdirk2", marks=pytest.mark.long)])
 def test_second_order_with_traction_on_a_curved_slip_wall(scheme):
     walls = {"wall": nv.Traction(f=(-y * sin(20 * nv.time), x * sin(20 * nv.time)), friction=0.1)}
-    steps = (4, 8, 16)
-    found = in_time(scheme, 0.04, steps, mesh=disc(1, 0.8), walls=walls, initial=nv.Initial(), loads=[])
+    options = {"initial": nv.Initial(), "loads": [], "solver": "split"}
+    found = in_time(scheme, 0.04, mesh=disc(1, 0.8), walls=walls, **options)
     assert min(found.values()) >= 1.9, found
 
 

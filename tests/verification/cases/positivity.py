@@ -113,6 +113,5 @@ CASES = (
             Bound("most iterations of a solve", "<=", 30.0, "an impulsive start and none harder after it"),
         ),
         run=_measured,
-        reduced=True,
     ),
 )

@@ -237,7 +237,6 @@ def _cases(scheme: str) -> tuple[Case, ...]:
                     CLOSURE,
                 ),
                 run=partial(_dispersion, scheme, kind),
-                reduced=midpoint and kind == "linearised",
             )
             for kind in KINDS
         ),
