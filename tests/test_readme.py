@@ -10,7 +10,8 @@ from ngvisco.geometries import box
 from ngvisco.physics.materials.catalogue import table
 
 README = ROOT / "README.md"
-RUN = ROOT / "ngvisco" / "run" / "README.md"
+LEDGER = ROOT / "ngvisco" / "run" / "LEDGER.md"
+OUTPUT = ROOT / "ngvisco" / "run" / "OUTPUT.md"
 
 
 def ran(program):
@@ -39,7 +40,7 @@ def test_script_runs_and_closes(tmp_path, monkeypatch, capsys):
 def test_hdf5_is_read_as_printed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run = ran(script())["run"]
-    (reader,) = marked_blocks(RUN)["reader"]
+    (reader,) = marked_blocks(OUTPUT)["reader"]
     names = ran(reader)
     assert names["unit"] == "J" and len(names["closure"]) == 6
     assert len(names["coefficients"]) == run.rothe_step.layout.space.ndof
@@ -58,11 +59,11 @@ def test_commands_install_and_run_in_one_line_each():
 def test_every_ledger_column_is_explained():
     model = nv.Model(material=nv.NeoHookean(K_e=1.0, G_e=1.0, epsilon=1.0))
     columns = nv.Simulation(box((1, 1), maxh=1), model, dt=1.0).ledger.columns
-    assert all(f"`{column}`" in RUN.read_text() for column in columns)
+    assert all(f"`{column}`" in LEDGER.read_text() for column in columns)
 
 
 def test_table_of_materials_is_the_generated_one():
-    assert table().strip() in (ROOT / "ngvisco/physics/materials/README.md").read_text()
+    assert table().strip() in (ROOT / "ngvisco/physics/materials/MATERIALS.md").read_text()
 
 
 def test_table_of_walls_has_every_wall():

@@ -36,6 +36,12 @@ def test_every_file_of_a_room_is_in_its_readme(room):
     assert set(named) <= there, f"not in the folder: {sorted(set(named) - there)}"
 
 
+@pytest.mark.parametrize("room", [room for room in ROOMS if room != "ngvisco"])
+def test_readme_of_a_room_is_two_pages(room):
+    """What is longer is a page beside it: measurements in NOTES.md, what users look up under its name."""
+    assert len((ROOMS[room] / "README.md").read_text().splitlines()) <= 80
+
+
 @pytest.mark.parametrize("room", ROOMS)
 def test_files_are_listed_after_those_that_they_import(room):
     """So that a room can be read from top to bottom; ``__init__.py`` is the door and may stand first."""

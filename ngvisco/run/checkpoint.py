@@ -23,7 +23,7 @@ which a bit has changed is refused.
 The file is made in memory, written beside and renamed, so that a kill or a full disk at any moment
 leaves the last one readable.  A restart factorises the Jacobian where the run had done so, and goes
 on bit for bit as that run (on one machine, over as many ranks), at whatever step it was interrupted;
-``ngvisco/parallel/README.md`` says where ranks leave a difference of rounding.
+``ngvisco/parallel/NOTES.md`` says where ranks leave a difference of rounding.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ A row for each: iterations of the first step, their median and most, steps taken
 coupled solver was asked for, limited cells, and the dearest step over the median, of processor time.  With
 ``--before CHECKOUT``, another clone, possibly an older one, the same runs are measured with its code first,
 and cells are "before → after".  A run that takes more than ``--seconds`` of processor time is ended, and its
-row has the steps that it took until then.  The table of ``ngvisco/timestepping/README.md`` is made so.
+row has the steps that it took until then.  The table of ``ngvisco/timestepping/NOTES.md`` is made so.
 
 Each run is a process of its own, which knows ngvisco by its public names alone, as all versions have them;
 meshes are handed over in files.

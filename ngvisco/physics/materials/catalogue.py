@@ -1,6 +1,6 @@
 """All materials of the package against the paper: one example of each form, and the table of them.
 
-The README's table is ``table()``; a test runs every example.
+The table of MATERIALS.md is ``table()``; a test runs every example.
 """
 
 from __future__ import annotations

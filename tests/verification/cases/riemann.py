@@ -32,7 +32,7 @@ CELLS, END = 200, 0.15
 """Cells of the strip, and the end in passages of a wave through it."""
 
 VISCOSITY, COURANT = {"backward-euler": 1.0, "midpoint": 2.0}, 0.5
-"""K_v + 4/3 G_v in units of rho U h, and c dt/h: what ngvisco/timestepping/README.md advises.  The midpoint
+"""K_v + 4/3 G_v in units of rho U h, and c dt/h: what ngvisco/timestepping/NOTES.md advises.  The midpoint
 rule damps nothing: in the body at rest between two waves v . n turns round on facets by what rounding leaves,
 with jumps of F across them: such steps take up to 44 iterations, by upwinding that is made wide and narrowed
 again."""
