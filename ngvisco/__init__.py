@@ -71,6 +71,7 @@ from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.record import record
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
+from ngvisco.run.time_steps import TimeSteps
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
 from ngvisco.shapes.image import Image
 from ngvisco.shapes.shape import Shape
@@ -186,6 +187,7 @@ __all__ = [
     "StokesViscosity",
     "Subdomain",
     "TimeScheme",
+    "TimeSteps",
     "Traction",
     "Transfer",
     "UnknownNameError",

@@ -264,19 +264,18 @@ class Case:
 
     def simulation(self, mesh: Mesh, observers: Sequence[Observer] = ()) -> Simulation:
         """The simulation at its initial state; raises CaseError for data that the model refuses."""
-        sections, made = self.sections, {}
+        sections, parts = self.sections, {}
         with self.located("walls"):
             check_boundary_names(mesh, sections.walls)
         for name in ("initial", "discretisation", "solver"):
             with self.located(name):
                 values = self._values(getattr(sections, name), (name,), mesh.dim)
-                made[name] = catalogue.SECTIONS[name](**values)
+                parts[name] = catalogue.SECTIONS[name](**values)
         walls: dict[str | tuple[str, ...], Wall] = {}
         for wall, condition in sections.walls.items():
             walls[wall] = self._made(condition, catalogue.WALLS, ("walls", wall), mesh.dim)
-        adaptive = sections.time.adaptive
         with self.located("time"):
-            stepping = None if adaptive is None else catalogue.SECTIONS["adaptive"](**parameters(adaptive))
+            steps = made(sections.time)
         time.Set(0.0)
         model = self.model(mesh.dim)
         self._check_bodies(mesh)
@@ -284,20 +283,12 @@ class Case:
             run = Simulation(
                 mesh,
                 model,
-                dt=sections.time.dt,
-                stepping=stepping,
-                scheme=sections.time.scheme,
-                theta=sections.time.theta,
-                startup=sections.time.startup,
-                relaxation=sections.time.relaxation,
-                limiter=sections.time.limiter,
-                halvings=sections.time.halvings,
-                initial=made["initial"],
+                time=steps,
+                initial=parts["initial"],
                 walls=walls,
                 passive=sections.output.passive,
-                discretisation=made["discretisation"],
-                newton=made["solver"],
-                velocity_scale=sections.time.velocity_scale,
+                discretisation=parts["discretisation"],
+                newton=parts["solver"],
                 observers=observers,
             )
             run.check_data(times_of(0.0, self.until))

@@ -36,7 +36,7 @@ from ngvisco.physics.model import BodyForce, CentralGravity, Gravity
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import HyperViscosity, LinearViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
-from ngvisco.run.stepping import AdaptiveSteps
+from ngvisco.run.time_steps import TimeSteps
 from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon
 from ngvisco.shapes.subdomain import Subdomain
 from ngvisco.solver.options import NewtonOptions
@@ -124,10 +124,10 @@ SHAPES: dict[str, Callable[..., Any]] = {
 """Where bodies are at the start, besides conditions on x, y, z."""
 
 SECTIONS: dict[str, type] = {
-    "adaptive": AdaptiveSteps,
     "discretisation": Discretisation,
     "initial": Initial,
     "solver": NewtonOptions,
+    "time": TimeSteps,
 }
 
 TABLES: tuple[Mapping[str, Callable[..., Any]], ...] = (

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import json
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -20,7 +20,7 @@ from ngvisco.case.faults import models_in
 from ngvisco.case.keys import meanings, quantities, summary
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import _TARGETS, annotation_of
+from ngvisco.case.section import _TARGETS, annotation_of, owner_of
 from ngvisco.case.values import (
     ModulusValue,
     NumberValues,
@@ -103,7 +103,8 @@ _SAME_KEYS = {
 
 
 def _walk(model: type[BaseModel], path: tuple[str, ...], kinds: tuple[str, ...]) -> Iterator[Entry]:
-    for name, field in model.model_fields.items():
+    fields = sorted(model.model_fields.items(), key=lambda field: bool(models_in(field[1].annotation)))
+    for name, field in fields:  # tables come last, as in a file
         here, inner = (*path, name), models_in(field.annotation)
         if name in _TAGS:
             continue
@@ -136,19 +137,13 @@ def _walk_kinds(models: list[type[BaseModel]], path: tuple[str, ...], name: str)
 
 def quantity(model: type[BaseModel], name: str) -> Quantity:
     """Unit, range and example of a key."""
-    return quantities(owner_of(model))[name]
+    return {**quantities(model), **quantities(owner_of(model))}[name]
 
 
 def meaning(model: type[BaseModel], name: str) -> str:
     """What a key means; a table that its section does not describe is what it holds."""
-    inner = models_in(model.model_fields[name].annotation)
-    return meanings(owner_of(model)).get(name) or summary(owner_of(inner[0]))
-
-
-def owner_of(model: type[BaseModel]) -> Any:
-    """The class or function whose parameters a section holds."""
-    targets: Mapping[Any, Any] = _TARGETS
-    return targets.get(model, model)
+    said = {**meanings(model), **meanings(owner_of(model))}.get(name)
+    return said or summary(owner_of(models_in(model.model_fields[name].annotation)[0]))
 
 
 def kind_of(model: type[BaseModel], tag: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
 
@@ -13,8 +13,6 @@ from ngvisco.case import catalogue
 from ngvisco.case.section import Section, materials, section, tagged
 from ngvisco.case.values import RegionText
 from ngvisco.errors import ParameterError, Quantity
-from ngvisco.run.stepping import HALVINGS, MOST_HALVINGS
-from ngvisco.timestepping.scheme import SCHEMES, scheme_of
 
 _MAX_OUTPUT_TIMES = 100_000
 _MAX_STEPS = 100_000_000
@@ -41,76 +39,34 @@ Rheology: Any = create_model(
     __base__=Section,
     **{name: (part | None, None) for name, part in _MECHANISMS.items()},  # type: ignore
 )
-Adaptive, Discretisation, Initial, Solver = (
-    section(catalogue.SECTIONS[name]) for name in ("adaptive", "discretisation", "initial", "solver")
+Discretisation, Initial, Solver = (
+    section(catalogue.SECTIONS[name]) for name in ("discretisation", "initial", "solver")
 )
 
 
-class Time(Section):
+class Time(section(catalogue.SECTIONS["time"])):  # type: ignore[misc]
     """Step length and end.
 
     Parameters
     ----------
-    dt
-        Length of a step; of the first one, with [time.adaptive].
     until
         End of the run, a multiple of dt where steps have one length.
-    scheme
-        Time scheme: "backward-euler" (order 1), "midpoint" (order 2, damps nothing), "sdirk2" (order 2, damps
-        what the step does not resolve) or "theta".
-    theta
-        Of scheme = "theta": 1/2 is midpoint, 1 backward-euler.
-    startup
-        First steps of the run that are of backward-euler, which damps rough data.
-    relaxation
-        With midpoint and [time.adaptive]: end each step where the scheme dissipates nothing.
-    limiter
-        Whether cells in which rho, J, det F, ... are not positive at a point, though in the mean, are scaled
-        towards their means after a step; false ends the run there.
-    halvings
-        Of a step of fixed length that is not solved, before the coupled solver is asked; 0 asks at once.
-    velocity_scale
-        A typical velocity, which sets the width of the upwinding; default: of flow, walls, free fall or
-        elastic release, at rest a tenth of the speed of sound.
-    adaptive
-        Step lengths chosen by the run; of one length without this table.
     """
 
-    dt: Annotated[float, Quantity("s", "> 0", 0.02)]
     until: Annotated[float, Quantity("s", "> 0", 1.0)]
-    scheme: Literal[tuple(SCHEMES)] = "backward-euler"  # type: ignore[valid-type]
-    theta: Annotated[float | None, Quantity("1", "in [1/2, 1]", 0.6)] = None
-    startup: int = Field(default=0, ge=0)
-    relaxation: bool = False
-    limiter: bool = True
-    halvings: int = Field(default=HALVINGS, ge=0, le=MOST_HALVINGS)
-    velocity_scale: Annotated[float | None, Quantity("m/s", "> 0", 1.0)] = None
-    adaptive: Adaptive | None = None  # type: ignore[valid-type]
 
     @model_validator(mode="after")
-    def _positive(self) -> Time:
-        for name in ("dt", "until", "velocity_scale"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise ParameterError(f"Time.{name}", value, "a finite number > 0")
-        try:
-            scheme_of(self.scheme, self.theta)
-        except ParameterError as error:
-            raise ParameterError("Time.theta", error.value, error.expected) from error
-        if self.relaxation and (self.scheme != "midpoint" or self.adaptive is None):
-            expected = "false, or the scheme 'midpoint' with [time.adaptive]"
-            raise ParameterError("Time.relaxation", self.relaxation, expected)
+    def _ends(self) -> Time:
+        if not 0 < self.until < math.inf:
+            raise ParameterError("Time.until", self.until, "a finite number > 0")
         if self.until / self.dt > _MAX_STEPS:
             least = self.until / _MAX_STEPS
             steps = f"{self.until / self.dt:.0e} steps until = {self.until:g}"
             expected = f"at least {least:.2g}: this one makes {steps}"
             raise ParameterError("Time.dt", self.dt, expected)
-        if self.adaptive is None:
-            number = round(self.until / self.dt)
-            if not math.isclose(number * self.dt, self.until, rel_tol=1e-9):
-                raise ParameterError("Time.until", self.until, f"a multiple of dt = {self.dt:g}")
-        elif not self.adaptive.dt_min <= self.dt <= self.adaptive.dt_max:
-            raise ParameterError("Time.dt", self.dt, "between adaptive.dt_min and adaptive.dt_max")
+        number = round(self.until / self.dt)
+        if self.adaptive is None and not math.isclose(number * self.dt, self.until, rel_tol=1e-9):
+            raise ParameterError("Time.until", self.until, f"a multiple of dt = {self.dt:g}")
         return self
 
 

@@ -27,6 +27,7 @@ from ngvisco.errors import UnknownNameError
 from ngvisco.expressions import parse
 from ngvisco.physics.material import Material as MaterialObject
 from ngvisco.physics.parameters import Modulus
+from ngvisco.run.stepping import AdaptiveSteps
 
 
 class Section(BaseModel):
@@ -53,11 +54,15 @@ def _annotation(hint: Any) -> Any:
             return field | None if type(None) in arguments else field
         parts = [part for part in arguments if part is not type(None)]
         inner = [_annotation(part) for part in parts]
+        if any(get_origin(part) is Literal for part in parts):
+            inner = [part for part in inner if part is not None]  # a text stands for what it names
         if None in inner:
             return None
         return functools.reduce(operator.or_, [*inner, None] if len(parts) < len(arguments) else inner)
     if origin is Literal:
         return hint
+    if hint is AdaptiveSteps:
+        return section(hint)
     if origin is collections.abc.Mapping and arguments[0] is str and _mentions_function(arguments[1]):
         return dict[str, TensorValue]
     if origin is collections.abc.Mapping and arguments == (str, float):
@@ -118,10 +123,14 @@ def annotation_of(model: type[BaseModel], name: str) -> Any:
     return _ANNOTATIONS.get(model, {}).get(name, model.model_fields[name].annotation)
 
 
+def owner_of(model: type[BaseModel]) -> Any:
+    """The class or function whose parameters a section holds; itself where there is none."""
+    return next((_TARGETS[part] for part in model.__mro__ if part in _TARGETS), model)
+
+
 def names_of(part: Section) -> set[str]:
     """What errors call the object that a section describes: the table's kind, the class behind it."""
-    target = _TARGETS.get(type(part))
-    return {type(part).__name__} | ({target.__name__} if target is not None else set())
+    return {type(part).__name__, owner_of(type(part)).__name__}
 
 
 def field_names(part: Section) -> set[str]:
@@ -164,26 +173,25 @@ def _checked_section(target: Callable[..., Any]) -> type[Section]:
 
 
 def parameters(part: Section) -> dict[str, Any]:
-    """The parameters that a section holds, by name, without its tag; None is left to the default.
+    """The parameters that a section holds, by name, without its other keys; None is left to the default.
 
     A section within it becomes the object that it describes, a modulus' text a function of the place.
     """
-    tags = {"kind", "geometry"} & set(type(part).model_fields)
     values: dict[str, Any] = {}
-    for name in type(part).model_fields:
+    for name in inspect.signature(owner_of(type(part))).parameters.keys() & type(part).model_fields:
         value = getattr(part, name)
         if isinstance(value, Section):
             value = made(value)
         elif isinstance(value, str) and name in moduli(type(part)):
             value = parse(value).coefficient()
-        if value is not None and name not in tags:
+        if value is not None:
             values[name] = value
-    return values
+    return {name: values[name] for name in type(part).model_fields if name in values}
 
 
 def made(part: Section) -> Any:
     """What a section without functions of time describes."""
-    return _TARGETS[type(part)](**parameters(part))
+    return owner_of(type(part))(**parameters(part))
 
 
 def moduli(model: type[BaseModel]) -> set[str]:

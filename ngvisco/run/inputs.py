@@ -12,10 +12,8 @@ import numpy as np
 from ngvisco.errors import (
     MeshError,
     ParameterError,
-    as_integer,
     require_collection,
     require_names,
-    require_type,
 )
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
@@ -26,16 +24,12 @@ from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, Wit
 from ngvisco.physics.materials.heterogeneous import Heterogeneous
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.walls import Wall
-from ngvisco.run.stepping import AdaptiveSteps
-from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
 
 
 def check_arguments(
-    observers: object, walls: object, stepping: object, passive: object, sources: object, terms: object
+    observers: object, walls: object, passive: object, sources: object, terms: object
 ) -> None:
     """Raise ParameterError for an argument of ``Simulation`` of the wrong type."""
-    if stepping is not None:
-        require_type("Simulation.stepping", stepping, AdaptiveSteps)
     require_collection("Simulation.observers", observers, "a sequence of observers")
     for observer in observers:  # type: ignore[attr-defined]
         check_observer(observer)
@@ -116,42 +110,3 @@ def _check_walls(walls: Any) -> None:
 
 def _has_methods(value: object, names: Sequence[str]) -> bool:
     return all(callable(getattr(value, name, None)) for name in names)
-
-
-LEAST_CONSTANT = 1e-2
-"""Error constant of a scheme, times (p + 1)!, below which its local error cannot be estimated by it."""
-
-
-def checked_scheme(
-    scheme: str | TimeScheme,
-    theta: float | None,
-    startup: int,
-    relaxation: bool,
-    stepping: AdaptiveSteps | None,
-) -> TimeScheme:
-    """The scheme; raises ParameterError for what does not fit it."""
-    try:
-        chosen = scheme_of(scheme, theta)
-    except ParameterError as error:
-        field = error.field if "." in error.field else f"Simulation.{error.field}"
-        raise ParameterError(field, error.value, error.expected) from error
-    if (count := as_integer(startup)) is None or count < 0:
-        raise ParameterError("Simulation.startup", startup, "a whole number of backward Euler steps, >= 0")
-    require_type("Simulation.relaxation", relaxation, bool)
-    tolerance = None if stepping is None else stepping.tolerance
-    if (
-        tolerance is not None
-        and abs(chosen.error_constant) * math.factorial(chosen.order + 1) < LEAST_CONSTANT
-    ):
-        expected = (
-            f"None with this scheme, whose local error is not that of its order {chosen.order}: "
-            f"its error constant is {chosen.error_constant:.1e}"
-        )
-        raise ParameterError("AdaptiveSteps.tolerance", tolerance, expected)
-    if relaxation and stepping is None:
-        expected = "False with steps of one length: a relaxed step ends where it is without dissipation"
-        raise ParameterError("Simulation.relaxation", relaxation, expected)
-    if relaxation and chosen.A != midpoint().A:
-        expected = f"False with the scheme {chosen.name!r}: only the midpoint rule is relaxed"
-        raise ParameterError("Simulation.relaxation", relaxation, expected)
-    return chosen

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from ngsolve import CoefficientFunction, Mesh
@@ -23,13 +23,12 @@ from ngvisco.errors import (
     StepError,
     as_number,
     as_times,
-    require_positive,
     require_type,
 )
 from ngvisco.forms.boundary.corners import warn_of_corners
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.bounds import Bounds, Violation
-from ngvisco.forms.context import time
+from ngvisco.forms.context import time as run_time
 from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.data_checks import check_loads, check_walls, warn_of_normal_parts
@@ -48,7 +47,6 @@ from ngvisco.run.inputs import (
     check_arguments,
     check_distributed,
     check_observer,
-    checked_scheme,
     times_of,
     warn_of_own_energy,
 )
@@ -60,13 +58,12 @@ from ngvisco.run.ranks import ending_all_ranks, is_to_stop, tell
 from ngvisco.run.rest_stresses import warn_of_rest_stresses
 from ngvisco.run.scales import diameter, typical_velocity
 from ngvisco.run.stepping import (
-    HALVINGS,
     AdaptiveStepper,
-    AdaptiveSteps,
     Rejection,
     RejectionObserver,
     make_stepper,
 )
+from ngvisco.run.time_steps import TimeSteps, time_steps
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.threads import computing
@@ -103,29 +100,14 @@ class Simulation:
     initial : Initial, optional
     walls : mapping of boundary names (or tuples of them) to Wall objects, optional
         Slip (v.n = 0 with a free tangential part) where nothing is said.
-    dt : float
-        Length tau of the Rothe steps, s, > 0; with ``stepping`` that of the first one.
-    stepping : AdaptiveSteps, optional
-        Chooses the steps' lengths; default None is steps of the one length ``dt``.
-    scheme : str or TimeScheme
-        ``"backward-euler"`` (default, the paper's), ``"midpoint"``, ``"theta"`` or ``"sdirk2"``; see
-        ``ngvisco.timestepping.scheme``.
-    theta : float, optional
-        Of the scheme ``"theta"``, in [1/2, 1].
-    startup : int
-        So many first steps of the run are of the backward Euler scheme, which damps rough initial data.
-    relaxation : bool
-        With ``"midpoint"`` and ``stepping``: end each step where the scheme's own dissipation is zero.
+    time : TimeSteps
+        Scheme and step lengths.  ``dt=0.1, scheme="midpoint"`` is short for
+        ``time=TimeSteps(dt=0.1, scheme="midpoint")``.
     discretisation : Discretisation, optional
     newton : NewtonOptions, optional
     solver : str, optional
         ``"auto"``, ``"coupled"`` or ``"split"``: short for ``NewtonOptions(method=...)``.
     observers : sequence of Observer
-    velocity_scale : float, optional
-        A typical velocity, m/s; sets the width of the smoothed upwinding (1e-4 of it).  Default: the
-        largest of max |v_0|, the walls' velocities, sqrt(diameter |force|/rho) and
-        sqrt(2 max |phi(z_0) - phi(rest)| / min rho_0); where all of them are zero a tenth of the speed of
-        sound (``ngvisco.run.scales``).
     sources : Term, optional
         A further term that takes no unknown, for manufactured solutions.
     terms : sequence of Term
@@ -134,13 +116,8 @@ class Simulation:
         both solvers; of a term that states its ``form(u, w)`` alone split takes rows of the flow only.
     passive : sequence of str
         Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
-    limiter : bool
-        Whether a step's end at which rho, J, det F, ... are not positive at points of a cell is scaled
-        towards the cell's mean (``ngvisco.forms.bounds``; default), and only a mean that is not positive ends
-        a run.  It changes no other state; the ledger has its energy as ``limiter``.
-
-    halvings : int
-        With steps of one length: how often a step that is not solved is halved (``FixedStepper``).
+    former : keyword arguments
+        Those of ``TimeSteps``, and ``stepping``, its ``adaptive``: for one release more, with a warning.
 
     Raises
     ------
@@ -157,24 +134,19 @@ class Simulation:
         mesh: Mesh,
         model: Model,
         *,
-        dt: float,
-        stepping: AdaptiveSteps | None = None,
-        scheme: str | TimeScheme = "backward-euler",
-        theta: float | None = None,
-        startup: int = 0,
-        relaxation: bool = False,
+        time: TimeSteps | None = None,
+        dt: float | None = None,
+        scheme: str | TimeScheme | None = None,
         initial: Initial | None = None,
         walls: Conditions | None = None,
         discretisation: Discretisation | None = None,
         newton: NewtonOptions | None = None,
         solver: str | None = None,
         observers: Sequence[Observer] = (),
-        velocity_scale: float | None = None,
         sources: Term | None = None,
         terms: Sequence[Term] = (),
         passive: Sequence[str] = (),
-        limiter: bool = True,
-        halvings: int = HALVINGS,
+        **former: Any,
     ) -> None:
         require_type("Simulation.mesh", mesh, Mesh)
         require_type("Simulation.model", model, Model)
@@ -184,17 +156,13 @@ class Simulation:
             ("newton", newton, NewtonOptions),
         ):
             require_type(f"Simulation.{name}", kind() if value is None else value, kind)
-        require_positive("Simulation", dt=dt)
-        require_type("Simulation.limiter", limiter, bool)
-        if velocity_scale is not None:
-            require_positive("Simulation", velocity_scale=velocity_scale)
-        check_arguments(observers, walls, stepping, passive, sources, terms)
-        chosen = checked_scheme(scheme, theta, startup, relaxation, stepping)
+        steps = time_steps(time, dt, scheme, former)
+        check_arguments(observers, walls, passive, sources, terms)
         ranks = Communicator.world() if mesh.comm.size == 1 else Communicator.of(mesh)
         require_petsc(ranks)
         mesh = distributed(mesh, ranks) if mesh.comm.size == 1 else mesh
-        self.mesh, self.model, self.dt = mesh, model, float(dt)
-        self.stepper = make_stepper(self.dt, stepping, halvings)
+        self.mesh, self.model, self.dt = mesh, model, float(steps.dt)
+        self.stepper = make_stepper(self.dt, steps.adaptive, steps.halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
         require_names_of_their_own(model.material, self.rothe_step.layout.further)
         check_distributed(self.rothe_step)
@@ -207,7 +175,7 @@ class Simulation:
         self.check_data([0.0])
         self.observers = list(observers)
         self._t, self._number = 0.0, 0
-        time.Set(0.0)  # whatever ran before: start values and walls are those of the start
+        run_time.Set(0.0)  # whatever ran before: start values and walls are those of the start
         try:
             F_0 = set_initial(self.rothe_step, initial or Initial(), self.sampler)
         except InitialDataError:
@@ -216,7 +184,7 @@ class Simulation:
         warn_of_own_energy(self.rothe_step, self.sampler.values(self.rothe_step.now.z))
         warn_of_rest_stresses(self.rothe_step, self.sampler, initial or Initial())
         warn_of_normal_parts(self.rothe_step, None if initial is None else initial.velocity)
-        typical = velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
+        typical = steps.velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
         self.set_velocity_scale(float(typical))
         options = newton or NewtonOptions()
         if solver is not None:
@@ -224,16 +192,16 @@ class Simulation:
         self.solver = RotheSolver(self.rothe_step, options, self.defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.closure_check = ClosureCheck(options.tolerance)
-        self.bounds = Bounds(self.rothe_step, self.sampler, limiter)
+        self.bounds = Bounds(self.rothe_step, self.sampler, steps.limiter)
         self.passive = PassiveFields(self.rothe_step, passive, F_0)
         self.integrator = Integrator(
             self.solver,
-            chosen,
+            steps.made,
             self.ledger.rates,
             [self.passive],
-            startup,
-            relaxation,
-            self.bounds if limiter else None,
+            steps.startup,
+            steps.relaxation,
+            self.bounds if steps.limiter else None,
         )
         self._refused: tuple[Violation, np.ndarray] | None = None
         self.wall_time = 0.0
@@ -251,7 +219,7 @@ class Simulation:
         For a state that belongs to other times than multiples of dt, see ``stepper.begin``.
         """
         self._t, self._number = t, number
-        time.Set(t)
+        run_time.Set(t)
 
     @property
     def t(self) -> float:

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, Quantity, StepError, as_integer, require_count, require_positive
+from ngvisco.errors import ParameterError, Quantity, StepError, require_count, require_positive
 from ngvisco.timestepping.error import ErrorEstimate
 from ngvisco.timestepping.integrator import StepTaken
 
@@ -143,14 +143,7 @@ class Stepper(Protocol):
 
 def make_stepper(dt: float, adaptive: AdaptiveSteps | None, halvings: int = HALVINGS) -> Stepper:
     """The stepper of a simulation with first (or only) length ``dt``."""
-    if (count := as_integer(halvings)) is None or not 0 <= count <= MOST_HALVINGS:
-        raise ParameterError("Simulation.halvings", halvings, f"a whole number from 0 to {MOST_HALVINGS}")
-    if adaptive is None:
-        return FixedStepper(dt, count)
-    if not adaptive.dt_min <= dt <= adaptive.dt_max:
-        expected = f"a number between dt_min = {adaptive.dt_min:g} and dt_max = {adaptive.dt_max:g}"
-        raise ParameterError("Simulation.dt", dt, expected)
-    return AdaptiveStepper(dt, adaptive)
+    return FixedStepper(dt, halvings) if adaptive is None else AdaptiveStepper(dt, adaptive)
 
 
 def _estimate_for(simulation: Simulation) -> ErrorEstimate:

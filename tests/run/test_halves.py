@@ -131,7 +131,7 @@ def test_halvings_are_an_option(monkeypatch):
     with pytest.raises(nv.StepError, match="stalled"):
         run.advance()
     for wrong in (-1, 1.5, 21, "two"):
-        with pytest.raises(nv.ParameterError, match=r"Simulation\.halvings"):
+        with pytest.raises(nv.ParameterError, match=r"TimeSteps\.halvings"):
             simulation(halvings=wrong)
 
 

@@ -62,7 +62,7 @@ PARAMETERS = {
             "HyperViscosity.mu": lambda v: HyperViscosity(mu=v),
             "HyperViscosity.penalty": lambda v: HyperViscosity(mu=1.0, penalty=v),
             "HyperViscosity.floor": lambda v: HyperViscosity(mu=1.0, floor=v),
-            "Simulation.dt": lambda v: simulation(dt=v),
+            "TimeSteps.dt": lambda v: simulation(dt=v),
             "NewtonOptions.tolerance": lambda v: NewtonOptions(tolerance=v),
         }.items()
         for bad in NOT_POSITIVE
@@ -114,7 +114,7 @@ PARAMETERS = {
                 ("sparsecholesky",),
                 "one of umfpack",
             ),
-            ("Simulation.velocity_scale", lambda v: simulation(velocity_scale=v), (0, -1, "1"), "number > 0"),
+            ("TimeSteps.velocity_scale", lambda v: simulation(velocity_scale=v), (0, -1, "1"), "number > 0"),
             ("Simulation.mesh", lambda v: Simulation(v, FINITE, dt=0.1), ("mesh", None), "a ngsolve.Mesh"),
             ("Simulation.model", lambda v: Simulation(small_box(2), v, dt=0.1), (LINEAR,), "a ngvisco.Model"),
             ("Simulation.initial", lambda v: simulation(initial=v), (1.0,), "a ngvisco.Initial"),
