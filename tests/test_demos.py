@@ -19,11 +19,15 @@ def load(name):
     return module
 
 
+CLEAN = pytest.mark.filterwarnings("error::ngvisco.run.ledger.DefectWarning")
+"""The first thing that a user runs warns of nothing."""
+
+
 @pytest.mark.parametrize(
     ("name", "steps", "options"),
     [
-        ("swirl", 5, {"until": 0.1}),
-        pytest.param("swirl", 50, {}, marks=[pytest.mark.long, pytest.mark.ci]),
+        pytest.param("swirl", 5, {"until": 0.1}, marks=CLEAN),
+        pytest.param("swirl", 50, {}, marks=[pytest.mark.long, pytest.mark.ci, CLEAN]),
         ("swirl3d", 5, {"until": 0.1, "maxh": 0.7}),
         pytest.param("swirl3d", 50, {}, marks=pytest.mark.long),
         ("creep", 5, {"until": 0.25}),
@@ -45,7 +49,7 @@ def test_demo_keeps_energy_mass_and_positivity(name, steps, options, tmp_path):
         assert min(ledger.column("bregman").min(), ledger.column("inertial").min()) >= 0
     for file in ("ledger.csv", "run.h5", "energies.png", "fields.png", "vtk/fields.pvd"):
         assert (tmp_path / file).stat().st_size > 0
-    if name == "swirl":  # what its picture compares: Euler's share of the loss is 0.182 J
+    if name == "swirl":  # what its picture compares: Euler's share of the loss is 0.145 J
         assert (tmp_path / "schemes.png").stat().st_size > 0
         assert abs((ledger.column("inertial") + ledger.column("bregman")).sum()) <= 1e-5
 

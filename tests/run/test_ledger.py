@@ -244,8 +244,8 @@ def test_ledger_closes_to_rounding(dim: int, material: str, creep: bool) -> None
     "dim, material, factor",
     [
         *((2, material, factor) for material in ("linear", "neo_hookean") for factor in (1, 10, 100)),
-        *((3, material, factor) for material, factor in (("linear", 1), ("linear", 100), ("neo_hookean", 1))),
-        pytest.param(3, "neo_hookean", 100, marks=pytest.mark.long),
+        *((3, material, factor) for material, factor in (("linear", 1), ("neo_hookean", 1))),
+        *(pytest.param(3, material, 100, marks=pytest.mark.long) for material in ("linear", "neo_hookean")),
     ],
 )
 def test_energy_never_rises_without_load(dim: int, material: str, factor: int) -> None:

@@ -37,6 +37,7 @@ def state(run):
 # --- restarts ------------------------------------------------------------------------------------------
 
 RESTARTED = {
+    "backward-euler": {"scheme": "backward-euler", "solver": "split"},
     "midpoint, split": {"scheme": "midpoint", "solver": "split"},
     "midpoint, coupled": {"scheme": "midpoint", "solver": "coupled"},
     "theta": {"scheme": "theta", "theta": 0.6, "solver": "coupled"},

@@ -124,6 +124,7 @@ def test_rates_on_a_disc_with_slip_are_k_plus_1_and_m_plus_1() -> None:
     decay_rates(2, meshes, ROOTS[2]).require(v=2.7, E=1.85)
 
 
+@pytest.mark.long
 def test_rates_on_a_disc_with_traction_are_k_plus_1_and_m_plus_1() -> None:
     """Measured 2.95 and 2.02; a multiplier in P_{k-1} at the wall gives 2.54 and 1.55."""
     decay_rates(2, (disc(1, maxh) for maxh in (0.5, 0.25, 0.125)), 2.0).require(v=2.8, E=1.9)
