@@ -273,7 +273,7 @@ ADAPTIVE = nv.AdaptiveSteps(**BOUNDS)
         ({"scheme": "theta", "theta": 0.4}, r"TimeSteps\.theta = 0\.4"),
         ({"scheme": "midpoint", "theta": 0.6}, r"TimeSteps\.theta"),
         ({"scheme": "midpoint", "relaxation": True}, r"TimeSteps\.relaxation.*adaptive steps"),
-        ({"scheme": "sdirk2", "relaxation": True, "stepping": ADAPTIVE}, "the scheme .midpoint. with adaptive"),
+        ({"scheme": "sdirk2", "relaxation": True, "stepping": ADAPTIVE}, "scheme .midpoint."),
         ({"scheme": "midpoint", "startup": -1}, r"TimeSteps\.startup"),
         ({"scheme": "midpoint", "startup": 1.5}, r"TimeSteps\.startup"),
         ({"scheme": "midpoint", "startup": True}, r"TimeSteps\.startup"),
