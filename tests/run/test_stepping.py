@@ -219,5 +219,5 @@ def test_wrong_bounds_raise(options, field):
 
 
 def test_a_first_step_outside_the_bounds_raises():
-    with pytest.raises(nv.ParameterError, match=r"Simulation\.dt = 0\.02"):
+    with pytest.raises(nv.ParameterError, match=r"TimeSteps\.dt = 0\.02"):
         simulation(nv.AdaptiveSteps(dt_min=0.03, dt_max=0.1))
