@@ -31,7 +31,15 @@ from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.notices import print_own
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
-from ngvisco.physics.flow_rules import Creep, FlowRule
+from ngvisco.physics.flow_rules import (
+    Composite,
+    Creep,
+    DruckerPrager,
+    Eyring,
+    FlowRule,
+    Norton,
+    Perzyna,
+)
 from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import (
@@ -126,13 +134,16 @@ __all__ = [
     "Checkpoints",
     "ClosedSurface",
     "ClosureWarning",
+    "Composite",
     "ConvexityReport",
     "ConvexityWarning",
     "Creep",
     "CustomMaterial",
     "DefectWarning",
     "Discretisation",
+    "DruckerPrager",
     "Entry",
+    "Eyring",
     "FlowRule",
     "Gravity",
     "HalfSpace",
@@ -163,6 +174,7 @@ __all__ = [
     "NgviscoError",
     "NgviscoWarning",
     "NoSlip",
+    "Norton",
     "NotebookProgress",
     "Observer",
     "OldroydB",
@@ -170,6 +182,7 @@ __all__ = [
     "ParameterError",
     "PerMass",
     "PerReferentialVolume",
+    "Perzyna",
     "PointTerm",
     "Polygon",
     "PrescribedTangential",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TypeVar
 
 from ngsolve import (
@@ -24,6 +25,7 @@ from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.facets import boundary_facets, facets_with_two_sides
 from ngvisco.forms.rates import Rates
+from ngvisco.forms.term import Term
 from ngvisco.forms.time_means import TOLERANCE, TimeMean, mean_in_cells, mean_on_walls
 from ngvisco.forms.upwinding import Upwinding
 from ngvisco.parallel.communicator import Communicator
@@ -63,6 +65,8 @@ class Context:
         self.mesh, self.old = mesh, old
         self.energy = energy or StoredEnergy(model.material, mesh.dim)
         self.rates = Rates(model, mesh.dim)
+        self.terms: Sequence[Term] = ()
+        """Those of the step."""
         self._momentum_old = momentum_old
         self.tau = Parameter(1.0)
         """Length of the Rothe step, s."""

@@ -21,7 +21,7 @@ from ngsolve import L2, GridFunction, VectorValued
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate, Rates
 from ngvisco.physics.arrays import Array, Linear
-from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.physics.flow_rules.rule import PRESSURE, FlowRule
 from ngvisco.physics.increments import TINY
 from ngvisco.physics.material import Material, creep_tensors
 from ngvisco.physics.model import Model
@@ -164,8 +164,7 @@ class TabulatedRates(Rates):
         """
         rule, states = self.rule, self.material.states(self.dim)
         assert rule is not None
-        M, conformation, z = self.mandel(u), self.material.conformation, _Read(u.z_tensors)
-        zeta = None if conformation is None else u.zeta_tensors[conformation]
+        M, zeta, z = self.mandel(u), self.read_conjugate(u), _Read(self.read_values(rule, u))
         p, n, points = self._space.size, states.size, u.z.value.shape[-1]
 
         def slope(Pi: Array) -> np.ndarray:
@@ -177,17 +176,39 @@ class TabulatedRates(Rates):
             deviator = np.array(unit) - np.trace(unit) / 3 * np.eye(3)
             of_mandel[:, :, i] = slope(rule.rate(M + _tiny(deviator), zeta, z))
         if rule.reads_conjugate:
-            assert conformation is not None
-            where, space = states.slices[conformation], states.spaces[conformation]
-            for i, unit in enumerate(space.basis):
+            assert zeta is not None and self.material.conformation is not None
+            where = states.slices[self.material.conformation]
+            for i, unit in enumerate(states.spaces[self.material.conformation].basis):
                 of_zeta[:, :, where.start + i] = slope(rule.rate(M, zeta + _tiny(unit), z))
         for name in z.read:
+            if name == PRESSURE:
+                of_pressure = slope(rule.rate(M, zeta, {**z, name: z[name] + _tiny(1.0)}))
+                for total, by in zip((of_zeta, of_z), self._pressure_slopes(u), strict=True):
+                    total += of_pressure[:, :, None] * by[:, None, :]
+                continue
             where, space = states.slices[name], states.spaces[name]
             units: Sequence[Any] = space.basis or (1.0,)
             for i, unit in enumerate(units):
-                values = {**u.z_tensors, name: u.z_tensors[name] + _tiny(unit)}
+                values = {**z, name: z[name] + _tiny(unit)}
                 of_z[:, :, where.start + i] = slope(rule.rate(M, zeta, values))
         return of_mandel, of_zeta, of_z
+
+    def stored(self, u: Fields) -> Array:
+        """phi(z), Pa."""
+        return self.material.energy(u.z_tensors)
+
+    def _pressure_slopes(self, u: Fields) -> tuple[np.ndarray, np.ndarray]:
+        """dp/dzeta and dp/dz, (points, n)."""
+        of_zeta, of_z = np.zeros((2, u.z.value.shape[-1], len(u.z.value)))
+        for name, result in (("zeta", of_zeta), ("z", of_z)):
+            for i in range(len(u.z.value)):
+                value = u.parts[name].value.astype(complex)
+                value[i] += 1j * TINY
+                parts = {**{other: u.parts[other] for other in ("z", "zeta")}, name: Array(value, None)}
+                changed = Fields(u.layout, parts, u.context, u.gradient)
+                changed.__dict__["L"] = u.L
+                result[:, i] = self.pressure(changed).value.imag / TINY
+        return of_zeta, of_z
 
 
 class _Read(Mapping[str, Any]):

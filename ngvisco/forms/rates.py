@@ -13,10 +13,10 @@ from typing import Literal, TypeAlias
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.physics.flow_rules.rule import PRESSURE, FlowRule
 from ngvisco.physics.material import mandel_stress, rate_power
 from ngvisco.physics.model import Model
-from ngvisco.physics.tensors import inner, square, trace_free_tensors
+from ngvisco.physics.tensors import identity_like, inner, square, trace_free_tensors
 from ngvisco.physics.variables import Values
 
 Conjugate: TypeAlias = Literal["z", "zeta"]
@@ -74,9 +74,26 @@ class Rates:
 
     def local_creep(self, rule: FlowRule, u: Fields) -> CoefficientFunction:
         """Pi by a rule at the values at the point, 3x3, 1/s."""
+        return rule.rate(self.mandel(u), self.read_conjugate(u), self.read_values(rule, u))
+
+    def read_conjugate(self, u: Fields) -> CoefficientFunction | None:
+        """The zeta that a rule may read; None where the material has no conformation tensor."""
         conformation = self.material.conformation
-        zeta = None if conformation is None else u.zeta_tensors[conformation]
-        return rule.rate(self.mandel(u), zeta, u.z_tensors)
+        return None if conformation is None else u.zeta_tensors[conformation]
+
+    def read_values(self, rule: FlowRule, u: Fields) -> Values:
+        """The values z that a rule may read."""
+        return {**u.z_tensors, PRESSURE: self.pressure(u)} if rule.reads_pressure else u.z_tensors
+
+    def pressure(self, u: Fields) -> CoefficientFunction:
+        """-tr T/3 by the projected conjugates, Pa."""
+        identity = identity_like(u.L) + 0 * u.L
+        power = rate_power(self.material, u.z_tensors, u.zeta_tensors, identity, 0 * u.L)
+        return (-1 / 3) * power - self.stored(u)
+
+    def stored(self, u: Fields) -> CoefficientFunction:
+        """phi(z), Pa."""
+        return u.context.energy.density(u)
 
     def dissipation(self, u: Fields) -> CoefficientFunction | None:
         """The power of creep, W/m^3, without that of its gradient term; None without creep."""

@@ -153,6 +153,7 @@ class Step:
             self.momentum_old,
             self.quadrature.volume_degree,
         )
+        self.context.terms = self.terms
         self.ranges: dict[str, tuple[float, float]] = {}
         """Least and largest start values of the material's parameters, by name."""
         self.residual = self._residual()

@@ -93,6 +93,25 @@ class PointTerm:
         return []
 
 
+def dissipations(u: Fields, reader: Term) -> dict[str, CoefficientFunction]:
+    """What all terms but ``reader`` dissipate in cells, W/m^3, by the ledger's names.
+
+    For a term whose ``cells`` turn them into something else, as heat.  Terms that are no functions of the
+    values at a point (hyperviscosity) have none that the split solver can read: it refuses the reader then.
+    """
+    return {
+        entry.name: entry.integrand.cells
+        for term in u.context.terms
+        if term is not reader and _is_of_cells(term)
+        for entry in term.entries(u)
+        if entry.kind == "dissipation" and entry.integrand.cells is not None
+    }
+
+
+def _is_of_cells(term: Term) -> bool:
+    return not isinstance(term, PointTerm) or type(term).cells is not PointTerm.cells
+
+
 def named(term: Term) -> str:
     """A term by the name of its class: ``elastic force``."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(term).__name__).lower()

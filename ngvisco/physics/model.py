@@ -12,8 +12,8 @@ from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 
 from ngvisco.errors import ParameterError, Quantity, _is_number, as_number, require_number, require_positive
 from ngvisco.physics.bodies import Body
-from ngvisco.physics.flow_rule_check import check_rule
 from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.physics.flow_rules.check import check_rule
 from ngvisco.physics.material import ElasticState, Material, check_material
 from ngvisco.physics.materials.heterogeneous import carrying
 from ngvisco.physics.mixture import MixedCreep, MixedViscosity, Mixture, mixed_creep, mixed_viscosity

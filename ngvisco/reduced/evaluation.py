@@ -67,7 +67,7 @@ class CellContext:
     """What is known through a step at the points of the cells; the arrays' counterpart of ``Context``."""
 
     def __init__(self, step: Step, operators: Operators, rates: TabulatedRates) -> None:
-        self._step, self._op, self.rates = step, operators, rates
+        self._step, self._op, self.rates, self.terms = step, operators, rates, step.terms
         self.h = Array(np.repeat(step.context.h.vec.FV().NumPy(), operators.points.per_cell), None)
         # by the function itself and no longer than it lives: a term may make a new one at each evaluation
         self._averages = WeakKeyDictionary[CoefficientFunction, GridFunction]()
@@ -392,6 +392,7 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
         given=lambda value: ones(tuple(value.dims)),
         h=ones(()),
         rates=rates,
+        terms=step.terms,
     )
     inside.old = fields(inside, ("rho", "z"), _CELLS)
     side = SimpleNamespace(

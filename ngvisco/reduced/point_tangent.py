@@ -51,7 +51,7 @@ class PointTangent:
             of_mandel, of_conjugates, of_z = self.residual.rates.creep_slopes(u)
             Pi = self.residual.rates.creep_components(u)
             K += np.einsum("xnm,xp->pnm", rates.linear[g:], Pi, optimize=True)
-            if rule.reads_conjugate:
+            if rule.reads_conjugate or rule.reads_pressure:
                 of_z = of_z + of_conjugates @ slopes
             K += columns[:, :, g:] @ (of_z - of_mandel @ force[:, g:])
         for m in range(self.components if self.others else 0):

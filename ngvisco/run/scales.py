@@ -16,7 +16,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.terms.momentum import Loading
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
-from ngvisco.physics.flow_rule_check import values_at_rest
+from ngvisco.physics.flow_rules.check import values_at_rest
 from ngvisco.physics.material import Material, cauchy_stress
 from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.model import Model

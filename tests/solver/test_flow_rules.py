@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from ngsolve import CF, x
+from ngsolve import CF, Integrate, x
 from scipy.optimize import root
 
 import ngvisco as nv
+from ngvisco.forms.term import PointTerm, dissipations
 from ngvisco.geometries import box
-from ngvisco.physics.tensors import power_of_square, square
+from ngvisco.physics.tensors import power_of_square, square, tr
+from ngvisco.physics.variables import Variable
 
 MATERIAL = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="F")
 F_0 = np.diag([1.3, 0.9, 1.1])
@@ -79,3 +81,55 @@ def test_a_rule_of_one_s_own_gives_what_it_says(nu, bodies, solver):
     assert np.abs(H - expected).max() <= 1e-8
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
     assert ledger.column("dissipation_creep")[1:].min() > 0
+
+
+@dataclass(frozen=True)
+class Heat(Variable):
+    """What has become of dissipated energy, per actual volume, J/m^3."""
+
+    name: str = "heat"
+    kind: str = "scalar"
+
+    def rate(self, z, L, Pi):
+        return -tr(L) * z[self.name]
+
+    def from_distortion(self, F):
+        return CF(0.0)
+
+    @property
+    def is_conserved(self):
+        return True
+
+    @property
+    def is_strain(self):
+        return False
+
+
+class Heating(PointTerm):
+    """int dissipation : q in the equation of the heat: what other terms dissipate is its source."""
+
+    def cells(self, u, w):
+        return [-xi * w.z_tensors["heat"] for xi in dissipations(u, self).values()]
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.01])
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_a_term_of_cells_reads_what_others_dissipate(nu, solver):
+    """In a flow, where all of it is carried on: none is lost, none made."""
+    elastic = nv.LinearElastic(K_e=10.0, G_e=5.0)
+    material = nv.CustomMaterial(
+        transported=(*elastic.variables, Heat()), stored_energy=lambda E, heat: elastic.energy({"E": E})
+    )
+    rule = nv.Creep(G_m=2.0, nu=nu) if nu else Cubic(A=0.5)
+    model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1), creep=rule)
+    lid = {"top": nv.PrescribedTangential(CF((16 * x**2 * (1 - x) ** 2, 0)))}
+    start = {"initial": nv.Initial(density=1.0), "walls": lid, "terms": [Heating()]}
+    run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.05, solver=solver, **start)
+    ledger = run.run(0.1)
+    names = [name for name in ledger.columns if name.startswith("dissipation_")]
+    assert ("dissipation_creep_gradient" in names) == (nu > 0)
+    dissipated = sum((ledger.column(name) * ledger.column("dt")).sum() for name in names)
+    heat = Integrate(run.fields["heat"], run.mesh, order=4)
+    assert heat == pytest.approx(dissipated, rel=1e-9)
+    assert ledger.column("dissipation_creep")[-1] > 1e-3
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10

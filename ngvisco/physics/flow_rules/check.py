@@ -10,7 +10,7 @@ from ngsolve import CF, Id
 
 from ngvisco.errors import ParameterError
 from ngvisco.physics.arrays import Array
-from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.physics.flow_rules.rule import PRESSURE, FlowRule
 from ngvisco.physics.material import Material
 from ngvisco.physics.pointwise import squares
 from ngvisco.physics.tensors import trace_free_tensors
@@ -37,10 +37,12 @@ def check_rule(rule: FlowRule, material: Material) -> None:
 
     By samples of M of 22 sizes in 8 directions, at rest; where a rule overflows it is not asked.
     """
-    name, z = f"{type(rule).__name__}", values_at_rest(material)
+    name, z = f"{type(rule).__name__}", dict(values_at_rest(material))
     directions = np.random.default_rng(0).standard_normal((8, 5))
     components = directions.T[:, :, None] / np.linalg.norm(directions, axis=1)[None, :, None] * _SIZES
     sizes = np.tile(_SIZES, len(directions))
+    if rule.reads_pressure:
+        z[PRESSURE] = Array(np.resize([0.0, 1.0, -1.0], sizes.size) * sizes, None)
     M = trace_free_tensors(3).tensor(Array(components.reshape(5, -1), None))
     with np.errstate(all="ignore"):
         try:

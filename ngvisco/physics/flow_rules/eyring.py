@@ -1,0 +1,59 @@
+"""Creep by thermally activated jumps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.physics.flow_rules.rule import FlowRule
+from ngvisco.physics.parameters import Modulus, require_positive_moduli, value_at
+from ngvisco.physics.tensors import exp, if_positive, log, sqrt, square
+from ngvisco.physics.variables import Values
+
+_SMALL = 1e-4
+"""(|M|/sigma_0)^2 below which sinh x/x is its series, whose error is then 2e-16."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Eyring(FlowRule):
+    """Pi = A sinh(|M|/sigma_0) M/|M|, of the potential A sigma_0 (cosh(|M|/sigma_0) - 1) (Eyring 1936).
+
+    Linear below sigma_0, with G_m = sigma_0/A, and exponential above: glassy polymers, and rocks at low
+    temperatures.
+
+    Parameters
+    ----------
+    A : float
+        Rate of the jumps, 1/s, > 0.
+    sigma_0 : float
+        Stress that biases them, Pa, > 0.
+    nu : float
+        Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; >= 0.
+    q : float
+        Its exponent, > 1.
+    """
+
+    A: Modulus
+    sigma_0: Modulus
+    nu: float = 0.0
+    q: float = 4.0
+
+    def __post_init__(self) -> None:
+        require_positive_moduli(self, A=self.A, sigma_0=self.sigma_0)
+        self._require_gradient()
+
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        sigma = value_at(self.sigma_0, z)
+        s = square(M) / (sigma * sigma)
+        x = sqrt(s + _SMALL**4)
+        ratio = if_positive(s - _SMALL, (exp(x) - exp(-x)) / (2 * x), 1 + s / 6 + s * s / 120)
+        return value_at(self.A, z) / sigma * ratio * M
+
+    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """sigma_0 (|Pi| arsinh(|Pi|/A) - sqrt(|Pi|^2 + A^2) + A), W/m^3."""
+        A, size = value_at(self.A, z), sqrt(square(Pi) + self.rate_floor**2)
+        hypotenuse = sqrt(size * size + A * A)
+        return value_at(self.sigma_0, z) * (size * log((size + hypotenuse) / A) - hypotenuse + A)

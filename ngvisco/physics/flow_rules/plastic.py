@@ -1,0 +1,126 @@
+"""Yield: creep by what the stress exceeds its yield stress by."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import ParameterError, as_number
+from ngvisco.physics.flow_rules.power import require_exponent
+from ngvisco.physics.flow_rules.rule import PRESSURE, TINY_STRESS, FlowRule
+from ngvisco.physics.parameters import (
+    Modulus,
+    require_nonnegative_moduli,
+    require_positive_moduli,
+    value_at,
+)
+from ngvisco.physics.tensors import if_positive, power_of_square, sqrt, square
+from ngvisco.physics.variables import Values
+
+
+def norm(A: CoefficientFunction) -> CoefficientFunction:
+    """|A|, with a derivative, zero, at A = 0."""
+    return sqrt(square(A) + TINY_STRESS**2)
+
+
+def positive(a: CoefficientFunction) -> CoefficientFunction:
+    """a where it is positive, 0 elsewhere."""
+    return if_positive(a, a, 0 * a)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Perzyna(FlowRule):
+    """Viscoplasticity with the yield condition of von Mises (Perzyna 1966; n = 1: Bingham 1916).
+
+        Pi = 1/G_m (|M| - s)^+ ((|M| - s)^+/s)^{n-1} M/|M|,   s = sqrt(2/3) sigma_Y,
+
+    of the potential s^2/(G_m (n + 1)) ((|M| - s)^+/s)^{n+1}.  Nothing flows up to the uniaxial stress
+    sigma_Y; in shear that is sigma_Y/sqrt(3).  For G_m -> 0 the stress does not leave the yield surface,
+    which is rate-independent perfect plasticity (Prandtl-Reuss).
+
+    Parameters
+    ----------
+    sigma_Y : float
+        Uniaxial yield stress, Pa, > 0.
+    G_m : float
+        Viscosity of what exceeds it, Pa s, > 0: twice the plastic viscosity of a Bingham fluid.
+    n : float
+        Exponent of the overstress, from 1 (default) to 10.
+    nu : float
+        Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; >= 0.
+    q : float
+        Its exponent, > 1.
+    """
+
+    sigma_Y: Modulus
+    G_m: Modulus
+    n: float = 1.0
+    nu: float = 0.0
+    q: float = 4.0
+
+    def __post_init__(self) -> None:
+        require_positive_moduli(self, sigma_Y=self.sigma_Y, G_m=self.G_m)
+        require_exponent(self, self.n)
+        self._require_gradient()
+
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        size, s = norm(M), math.sqrt(2 / 3) * value_at(self.sigma_Y, z)
+        over = positive(size - s)
+        if self.n > 1:
+            over = over * power_of_square(over * over / (s * s), 0.5 * (self.n - 1), TINY_STRESS)
+        return over / (value_at(self.G_m, z) * size) * M
+
+    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """s |Pi| + n/(n+1) (G_m s^{n-1})^{1/n} |Pi|^{(n+1)/n}, W/m^3."""
+        n, s, size = float(self.n), math.sqrt(2 / 3) * value_at(self.sigma_Y, z), square(Pi)
+        viscous = (value_at(self.G_m, z) * s ** (n - 1)) ** (1 / n)
+        smooth = power_of_square(size, 0.5 * (n + 1) / n, self.rate_floor)
+        return s * power_of_square(size, 0.5, self.rate_floor) + (n / (n + 1) * viscous) * smooth
+
+
+@dataclass(frozen=True, kw_only=True)
+class DruckerPrager(FlowRule):
+    """Viscoplasticity of frictional matter, whose strength grows with its pressure p (Drucker, Prager 1952).
+
+        Pi = 1/G_m (|M| - s)^+ M/|M|,   s = sqrt(2) (c cos phi + p sin phi)^+,   p = -tr T/3,
+
+    so that sqrt(J_2) = |M|/sqrt(2) is held to c cos phi + p sin phi, as in plane strain by Mohr and Coulomb.
+    It does not dilate: tr Pi = 0, which has no potential together with this s, but M : Pi >= 0 always.  It is
+    local.
+
+    Parameters
+    ----------
+    cohesion : float
+        c, Pa, >= 0.
+    friction_angle : float
+        phi, degrees, in [0, 90).
+    G_m : float
+        Viscosity of what exceeds the strength, Pa s, > 0.
+    """
+
+    cohesion: Modulus
+    friction_angle: float
+    G_m: Modulus
+
+    reads_pressure = True
+
+    def __post_init__(self) -> None:
+        require_nonnegative_moduli(self, cohesion=self.cohesion)
+        require_positive_moduli(self, G_m=self.G_m)
+        angle = as_number(self.friction_angle)
+        if angle is None or not 0 <= angle < 90:
+            expected = "an angle in degrees, in [0, 90)"
+            raise ParameterError("DruckerPrager.friction_angle", self.friction_angle, expected)
+
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        phi = math.radians(self.friction_angle)
+        strength = math.cos(phi) * value_at(self.cohesion, z) + math.sin(phi) * z[PRESSURE]
+        size = norm(M)
+        over = positive(size - math.sqrt(2) * positive(strength))
+        return over / (value_at(self.G_m, z) * size) * M

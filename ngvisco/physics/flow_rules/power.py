@@ -1,0 +1,64 @@
+"""Power-law creep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import ParameterError, as_number
+from ngvisco.physics.flow_rules.rule import TINY_STRESS, FlowRule
+from ngvisco.physics.parameters import Modulus, require_positive_moduli, value_at
+from ngvisco.physics.tensors import power_of_square, square
+from ngvisco.physics.variables import Values
+
+LARGEST_EXPONENT = 10.0
+
+
+def require_exponent(owner: object, n: float) -> None:
+    """Raise ParameterError unless n is a number in [1, 10]."""
+    number = as_number(n)
+    if number is None or not 1 <= number <= LARGEST_EXPONENT:
+        expected = f"a number from 1 to {LARGEST_EXPONENT:g}"
+        raise ParameterError(f"{type(owner).__name__}.n", n, expected)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Norton(FlowRule):
+    """Power-law creep Pi = A |M|^{n-1} M, of the potential A |M|^{n+1}/(n+1) (Norton 1929, Glen 1955).
+
+    A law of uniaxial tests, strain rate B sigma^n, has A = (3/2)^{(n+1)/2} B.  With n = 1 it is ``Creep``
+    with G_m = 1/A.
+
+    Parameters
+    ----------
+    A : float
+        Rate of creep at the unit of stress, 1/(s Pa^n), > 0.
+    n : float
+        Exponent of the stress, from 1 to 10.
+    nu : float
+        Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; >= 0.
+    q : float
+        Its exponent, > 1.
+    """
+
+    A: Modulus
+    n: float
+    nu: float = 0.0
+    q: float = 4.0
+
+    def __post_init__(self) -> None:
+        require_positive_moduli(self, A=self.A)
+        require_exponent(self, self.n)
+        self._require_gradient()
+
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        return value_at(self.A, z) * power_of_square(square(M), 0.5 * (self.n - 1), TINY_STRESS) * M
+
+    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """n/(n+1) A^{-1/n} |Pi|^{(n+1)/n}, W/m^3."""
+        n = float(self.n)
+        factor = (n / (n + 1)) * value_at(self.A, z) ** (-1 / n)
+        return factor * power_of_square(square(Pi), 0.5 * (n + 1) / n, self.rate_floor)

@@ -1,0 +1,131 @@
+"""Flow rules: the creep rate Pi as a function of what drives it.
+
+A rule is local, Pi = rate(M, zeta, z) at every point, or has a gradient term,
+
+    psi'(Pi) - div(nu |grad Pi|^{q-2} grad Pi) = M,   (n . grad) Pi = 0 on walls   (paper: ED-Euler-large3)
+
+with psi(Pi) the potential whose derivative is the inverse of M -> rate(M).  Both are written with the
+operations of ``ngvisco.physics.tensors``, for coefficient functions and arrays alike; derivatives are never
+written.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+
+import numpy as np
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import (
+    ParameterError,
+    Quantity,
+    require_above,
+    require_nonnegative,
+    require_positive,
+)
+from ngvisco.physics.arrays import Array, derivatives
+from ngvisco.physics.tensors import power_of_square
+from ngvisco.physics.variables import Values
+
+TINY_STRESS = 1e-100
+"""|M|, Pa, below which powers of it are smoothed at zero, where they have no derivative."""
+
+PRESSURE = "pressure"
+"""Under which name ``z`` has the pressure -tr T/3, Pa, for rules that read it."""
+
+SMALL_STRAIN = 1e-2
+"""Elastic shear strain at which a rule is asked for its relaxation time."""
+
+
+class FlowRule(ABC):
+    """What a material's creep rate Pi is; derived classes are frozen dataclasses that give ``rate``.
+
+    A rule with a gradient term declares ``nu`` and gives ``psi`` as well; ``Model`` refuses a rule whose
+    power M : Pi is negative, whose Pi is not symmetric and trace-free, or whose psi' is not the inverse of
+    ``rate``, by samples.
+
+    Attributes
+    ----------
+    nu : float
+        Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; 0 (default) is a local rule.
+    q : float
+        Its exponent, > 1.
+    floor : float
+        Regularisation of |grad Pi| at zero for exponents that are no even integers, 1/(m s), > 0.
+    rate_floor : float
+        |Pi| below which ``psi`` is smoothed at zero where it is no even power, 1/s, > 0.
+    reads_conjugate : bool
+        Whether ``rate`` reads zeta: the material then needs a conformation tensor, and the rule is local.
+    reads_pressure : bool
+        Whether ``rate`` reads the pressure, z["pressure"], Pa; the rule is local.
+    has_trace : bool
+        Whether tr Pi is not zero: the determinant of B is then not that of a distortion.
+    """
+
+    nu: float = 0.0
+    q: float = 4.0
+    floor: float = 1e-10
+    rate_floor: float = 1e-9
+    reads_conjugate: bool = False
+    reads_pressure: bool = False
+    has_trace: bool = False
+
+    @abstractmethod
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        """Pi, 3x3, 1/s, of the Mandel stress M, 3x3, Pa, at a point with the values ``z``.
+
+        ``zeta`` is the conjugate of the conformation tensor, 3x3, Pa; None where the material has none.
+        """
+
+    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """The potential of Pi, 3x3, W/m^3, whose derivative by Pi is M; convex, where nu > 0.
+
+        Raises
+        ------
+        ParameterError
+            For a rule that does not give it.
+        """
+        raise ParameterError(f"{type(self).__name__}.nu", self.nu, "0: the rule gives no potential psi(Pi)")
+
+    def force(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """psi'(Pi), 3x3, Pa."""
+        if isinstance(Pi, Array):
+            variable = Array(Pi.value)
+            return Array(derivatives(self.psi(variable, z), [variable])[0], None)
+        variable = Pi.MakeVariable()
+        return self.psi(variable, z).Diff(variable)
+
+    @property
+    def flows(self) -> bool:
+        """Whether Pi is not zero always."""
+        return True
+
+    @property
+    def is_local(self) -> bool:
+        """Whether Pi is a function of the values at a point, without a field of its own."""
+        return self.nu == 0 or not self.flows
+
+    def gradient_coefficient(self, s: CoefficientFunction) -> CoefficientFunction:
+        """nu s^{(q-2)/2} for s = |grad Pi|^2."""
+        return self.nu * power_of_square(s, 0.5 * (self.q - 2), self.floor)
+
+    def relaxation_time(self, shear: float, z: Values) -> float:
+        """Elastic strain over its rate, s, in shear by ``SMALL_STRAIN``; ``inf`` where it does not flow.
+
+        ``shear`` is the modulus G of shear, Pa.
+        """
+        strain = np.zeros((3, 3, 1))
+        strain[0, 1] = strain[1, 0] = SMALL_STRAIN
+        M = Array(2 * shear * strain, None)
+        Pi = self.rate(M, 0.5 * M, {**z, PRESSURE: M.like(0.0)})
+        fastest = float(np.linalg.norm(Pi.value.real))
+        return float(np.linalg.norm(strain)) / fastest if fastest > 0 else math.inf
+
+    def _require_gradient(self) -> None:
+        """Raise ParameterError for parameters of the gradient term that make no sense."""
+        require_nonnegative(self, nu=self.nu)
+        require_above(self, 1, q=self.q)
+        require_positive(self, floor=self.floor)

@@ -1,0 +1,17 @@
+"""An example of every flow rule, by the class; stresses of order 1 to 10 Pa, rates of order 1/s."""
+
+from __future__ import annotations
+
+import ngvisco as nv
+
+EXAMPLES: dict[str, nv.FlowRule] = {
+    "linear": nv.Creep(G_m=2.0),
+    "Norton, n = 1": nv.Norton(A=0.5, n=1),
+    "Norton, n = 3": nv.Norton(A=0.3, n=3),
+    "Norton, n = 10": nv.Norton(A=0.2, n=10),
+    "Bingham": nv.Perzyna(sigma_Y=0.5, G_m=0.5),
+    "Perzyna, n = 2.5": nv.Perzyna(sigma_Y=0.5, G_m=0.5, n=2.5),
+    "Drucker-Prager": nv.DruckerPrager(cohesion=0.3, friction_angle=30.0, G_m=0.5),
+    "Eyring": nv.Eyring(A=0.5, sigma_0=0.5),
+    "composite": nv.Composite(rules=(nv.Creep(G_m=5.0), nv.Norton(A=0.2, n=4))),
+}
