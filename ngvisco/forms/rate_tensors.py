@@ -121,7 +121,7 @@ class TabulatedRates(Rates):
         if not kept.all():
             of_kept = self.tensors.constant * kept, self.tensors.linear * kept[:, None]
             self._without_flux = RateTensors(*of_kept, self.tensors.gradients)
-        self._space = creep_tensors(self.rule, dim)
+        self.creep_space = creep_tensors(self.rule, dim)
         """The tensors among which Pi is, and the forces that drive it."""
 
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[Linear]:
@@ -137,7 +137,7 @@ class TabulatedRates(Rates):
 
     def creep_power(self, z: Fields, Pi: Array, G: Fields, name: Conjugate) -> Sequence[Linear]:
         """rate(z; 0, Pi) : G, with G a test."""
-        components = self._space.components(Pi).value
+        components = self.creep_space.components(Pi).value
         rate = self.tensors.rate(z.z.value, components, first=self.tensors.gradients)
         return [G.parts[name].InnerProduct(Array(rate, None))]
 
@@ -145,7 +145,7 @@ class TabulatedRates(Rates):
         """Mandel stress of the projected conjugates, 3x3, Pa."""
         t = self.tensors
         M = Array(t.stress(u.z.value, u.zeta.value, t.gradients, len(t.constant)), None)
-        tensor = -self._space.tensor(M)
+        tensor = -self.creep_space.tensor(M)
         return dev(tensor) if self.rule is not None and self.rule.has_trace else tensor
 
     def mandel_components(self, u: Fields) -> Array:
@@ -154,7 +154,7 @@ class TabulatedRates(Rates):
 
     def creep_components(self, u: Fields) -> np.ndarray:
         """Pi of a local rule in components, (p, points)."""
-        return self._space.components(self.creep(u)).value
+        return self.creep_space.components(self.creep(u)).value
 
     def creep_slopes(self, u: Fields) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """dPi/dM, (points, p, p), and of local creep at a given M dPi/dzeta and dPi/dz, (points, p, n).
@@ -165,14 +165,14 @@ class TabulatedRates(Rates):
         rule, states = self.rule, self.material.states(self.dim)
         assert rule is not None
         M, zeta, z = self.mandel(u), self.read_conjugate(u), _Read(self.read_values(rule, u))
-        p, n, points = self._space.size, states.size, u.z.value.shape[-1]
+        p, n, points = self.creep_space.size, states.size, u.z.value.shape[-1]
 
         def slope(Pi: Array) -> np.ndarray:
-            part = self._space.components(Pi).value.imag / TINY
+            part = self.creep_space.components(Pi).value.imag / TINY
             return np.broadcast_to(part, (p, points)).T
 
         of_mandel, of_zeta, of_z = np.zeros((points, p, p)), *np.zeros((2, points, p, n))
-        for i, unit in enumerate(self._space.basis):
+        for i, unit in enumerate(self.creep_space.basis):
             deviator = np.array(unit) - np.trace(unit) / 3 * np.eye(3)
             of_mandel[:, :, i] = slope(rule.rate(M + _tiny(deviator), zeta, z))
         if rule.reads_conjugate:

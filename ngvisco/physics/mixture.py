@@ -196,6 +196,14 @@ class MixedCreep(FlowRule):
     def has_trace(self) -> bool:  # type: ignore[override]
         return any(part.has_trace for _, part in self.parts)
 
+    @property
+    def reads_pressure(self) -> bool:  # type: ignore[override]
+        return any(part.reads_pressure for _, part in self.parts)
+
+    @property
+    def is_linear(self) -> bool:
+        return all(part.is_linear for _, part in self.parts)
+
     def rate(
         self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
     ) -> CoefficientFunction:

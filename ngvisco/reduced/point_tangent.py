@@ -54,6 +54,7 @@ class PointTangent:
             if rule.reads_conjugate or rule.reads_pressure:
                 of_z = of_z + of_conjugates @ slopes
             K += columns[:, :, g:] @ (of_z - of_mandel @ force[:, g:])
+            self.creep_rate, self.creep_slope = Pi, of_mandel
         for m in range(self.components if self.others else 0):
             changed = self.z.astype(complex)
             changed[m] += 1j * TINY

@@ -106,3 +106,7 @@ class Creep(FlowRule):
     @property
     def flows(self) -> bool:
         return self.R > 0
+
+    @property
+    def is_linear(self) -> bool:
+        return True

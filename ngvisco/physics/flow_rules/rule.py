@@ -104,6 +104,11 @@ class FlowRule(ABC):
         return True
 
     @property
+    def is_linear(self) -> bool:
+        """Whether Pi is linear in M."""
+        return False
+
+    @property
     def is_local(self) -> bool:
         """Whether Pi is a function of the values at a point, without a field of its own."""
         return self.nu == 0 or not self.flows
