@@ -189,9 +189,7 @@ class Case:
         while "material" in type(part).model_fields:
             part, values = part.material, values["material"]
         if "elastic_state" in type(part).model_fields and values.get("elastic_state") is None:
-            values["elastic_state"] = default_elastic_state(
-                None if creep is None else catalogue.MECHANISMS["creep"](**parameters(creep))
-            )
+            values["elastic_state"] = default_elastic_state(None if creep is None else made(creep))
             in_order = {name: values[name] for name in type(part).model_fields if name in values}
             values.clear()
             values.update(in_order)
@@ -221,9 +219,10 @@ class Case:
             path, text = found
             raise self._error(path, f"{text!r:.60}: there is no z in a mesh of two dimensions")
         mechanisms = {}
-        for name, kind in catalogue.MECHANISMS.items():
+        for name in type(self.sections.rheology).model_fields:
             part = getattr(self.sections.rheology, name)
             if part is not None:
+                kind = catalogue.FLOW_RULES[part.kind] if name == "creep" else catalogue.MECHANISMS[name]
                 with self.located("rheology", name):
                     mechanisms[_MODEL_NAMES.get(name, name)] = kind(
                         **self._values(part, ("rheology", name), dim)

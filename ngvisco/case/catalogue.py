@@ -14,7 +14,7 @@ from ngvisco.case.meshfile import read_mesh
 from ngvisco.case.regions import closed_surface, image
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
-from ngvisco.physics.flow_rules import Creep
+from ngvisco.physics.flow_rules import Creep, DruckerPrager, Eyring, Norton, Perzyna
 from ngvisco.physics.materials import (
     FENEP,
     BarotropicFluid,
@@ -93,9 +93,17 @@ MECHANISMS: dict[str, type] = {
     "viscosity": StokesViscosity,
     "linear_viscosity": LinearViscosity,
     "hyperviscosity": HyperViscosity,
-    "creep": Creep,
     "regularisation": Regularisation,
 }
+
+FLOW_RULES: dict[str, type] = {
+    "Linear": Creep,
+    "DruckerPrager": DruckerPrager,
+    "Eyring": Eyring,
+    "Norton": Norton,
+    "Perzyna": Perzyna,
+}
+"""What [rheology.creep] can be; the first where its kind is not said."""
 
 LOADS: dict[str, type] = {
     "BodyForce": BodyForce,
@@ -134,6 +142,7 @@ TABLES: tuple[Mapping[str, Callable[..., Any]], ...] = (
     GEOMETRIES,
     ALL_MATERIALS,
     MECHANISMS,
+    FLOW_RULES,
     LOADS,
     WALLS,
     SHAPES,

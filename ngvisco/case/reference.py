@@ -130,7 +130,10 @@ def _walk_kinds(models: list[type[BaseModel]], path: tuple[str, ...], name: str)
     tag = next((tag for tag in _TAGS if tag in models[0].model_fields), None)
     if tag is not None:
         names = tuple(kind_of(model, tag) for model in models)
-        yield Entry((*path, tag), (), f"one of {', '.join(names)}", "", True, None, "Which one", names[0])
+        required = all(model.model_fields[tag].is_required() for model in models)
+        default = None if required else names[0]
+        kinds = f"one of {', '.join(names)}"
+        yield Entry((*path, tag), (), kinds, "", required, default, "Which one", names[0])
     for model in models:
         yield from _walk(model, path, () if tag is None else (kind_of(model, tag),))
 

@@ -33,7 +33,8 @@ Material = materials()
 Load = tagged("kind", catalogue.LOADS)
 Wall = tagged("kind", catalogue.WALLS)
 Shape = tagged("kind", catalogue.SHAPES)
-_MECHANISMS = {name: section(target) for name, target in catalogue.MECHANISMS.items()}
+Creep = tagged("kind", catalogue.FLOW_RULES, has_default=True)
+_MECHANISMS = {name: section(target) for name, target in catalogue.MECHANISMS.items()} | {"creep": Creep}
 Rheology: Any = create_model(
     "Rheology",
     __base__=Section,
@@ -267,8 +268,7 @@ class Output(Section):
         return self
 
 
-Viscosity, Creep = _MECHANISMS["viscosity"], _MECHANISMS["creep"]
-LinearViscosity = _MECHANISMS["linear_viscosity"]
+Viscosity, LinearViscosity = _MECHANISMS["viscosity"], _MECHANISMS["linear_viscosity"]
 
 
 def _form_of_place(value: Any) -> str:

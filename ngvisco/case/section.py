@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from ngsolve import CoefficientFunction
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model, model_validator
 
 from ngvisco.case import catalogue
 from ngvisco.case.laws import EnergyText
@@ -80,7 +80,10 @@ def _mentions_function(hint: Any) -> bool:
 
 
 def section(
-    target: Callable[..., Any], tag: tuple[str, str] | None = None, wrapped: Any = Section
+    target: Callable[..., Any],
+    tag: tuple[str, str] | None = None,
+    wrapped: Any = Section,
+    is_default: bool = False,
 ) -> type[Section]:
     """The section that holds a dataclass's (or function's) parameters.
 
@@ -91,12 +94,14 @@ def section(
         A key whose value chooses this section, e.g. ``("kind", "NeoHookean")``.
     wrapped : type
         The schema's type of a parameter that is a material.
+    is_default : bool
+        Whether the section is this one where the tag's key is left out.
     """
     # of a dataclass its fields', each with the names that its own class's module knows
     hints = get_type_hints(target)
     fields: dict[str, Any] = {}
     if tag is not None:
-        fields[tag[0]] = (Literal[tag[1]], ...)
+        fields[tag[0]] = (Literal[tag[1]], tag[1] if is_default else ...)
     for name, parameter in inspect.signature(target).parameters.items():
         hint = hints.get(name)
         annotation = wrapped if hint is MaterialObject else _annotation(hint)
@@ -200,8 +205,18 @@ def moduli(model: type[BaseModel]) -> set[str]:
     return {name for name, annotation in found if annotation in (ModulusValue, ModulusValue | None)}
 
 
-def tagged(key: str, table: dict[str, Any]) -> Any:
-    return _choice(key, tuple(section(target, (key, name)) for name, target in table.items()))
+def tagged(key: str, table: dict[str, Any], has_default: bool = False) -> Any:
+    """One of the sections of a table, by ``key``; where ``has_default`` the first one without it."""
+    first = next(iter(table)) if has_default else None
+    found = tuple(section(table[name], (key, name), is_default=name == first) for name in table)
+    choice = _choice(key, found)
+    if first is None:
+        return choice
+
+    def with_key(value: Any) -> Any:
+        return {key: first, **value} if isinstance(value, dict) else value
+
+    return Annotated[choice, BeforeValidator(with_key)]
 
 
 def _choice(key: str, models: tuple[type[Section], ...]) -> Any:

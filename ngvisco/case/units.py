@@ -263,7 +263,9 @@ def _chosen(models: list[type[BaseModel]], data: dict[str, Any]) -> type[BaseMod
         return models[0]
     for model in models:
         for tag in ("kind", "geometry"):
-            if tag in model.model_fields and data.get(tag) == model.__name__:
+            if tag not in model.model_fields:
+                continue
+            if data.get(tag, model.model_fields[tag].default) == model.__name__:
                 return model
     return None
 

@@ -164,7 +164,8 @@ class TabulatedRates(Rates):
         """
         rule, states = self.rule, self.material.states(self.dim)
         assert rule is not None
-        M, zeta, z = self.mandel(u), self.read_conjugate(u), _Read(self.read_values(rule, u))
+        M, zeta, values = self.mandel(u), self.read_conjugate(u), self.read_values(rule, u)
+        z = _Read(values)
         p, n, points = self.creep_space.size, states.size, u.z.value.shape[-1]
 
         def slope(Pi: Array) -> np.ndarray:
@@ -182,15 +183,15 @@ class TabulatedRates(Rates):
                 of_zeta[:, :, where.start + i] = slope(rule.rate(M, zeta + _tiny(unit), z))
         for name in z.read:
             if name == PRESSURE:
-                of_pressure = slope(rule.rate(M, zeta, {**z, name: z[name] + _tiny(1.0)}))
+                of_pressure = slope(rule.rate(M, zeta, {**values, name: values[name] + _tiny(1.0)}))
                 for total, by in zip((of_zeta, of_z), self._pressure_slopes(u), strict=True):
                     total += of_pressure[:, :, None] * by[:, None, :]
                 continue
             where, space = states.slices[name], states.spaces[name]
             units: Sequence[Any] = space.basis or (1.0,)
             for i, unit in enumerate(units):
-                values = {**z, name: z[name] + _tiny(unit)}
-                of_z[:, :, where.start + i] = slope(rule.rate(M, zeta, values))
+                changed = {**values, name: values[name] + _tiny(unit)}
+                of_z[:, :, where.start + i] = slope(rule.rate(M, zeta, changed))
         return of_mandel, of_zeta, of_z
 
     def stored(self, u: Fields) -> Array:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
+from ngvisco.errors import Quantity
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.parameters import Modulus, require_positive_moduli, value_at
 from ngvisco.physics.tensors import exp, if_positive, log, sqrt, square
@@ -25,19 +27,19 @@ class Eyring(FlowRule):
     Parameters
     ----------
     A : float
-        Rate of the jumps, 1/s, > 0.
+        Rate of the jumps.
     sigma_0 : float
-        Stress that biases them, Pa, > 0.
+        Stress that biases them.
     nu : float
-        Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; >= 0.
+        Gradient of the creep rate: nu |grad Pi|^q is its dissipation.
     q : float
-        Its exponent, > 1.
+        Exponent of the creep rate's gradient; the paper's analysis has q > 3.
     """
 
-    A: Modulus
-    sigma_0: Modulus
-    nu: float = 0.0
-    q: float = 4.0
+    A: Annotated[Modulus, Quantity("1/s", "> 0", 0.1)]
+    sigma_0: Annotated[Modulus, Quantity("Pa", "> 0", 1.0)]
+    nu: Annotated[float, Quantity("W/m^3 (m s)^q", ">= 0", 1e-4)] = 0.0
+    q: Annotated[float, Quantity("1", "> 1")] = 4.0
 
     def __post_init__(self) -> None:
         require_positive_moduli(self, A=self.A, sigma_0=self.sigma_0)

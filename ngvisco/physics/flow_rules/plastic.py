@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, as_number
+from ngvisco.errors import ParameterError, Quantity, as_number
 from ngvisco.physics.flow_rules.power import require_exponent
 from ngvisco.physics.flow_rules.rule import PRESSURE, TINY_STRESS, FlowRule
 from ngvisco.physics.parameters import (
@@ -43,22 +44,22 @@ class Perzyna(FlowRule):
     Parameters
     ----------
     sigma_Y : float
-        Uniaxial yield stress, Pa, > 0.
+        Uniaxial yield stress.
     G_m : float
-        Viscosity of what exceeds it, Pa s, > 0: twice the plastic viscosity of a Bingham fluid.
+        Viscosity of what exceeds it: twice the plastic viscosity of a Bingham fluid.
     n : float
-        Exponent of the overstress, from 1 (default) to 10.
+        Exponent of the overstress.
     nu : float
-        Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; >= 0.
+        Gradient of the creep rate: nu |grad Pi|^q is its dissipation.
     q : float
-        Its exponent, > 1.
+        Exponent of the creep rate's gradient; the paper's analysis has q > 3.
     """
 
-    sigma_Y: Modulus
-    G_m: Modulus
-    n: float = 1.0
-    nu: float = 0.0
-    q: float = 4.0
+    sigma_Y: Annotated[Modulus, Quantity("Pa", "> 0", 2.0)]
+    G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 0.1)]
+    n: Annotated[float, Quantity("1", "from 1 to 10")] = 1.0
+    nu: Annotated[float, Quantity("W/m^3 (m s)^q", ">= 0", 1e-4)] = 0.0
+    q: Annotated[float, Quantity("1", "> 1")] = 4.0
 
     def __post_init__(self) -> None:
         require_positive_moduli(self, sigma_Y=self.sigma_Y, G_m=self.G_m)
@@ -95,16 +96,16 @@ class DruckerPrager(FlowRule):
     Parameters
     ----------
     cohesion : float
-        c, Pa, >= 0.
+        Cohesion c.
     friction_angle : float
-        phi, degrees, in [0, 90).
+        Angle phi of internal friction, degrees.
     G_m : float
-        Viscosity of what exceeds the strength, Pa s, > 0.
+        Viscosity of what exceeds the strength.
     """
 
-    cohesion: Modulus
-    friction_angle: float
-    G_m: Modulus
+    cohesion: Annotated[Modulus, Quantity("Pa", ">= 0", 1.0)]
+    friction_angle: Annotated[float, Quantity("1", "in [0, 90)", 30.0)]
+    G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 0.1)]
 
     reads_pressure = True
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, as_number
+from ngvisco.errors import ParameterError, Quantity, as_number
 from ngvisco.physics.flow_rules.rule import TINY_STRESS, FlowRule
 from ngvisco.physics.parameters import Modulus, require_positive_moduli, value_at
 from ngvisco.physics.tensors import power_of_square, square
@@ -33,19 +34,19 @@ class Norton(FlowRule):
     Parameters
     ----------
     A : float
-        Rate of creep at the unit of stress, 1/(s Pa^n), > 0.
+        Rate of creep at |M| = 1 Pa.
     n : float
-        Exponent of the stress, from 1 to 10.
+        Exponent of the stress.
     nu : float
-        Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; >= 0.
+        Gradient of the creep rate: nu |grad Pi|^q is its dissipation.
     q : float
-        Its exponent, > 1.
+        Exponent of the creep rate's gradient; the paper's analysis has q > 3.
     """
 
-    A: Modulus
-    n: float
-    nu: float = 0.0
-    q: float = 4.0
+    A: Annotated[Modulus, Quantity("1/s/Pa^n", "> 0", 0.1)]
+    n: Annotated[float, Quantity("1", "from 1 to 10", 3.0)]
+    nu: Annotated[float, Quantity("W/m^3 (m s)^q", ">= 0", 1e-4)] = 0.0
+    q: Annotated[float, Quantity("1", "> 1")] = 4.0
 
     def __post_init__(self) -> None:
         require_positive_moduli(self, A=self.A)

@@ -19,7 +19,6 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.errors import (
     ParameterError,
-    Quantity,
     require_above,
     require_nonnegative,
     require_positive,
