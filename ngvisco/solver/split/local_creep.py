@@ -25,12 +25,12 @@ from ngvisco.physics.increments import TINY
 from ngvisco.reduced.evaluation import with_values
 from ngvisco.reduced.point_tangent import PointTangent
 
-_BISECTIONS, _ITERATIONS = 60, 50
-_STRESSES, _SETTLED = 4, 1e-3
+_BISECTIONS, _ITERATIONS = 25, 40
+_STRESSES, _SETTLED = 3, 1e-2
 """Stresses of corrected z, which the tangent's stiffness knows to first order, and the correction that is
 small beside an increment."""
-_EXACT = 1e-12
-"""Relative defect of the equation at which a point's iteration ends."""
+_EXACT = 1e-8
+"""Relative defect at which the iteration ends: what is left is for Newton's method of the step."""
 
 
 class LocalCreep:
