@@ -14,8 +14,8 @@ from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
+from ngvisco.reduced.by_forms import source_obstacle
 from ngvisco.reduced.claims import term_obstacle
-from ngvisco.reduced.right_hand_side import source_obstacle
 from ngvisco.solver.extrapolation import Extrapolation
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.norm import BlockNorm

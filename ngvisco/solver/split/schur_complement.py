@@ -12,12 +12,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.physics.increments import TINY
+from ngvisco.reduced.by_forms import RestrictedForm
 from ngvisco.reduced.evaluation import with_values
 from ngvisco.reduced.flow_elements import FlowElements
 from ngvisco.reduced.hyper_derivative import HyperDerivative
 from ngvisco.reduced.point_tangent import PointTangent
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
-from ngvisco.reduced.restricted import RestrictedForm
 from ngvisco.solver.split.transport_sweeps import TransportSweeps
 from ngvisco.threads import concurrently, product
 
