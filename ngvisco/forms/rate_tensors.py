@@ -11,9 +11,8 @@ law of creep with a trace).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from ngsolve import L2, GridFunction, VectorValued
@@ -22,7 +21,6 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate, Rates
 from ngvisco.physics.arrays import Array, Linear
 from ngvisco.physics.flow_rules import FlowRule
-from ngvisco.physics.increments import TINY
 from ngvisco.physics.material import Material, creep_tensors
 from ngvisco.physics.model import Model
 from ngvisco.physics.pointwise import squares
@@ -155,59 +153,3 @@ class TabulatedRates(Rates):
     def creep_components(self, u: Fields) -> np.ndarray:
         """Pi of a local rule in components, (p, points)."""
         return self._space.components(self.creep(u)).value
-
-    def creep_slopes(self, u: Fields) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """dPi/dM, (points, p, p), and of local creep at a given M dPi/dzeta and dPi/dz, (points, p, n).
-
-        By complex increments of one component of M, zeta and z after the other; of zeta and z only if the
-        rule reads them.
-        """
-        rule, states = self.rule, self.material.states(self.dim)
-        assert rule is not None
-        M, conformation, z = self.mandel(u), self.material.conformation, _Read(u.z_tensors)
-        zeta = None if conformation is None else u.zeta_tensors[conformation]
-        p, n, points = self._space.size, states.size, u.z.value.shape[-1]
-
-        def slope(Pi: Array) -> np.ndarray:
-            part = self._space.components(Pi).value.imag / TINY
-            return np.broadcast_to(part, (p, points)).T
-
-        of_mandel, of_zeta, of_z = np.zeros((points, p, p)), *np.zeros((2, points, p, n))
-        for i, unit in enumerate(self._space.basis):
-            deviator = np.array(unit) - np.trace(unit) / 3 * np.eye(3)
-            of_mandel[:, :, i] = slope(rule.rate(M + _tiny(deviator), zeta, z))
-        if rule.reads_conjugate:
-            assert conformation is not None
-            where, space = states.slices[conformation], states.spaces[conformation]
-            for i, unit in enumerate(space.basis):
-                of_zeta[:, :, where.start + i] = slope(rule.rate(M, zeta + _tiny(unit), z))
-        for name in z.read:
-            where, space = states.slices[name], states.spaces[name]
-            units: Sequence[Any] = space.basis or (1.0,)
-            for i, unit in enumerate(units):
-                values = {**u.z_tensors, name: u.z_tensors[name] + _tiny(unit)}
-                of_z[:, :, where.start + i] = slope(rule.rate(M, zeta, values))
-        return of_mandel, of_zeta, of_z
-
-
-class _Read(Mapping[str, Any]):
-    """Values by name that note which were asked for."""
-
-    def __init__(self, values: Mapping[str, Any]) -> None:
-        self._values, self.read = values, set[str]()
-
-    def __getitem__(self, name: str) -> Any:
-        value = self._values[name]
-        self.read.add(name)
-        return value
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
-
-    def __len__(self) -> int:
-        return len(self._values)
-
-
-def _tiny(unit: Any) -> Array:
-    """A complex increment in a direction, a scalar or a tensor."""
-    return Array((1j * TINY) * np.asarray(unit)[..., None], None)

@@ -1,4 +1,4 @@
-"""What only NGSolve's forms have: terms restricted to some unknowns, and sources known before the iteration."""
+"""What only forms have: terms restricted to some unknowns, and sources that are known beforehand."""
 
 from __future__ import annotations
 

@@ -20,9 +20,8 @@ from ngvisco.solver.extrapolation import Extrapolation
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.problem import Interval, RotheProblem
+from ngvisco.solver.problem import Attempt, Interval, NonlinearSolver, RotheProblem, Solution, Status
 from ngvisco.solver.sides import Sides
-from ngvisco.solver.solution import Attempt, NonlinearSolver, Solution, Status
 from ngvisco.solver.split.solver import Split
 
 _PARAMETERS = ("tau", "end", "loads_from", "loads_over")

@@ -547,7 +547,7 @@ def failed(fault, regularised):
         run.ledger.rates = run.integrator.meter = broken
     if fault == "singular" and run.ranks.rank == 1:
         def singular(at): raise numpy.linalg.LinAlgError("Singular matrix")
-        run.solver.newton.preconditioner.operator.tangent.update = singular
+        run.solver.newton.preconditioner.operator.points.update = singular
     if fault == "density" and run.ranks.rank == 1:
         equation = run.solver.newton.residual.density
         formed = equation.jacobian

@@ -23,7 +23,7 @@ class FieldsSystem:
 
     def __init__(self, operator: FlowSchurComplement, options: FieldOptions) -> None:
         self.operator, self.sweep, self.options = operator, operator.sweep, options
-        self.tangent, self.op = operator.tangent, operator.tangent.op
+        self.points, self.op = operator.points, operator.points.op
         mass = mass_matrix(self.op.z.matrix, self.op.weights)
         self._project = BlockInverse(mass)
         self._project.update(mass)
@@ -68,5 +68,5 @@ class FieldsSystem:
 
     def _rows(self, dz: np.ndarray) -> np.ndarray:
         values = self.op.z(np.ascontiguousarray(dz.T))
-        rates = at_points(self.tangent.rate_slope, values)
+        rates = at_points(self.points.rate_slope, values)
         return self.sweep.rows(dz) - self.op.z.test(rates).T

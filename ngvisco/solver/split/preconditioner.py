@@ -15,16 +15,14 @@ from ngvisco.algebra.sparse import together
 from ngvisco.errors import InputWarning
 from ngvisco.forms.mesh.mesh_arrays import mask_of, rigid_motions
 from ngvisco.parallel.petsc import SumInverse
-from ngvisco.reduced.hyper_derivative import HyperDerivative
-from ngvisco.reduced.hyper_tangent import HyperTangent
 from ngvisco.reduced.operators import Operators
-from ngvisco.reduced.point_tangent import PointTangent
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.split.fields_system import FieldsSystem
+from ngvisco.solver.split.flow_elements import PointTangent
+from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
 from ngvisco.solver.split.schur_complement import FlowSchurComplement
-from ngvisco.solver.split.transport_sweeps import TransportSweeps
-from ngvisco.solver.split.velocity_tangent import VelocityTangent
+from ngvisco.solver.split.transport import TransportSweeps
 
 
 class Preconditioner:
@@ -58,7 +56,6 @@ class Preconditioner:
             self.hyper_tangent = HyperTangent(derivative, kept)
         self._of_tangent = self.exchange.part(places)
         """The exchange of the tangent's unknowns: the flow's and, between ranks, the normal derivatives."""
-        self.tangent = VelocityTangent(self.operator, self.hyper_tangent)
         free = [mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.flow]
         self.free = np.concatenate(free)
         self._whole: Callable[[], Direct] | None = None
@@ -139,7 +136,7 @@ class Preconditioner:
             if self.hyper_tangent is not None:
                 with self.ranks.together(np.linalg.LinAlgError):
                     self.hyper_tangent.update()
-            matrix = self.tangent.matrix()
+            matrix = self.operator.tangent(self.hyper_tangent)
         with clock("factorisation"):
             self.solver.factorise(matrix)
 

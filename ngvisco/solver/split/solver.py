@@ -26,7 +26,7 @@ from ngvisco.parallel.exchange import Exchange
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status
+from ngvisco.solver.problem import NewtonIteration, Problem, Solution, Status
 from ngvisco.solver.split.iteration import iterate
 from ngvisco.solver.split.preconditioner import Preconditioner
 from ngvisco.threads import on_arrays
