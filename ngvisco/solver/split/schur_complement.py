@@ -161,9 +161,9 @@ class FlowSchurComplement:
         """The velocity tangent: the operator with the fields predicted inside each cell, as a matrix.
 
         What a cell's increments change its fields by takes the inverse of the transport's own block, without
-        what neighbours carry over: a sum over the cells.  Of the flow's unknowns and those normal derivatives
-        that ``hyper`` keeps, last; the others are a = E v, with the mean of both sides' d_n v, weighted by the
-        hyperviscosity's coefficient.  Over ranks in parts.
+        what neighbours carry over: a sum over the cells.  Of the flow's unknowns and the normal derivatives
+        that ``hyper`` keeps, last; the others are a = E v, with the mean of both sides' d_n v, weighted by
+        the hyperviscosity's coefficient.  Over ranks in parts.
         """
         d, e = self.dim, self.elements
         rows = e.to_fields.reshape(e.cells * e.functions, e.components * e.dim * e.local)

@@ -16,8 +16,7 @@ import numpy as np
 from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import direct_solver
 from ngvisco.algebra.sparse import of_blocks
-from ngvisco.reduced.facet_mass import FacetMass
-from ngvisco.reduced.operators import SideOperators
+from ngvisco.reduced.operators import FacetMass, SideOperators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import SweepOptions
 from ngvisco.threads import product
