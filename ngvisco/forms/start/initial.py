@@ -374,7 +374,8 @@ def complete(step: Step) -> None:
     rates = step.context.rates
     if rates.rule is not None and "Pi" in parts:
         # the local rate, as psi' may be infinitely steep at zero
-        parts["Pi"].Set(trace_free_tensors(dim).components(rates.local_creep(rates.rule, u)))
+        rate = trace_free_tensors(dim).components(rates.local_creep(rates.rule, u))
+        Interpolation(step.layout.blocks["Pi"])(parts["Pi"], rate)
     set_traces(step.layout, step.state, step.context, step.quadrature)
     law = step.model.hyperviscosity
     if law is None:
