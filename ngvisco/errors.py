@@ -73,7 +73,7 @@ class StepError(NgviscoError, RuntimeError):
 
     Attributes
     ----------
-    history : tuple of ``ngvisco.solver.solution.Attempt``
+    history : tuple of ``ngvisco.solver.problem.Attempt``
         What was tried: each solve's start values, its iterations and why it failed.
     report : ``ngvisco.run.failure.FailureReport`` or None
         Where and why, and what to change, of a step of a ``Simulation``.

@@ -11,9 +11,8 @@ law of creep with a trace).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from ngsolve import L2, GridFunction, VectorValued
@@ -21,8 +20,7 @@ from ngsolve import L2, GridFunction, VectorValued
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate, Rates
 from ngvisco.physics.arrays import Array, Linear
-from ngvisco.physics.flow_rules.rule import PRESSURE, FlowRule
-from ngvisco.physics.increments import TINY
+from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.material import Material, creep_tensors
 from ngvisco.physics.model import Model
 from ngvisco.physics.pointwise import squares
@@ -121,7 +119,7 @@ class TabulatedRates(Rates):
         if not kept.all():
             of_kept = self.tensors.constant * kept, self.tensors.linear * kept[:, None]
             self._without_flux = RateTensors(*of_kept, self.tensors.gradients)
-        self.creep_space = creep_tensors(self.rule, dim)
+        self._space = creep_tensors(self.rule, dim)
         """The tensors among which Pi is, and the forces that drive it."""
 
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[Linear]:
@@ -137,7 +135,7 @@ class TabulatedRates(Rates):
 
     def creep_power(self, z: Fields, Pi: Array, G: Fields, name: Conjugate) -> Sequence[Linear]:
         """rate(z; 0, Pi) : G, with G a test."""
-        components = self.creep_space.components(Pi).value
+        components = self._space.components(Pi).value
         rate = self.tensors.rate(z.z.value, components, first=self.tensors.gradients)
         return [G.parts[name].InnerProduct(Array(rate, None))]
 
@@ -145,91 +143,17 @@ class TabulatedRates(Rates):
         """Mandel stress of the projected conjugates, 3x3, Pa."""
         t = self.tensors
         M = Array(t.stress(u.z.value, u.zeta.value, t.gradients, len(t.constant)), None)
-        tensor = -self.creep_space.tensor(M)
+        tensor = -self._space.tensor(M)
         return dev(tensor) if self.rule is not None and self.rule.has_trace else tensor
 
     def mandel_components(self, u: Fields) -> Array:
         """The same in the components that a creep rate field has."""
         return trace_free_tensors(self.dim).components(self.mandel(u))
 
-    def creep_components(self, u: Fields) -> np.ndarray:
-        """Pi of a local rule in components, (p, points)."""
-        return self.creep_space.components(self.creep(u)).value
-
-    def creep_slopes(self, u: Fields) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """dPi/dM, (points, p, p), and of local creep at a given M dPi/dzeta and dPi/dz, (points, p, n).
-
-        By complex increments of one component of M, zeta and z after the other; of zeta and z only if the
-        rule reads them.
-        """
-        rule, states = self.rule, self.material.states(self.dim)
-        assert rule is not None
-        M, zeta, values = self.mandel(u), self.read_conjugate(u), self.read_values(rule, u)
-        z = _Read(values)
-        p, n, points = self.creep_space.size, states.size, u.z.value.shape[-1]
-
-        def slope(Pi: Array) -> np.ndarray:
-            part = self.creep_space.components(Pi).value.imag / TINY
-            return np.broadcast_to(part, (p, points)).T
-
-        of_mandel, of_zeta, of_z = np.zeros((points, p, p)), *np.zeros((2, points, p, n))
-        for i, unit in enumerate(self.creep_space.basis):
-            deviator = np.array(unit) - np.trace(unit) / 3 * np.eye(3)
-            of_mandel[:, :, i] = slope(rule.rate(M + _tiny(deviator), zeta, z))
-        if rule.reads_conjugate:
-            assert zeta is not None and self.material.conformation is not None
-            where = states.slices[self.material.conformation]
-            for i, unit in enumerate(states.spaces[self.material.conformation].basis):
-                of_zeta[:, :, where.start + i] = slope(rule.rate(M, zeta + _tiny(unit), z))
-        for name in z.read:
-            if name == PRESSURE:
-                of_pressure = slope(rule.rate(M, zeta, {**values, name: values[name] + _tiny(1.0)}))
-                for total, by in zip((of_zeta, of_z), self._pressure_slopes(u), strict=True):
-                    total += of_pressure[:, :, None] * by[:, None, :]
-                continue
-            where, space = states.slices[name], states.spaces[name]
-            units: Sequence[Any] = space.basis or (1.0,)
-            for i, unit in enumerate(units):
-                changed = {**values, name: values[name] + _tiny(unit)}
-                of_z[:, :, where.start + i] = slope(rule.rate(M, zeta, changed))
-        return of_mandel, of_zeta, of_z
-
     def stored(self, u: Fields) -> Array:
         """phi(z), Pa."""
         return self.material.energy(u.z_tensors)
 
-    def _pressure_slopes(self, u: Fields) -> tuple[np.ndarray, np.ndarray]:
-        """dp/dzeta and dp/dz, (points, n)."""
-        of_zeta, of_z = np.zeros((2, u.z.value.shape[-1], len(u.z.value)))
-        for name, result in (("zeta", of_zeta), ("z", of_z)):
-            for i in range(len(u.z.value)):
-                value = u.parts[name].value.astype(complex)
-                value[i] += 1j * TINY
-                parts = {**{other: u.parts[other] for other in ("z", "zeta")}, name: Array(value, None)}
-                changed = Fields(u.layout, parts, u.context, u.gradient)
-                changed.__dict__["L"] = u.L
-                result[:, i] = self.pressure(changed).value.imag / TINY
-        return of_zeta, of_z
-
-
-class _Read(Mapping[str, Any]):
-    """Values by name that note which were asked for."""
-
-    def __init__(self, values: Mapping[str, Any]) -> None:
-        self._values, self.read = values, set[str]()
-
-    def __getitem__(self, name: str) -> Any:
-        value = self._values[name]
-        self.read.add(name)
-        return value
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
-
-    def __len__(self) -> int:
-        return len(self._values)
-
-
-def _tiny(unit: Any) -> Array:
-    """A complex increment in a direction, a scalar or a tensor."""
-    return Array((1j * TINY) * np.asarray(unit)[..., None], None)
+    def creep_components(self, u: Fields) -> np.ndarray:
+        """Pi of a local rule in components, (p, points)."""
+        return self._space.components(self.creep(u)).value

@@ -14,17 +14,19 @@ within the range of its start values, and so does that of a run with a limiter (
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cache
 from operator import add, mul, neg, sub, truediv
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar, get_args, get_type_hints
 
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import ParameterError, as_number
+from ngvisco.errors import ParameterError, Quantity, as_number, require_above, require_nonnegative
 from ngvisco.physics.time import reads_time
 from ngvisco.physics.variables import Values, Variable
 
@@ -251,6 +253,40 @@ def require_positive_moduli(owner: object, **values: Any) -> None:
 def require_nonnegative_moduli(owner: object, **values: Any) -> None:
     """The same with numbers >= 0."""
     _require_moduli(owner, values, is_positive=False)
+
+
+def require_ranges(owner: Any) -> None:
+    """Raise ParameterError unless every parameter of a dataclass is in the range that its annotation says.
+
+    Ranges are ``">= 0"`` and those such as ``"> 0"``.  Moduli may be functions of the place and expressions
+    too; what may be None, by its annotation, may be left out.
+    """
+    for name, (sign, end), is_modulus, may_lack in _declared(type(owner)):  # type: ignore[arg-type]
+        value = getattr(owner, name)
+        if value is None and may_lack:
+            continue
+        if is_modulus:
+            _require_moduli(owner, {name: value}, is_positive=sign == ">")
+        elif sign == ">":
+            require_above(owner, float(end), **{name: value})
+        else:
+            require_nonnegative(owner, **{name: value})
+
+
+@cache
+def _declared(kind: type) -> list[tuple[str, list[str], bool, bool]]:
+    """Name and range of parameters, whether they are moduli, and whether they may be None.
+
+    A class that annotates a parameter of its base anew, without a range, keeps the base's.
+    """
+    ranges: dict[str, list[str]] = {}
+    for each in reversed(inspect.getmro(kind)):
+        for name, hint in get_type_hints(each, include_extras=True).items():
+            said = [part for part in getattr(hint, "__metadata__", ()) if isinstance(part, Quantity)]
+            if said and said[0].range:
+                ranges[name] = said[0].range.split()
+    parts = {name: get_args(hint) for name, hint in get_type_hints(kind).items()}
+    return [(n, r, Expression in parts[n], type(None) in parts[n]) for n, r in ranges.items()]
 
 
 def _require_moduli(owner: object, values: Mapping[str, Any], is_positive: bool) -> None:

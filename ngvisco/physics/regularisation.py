@@ -14,7 +14,8 @@ from typing import Annotated
 
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, require_above, require_nonnegative, require_positive
+from ngvisco.errors import ParameterError, Quantity
+from ngvisco.physics.parameters import require_ranges
 from ngvisco.physics.tensors import Scalar, if_positive, power_of_square
 
 
@@ -66,19 +67,7 @@ class Regularisation:
     floor: Annotated[float, Quantity("1", "> 0")] = 1e-10
 
     def __post_init__(self) -> None:
-        require_nonnegative(
-            self, delta_density=self.delta_density, delta_fields=self.delta_fields, epsilon=self.epsilon
-        )
-        require_above(self, 1, r=self.r, p=self.p)
-        require_positive(
-            self,
-            width=self.width,
-            penalty=self.penalty,
-            gradient_floor=self.gradient_floor,
-            floor=self.floor,
-        )
-        if self.rho_max is not None:
-            require_positive(self, rho_max=self.rho_max)
+        require_ranges(self)
 
     def require_gradients(self, name: str, m: int) -> None:
         """Raise ParameterError for a diffusion, ``name``, of fields of order m = 0."""

@@ -15,15 +15,12 @@ from numpy.typing import ArrayLike
 from ngvisco.errors import (
     ParameterError,
     Quantity,
-    require_above,
     require_choice,
-    require_positive,
 )
 from ngvisco.physics.fourth_order import Notation, full_tensor, mandel_matrix, require_semidefinite
 from ngvisco.physics.parameters import (
     Modulus,
-    require_nonnegative_moduli,
-    require_positive_moduli,
+    require_ranges,
     value_at,
 )
 from ngvisco.physics.tensors import (
@@ -89,7 +86,7 @@ class StokesViscosity(Viscosity):
     G_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
 
     def __post_init__(self) -> None:
-        require_nonnegative_moduli(self, K_v=self.K_v, G_v=self.G_v)
+        require_ranges(self)
 
     def moduli(self, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
         """K_v and G_v, Pa s, where the variables have the values ``z``."""
@@ -208,10 +205,7 @@ class HyperViscosity:
     floor: Annotated[float, Quantity("1/(m s)", "> 0")] = 1e-10
 
     def __post_init__(self) -> None:
-        require_positive_moduli(self, mu=self.mu)
-        require_nonnegative_moduli(self, mu_1=self.mu_1)
-        require_positive(self, penalty=self.penalty, floor=self.floor)
-        require_above(self, 1, p=self.p)
+        require_ranges(self)
 
     @property
     def is_linear(self) -> bool:

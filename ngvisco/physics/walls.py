@@ -10,8 +10,9 @@ from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, as_number, require_nonnegative
+from ngvisco.errors import ParameterError, Quantity, as_number
 from ngvisco.physics.model import VectorLike
+from ngvisco.physics.parameters import require_ranges
 
 
 class Wall:
@@ -74,7 +75,7 @@ class Traction(Wall):
     straight: bool = False
 
     def __post_init__(self) -> None:
-        require_nonnegative(self, friction=self.friction)
+        require_ranges(self)
 
 
 @dataclass(frozen=True)

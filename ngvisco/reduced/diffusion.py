@@ -27,8 +27,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.terms.field_diffusion import FieldDiffusion
 from ngvisco.parallel.halo import HaloUnknowns
 from ngvisco.reduced.evaluation import Coefficients
-from ngvisco.reduced.facet_mass import FacetMass
-from ngvisco.reduced.operators import Operators
+from ngvisco.reduced.operators import FacetMass, Operators
 from ngvisco.reduced.slope import PointwiseSlope
 
 _INCREMENT = 6e-6

@@ -1,4 +1,7 @@
-"""Matrices that take the fields' coefficients to values at the points of cells and sides, and test there."""
+"""Matrices that take coefficients to values at the points of cells and sides, and masses of facets.
+
+The sides of a facet between two ranks are one on each: what both make of it is summed up (``Exchange``).
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,13 @@ import numpy as np
 import scipy.sparse as sp
 from ngsolve import L2
 
+from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.mesh.side_points import SidePoints
 from ngvisco.forms.system import Step
+from ngvisco.parallel.exchange import Exchange
+from ngvisco.parallel.halo import Halo
 
 
 class Operators:
@@ -67,3 +73,93 @@ class SideOperators:
         self.inner = np.round(points.sample(context.inner))
         """1 between two cells, 0 on walls."""
         self.h = np.repeat(context.h.vec.FV().NumPy(), self.z.per_cell)
+
+
+class FacetMass:
+    """sum over sides of int weight u t for functions of facets: small blocks, one a facet."""
+
+    def __init__(self, values: LocalMatrix, exchange: Exchange) -> None:
+        """``values`` at the sides' points of functions of facets, whose unknowns ``exchange`` shares."""
+        matrix, self.exchange = values.matrix, exchange
+        self._pattern = BlockInverse((abs(matrix).T @ abs(matrix)).tocsr())
+        (self.unknowns,) = self._pattern.groups or [np.zeros((0, 1), dtype=np.int64)]
+        self.of_facets = exchange.part(self.unknowns[:, 0])
+        """The exchange of one value a facet."""
+        facet_of, place = np.zeros((2, matrix.shape[1]), dtype=np.int64)
+        count, size = self.unknowns.shape
+        facet_of[self.unknowns], place[self.unknowns] = np.arange(count)[:, None], np.arange(size)
+        self.facet = facet_of[matrix.indices[matrix.indptr[:-1]]]
+        cell = np.zeros(count, dtype=np.int64)
+        cell[self.facet] = np.arange(len(self.facet)) // max(values.per_cell, 1)
+        self.halo = Halo(self.of_facets, cell[self.of_facets.places], values.cells)
+        """The cells of other ranks across shared facets."""
+        entries = matrix.tocoo()
+        self.shapes = np.zeros((size, matrix.shape[0]))  # (unknowns, points)
+        self.shapes[place[entries.col], entries.row] = entries.data
+
+    def summed_blocks(self, matrix: sp.csr_matrix) -> sp.csr_matrix:
+        """A matrix of blocks of facets, of which each rank has its cells' part, with those of other ranks."""
+        shared = self.unknowns[self.of_facets.places]
+        if not len(shared):
+            return matrix
+        count, size = shared.shape
+        rows, columns = np.repeat(shared, size, axis=1).ravel(), np.tile(shared, (1, size)).ravel()
+        blocks = np.asarray(matrix[rows, columns]).reshape(count, size, size)
+        others = self.of_facets.others(blocks.transpose(1, 2, 0)).transpose(2, 0, 1)
+        return (matrix + sp.csr_matrix((others.ravel(), (rows, columns)), shape=matrix.shape)).tocsr()
+
+    def update(self, weights: np.ndarray) -> None:
+        """Invert the blocks for the weights (points,)."""
+        size, count = self.unknowns.shape[1], len(self.unknowns)
+        blocks = np.empty((count, size, size))
+        for i in range(size):
+            weighted = weights * self.shapes[i]
+            for j in range(i + 1):
+                blocks[:, i, j] = np.bincount(self.facet, weighted * self.shapes[j], count)
+                blocks[:, j, i] = blocks[:, i, j]
+        with self.exchange.communicator.together(np.linalg.LinAlgError):
+            # with what the other rank has of a shared facet
+            self.inverses = np.linalg.inv(self.of_facets.sum(blocks.transpose(1, 2, 0)).transpose(2, 0, 1))
+        """(facets, functions of a facet, the same)."""
+        self.__dict__.pop("inverse", None)
+
+    def summed(self, values: np.ndarray, where: np.ndarray | None = None) -> np.ndarray:
+        """At the sides' points the sum of ``values`` (points,) at both sides' points of the facet.
+
+        ``where`` are the points of these values if not all, of the same facets on all ranks.
+        """
+        if where is None:
+            return self.of_facets.sum(np.bincount(self.facet, values, len(self.unknowns)))[self.facet]
+        facets, facet = np.unique(self.facet[where], return_inverse=True)
+        return self.of_facets.part(facets).sum(np.bincount(facet, values, len(facets)))[facet]
+
+    def fitted(self, values: np.ndarray, weights: np.ndarray, where: np.ndarray) -> np.ndarray:
+        """The facets' functions fitted to ``values`` (n, points), by blocks of the last ``update``.
+
+        ``where`` are the sides' points, all of some facets, the same on all ranks, ``weights`` theirs.
+        """
+        facets, facet = np.unique(self.facet[where], return_inverse=True)
+        shapes = self.shapes[:, where]
+        loads = np.empty((len(facets), len(shapes), len(values)))
+        for i, shape in enumerate(weights * shapes):
+            for j, value in enumerate(values):
+                loads[:, i, j] = np.bincount(facet, shape * value, len(facets))
+        loads = self.of_facets.part(facets).sum(loads.transpose(1, 2, 0)).transpose(2, 0, 1)
+        fit = self.inverses[facets] @ loads  # (facets, functions, n)
+        return np.einsum("ip,pin->np", shapes, fit[facet])
+
+    def solve(self, loads: np.ndarray) -> np.ndarray:
+        """Inverse times ``loads`` (..., unknowns)."""
+        result = np.zeros_like(loads)
+        local = loads[..., self.unknowns][..., None]
+        result[..., self.unknowns] = (self.inverses @ local)[..., 0]
+        return result
+
+    @cached_property
+    def inverse(self) -> sp.csr_matrix:
+        """The inverse as a sparse matrix."""
+        size = self.unknowns.shape[1]
+        rows = np.repeat(self.unknowns, size, axis=1).ravel()
+        columns = np.tile(self.unknowns, (1, size)).ravel()
+        n = self._pattern.size
+        return sp.csr_matrix((self.inverses.ravel(), (rows, columns)), shape=(n, n))

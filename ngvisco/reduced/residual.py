@@ -25,14 +25,12 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.upwinding import mean_share
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.increments import TINY
+from ngvisco.reduced.by_forms import RestrictedForm, RightHandSide
 from ngvisco.reduced.claims import Claims
 from ngvisco.reduced.diffusion import FieldDiffusionRows
 from ngvisco.reduced.evaluation import CellTerms, FacetTerms, with_values
-from ngvisco.reduced.facet_mass import FacetMass
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity
-from ngvisco.reduced.operators import Operators, SideOperators
-from ngvisco.reduced.restricted import RestrictedForm
-from ngvisco.reduced.right_hand_side import RightHandSide
+from ngvisco.reduced.operators import FacetMass, Operators, SideOperators
 from ngvisco.reduced.slope import PointwiseSlope
 from ngvisco.reduced.unknowns import Unknowns
 

@@ -22,7 +22,7 @@ from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically
 from ngvisco.run.stepping import step_under_way
 from ngvisco.run.vtk import shown_by, write_vtu
-from ngvisco.solver.solution import Attempt, iterations
+from ngvisco.solver.problem import Attempt, iterations
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation

@@ -33,7 +33,7 @@ from ngvisco.timestepping.integrator import StepTaken
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
-    from ngvisco.solver.solution import Attempt
+    from ngvisco.solver.problem import Attempt
 
 _ROUNDING = 1e-9
 

@@ -30,7 +30,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.solution import NewtonIteration, Problem, Solution, Status
+from ngvisco.solver.problem import NewtonIteration, Problem, Solution, Status
 
 
 class Newton:

@@ -8,19 +8,20 @@ from dataclasses import replace
 import numpy as np
 from ngsolve import BaseVector
 
-from ngvisco.errors import InputWarning, StepError
+from ngvisco.errors import InputWarning, ParameterError, StepError
 from ngvisco.forms.context import time
+from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.solver.choice import chosen_method
+from ngvisco.reduced.by_forms import source_obstacle
+from ngvisco.reduced.claims import term_obstacle
 from ngvisco.solver.extrapolation import Extrapolation
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.problem import Interval, RotheProblem
+from ngvisco.solver.problem import Attempt, Interval, NonlinearSolver, RotheProblem, Solution, Status
 from ngvisco.solver.sides import Sides
-from ngvisco.solver.solution import Attempt, NonlinearSolver, Solution, Status
 from ngvisco.solver.split.solver import Split
 
 _PARAMETERS = ("tau", "end", "loads_from", "loads_over")
@@ -252,3 +253,28 @@ class RotheSolver:
             return solution
         reason = f"{defect}: take a smaller step or a finer mesh"
         return Solution(Status.INADMISSIBLE, solution.history, reason)
+
+
+def chosen_method(step: Step, options: NewtonOptions) -> str:
+    """``"coupled"`` or ``"split"``.
+
+    Raises
+    ------
+    ParameterError
+        If ``options.method`` is ``"split"`` for a step that the split solver cannot take.
+    """
+    obstacle = split_obstacle(step)
+    if options.method == "split" and obstacle is not None:
+        raise ParameterError("NewtonOptions.method", options.method, f"'coupled': {obstacle}")
+    if options.method == "auto":
+        large = Communicator.of(step.mesh).total(step.mesh.ne) >= options.split.chosen_from[step.mesh.dim - 2]
+        return "split" if large and obstacle is None else "coupled"
+    return options.method
+
+
+def split_obstacle(step: Step) -> str | None:
+    """Why the split solver cannot take this step, or None."""
+    ranks = Communicator.of(step.mesh)
+    if not ranks.all(is_simplicial(step.mesh)):
+        return "the split solver needs a mesh of triangles or tetrahedra only"
+    return source_obstacle(step) or term_obstacle(step)

@@ -37,9 +37,8 @@ from ngvisco.forms.context import time
 from ngvisco.forms.distance import BregmanDistance
 from ngvisco.forms.system import Evolved
 from ngvisco.forms.velocity import VelocityOfMomentum
-from ngvisco.solver.problem import Interval
+from ngvisco.solver.problem import Attempt, Interval, iterations
 from ngvisco.solver.rothe import RotheSolver
-from ngvisco.solver.solution import Attempt, iterations
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler
 
 _RELAXED = (1.5, 2.5)

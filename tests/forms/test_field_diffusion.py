@@ -20,8 +20,7 @@ from ngvisco.physics.pointwise import respond
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.variables import Jacobian
 from ngvisco.reduced.diffusion import FieldDiffusionRows
-from ngvisco.reduced.facet_mass import FacetMass
-from ngvisco.reduced.operators import Operators, SideOperators
+from ngvisco.reduced.operators import FacetMass, Operators, SideOperators
 from ngvisco.reduced.slope import PointwiseSlope
 
 DELTA = 0.3

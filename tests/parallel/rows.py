@@ -17,7 +17,7 @@ from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import SweepOptions
-from ngvisco.solver.split.transport_sweeps import TransportSweeps
+from ngvisco.solver.split.transport import TransportSweeps
 
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), CF(0))
 SLIP = {"top": nv.Traction(f=(1.0, 0.0), friction=0.2), "left": nv.NavierFriction(0.3)}

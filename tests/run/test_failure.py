@@ -6,7 +6,7 @@ import pytest
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.failure import FailureReport, showing, write_failure
-from ngvisco.solver.solution import Attempt, NewtonIteration, Solution, Status
+from ngvisco.solver.problem import Attempt, NewtonIteration, Solution, Status
 
 DT = 0.05
 

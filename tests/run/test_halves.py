@@ -9,7 +9,7 @@ from ngsolve import cos, pi, sin, x, y
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.stepping import FixedStepper
-from ngvisco.solver.solution import Solution, Status
+from ngvisco.solver.problem import Solution, Status
 from ngvisco.solver.split.solver import Split
 
 DT = 0.04

@@ -33,7 +33,7 @@ from ngvisco.forms.terms.transport import ElasticForce, Kinematics
 from ngvisco.geometries import box
 from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.ledger import NUMERICAL, unit
-from ngvisco.solver.solution import Attempt, NewtonIteration, Solution, Status
+from ngvisco.solver.problem import Attempt, NewtonIteration, Solution, Status
 from ngvisco.timestepping.integrator import StepTaken
 
 CASES = [

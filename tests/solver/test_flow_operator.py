@@ -18,13 +18,14 @@ pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 @pytest.fixture
-def run():
-    """A box at rest in z, with v linear and density one."""
+def run(request):
+    """A box at rest in z, with v linear and density one; with the flow rule that is asked for."""
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.2),
         hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
         loads=[nv.Gravity((0.0, -1.0))],
+        creep=getattr(request, "param", None),
     )
     run = nv.Simulation(
         box((1, 1), maxh=0.4), model, dt=0.5, initial=nv.Initial(velocity=CF((0.0, 0.0))), solver="split"
@@ -87,9 +88,9 @@ def test_what_the_fields_take(run):
     dv = linear(run, lambda x, y: (y - 0.3, 2 * x + y))
     expected = derivative(split, at, dv, lambda at: at.residual.z.ravel())
     op = operator.op
-    source = np.einsum("pnx,xp->np", operator.tangent.columns[:, :, :4], op.velocity_gradient(dv))
+    source = np.einsum("pnx,xp->np", operator.points.columns[:, :, :4], op.velocity_gradient(dv))
     for j, values in enumerate(op.v(dv)):
-        source -= operator.tangent.dz[:, j] * values
+        source -= operator.points.dz[:, j] * values
     found = -op.z.test(source).ravel()
     assert np.abs(found - expected).max() <= 1e-7 * np.abs(expected).max()
     # and the fields' rows take just this source
@@ -103,12 +104,13 @@ def test_the_force_of_the_fields(run):
     _, at, operator = prepared(run, v, z_noise=0.1)
     op, z, rng = operator.op, at.coefficients["z"], np.random.default_rng(1)
     dz = rng.standard_normal(z.T.shape)
-    resolved = np.einsum("pnm,mp->np", operator.tangent.resolvent, op.z(dz.T.copy()))
-    stress = np.einsum("pxn,np->xp", operator.tangent.force[:, :4], resolved).reshape(2, 2, -1)
+    resolved = np.einsum("pnm,mp->np", operator.points.resolvent, op.z(dz.T.copy()))
+    stress = np.einsum("pxn,np->xp", operator.points.force[:, :4], resolved).reshape(2, 2, -1)
     expected = sum(D.test(np.ascontiguousarray(stress[:, j])) for j, D in enumerate(op.dv))
     assert np.abs(operator.force(dz) - expected).max() <= 1e-12 * np.abs(expected).max()
 
 
+@pytest.mark.parametrize("run", [None, nv.Creep(G_m=4.0)], indirect=True)
 def test_the_fields_systems_are_solved_beyond_what_sweeps_invert(run):
     """dz and drho are found again from their rows where a step strains by three quarters, at Courant number
     2."""

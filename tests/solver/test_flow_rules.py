@@ -61,17 +61,8 @@ def implicit_steps(rate, lengths):
     return H
 
 
-@pytest.mark.parametrize(
-    ("nu", "bodies", "solver"),
-    [
-        (0.0, False, "split"),
-        (0.0, False, "coupled"),
-        (0.0, True, "split"),
-        (0.0, True, "coupled"),
-        # psi' is infinitely steep at the start, Pi = 0: damped Newton on all unknowns does not leave it
-        (0.1, False, "split"),
-    ],
-)
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+@pytest.mark.parametrize(("nu", "bodies"), [(0.0, False), (0.1, False), (0.0, True)])
 def test_a_rule_of_one_s_own_gives_what_it_says(nu, bodies, solver):
     """At a point its step is that of an ordinary equation."""
     run = stretched(Cubic(A=0.02, nu=nu), solver, bodies)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ngvisco.solver.options import NewtonOptions, SplitOptions
-from ngvisco.solver.solution import Problem, Status
+from ngvisco.solver.problem import Problem, Status
 from ngvisco.solver.split.iteration import iterate
 from ngvisco.solver.split.solver import Split
 

@@ -16,7 +16,7 @@ from ngvisco.forms.system import Step
 from ngvisco.geometries import box
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.norm import BlockNorm
-from ngvisco.solver.solution import Problem, Solution, Status
+from ngvisco.solver.problem import Problem, Solution, Status
 
 SPACE = H1(box((1, 1), 0.7), order=2)
 

@@ -19,7 +19,7 @@ from ngvisco import (
     time,
 )
 from ngvisco.geometries import box
-from ngvisco.solver.solution import iterations
+from ngvisco.solver.problem import iterations
 
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 JUMP = Id(3) + IfPos(x - 0.4, 0.4, -0.2) * OuterProduct(CF((1, 0, 0)), CF((0.3, 1, 0)))

@@ -16,8 +16,8 @@ from ngvisco.algebra.factorised import DirectSolver, TwoLevelSolver
 from ngvisco.forms.term import Integrand
 from ngvisco.geometries import box, disc, structured_box
 from ngvisco.solver.options import SplitOptions, SweepOptions
+from ngvisco.solver.problem import Solution, Status
 from ngvisco.solver.rothe import Interval
-from ngvisco.solver.solution import Solution, Status
 from ngvisco.solver.split.solver import Split
 
 
@@ -343,7 +343,7 @@ def test_two_levels_take_as_many_iterations_on_finer_meshes():
         run = simulation(maxh=maxh, newton=TWO_LEVELS)
         run.advance()
         p = run.solver.newton.preconditioner
-        matrix, steps = p.tangent.matrix(), []
+        matrix, steps = p.operator.tangent(p.hyper_tangent), []
         p.solver.factorise(matrix)
         r = np.where(p.free, np.random.default_rng(0).standard_normal(len(p.free)), 0.0)
         operator = LinearOperator(

@@ -22,8 +22,8 @@ from ngvisco.geometries import box
 from ngvisco.physics.tensors import square
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.norm import BlockNorm
-from ngvisco.solver.solution import Attempt
-from ngvisco.solver.solution import Problem as Posed
+from ngvisco.solver.problem import Attempt
+from ngvisco.solver.problem import Problem as Posed
 from tests.verification.manufactured import Exact
 
 ERROR_ORDER = 12

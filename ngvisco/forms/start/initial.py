@@ -37,7 +37,7 @@ from ngvisco.physics.material import Material, conjugates, volume_ratio
 from ngvisco.physics.mixture import AMOUNT
 from ngvisco.physics.model import VectorLike, as_tensor, as_vector
 from ngvisco.physics.parameters import Parameter, moduli_in, value_at
-from ngvisco.physics.tensors import inner, square, tensor_space
+from ngvisco.physics.tensors import inner, square, tensor_space, trace_free_tensors
 from ngvisco.physics.time import reads_time
 
 ScalarLike: TypeAlias = float | CoefficientFunction
@@ -363,7 +363,7 @@ def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
 
 
 def complete(step: Step) -> None:
-    """Start values of traces, conjugates and the hyperviscosity's unknowns from v, rho and z."""
+    """Start values of traces, conjugates, creep rates and the hyperviscosity's unknowns from v, rho and z."""
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     u, material, dim = step.now, step.model.material, step.mesh.dim
     if step.energy.projected is None:
@@ -371,6 +371,11 @@ def complete(step: Step) -> None:
     else:
         step.eliminate.refresh()
         step.eliminate.projections["zeta"]()
+    rates = step.context.rates
+    if rates.rule is not None and "Pi" in parts:
+        # the local rate, as psi' may be infinitely steep at zero
+        rate = trace_free_tensors(dim).components(rates.local_creep(rates.rule, u))
+        Interpolation(step.layout.blocks["Pi"])(parts["Pi"], rate)
     set_traces(step.layout, step.state, step.context, step.quadrature)
     law = step.model.hyperviscosity
     if law is None:

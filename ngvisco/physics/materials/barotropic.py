@@ -11,8 +11,8 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, require_above, require_choice, require_positive
 from ngvisco.physics.material import Material
-from ngvisco.physics.materials.singular import check_continuation, continued_in_J, inverse_power
-from ngvisco.physics.parameters import Modulus, require_positive_moduli
+from ngvisco.physics.materials.singular import continued_in_J, inverse_power
+from ngvisco.physics.parameters import Modulus, require_ranges
 from ngvisco.physics.variables import Jacobian, ReciprocalJacobian, Values, Variable
 
 
@@ -60,14 +60,10 @@ class BarotropicFluid(Material):
     rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
 
     def __post_init__(self) -> None:
-        require_positive_moduli(self, B=self.B)
-        require_above(self, 1, gamma=self.gamma)
+        require_ranges(self)
         require_choice(self, ("J", "A"), form=self.form)
-        check_continuation(self, self.J_min)
         if self.form == "A":
             require_choice(self, (None,), J_min=self.J_min)
-        if self.rho_R is not None:
-            require_positive_moduli(self, rho_R=self.rho_R)
 
     @classmethod
     def from_state_equation(

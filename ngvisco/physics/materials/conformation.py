@@ -22,11 +22,11 @@ from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import Quantity, require_above
+from ngvisco.errors import Quantity
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.referential import referential_volume
-from ngvisco.physics.materials.singular import check_continuation, continued_in_J
-from ngvisco.physics.parameters import Modulus, require_positive_moduli
+from ngvisco.physics.materials.singular import continued_in_J
+from ngvisco.physics.parameters import Modulus, require_ranges
 from ngvisco.physics.tensors import log, log_det, tr
 from ngvisco.physics.variables import Jacobian, LeftCauchyGreen, Values, Variable
 
@@ -58,8 +58,7 @@ class OldroydB(Material):
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
 
     def __post_init__(self) -> None:
-        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
-        check_continuation(self, self.J_min)
+        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -106,9 +105,7 @@ class FENEP(Material):
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
 
     def __post_init__(self) -> None:
-        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
-        require_above(self, 3, b=self.b)
-        check_continuation(self, self.J_min)
+        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

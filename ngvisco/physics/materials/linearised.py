@@ -8,10 +8,13 @@ from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, require_above, require_positive
+from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.isotropy import require_isotropy
 from ngvisco.physics.material import Material
-from ngvisco.physics.parameters import Modulus, require_nonnegative_moduli, require_positive_moduli
+from ngvisco.physics.parameters import (
+    Modulus,
+    require_ranges,
+)
 from ngvisco.physics.state_function import check_energy
 from ngvisco.physics.tensors import dev, power_of_square, sph, square, tr
 from ngvisco.physics.variables import SmallStrain, Values, Variable
@@ -41,7 +44,7 @@ class LinearElastic(Material):
     G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
 
     def __post_init__(self) -> None:
-        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
+        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -127,10 +130,7 @@ class HardeningElastic(Material):
     floor: Annotated[float, Quantity("1", "> 0")] = 1e-8
 
     def __post_init__(self) -> None:
-        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
-        require_positive(self, floor=self.floor)
-        require_nonnegative_moduli(self, K_h=self.K_h, G_h=self.G_h)
-        require_above(self, 2, s=self.s)
+        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

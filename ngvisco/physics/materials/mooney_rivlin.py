@@ -12,7 +12,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import Quantity
 from ngvisco.physics.materials.neo_hookean import NeoHookean, first_invariant, volumetric
 from ngvisco.physics.materials.referential import LogarithmicNeoHookean, ReferentialNeoHookean
-from ngvisco.physics.parameters import Modulus, require_nonnegative_moduli
+from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import (
     Cofactor,
@@ -56,10 +56,6 @@ class MooneyRivlin(NeoHookean):
     """
 
     G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_nonnegative_moduli(self, G_mr=self.G_mr)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -110,10 +106,6 @@ class ReferentialMooneyRivlin(ReferentialNeoHookean):
 
     G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_nonnegative_moduli(self, G_mr=self.G_mr)
-
     @property
     def variables(self) -> tuple[Variable, ...]:
         return _with_cofactor(super().variables, self.is_by_B)
@@ -151,10 +143,6 @@ class LogarithmicMooneyRivlin(LogarithmicNeoHookean):
     """
 
     G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_nonnegative_moduli(self, G_mr=self.G_mr)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

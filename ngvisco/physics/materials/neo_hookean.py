@@ -7,15 +7,14 @@ from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import Quantity, require_positive
+from ngvisco.errors import Quantity
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.singular import (
-    check_continuation,
     continued_in_J,
     inverse_power,
     minus_log,
 )
-from ngvisco.physics.parameters import Modulus, require_positive_moduli
+from ngvisco.physics.parameters import Modulus, require_ranges
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen, Values, Variable
 
@@ -68,10 +67,7 @@ class NeoHookean(IsotropicElastic):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e, epsilon=self.epsilon)
-        if self.kappa is not None:
-            require_positive(self, kappa=self.kappa)
-        check_continuation(self, self.J_min)
+        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

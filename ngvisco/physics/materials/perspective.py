@@ -22,7 +22,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.parameters import Modulus, require_positive_moduli
+from ngvisco.physics.parameters import Modulus, require_ranges
 from ngvisco.physics.variables import (
     Cofactor,
     CofactorLeftCauchyGreen,
@@ -75,8 +75,7 @@ class PerReferentialVolume(Material):
         owner = type(self).__name__
         if not isinstance(self.material, Material):
             raise ParameterError(f"{owner}.material", self.material, "a Material")
-        if self.rho_R is not None:
-            require_positive_moduli(self, rho_R=self.rho_R)
+        require_ranges(self)
         if self.material.response(3) is not None:
             expected = "a material whose energy is an expression; a Yosida approximation goes around this one"
             raise ParameterError(f"{owner}.material", self.material, expected)
@@ -125,11 +124,10 @@ class PerMass(PerReferentialVolume):
     material : Material
         psi, J/kg.
     rho_R : float
-        Referential density, kg/m^3, > 0.  The initial density has to be rho_R/J, and one of the two follows
-        from the other.
+        Density where J = 1; with it the initial density and J follow from one another.
     """
 
-    rho_R: Modulus
+    rho_R: Annotated[Modulus, Quantity("kg/m^3", "> 0", 1000.0)]
 
     def energy(self, z: Values) -> CoefficientFunction:
         return self.rho_R * super().energy(z)

@@ -20,10 +20,13 @@ from typing import Annotated, Any
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import Quantity, require_nonnegative
+from ngvisco.errors import Quantity
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
-from ngvisco.physics.materials.singular import check_continuation, continued_in_J, inverse_power
-from ngvisco.physics.parameters import Modulus, require_nonnegative_moduli, require_positive_moduli
+from ngvisco.physics.materials.singular import continued_in_J, inverse_power
+from ngvisco.physics.parameters import (
+    Modulus,
+    require_ranges,
+)
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import (
     Distortion,
@@ -76,10 +79,7 @@ class ReferentialNeoHookean(IsotropicElastic):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
-        require_nonnegative_moduli(self, epsilon=self.epsilon)
-        require_nonnegative(self, kappa=self.kappa)
-        check_continuation(self, self.J_min)
+        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -123,10 +123,7 @@ class IsochoricNeoHookean(IsotropicElastic):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e)
-        require_nonnegative_moduli(self, epsilon=self.epsilon)
-        require_nonnegative(self, kappa=self.kappa)
-        check_continuation(self, self.J_min)
+        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -173,7 +170,7 @@ class LogarithmicNeoHookean(IsotropicElastic):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive_moduli(self, K_e=self.K_e, G_e=self.G_e, epsilon=self.epsilon)
+        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

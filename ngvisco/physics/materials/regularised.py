@@ -10,9 +10,9 @@ from typing import Annotated
 import numpy as np
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_names, require_positive
+from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_names
 from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.parameters import Modulus
+from ngvisco.physics.parameters import Modulus, require_ranges
 from ngvisco.physics.pointwise import Respond, Response
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values, Variable
@@ -48,7 +48,7 @@ class WithQuadratic(Material):
     def __post_init__(self) -> None:
         if not isinstance(self.material, Material):
             raise ParameterError("WithQuadratic.material", self.material, "a Material")
-        require_positive(self, delta=self.delta)
+        require_ranges(self)
         if self.only is not None:
             require_names("WithQuadratic.only", self.only)
         known = {v.name for form in self._forms() for v in form.variables if v.is_strain}

@@ -12,16 +12,9 @@ from typing import Any, TypeAlias
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import require_positive
 from ngvisco.physics.tensors import if_positive, log
 
 Scalar: TypeAlias = CoefficientFunction
-
-
-def check_continuation(owner: object, J_min: float | None) -> None:
-    """Raise ParameterError unless ``J_min`` is None (no continuation) or a finite number > 0."""
-    if J_min is not None:
-        require_positive(owner, J_min=J_min)
 
 
 def continued(

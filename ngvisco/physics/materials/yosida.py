@@ -8,9 +8,9 @@ from typing import Annotated
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id
 
-from ngvisco.errors import NgviscoError, ParameterError, Quantity, require_positive
+from ngvisco.errors import NgviscoError, ParameterError, Quantity
 from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.parameters import Modulus
+from ngvisco.physics.parameters import Modulus, require_ranges
 from ngvisco.physics.pointwise import Respond, Response, respond, squares
 from ngvisco.physics.variables import Values, Variable
 
@@ -56,7 +56,7 @@ class Yosida(Material):
     def __post_init__(self) -> None:
         if not isinstance(self.material, Material):
             raise ParameterError("Yosida.material", self.material, "a Material")
-        require_positive(self, eps=self.eps)
+        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -1,4 +1,13 @@
-"""P^{-1} R: what the split solver takes for an increment of all unknowns."""
+"""P^{-1} R: what the split solver takes for an increment of all unknowns.
+
+First the flow's linear system, with the fields by sweeps of the transport, then the linear equations of the
+fields for a given velocity: transport, rates and creep together.  For an increment dz they are
+T dz - (K dz, .) = rows, with the transport T (``TransportSweeps``) and the derivative K of rates and creep
+(``PointTangent``); for drho the transport alone.  Sweeps, and (1 - tau K)^{-1} at every point after them,
+invert these up to tau^2 (products of T and K) and what the sweeps leave: well for Courant numbers and strains
+in a step below a half, and not at all where either is above one.  There they precondition GMRES: near walls
+that start to move at once, one cell of the first step is enough.
+"""
 
 from __future__ import annotations
 
@@ -9,23 +18,74 @@ from functools import partial
 
 import numpy as np
 
+from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.factorised import Direct, Fallback, MakesDirect, TwoLevelSolver, direct_solver
-from ngvisco.algebra.krylov import gmres
-from ngvisco.algebra.sparse import together
+from ngvisco.algebra.krylov import Map, gmres, improved
+from ngvisco.algebra.sparse import mass_matrix, together
 from ngvisco.errors import InputWarning
 from ngvisco.forms.mesh.mesh_arrays import mask_of, rigid_motions
 from ngvisco.parallel.petsc import SumInverse
-from ngvisco.reduced.hyper_derivative import HyperDerivative
-from ngvisco.reduced.hyper_tangent import HyperTangent
 from ngvisco.reduced.operators import Operators
-from ngvisco.reduced.point_tangent import PointTangent
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
-from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.split.fields_system import FieldsSystem
-from ngvisco.solver.split.local_creep import LocalCreep
-from ngvisco.solver.split.schur_complement import FlowSchurComplement
-from ngvisco.solver.split.transport_sweeps import TransportSweeps
-from ngvisco.solver.split.velocity_tangent import VelocityTangent
+from ngvisco.solver.options import FieldOptions, NewtonOptions
+from ngvisco.solver.split.flow_elements import PointTangent
+from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
+from ngvisco.solver.split.schur_complement import FlowSchurComplement, at_points
+from ngvisco.solver.split.transport import TransportSweeps
+
+
+class FieldsSystem:
+    """Solves the fields' equations where the operator was last updated."""
+
+    def __init__(self, operator: FlowSchurComplement, options: FieldOptions) -> None:
+        self.operator, self.sweep, self.options = operator, operator.sweep, options
+        self.points, self.op = operator.points, operator.points.op
+        mass = mass_matrix(self.op.z.matrix, self.op.weights)
+        self._project = BlockInverse(mass)
+        self._project.update(mass)
+        self._swept_is_enough: set[str] = set()
+        """Fields for which one application of the approximate inverse did, at this operator."""
+
+    def renew(self) -> None:
+        """The operator was made anew: whether sweeps are enough is to be seen again."""
+        self._swept_is_enough.clear()
+
+    def z(self, rows: np.ndarray) -> np.ndarray:
+        """Increments of z, of rows: both (cells' unknowns, n)."""
+        return self._solved("z", self._rows, self._approximate, rows)
+
+    def density(self, rows: np.ndarray) -> np.ndarray:
+        """Increments of the density's unknowns, of rows."""
+        sweep = self.sweep
+        if sweep.density_is_factorised:
+            return sweep.density(rows)
+        return self._solved("rho", sweep.density_rows, sweep.density, rows[:, None])[:, 0]
+
+    def _solved(self, name: str, apply: Map, approximate: Map, rows: np.ndarray) -> np.ndarray:
+        if name in self._swept_is_enough:
+            return approximate(rows)
+        options = self.options
+        found, iterations = improved(
+            apply,
+            approximate,
+            rows,
+            options.tolerance,
+            options.iterations,
+            options.enough,
+            self.operator.residual.ranks.products,
+        )
+        if not iterations:
+            self._swept_is_enough.add(name)
+        return found
+
+    def _approximate(self, rows: np.ndarray) -> np.ndarray:
+        dz = self.sweep.fields(rows)
+        return self._project(self.op.z.test(self.operator.resolved(dz))).T
+
+    def _rows(self, dz: np.ndarray) -> np.ndarray:
+        values = self.op.z(np.ascontiguousarray(dz.T))
+        rates = at_points(self.points.rate_slope, values)
+        return self.sweep.rows(dz) - self.op.z.test(rates).T
 
 
 class Preconditioner:
@@ -41,18 +101,12 @@ class Preconditioner:
         self.without_multigrid: str | None = None
         """Why vertices are factorised where the options have a multigrid for them."""
         k, m = step.discretisation.k, step.discretisation.m
-        rule = residual.rates.rule
-        steep = rule is not None and rule.is_local and not rule.is_linear
-        # a coarse rule knows a linear law; of another one it misses where it is steep
-        self.op = residual.op if steep else Operators(step, max(k - 1, m))
+        self.op = Operators(step, max(k - 1, m))
         self.sweep = TransportSweeps(residual, options.inverse, self.options.sweeps)
         derivative = (
             None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
         )
         tangent = PointTangent(residual, self.op)
-        self.local_creep: LocalCreep | None = None
-        if steep and rule is not None and not rule.reads_conjugate:
-            self.local_creep = LocalCreep(tangent, rule)
         self.operator = FlowSchurComplement(residual, tangent, self.sweep, derivative)
         self.ranks, self.exchange = residual.ranks, residual.shared_rows
         places, kept = np.arange(unknowns.flow_slice.stop), np.zeros(0, dtype=np.int64)
@@ -65,7 +119,6 @@ class Preconditioner:
             self.hyper_tangent = HyperTangent(derivative, kept)
         self._of_tangent = self.exchange.part(places)
         """The exchange of the tangent's unknowns: the flow's and, between ranks, the normal derivatives."""
-        self.tangent = VelocityTangent(self.operator, self.hyper_tangent)
         free = [mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.flow]
         self.free = np.concatenate(free)
         self._whole: Callable[[], Direct] | None = None
@@ -146,7 +199,7 @@ class Preconditioner:
             if self.hyper_tangent is not None:
                 with self.ranks.together(np.linalg.LinAlgError):
                     self.hyper_tangent.update()
-            matrix = self.tangent.matrix()
+            matrix = self.operator.tangent(self.hyper_tangent)
         with clock("factorisation"):
             self.solver.factorise(matrix)
 

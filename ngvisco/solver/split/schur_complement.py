@@ -11,14 +11,14 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from ngvisco.algebra.sparse import ElementAssembly
 from ngvisco.physics.increments import TINY
+from ngvisco.reduced.by_forms import RestrictedForm
 from ngvisco.reduced.evaluation import with_values
-from ngvisco.reduced.flow_elements import FlowElements
-from ngvisco.reduced.hyper_derivative import HyperDerivative
-from ngvisco.reduced.point_tangent import PointTangent
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
-from ngvisco.reduced.restricted import RestrictedForm
-from ngvisco.solver.split.transport_sweeps import TransportSweeps
+from ngvisco.solver.split.flow_elements import FlowElements, PointTangent
+from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
+from ngvisco.solver.split.transport import TransportSweeps
 from ngvisco.threads import concurrently, product
 
 
@@ -32,7 +32,7 @@ class FlowSchurComplement:
         sweep: TransportSweeps,
         derivative: HyperDerivative | None,
     ) -> None:
-        self.residual, self.tangent, self.sweep, self.derivative = residual, points, sweep, derivative
+        self.residual, self.points, self.sweep, self.derivative = residual, points, sweep, derivative
         step, u = residual.step, residual.unknowns
         self.op, self.dim = points.op, step.mesh.dim
         self.elements = FlowElements(points, residual.op)
@@ -42,6 +42,7 @@ class FlowSchurComplement:
         self.others = RestrictedForm(step, u.flow, others) if others else None
         self.leading = claims.of_gradients()
         self.inertial = claims.of_inertia()
+        self._assembled = ElementAssembly(self.elements.dofs, self.op.v.width)
 
     def update(self, at: Evaluation, everything: bool = True) -> None:
         """Linearise at an evaluation.
@@ -53,11 +54,11 @@ class FlowSchurComplement:
             self.derivative.update(at.hyper)
         if not everything:
             return
-        self.tangent.terms.context.start()
-        count = self.op.points.count * self.tangent.components**2
+        self.points.terms.context.start()
+        count = self.op.points.count * self.points.components**2
         with self.residual.ranks.together(np.linalg.LinAlgError):
             # the sweep first, in this thread: it exchanges with other ranks
-            concurrently(lambda: self.sweep.update(at), lambda: self.tangent.update(at), count)
+            concurrently(lambda: self.sweep.update(at), lambda: self.points.update(at), count)
         self.elements.update(self._base(), self._inertia(at))
         self.rest = self._rest()
 
@@ -71,10 +72,10 @@ class FlowSchurComplement:
 
     def _base(self) -> np.ndarray:
         """dR/d(v, grad v) of convection and viscosity: (points, 0 or 1 + j, i, k, 0 or 1 + l)."""
-        d, u = self.dim, self.tangent.values
+        d, u = self.dim, self.points.values
         v, L = u.v.value, u.grad_v.value
         A = np.zeros((self.op.points.count, 1 + d, d, d, 1 + d))
-        varying = [term for term in self.leading if self.tangent.terms.constant_matrix(term) is None]
+        varying = [term for term in self.leading if self.points.terms.constant_matrix(term) is None]
         for k in range(d):
             for column in range(1 + d):
                 if column == 0:
@@ -85,12 +86,12 @@ class FlowSchurComplement:
                     changed = L.astype(complex)
                     changed[k, column - 1] += 1j * TINY
                     at = with_values(u, grad_v=changed)
-                slots = self.tangent.terms.slots(varying, at)
+                slots = self.points.terms.slots(varying, at)
                 A[:, 0, :, k, column] = slots["v"].imag.T
                 A[:, 1:, :, k, column] = slots["grad v"].imag.transpose(2, 1, 0)
         A /= TINY
         for term in self.leading:
-            matrix = self.tangent.terms.constant_matrix(term)
+            matrix = self.points.terms.constant_matrix(term)
             if matrix is not None:  # by (i, j) and (k, l)
                 A[:, 1:, :, :, 1:] += matrix.reshape(d, d, d, d).swapaxes(0, 1)
         return A
@@ -109,7 +110,7 @@ class FlowSchurComplement:
         """What M takes from a creep rate field Pi within the step, coupling to v left out."""
         first = self.residual.rates.tensors.gradients
         values = self.op.creep_values.matrix
-        C = self.tangent.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
+        C = self.points.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
         size = C.shape[1]
         blocks = [[values.T @ sp.diags(C[:, i, k]) @ values for k in range(size)] for i in range(size)]
         return sp.bmat(blocks, format="csr")
@@ -148,13 +149,37 @@ class FlowSchurComplement:
         e = self.elements
         rows = product(e.to_fields, e.gathered(dv)).reshape(e.cells * e.functions, e.components)
         if dPi is not None:
-            values = at_points(self.tangent.columns[:, :, self.dim**2 :], dPi)
+            values = at_points(self.points.columns[:, :, self.dim**2 :], dPi)
             rows -= self.op.z.test(values).T
         return rows
 
     def resolved(self, dz: np.ndarray) -> np.ndarray:
         """(1 - tau K)^{-1} dz at the points, (n, points), of coefficients dz (cells' unknowns, n)."""
-        return at_points(self.tangent.resolvent, self.op.z(np.ascontiguousarray(dz.T)))
+        return at_points(self.points.resolvent, self.op.z(np.ascontiguousarray(dz.T)))
+
+    def tangent(self, hyper: HyperTangent | None) -> sp.csr_matrix:
+        """The velocity tangent: the operator with the fields predicted inside each cell, as a matrix.
+
+        What a cell's increments change its fields by takes the inverse of the transport's own block, without
+        what neighbours carry over: a sum over the cells.  Of the flow's unknowns and the normal derivatives
+        that ``hyper`` keeps, last; the others are a = E v, with the mean of both sides' d_n v, weighted by
+        the hyperviscosity's coefficient.  Over ranks in parts.
+        """
+        d, e = self.dim, self.elements
+        rows = e.to_fields.reshape(e.cells * e.functions, e.components * e.dim * e.local)
+        fields = self.sweep.in_cells(rows).reshape(e.to_fields.shape)
+        cells = (e.own - e.from_fields @ fields).reshape(e.cells, e.local, d, d, e.local)
+        blocks = [[self._assembled(cells[:, :, i, k]) for k in range(d)] for i in range(d)]
+        if hyper is not None:
+            n = self.op.v.width
+            for i in range(d):
+                blocks[i][i] = blocks[i][i] + hyper.matrix[:n, :n]
+        matrix, others = sp.bmat(blocks, format="csr"), self.size - self.nv
+        if others:
+            matrix = sp.block_diag([matrix, sp.csr_matrix((others, others))], format="csr")
+        if self.rest is not None:
+            matrix = (matrix + self.rest).tocsr()
+        return matrix if hyper is None or not len(hyper.kept) else hyper.bordered(matrix, d)
 
 
 def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
