@@ -18,7 +18,7 @@ from ngvisco.physics.tensors import inner
 from ngvisco.run.simulation import Simulation
 from tests.verification.manufactured import Exact
 from tests.verification.models import material, model
-from tests.verification.problems import Problem, Source, distance, refinements
+from tests.verification.problems import Problem, Source, balls, distance, refinements
 from tests.verification.rates import RateTable
 from tests.verification.sources import Sources
 
@@ -65,25 +65,26 @@ def coupled_rates(
     regularised: bool = False,
     delta: bool = True,
     nu: float = 0.0,
+    curved: bool = False,
     tau: float = 0.05,
     steps: int = 2,
 ) -> RateTable:
     """The whole system: creep, gravity, viscosity, hyperviscosity (unless p is None), and delta- and
-    epsilon-terms if ``regularised``, without delta if not ``delta``; creep's gradient with nu > 0; errors in
-    L2 after ``steps`` steps, space only."""
+    epsilon-terms if ``regularised``, without delta if not ``delta``; creep's gradient with nu > 0; in the
+    unit ball if ``curved``; errors in L2 after ``steps`` steps, space only."""
     system = model(kind, dim, p, regularised, delta, nu)
     terms = (", all terms" if delta else ", all terms but delta") if regularised else ""
     table = RateTable(f"coupled, {kind}, {dim}D, p = {p}, k = {k}, m = {m}{terms}")
-    for h, mesh in refinements(dim, maxh, levels):
+    for h, mesh in (balls if curved else refinements)(dim, maxh, levels):
         time.Set(0.0)
-        exact = Exact(system, dim, time)
+        exact = Exact(system, dim, time, curved)
         simulation = Simulation(
             mesh,
             system,
             dt=tau,
             initial=Initial(density=exact.rho, velocity=exact.v, values=exact.values),
             discretisation=Discretisation(k=k, m=m),
-            sources=Sources(system, dim, tau),
+            sources=Sources(system, dim, tau, curved),
         )
         for _ in range(steps):
             simulation.advance()

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from ngsolve import CoefficientFunction
+
 from ngvisco.physics.flow_rules import Creep
 from ngvisco.physics.material import Material
-from ngvisco.physics.materials import LinearElastic, MooneyRivlin, NeoHookean
+from ngvisco.physics.materials import CustomMaterial, LinearElastic, MooneyRivlin, NeoHookean, Yosida
 from ngvisco.physics.model import Gravity, Model
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import SmallStrain
 from tests.verification.differences import Coefficients
 
 KINDS = ("linear", "neo-hookean")
-FURTHER = ("by B", "cofactors")
-"""Materials of other variables: B = F F^T, of which creep is another law, and Cof F beside F and J."""
+FURTHER = ("by B", "cofactors", "Yosida", "Yosida, quartic")
+"""Materials of other variables: B = F F^T, of which creep is another law, Cof F beside F and J, and Yosida
+approximations, of the neo-Hookean energy and of one of E that grows faster than its square."""
 DELTA, DELTA_FIELDS, EPSILON = 0.02, 0.03, 1.0
 
 
@@ -24,7 +29,15 @@ def material(kind: str) -> Material:
         return MooneyRivlin(K_e=2.0, G_e=0.6, G_mr=0.4, epsilon=0.5, elastic_state="F")
     if kind == "by B":
         return NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5, elastic_state="B")
-    return NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5, elastic_state="F")
+    if kind == "Yosida, quartic":
+        return Yosida(material=CustomMaterial(transported=(SmallStrain(),), stored_energy=_quartic), eps=0.05)
+    neo_hookean = NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5, elastic_state="F")
+    return Yosida(material=neo_hookean, eps=0.05) if kind == "Yosida" else neo_hookean
+
+
+def _quartic(E: CoefficientFunction) -> CoefficientFunction:
+    """E : E + (E : E)^2, Pa."""
+    return square(E) + square(E) * square(E)
 
 
 def hyperviscosity(p: float | None) -> HyperViscosity | None:

@@ -17,6 +17,7 @@ from ngvisco.physics.rheology import HyperViscosity
 from ngvisco.physics.tensors import dev, square
 from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.cases.dependent import COFACTORS
 from tests.verification.setups import KINDS, SETTING, block, closure, material, square_mesh
 
 THEME = "The whole scheme"
@@ -37,12 +38,12 @@ def whole(kind: str, dt: float, mesh: Mesh, delta: float, epsilon: float) -> Sim
     law = Regularisation(
         delta_density=delta, delta_fields=delta, epsilon=epsilon, r=EXPONENT, p=EXPONENT, rho_max=RHO_MAX
     )
-    of = material(kind)
-    if kind == "finite" and epsilon:
+    of = COFACTORS if kind == "cofactors" else material(kind)
+    if kind != "linearised" and epsilon:
         of = Yosida(material=of, eps=epsilon)
-    if kind == "finite" and delta:
+    if kind != "linearised" and delta:
         of = WithQuadratic(material=of, delta=delta)
-    creep = Creep(G_m=2.0, nu=NU, q=EXPONENT) if kind == "finite" else Creep(G_m=2.0)
+    creep = Creep(G_m=2.0) if kind == "linearised" else Creep(G_m=2.0, nu=NU, q=EXPONENT)
     hyper = HyperViscosity(mu=MU, p=EXPONENT)
     return block(
         kind, dt, mesh=mesh, gravity=GRAVITY, creep=creep, hyperviscosity=hyper, of=of, regularisation=law
@@ -177,6 +178,7 @@ OWN = {
         "‖∇Pi‖ Lq": "Euler-large-est3++",
         "sup ‖Pi‖ W1,q": "Euler-large-est-Lp",
     },
+    "cofactors": {"sup ‖H‖ L2": "Euler-large-est3-H"},
 }
 
 POWERS = {
@@ -187,6 +189,7 @@ POWERS = {
         "‖F‖ L4(L3)": (0.375, "Euler-large-est3*"),
         "‖J‖ L4(L3)": (0.375, "Euler-large-est3*"),
     },
+    "cofactors": {"‖∇H‖ L2": (0.75, "Euler-large-est3-H")},
 }
 """Norms that may grow like a power of 1/delta, this power, and the label."""
 
@@ -275,4 +278,19 @@ def _case(kind: str) -> Case:
     )
 
 
-CASES = tuple(_case(kind) for kind in KINDS)
+COFACTOR_MESHES = (0.5, 0.25)
+
+CASES = (
+    *(_case(kind) for kind in KINDS),
+    Case(
+        name="whole-estimates-cofactors",
+        theme=THEME,
+        statement="With Cof F among the variables the a-priori estimates of the finite-strain model hold, "
+        "and that of Cof F: sup ‖H‖ is bounded, and ‖∇H‖ grows no faster than delta^(-3/4).",
+        label="Euler-large-est3-H, rem-polyconvex-general",
+        setting=f"{WHOLE}; MooneyRivlin with G_e = 3 Pa, G_mr = 2 Pa; h = 0.5 and 0.25 m, {STEPS} steps of "
+        f"{TAU} s; epsilon = delta from 0.1 to 1e-4.",
+        bounds=bounds("cofactors"),
+        run=lambda: estimates("cofactors", {h: square_mesh(h) for h in COFACTOR_MESHES}),
+    ),
+)
