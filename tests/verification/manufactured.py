@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, cos, sin, x, y, z
 
-from ngvisco.physics.material import Material, cauchy_stress, conjugates
-from ngvisco.physics.materials import Yosida
-from ngvisco.physics.model import Model
+import ngvisco as nv
+from ngvisco.physics.material import cauchy_stress, conjugates
 from ngvisco.physics.tensors import square
 
 PI = np.pi
@@ -134,7 +133,7 @@ class Exact:
     Of a Yosida approximation the exact fields are the minimisers y, and z = y + eps phi'(y).
     """
 
-    model: Model
+    model: nv.Model
     dim: int
     t: Any
     curved: bool = False
@@ -161,10 +160,10 @@ class Exact:
         return CF(tuple(gradient(self.v, self.dim)), dims=(self.dim, self.dim)).trans
 
     @property
-    def _material(self) -> Material:
+    def _material(self) -> nv.Material:
         """That of which there is an expression."""
         material = self.model.material
-        return material.material if isinstance(material, Yosida) else material
+        return material.material if isinstance(material, nv.Yosida) else material
 
     @property
     def _minimisers(self) -> dict[str, CoefficientFunction]:
@@ -178,7 +177,7 @@ class Exact:
     @property
     def values(self) -> dict[str, CoefficientFunction]:
         y, material = self._minimisers, self.model.material
-        if not isinstance(material, Yosida):
+        if not isinstance(material, nv.Yosida):
             return y
         return {name: y[name] + material.eps * slope for name, slope in self.conjugates.items()}
 
@@ -186,7 +185,7 @@ class Exact:
     def energy(self) -> CoefficientFunction:
         """Stored energy per volume, J/m3."""
         phi, material = self._material.energy(self._minimisers), self.model.material
-        if isinstance(material, Yosida):
+        if isinstance(material, nv.Yosida):
             phi = phi + 0.5 * material.eps * sum((square(s) for s in self.conjugates.values()), CF(0.0))
         return phi
 

@@ -113,8 +113,8 @@ def test_wrong_sources_do_not_converge(
     name: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Negative control: what the sources leave out stays as the mesh is refined."""
+    """Negative control: what the sources leave out stays, and costs half an order at once."""
     monkeypatch.setattr(convergence, "Sources", wrong)
     levels, maxh = (3, 0.4) if dim == 2 else (2, 1.0)
     table = coupled_rates(kind, dim, None, k, k - 1, maxh, levels, curved=curved)
-    assert table.last(name) <= 1.0, table
+    assert table.last(name) <= k - 0.65, table
