@@ -18,7 +18,7 @@ from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, SETTING, block, closure, slope_line, square_mesh
 
 THEME = "Dependent variables"
-COFACTORS = nv.MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1)
+COFACTORS = nv.MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
 LOGARITHMIC = nv.LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 DURATION = 0.096
 LEVELS = (0.8, 0.4, 0.2, 0.1)
@@ -194,12 +194,16 @@ class PrintedMooneyRivlin(nv.MooneyRivlin):
 
 
 def measure_printed() -> Outcome:
-    """Two runs, by the printed row of H and by ours, as tau and h go to zero."""
+    """Two runs, by the printed row of H and by ours, as tau and h go to zero.
+
+    By the coupled solver: the split one takes rates to be linear in the variables; the printed one is not.
+    """
     table, runs = RateTable("H of the two runs as tau and h go to zero"), []
-    materials = COFACTORS, PrintedMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1)
-    for h in LEVELS:
+    materials = COFACTORS, PrintedMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
+    for h in LEVELS[:3]:
         ours, printed = (
-            block("finite", STEP * h, mesh=square_mesh(h), of=of, creep=2.0, speed=0.5) for of in materials
+            block("finite", STEP * h, mesh=square_mesh(h), of=of, creep=2.0, speed=0.5, solver="coupled")
+            for of in materials
         )
         for run in (ours, printed):
             run.run(DURATION)
@@ -228,8 +232,8 @@ PRINTED = Case(
     statement="The row of H as it is printed, with F^k in it, and ours, with H^k, are two schemes of first "
     "order for one equation: their difference vanishes with their distances from Cof F.",
     label="Euler-large-viscoelastodyn-H, H-flow-rule",
-    setting=f"{SETTING}; MooneyRivlin, creep with G_m = 2 Pa s, 0.5 m/s; h = 0.8 to 0.1 m with tau = 0.02 h, "
-    f"until {DURATION} s.",
+    setting=f"{SETTING}; MooneyRivlin, creep with G_m = 2 Pa s, 0.5 m/s; h = 0.8, 0.4 and 0.2 m with "
+    f"tau = 0.02 h, until {DURATION} s.",
     bounds=(
         Bound("last rate of difference", ">=", 0.8, "first order in tau ~ h"),
         Bound("last rate of ours", ">=", 0.8, "first order in tau ~ h"),
