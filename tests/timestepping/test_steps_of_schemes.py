@@ -223,7 +223,8 @@ def test_a_relaxed_run_dissipates_nothing_numerically():
     ledger = run.run(0.2, stops=[0.07])
     remainder = sum(ledger.column(name) for name in NUMERICAL)
     energy = ledger.column("kinetic")[0]
-    assert np.abs(remainder).max() <= 1e-14 * energy
+    # a difference of stored energies, of 15 J: five roundings of these
+    assert np.abs(remainder).max() <= 1e-15 * ledger.column("stored")[0]
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
     assert {0.07, 0.2} <= set(ledger.column("time"))
     lengths = ledger.column("dt")[1:3]

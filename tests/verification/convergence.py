@@ -6,19 +6,15 @@ from typing import Any
 
 from ngsolve import GridFunction
 
+import ngvisco as nv
 from ngvisco.forms.context import time
-from ngvisco.forms.spaces import Discretisation
-from ngvisco.forms.start.initial import Initial
-from ngvisco.forms.term import Integrand
 from ngvisco.forms.terms.momentum import Continuity
 from ngvisco.forms.terms.transport import Kinematics, UpwindTrace
 from ngvisco.geometries import box
-from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner
-from ngvisco.run.simulation import Simulation
 from tests.verification.manufactured import Exact
 from tests.verification.models import material, model
-from tests.verification.problems import Problem, Source, distance, refinements
+from tests.verification.problems import Problem, Source, balls, distance, refinements
 from tests.verification.rates import RateTable
 from tests.verification.sources import Sources
 
@@ -28,17 +24,17 @@ SHORT = 1e-6
 
 def transport_rates(kind: str, dim: int, m: int, maxh: float, levels: int, tau: float = 0.25) -> RateTable:
     """Density and E / F / J alone, with the exact velocity given, after two steps of length ``tau``."""
-    system = Model(material=material(kind))
+    system = nv.Model(material=material(kind))
     sources = Sources(system, dim, tau)
     load = Source(
-        lambda w: [Integrand(-sources.continuity * w.rho), Integrand(-inner(sources.kinematics, w.z))]
+        lambda w: [nv.Integrand(-sources.continuity * w.rho), nv.Integrand(-inner(sources.kinematics, w.z))]
     )
     table = RateTable(f"transport alone, {kind}, {dim}D, m = {m}")
     for h, mesh in refinements(dim, maxh, levels):
         problem = Problem(
             mesh,
             system,
-            Discretisation(m=m),
+            nv.Discretisation(m=m),
             ("rho", "rho_hat", "z", "z_hat"),
             [Continuity(), Kinematics(system), UpwindTrace(), load],
             tau,
@@ -65,25 +61,26 @@ def coupled_rates(
     regularised: bool = False,
     delta: bool = True,
     nu: float = 0.0,
+    curved: bool = False,
     tau: float = 0.05,
     steps: int = 2,
 ) -> RateTable:
     """The whole system: creep, gravity, viscosity, hyperviscosity (unless p is None), and delta- and
-    epsilon-terms if ``regularised``, without delta if not ``delta``; creep's gradient with nu > 0; errors in
-    L2 after ``steps`` steps, space only."""
+    epsilon-terms if ``regularised``, without delta if not ``delta``; creep's gradient with nu > 0; in the
+    unit ball if ``curved``; errors in L2 after ``steps`` steps, space only."""
     system = model(kind, dim, p, regularised, delta, nu)
     terms = (", all terms" if delta else ", all terms but delta") if regularised else ""
     table = RateTable(f"coupled, {kind}, {dim}D, p = {p}, k = {k}, m = {m}{terms}")
-    for h, mesh in refinements(dim, maxh, levels):
+    for h, mesh in (balls if curved else refinements)(dim, maxh, levels):
         time.Set(0.0)
-        exact = Exact(system, dim, time)
-        simulation = Simulation(
+        exact = Exact(system, dim, time, curved)
+        simulation = nv.Simulation(
             mesh,
             system,
             dt=tau,
-            initial=Initial(density=exact.rho, velocity=exact.v, values=exact.values),
-            discretisation=Discretisation(k=k, m=m),
-            sources=Sources(system, dim, tau),
+            initial=nv.Initial(density=exact.rho, velocity=exact.v, values=exact.values),
+            discretisation=nv.Discretisation(k=k, m=m),
+            sources=Sources(system, dim, tau, curved),
         )
         for _ in range(steps):
             simulation.advance()
@@ -91,7 +88,7 @@ def coupled_rates(
     return table
 
 
-def errors(simulation: Simulation, exact: Exact) -> dict[str, float]:
+def errors(simulation: nv.Simulation, exact: Exact) -> dict[str, float]:
     """L2 errors of v, rho and z, and of Pi where it is a field of its own."""
     u, mesh = simulation.rothe_step.now, simulation.mesh
     found = {
@@ -113,7 +110,7 @@ def free_solution(
     p: float | None = None,
     driven: bool = False,
     **options: Any,
-) -> Simulation:
+) -> nv.Simulation:
     """A run from the manufactured initial state, with creep, gravity and viscosity.
 
     ``driven`` has all terms and the manufactured sources, whose difference in time is far shorter than any
@@ -122,16 +119,16 @@ def free_solution(
     system = model(kind, 2, p, regularised=driven)
     time.Set(0.0)
     exact = Exact(system, 2, 0.0)
-    initial = Initial(density=exact.rho, velocity=exact.v, values=exact.values)
+    initial = nv.Initial(density=exact.rho, velocity=exact.v, values=exact.values)
     sources = Sources(system, 2, SHORT) if driven else None
-    simulation = Simulation(
+    simulation = nv.Simulation(
         box((1, 1), maxh), system, dt=duration / steps, initial=initial, sources=sources, **options
     )
     simulation.run(duration)
     return simulation
 
 
-def separation(one: Simulation, other: Simulation) -> dict[str, float]:
+def separation(one: nv.Simulation, other: nv.Simulation) -> dict[str, float]:
     """L2 distances of v, rho and z of two runs on equal meshes of their own."""
     best = one.rothe_step
     copy = GridFunction(best.layout.space)

@@ -28,21 +28,16 @@ from ngsolve import (
 )
 from scipy.sparse.linalg import splu
 
+import ngvisco as nv
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.mesh.sampling import Sampler
-from ngvisco.forms.spaces import Discretisation
-from ngvisco.forms.start.initial import Initial, set_initial
+from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.transport import Kinematics, UpwindTrace
-from ngvisco.physics.bodies import Body
-from ngvisco.physics.materials import BarotropicFluid
 from ngvisco.physics.materials.heterogeneous import Heterogeneous
 from ngvisco.physics.mixture import AMOUNT
-from ngvisco.physics.model import Model
-from ngvisco.physics.parameters import Parameter
-from ngvisco.shapes.shape import Shape
 
 Carrier: TypeAlias = Literal["amounts", "rate zero", "reference map"]
 """Conserved amounts of bodies, a parameter with rate zero, or a function of carried coordinates."""
@@ -76,7 +71,7 @@ class Smear:
 
 
 def carried(
-    shape: Shape,
+    shape: nv.Shape,
     level: Level,
     perimeter: float,
     flow: tuple[CoefficientFunction, CoefficientFunction],
@@ -108,21 +103,21 @@ def carried(
     tau : float
         Length of the steps, s, of the midpoint rule or of backward Euler; their ends are limited.
     """
-    fluid = BarotropicFluid(B=1.0, gamma=1.4)
+    fluid = nv.BarotropicFluid(B=1.0, gamma=1.4)
     exact = shape.inside(mesh, max(m, 1))
     if carrier == "amounts":
         bodies = (
-            Body(name="body", where=shape, material=fluid, density=1.0),
-            Body(name="rest", material=fluid, density=1.0),
+            nv.Body(name="body", where=shape, material=fluid, density=1.0),
+            nv.Body(name="rest", material=fluid, density=1.0),
         )
-        model, names = Model(bodies=bodies), [AMOUNT + "body", AMOUNT + "rest"]
+        model, names = nv.Model(bodies=bodies), [AMOUNT + "body", AMOUNT + "rest"]
     else:
         starts = {"theta": exact} if carrier == "rate zero" else {"X": x, "Y": y}
-        parameters = tuple(Parameter(name, start=start) for name, start in starts.items())
-        model, names = Model(material=Heterogeneous(material=fluid, carried=parameters)), list(starts)
-    step = Step(mesh, model, Discretisation(m=m))
+        parameters = tuple(nv.Parameter(name, start=start) for name, start in starts.items())
+        model, names = nv.Model(material=Heterogeneous(material=fluid, carried=parameters)), list(starts)
+    step = Step(mesh, model, nv.Discretisation(m=m))
     sampler = Sampler(mesh, step.quadrature)
-    set_initial(step, Initial(), sampler)
+    set_initial(step, nv.Initial(), sampler)
     bounds = Bounds(step, sampler)
     transport = _Transport(step, flow, names, tau)
     area = _area(exact)

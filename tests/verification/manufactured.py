@@ -16,7 +16,9 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, cos, sin, x, y, z
 
-from ngvisco.physics.model import Model
+import ngvisco as nv
+from ngvisco.physics.material import cauchy_stress, conjugates
+from ngvisco.physics.tensors import square
 
 PI = np.pi
 COORDINATES = (x, y, z)
@@ -112,16 +114,29 @@ def creep_rate(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
     return A
 
 
+def swirl(X: Sequence[Any], t: Any, m: Functions) -> list[Any]:
+    """Tangential to the unit circle, about the axis in space; no other condition of the walls is met."""
+    x, y = X[:2]
+    inside = 1 - sum(s * s for s in X)
+    turning = 0.4 * (1 + t) * (1 + 0.3 * x)
+    v = [inside * 0.3 * m.cos(t + s) * m.sin(2 * s) for s in X]
+    return [v[0] - turning * y, v[1] + turning * x, *v[2:]]
+
+
 EXACT = {"E": strain, "F": distortion, "H": distortion, "B": stretch, "J": jacobian}
 
 
 @dataclass(frozen=True)
 class Exact:
-    """The exact fields at a time, as coefficient functions."""
+    """The exact fields at a time, as coefficient functions; in the unit ball where ``curved``.
 
-    model: Model
+    Of a Yosida approximation the exact fields are the minimisers y, and z = y + eps phi'(y).
+    """
+
+    model: nv.Model
     dim: int
     t: Any
+    curved: bool = False
 
     def _value(self, function: Callable[..., Any]) -> CoefficientFunction:
         value = function(COORDINATES[: self.dim], self.t, SYMBOLIC)
@@ -137,7 +152,7 @@ class Exact:
 
     @property
     def v(self) -> CoefficientFunction:
-        return self._value(velocity)
+        return self._value(swirl if self.curved else velocity)
 
     @property
     def grad_v(self) -> CoefficientFunction:
@@ -145,8 +160,39 @@ class Exact:
         return CF(tuple(gradient(self.v, self.dim)), dims=(self.dim, self.dim)).trans
 
     @property
-    def values(self) -> dict[str, CoefficientFunction]:
+    def _material(self) -> nv.Material:
+        """That of which there is an expression."""
+        material = self.model.material
+        return material.material if isinstance(material, nv.Yosida) else material
+
+    @property
+    def _minimisers(self) -> dict[str, CoefficientFunction]:
         return {v.name: self._value(EXACT[v.name]) for v in self.model.material.variables}
+
+    @property
+    def conjugates(self) -> dict[str, CoefficientFunction]:
+        """The energy's derivatives, Pa; those of a Yosida approximation at z are phi'(y)."""
+        return conjugates(self._material, self._minimisers)
+
+    @property
+    def values(self) -> dict[str, CoefficientFunction]:
+        y, material = self._minimisers, self.model.material
+        if not isinstance(material, nv.Yosida):
+            return y
+        return {name: y[name] + material.eps * slope for name, slope in self.conjugates.items()}
+
+    @property
+    def energy(self) -> CoefficientFunction:
+        """Stored energy per volume, J/m3."""
+        phi, material = self._material.energy(self._minimisers), self.model.material
+        if isinstance(material, nv.Yosida):
+            phi = phi + 0.5 * material.eps * sum((square(s) for s in self.conjugates.values()), CF(0.0))
+        return phi
+
+    @property
+    def stress(self) -> CoefficientFunction:
+        """Cauchy stress T, 3x3, Pa."""
+        return cauchy_stress(self.model.material, self.values, self.conjugates, self.energy)
 
     @property
     def Pi(self) -> CoefficientFunction:

@@ -2,34 +2,44 @@
 
 from __future__ import annotations
 
-from ngvisco.physics.flow_rules import Creep
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials import LinearElastic, MooneyRivlin, NeoHookean
-from ngvisco.physics.model import Gravity, Model
-from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
+from ngsolve import CoefficientFunction
+
+import ngvisco as nv
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import SmallStrain
 from tests.verification.differences import Coefficients
 
 KINDS = ("linear", "neo-hookean")
-FURTHER = ("by B", "cofactors")
-"""Materials of other variables: B = F F^T, of which creep is another law, and Cof F beside F and J."""
+FURTHER = ("by B", "cofactors", "Yosida", "Yosida, quartic")
+"""Materials of other variables: B = F F^T, of which creep is another law, Cof F beside F and J, and Yosida
+approximations, of the neo-Hookean energy and of one of E that grows faster than its square."""
 DELTA, DELTA_FIELDS, EPSILON = 0.02, 0.03, 1.0
 
 
-def material(kind: str) -> Material:
+def material(kind: str) -> nv.Material:
     """The linearised model's or the finite-strain model's material."""
     if kind == "linear":
-        return LinearElastic(K_e=2.0, G_e=1.0)
+        return nv.LinearElastic(K_e=2.0, G_e=1.0)
     if kind == "cofactors":
-        return MooneyRivlin(K_e=2.0, G_e=0.6, G_mr=0.4, epsilon=0.5, elastic_state="F")
+        return nv.MooneyRivlin(K_e=2.0, G_e=0.6, G_mr=0.4, epsilon=0.5, elastic_state="F")
     if kind == "by B":
-        return NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5, elastic_state="B")
-    return NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5, elastic_state="F")
+        return nv.NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5, elastic_state="B")
+    if kind == "Yosida, quartic":
+        return nv.Yosida(
+            material=nv.CustomMaterial(transported=(SmallStrain(),), stored_energy=_quartic), eps=0.05
+        )
+    neo_hookean = nv.NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5, elastic_state="F")
+    return nv.Yosida(material=neo_hookean, eps=0.05) if kind == "Yosida" else neo_hookean
 
 
-def hyperviscosity(p: float | None) -> HyperViscosity | None:
+def _quartic(E: CoefficientFunction) -> CoefficientFunction:
+    """E : E + (E : E)^2, Pa."""
+    return square(E) + square(E) * square(E)
+
+
+def hyperviscosity(p: float | None) -> nv.HyperViscosity | None:
     """Of about the size of the Stokes viscosity on these fields."""
-    return None if p is None else HyperViscosity(mu=1e-2 if p == 2 else 1e-3, p=p)
+    return None if p is None else nv.HyperViscosity(mu=1e-2 if p == 2 else 1e-3, p=p)
 
 
 def model(
@@ -39,22 +49,22 @@ def model(
     regularised: bool = False,
     delta: bool = True,
     nu: float = 0.0,
-) -> Model:
+) -> nv.Model:
     """Creep, gravity, viscosity, hyperviscosity with exponent p unless None, delta- and epsilon-terms.
 
     With nu > 0 creep has its gradient term (q = 4), and its rate is a field of its own.
     """
-    law = Regularisation(
+    law = nv.Regularisation(
         delta_density=DELTA if delta else 0.0,
         delta_fields=DELTA_FIELDS if delta else 0.0,
         epsilon=EPSILON,
     )
-    return Model(
+    return nv.Model(
         material=material(kind),
-        viscosity=StokesViscosity(K_v=0.3, G_v=0.2),
+        viscosity=nv.StokesViscosity(K_v=0.3, G_v=0.2),
         hyperviscosity=hyperviscosity(p),
-        creep=Creep(G_m=2.0, nu=nu, q=4.0),
-        loads=(Gravity((0.0, -0.7, 0.0)[:dim]),),
+        creep=nv.Creep(G_m=2.0, nu=nu, q=4.0),
+        loads=(nv.Gravity((0.0, -0.7, 0.0)[:dim]),),
         regularisation=law if regularised else None,
     )
 

@@ -18,7 +18,7 @@ from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.system import equations
 from ngvisco.forms.term import Entry, Integrand, Term
-from ngvisco.geometries import box
+from ngvisco.geometries import box, disc, sphere
 from ngvisco.physics.tensors import square
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.norm import BlockNorm
@@ -36,6 +36,13 @@ def refinements(dim: int, maxh: float, levels: int) -> Iterator[tuple[float, Mes
         if level:
             mesh.Refine()
         yield maxh / 2**level, mesh
+
+
+def balls(dim: int, maxh: float, levels: int) -> Iterator[tuple[float, Mesh]]:
+    """Meshes of the unit disc or ball, each with its cell size: uniform refinement would keep the walls."""
+    for level in range(levels):
+        mesh = (disc if dim == 2 else sphere)(1, maxh / 2**level)
+        yield mesh.ne ** (-1 / dim), mesh
 
 
 def distance(f: CoefficientFunction, g: CoefficientFunction, mesh: Mesh) -> float:

@@ -8,15 +8,9 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Integrate, Mesh, cos, pi, sin, x, y, z
 
-from ngvisco.forms.start.initial import Initial
+import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.physics.flow_rules import Creep
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials import LinearElastic, NeoHookean
-from ngvisco.physics.model import Gravity, Model
-from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
-from ngvisco.run.simulation import Simulation
-from tests.verification.case import Curve
+from tests.verification.case import Bound, Curve
 from tests.verification.problems import distance
 
 KINDS = {"linearised": "the linearised model", "finite": "the finite-strain model"}
@@ -32,12 +26,14 @@ SETTING = (
     "G_e = 5 Pa (finite strain: neo-Hookean with epsilon = 0.1 Pa), K_v = G_v = 0.1 Pa s"
 )
 
+CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
 
-def material(kind: str) -> Material:
+
+def material(kind: str) -> nv.Material:
     """LinearElastic or the paper's neo-Hookean material."""
     if kind == "linearised":
-        return LinearElastic(K_e=10.0, G_e=5.0)
-    return NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
+        return nv.LinearElastic(K_e=10.0, G_e=5.0)
+    return nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
 
 
 @cache
@@ -59,50 +55,50 @@ def block(
     mesh: Mesh | None = None,
     speed: float = 1.0,
     gravity: float = 0.0,
-    viscosity: float | StokesViscosity = 0.1,
-    hyperviscosity: HyperViscosity | None = None,
-    creep: float | Creep | None = None,
-    of: Material | None = None,
+    viscosity: float | nv.StokesViscosity = 0.1,
+    hyperviscosity: nv.HyperViscosity | None = None,
+    creep: float | nv.Creep | None = None,
+    of: nv.Material | None = None,
     **parts: Any,
-) -> Simulation:
+) -> nv.Simulation:
     """The block of ``SETTING``; ``creep`` is G_m or a law, ``of`` a material, ``parts`` of model or run."""
     regularisation, mesh = parts.pop("regularisation", None), mesh or square_mesh(0.5)
-    if not isinstance(viscosity, StokesViscosity):
-        viscosity = StokesViscosity(K_v=viscosity, G_v=viscosity)
-    model = Model(
+    if not isinstance(viscosity, nv.StokesViscosity):
+        viscosity = nv.StokesViscosity(K_v=viscosity, G_v=viscosity)
+    model = nv.Model(
         material=of or material(kind),
         viscosity=viscosity,
         hyperviscosity=hyperviscosity,
-        creep=Creep(G_m=creep) if isinstance(creep, float) else creep,
-        loads=(Gravity((0.0,) * (mesh.dim - 1) + (-gravity,)),) if gravity else (),
+        creep=nv.Creep(G_m=creep) if isinstance(creep, float) else creep,
+        loads=(nv.Gravity((0.0,) * (mesh.dim - 1) + (-gravity,)),) if gravity else (),
         regularisation=regularisation,
     )
     swirl = SWIRL if mesh.dim == 2 else (*(v * (1 + 0.3 * cos(pi * z)) for v in SWIRL), CF(0.0))
     velocity = CF(tuple(speed * v for v in swirl))
-    initial = parts.pop("initial", None) or Initial(density=1 + 0.2 * cos(pi * x), velocity=velocity)
-    return Simulation(mesh, model, dt=dt, initial=initial, **parts)
+    initial = parts.pop("initial", None) or nv.Initial(density=1 + 0.2 * cos(pi * x), velocity=velocity)
+    return nv.Simulation(mesh, model, dt=dt, initial=initial, **parts)
 
 
-def potential(simulation: Simulation, gravity: float) -> float:
+def potential(simulation: nv.Simulation, gravity: float) -> float:
     """gravity int rho y, J: what the weight can still do."""
     if not gravity:
         return 0.0
     return gravity * float(Integrate(simulation.fields["density"] * y, simulation.mesh, order=6))
 
 
-def state(simulation: Simulation) -> dict[str, CoefficientFunction]:
+def state(simulation: nv.Simulation) -> dict[str, CoefficientFunction]:
     """v, rho and z of the present state."""
     u = simulation.rothe_step.now
     return {"v": u.v, "rho": u.rho, "z": u.z}
 
 
-def separation(one: Simulation, other: Simulation) -> dict[str, float]:
+def separation(one: nv.Simulation, other: nv.Simulation) -> dict[str, float]:
     """L2 distances of v, rho and z of two runs on one mesh."""
     a, b = state(one), state(other)
     return {name: distance(a[name], b[name], one.mesh) for name in a}
 
 
-def closure(*simulations: Simulation) -> float:
+def closure(*simulations: nv.Simulation) -> float:
     """The largest |closure| of all steps, relative."""
     return max(float(np.abs(run.ledger.column("closure_relative")).max()) for run in simulations)
 

@@ -11,7 +11,7 @@ from ngsolve import CF, CoefficientFunction, specialcf
 from ngvisco.forms.context import inner_facets, time
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand
-from ngvisco.physics.material import cauchy_stress, conjugates, mandel_stress
+from ngvisco.physics.material import mandel_stress
 from ngvisco.physics.model import Gravity, Model, as_vector
 from ngvisco.physics.tensors import embed_gradient, inner, sym
 from tests.verification.manufactured import COORDINATES, Exact, divergence, gradient
@@ -24,9 +24,9 @@ class Sources:
     is its source.
     """
 
-    def __init__(self, model: Model, dim: int, tau: float) -> None:
+    def __init__(self, model: Model, dim: int, tau: float, curved: bool = False) -> None:
         self.model, self.dim, self.tau = model, dim, tau
-        self.new, self.old = Exact(model, dim, time), Exact(model, dim, time - tau)
+        self.new, self.old = Exact(model, dim, time, curved), Exact(model, dim, time - tau, curved)
 
     @property
     def continuity(self) -> CoefficientFunction:
@@ -65,8 +65,7 @@ class Sources:
 
     @property
     def _mandel(self) -> CoefficientFunction:
-        values = self.new.values
-        return mandel_stress(self.model.material, values, conjugates(self.model.material, values), self.dim)
+        return mandel_stress(self.model.material, self.new.values, self.new.conjugates, self.dim)
 
     @property
     def creep(self) -> CoefficientFunction | None:
@@ -98,15 +97,14 @@ class Sources:
 
     def elastic(self) -> CoefficientFunction:
         """-div T."""
-        return -divergence(cauchy_stress(self.model.material, self.new.values), self.dim)
+        return -divergence(self.new.stress, self.dim)
 
     def viscous(self) -> CoefficientFunction:
         """-div(D eps(v)) + div div(c(|hess v|^2) hess v)."""
         model, new, dim = self.model, self.new, self.dim
         total = CF(tuple([0.0] * dim))
         if model.viscosity is not None:
-            stress = model.viscosity.stress(sym(embed_gradient(new.grad_v, dim)), new.values)
-            total = total - divergence(stress, dim)
+            total = total - divergence(self._viscous_stress, dim)
         if model.hyperviscosity is not None:
             hess = [[gradient(d, dim) for d in gradient(new.v[i], dim)] for i in range(dim)]
             s = sum(h * h for component in hess for row in component for h in row)
@@ -121,6 +119,12 @@ class Sources:
                 force.append(sum(terms[1:], terms[0]))
             total = total + CF(tuple(force))
         return total
+
+    @property
+    def _viscous_stress(self) -> CoefficientFunction:
+        assert self.model.viscosity is not None
+        rate = sym(embed_gradient(self.new.grad_v, self.dim))
+        return self.model.viscosity.stress(rate, self.new.values)
 
     def gravity(self) -> CoefficientFunction:
         """-rho g."""
@@ -157,12 +161,17 @@ class Sources:
         ]
 
     def _through_walls(self, u: Fields, w: Fields) -> list[Integrand]:
-        """The delta-terms' fluxes through walls, which the exact fields do not meet as zero."""
+        """The delta-terms' fluxes through walls, which the exact fields do not meet as zero; nor do they
+        the traction on curved ones."""
         law = self.model.regularisation
         parts: list[Integrand] = []
+        on_wall, n = 1.0 - inner_facets(u.layout.mesh), specialcf.normal(self.dim)
+        if self.new.curved:
+            stress = self.new.stress + self._viscous_stress
+            traction = [sum(stress[i, j] * n[j] for j in range(self.dim)) for i in range(self.dim)]
+            parts.append(Integrand(facets=-on_wall * inner(CF(tuple(traction)), w.v)))
         if law is None:
             return parts
-        on_wall, n = 1.0 - inner_facets(u.layout.mesh), specialcf.normal(self.dim)
         if self.diffusive_flux is not None:
             flux = on_wall * (self.diffusive_flux * n)
             parts.append(Integrand(facets=-flux * w.rho_delta_hat))

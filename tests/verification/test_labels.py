@@ -55,6 +55,7 @@ def test_readme_says_how_many_are_measured_by_themselves():
     )
     said = " ".join((Path(module.__file__).parent / "README.md").read_text(encoding="utf-8").split())
     assert f"{own} have a case or a test of their own; {whole} are measured only with the whole" in said
+    assert f"all {len(all_cases())} cases" in said
     assert f"{none} are not" in said and own + whole + none == 215
 
 

@@ -4,25 +4,27 @@ from __future__ import annotations
 
 from functools import partial
 
-from ngvisco.errors import StepError
-from ngvisco.forms.spaces import Discretisation
-from ngvisco.forms.start.initial import Initial
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean
-from ngvisco.physics.rheology import StokesViscosity
+import ngvisco as nv
 from ngvisco.physics.tensors import dev
-from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
-from tests.verification.setups import KINDS, SETTING, block, closure, separation, slope_line, square_mesh
+from tests.verification.setups import (
+    CLOSURE,
+    KINDS,
+    SETTING,
+    block,
+    closure,
+    separation,
+    slope_line,
+    square_mesh,
+)
 
 THEME = "The models against each other"
-CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
 MAXH = 0.35
 SMALL = {
-    "linearised": LinearElastic(K_e=10.0, G_e=5.0),
-    "finite": ReferentialNeoHookean(K_e=10.0, G_e=2.5, elastic_state="F"),
+    "linearised": nv.LinearElastic(K_e=10.0, G_e=5.0),
+    "finite": nv.ReferentialNeoHookean(K_e=10.0, G_e=2.5, elastic_state="F"),
 }
 """Equal bulk and shear moduli: the neo-Hookean G_e is half the usual shear modulus."""
 
@@ -30,7 +32,7 @@ SMALL = {
 def small_strain() -> Outcome:
     """Relative differences of velocity and stress, over the initial speed."""
     table, runs, strains = RateTable("relative difference at t = 0.1 s"), [], []
-    mesh, orders = square_mesh(MAXH), Discretisation(k=3, m=2)
+    mesh, orders = square_mesh(MAXH), nv.Discretisation(k=3, m=2)
     for speed in (0.4, 0.2, 0.1, 0.05, 0.025):
         pair = {
             kind: block(kind, 0.01, mesh=mesh, speed=speed, of=of, creep=2.0, discretisation=orders)
@@ -69,7 +71,7 @@ def small_strain() -> Outcome:
     )
 
 
-def _run(kind: str, dt: float, steps: int, creep: float | None, gravity: float = 0.0) -> Simulation:
+def _run(kind: str, dt: float, steps: int, creep: float | None, gravity: float = 0.0) -> nv.Simulation:
     run = block(kind, dt, mesh=square_mesh(MAXH), of=SMALL[kind], creep=creep, gravity=gravity, speed=0.2)
     run.run(steps * dt)
     return run
@@ -86,7 +88,7 @@ def kelvin_voigt(kind: str) -> Outcome:
     deviators, curves = {}, []
     for name, creep in (("Kelvin–Voigt", None), ("Jeffreys", 2.0)):
         # uniform density: what is left then is the stress of the settled body, not a slow overturn
-        initial = Initial(density=1.0)
+        initial = nv.Initial(density=1.0)
         run = block(
             kind, 0.25, mesh=square_mesh(MAXH), of=SMALL[kind], creep=creep, gravity=2.0, initial=initial
         )
@@ -118,12 +120,12 @@ def kelvin_voigt(kind: str) -> Outcome:
 
 def fluid(kind: str) -> Outcome:
     """A Maxwell element of fixed viscosity and growing modulus is a Newtonian fluid."""
-    eta, K_e, mesh, orders = 0.5, 10.0, square_mesh(MAXH), Discretisation(k=3, m=2)
+    eta, K_e, mesh, orders = 0.5, 10.0, square_mesh(MAXH), nv.Discretisation(k=3, m=2)
 
-    def material(G: float) -> Material:
+    def material(G: float) -> nv.Material:
         if kind == "linearised":
-            return LinearElastic(K_e=K_e, G_e=G)
-        return ReferentialNeoHookean(K_e=K_e, G_e=G / 2, elastic_state="F")
+            return nv.LinearElastic(K_e=K_e, G_e=G)
+        return nv.ReferentialNeoHookean(K_e=K_e, G_e=G / 2, elastic_state="F")
 
     newtonian = block(
         kind, 0.02, mesh=mesh, of=material(1e-9), speed=0.2, viscosity=eta, discretisation=orders
@@ -133,7 +135,7 @@ def fluid(kind: str) -> Outcome:
     unsolved = []
     for G in (10.0, 30.0, 100.0, 300.0):
         # the bulk viscosity stays beside the Maxwell element, whose shear viscosity is G_m/2
-        bulk = StokesViscosity(K_v=eta, G_v=0.0)
+        bulk = nv.StokesViscosity(K_v=eta, G_v=0.0)
         run = block(
             kind,
             0.02,
@@ -146,7 +148,7 @@ def fluid(kind: str) -> Outcome:
         )
         try:
             run.run(0.16)
-        except StepError as error:
+        except nv.StepError as error:
             unsolved.append(f"G = {G:g} Pa (relaxation time {eta / G:.1e} s, tau = 0.02 s): {error}")
             continue
         runs.append(run)

@@ -9,21 +9,16 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
+import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
-from ngvisco.forms.spaces import Discretisation
 from ngvisco.geometries import channel
-from ngvisco.physics.flow_rules import Creep, CreepLaw
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials import FENEP, OldroydB
-from ngvisco.physics.model import BodyForce, Model
-from ngvisco.physics.rheology import StokesViscosity
-from ngvisco.physics.walls import NoSlip
-from ngvisco.run.simulation import Simulation
+from ngvisco.physics.flow_rules import CreepLaw
+from ngvisco.physics.materials import FENEP
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.cases.rheology import THEME
-from tests.verification.cases.shear import CLOSURE, sheared
+from tests.verification.cases.shear import sheared
 from tests.verification.rates import RateTable
-from tests.verification.setups import closure
+from tests.verification.setups import CLOSURE, closure
 
 G_E, LAMBDA = 0.5, 1.0
 """Half the shear modulus, Pa, and relaxation time, s; the viscosity is 2 G_E LAMBDA = 1 Pa s."""
@@ -61,9 +56,9 @@ def fenep(wi: float) -> tuple[float, float]:
     return 2 * G_E * wi / f, 4 * G_E * wi**2 / f**2
 
 
-FLUIDS: dict[str, tuple[Material, CreepLaw, Curves, str]] = {
+FLUIDS: dict[str, tuple[nv.Material, CreepLaw, Curves, str]] = {
     "oldroyd-b": (
-        OldroydB(K_e=100.0, G_e=G_E),
+        nv.OldroydB(K_e=100.0, G_e=G_E),
         "conformation",
         oldroyd,
         "An Oldroyd-B fluid in steady shear has no shear thinning, and N_1 = 2 eta lambda rate².",
@@ -108,7 +103,7 @@ def _steady(name: str) -> Outcome:
 
 def _leonov() -> Outcome:
     """Extrapolated: Pi is trace-free, so that what the start-up's steps lose of det B = 1 stays lost."""
-    material, dt, until = OldroydB(K_e=100.0, G_e=G_E), 0.1, 12.0
+    material, dt, until = nv.OldroydB(K_e=100.0, G_e=G_E), 0.1, 12.0
     rows, errors, rates, runs, found = [], [0.0, 0.0], [], [], []
     for wi in WEISSENBERG[:3]:
         a, b, c = (
@@ -170,16 +165,16 @@ def _waters_king() -> Outcome:
     found = []
     largest = 1 / (8 * (eta_s + 2 * G_E * LAMBDA))
     for steps in (40, 80, 160):
-        model = Model(
-            material=OldroydB(K_e=200.0, G_e=G_E),
-            viscosity=StokesViscosity(K_v=eta_s, G_v=eta_s),
-            creep=Creep(G_m=G_M, law="conformation"),
-            loads=(BodyForce((1.0, 0.0)),),
+        model = nv.Model(
+            material=nv.OldroydB(K_e=200.0, G_e=G_E),
+            viscosity=nv.StokesViscosity(K_v=eta_s, G_v=eta_s),
+            creep=nv.Creep(G_m=G_M, law="conformation"),
+            loads=(nv.BodyForce((1.0, 0.0)),),
         )
-        walls: Conditions = {"bottom": NoSlip(), "top": NoSlip()}
+        walls: Conditions = {"bottom": nv.NoSlip(), "top": nv.NoSlip()}
         mesh = channel(0.3, 1.0, maxh=0.15)
-        orders = Discretisation(k=2, m=1)
-        run = Simulation(mesh, model, dt=until / steps, walls=walls, discretisation=orders)
+        orders = nv.Discretisation(k=2, m=1)
+        run = nv.Simulation(mesh, model, dt=until / steps, walls=walls, discretisation=orders)
         rows = []
         for _ in range(steps):
             run.advance()

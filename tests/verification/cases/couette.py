@@ -7,20 +7,13 @@ from functools import partial
 import numpy as np
 from ngsolve import x, y
 
+import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
-from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import annulus
-from ngvisco.physics.flow_rules import Creep
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean
-from ngvisco.physics.model import Model
-from ngvisco.physics.rheology import StokesViscosity
-from ngvisco.physics.walls import NoSlip, PrescribedTangential
-from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.cases.flows import CLOSURE, THEME
+from tests.verification.cases.flows import THEME
 from tests.verification.cases.rheology import NAMES
-from tests.verification.setups import closure
+from tests.verification.setups import CLOSURE, closure
 
 COUETTE = {"linearised": (0.5, 0.25), "finite": (0.7, 0.35), "finite-b": (0.7, 0.35)}
 """Cell sizes, m: a finite-strain step costs ten times as much."""
@@ -34,23 +27,23 @@ def _couette(kind: str) -> Outcome:
     exact = 2 * ETA * TURN * R_O**2 / (R_O**2 - R_I**2) * R_I**2 / r**2
     angles = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     c, s = np.cos(angles), np.sin(angles)
-    material: Material = (
-        LinearElastic(K_e=2 * MODULUS, G_e=MODULUS)
+    material: nv.Material = (
+        nv.LinearElastic(K_e=2 * MODULUS, G_e=MODULUS)
         if kind == "linearised"
-        else ReferentialNeoHookean(
+        else nv.ReferentialNeoHookean(
             K_e=2 * MODULUS, G_e=MODULUS / 2, elastic_state="B" if kind == "finite-b" else "F"
         )
     )
     curves, rows, runs, errors = [], [], [], []
     for h in COUETTE[kind]:
-        model = Model(
+        model = nv.Model(
             material=material,
-            viscosity=StokesViscosity(K_v=0.01, G_v=0.01),
-            creep=Creep(G_m=2 * ETA),
+            viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
+            creep=nv.Creep(G_m=2 * ETA),
         )
-        walls: Conditions = {"outer": PrescribedTangential((-TURN * y, TURN * x)), "inner": NoSlip()}
+        walls: Conditions = {"outer": nv.PrescribedTangential((-TURN * y, TURN * x)), "inner": nv.NoSlip()}
         mesh = annulus(R_I, R_O, h)
-        run = Simulation(mesh, model, dt=0.5, walls=walls, initial=Initial(density=0.1))
+        run = nv.Simulation(mesh, model, dt=0.5, walls=walls, initial=nv.Initial(density=0.1))
         run.run(2.0)
         runs.append(run)
         found = []

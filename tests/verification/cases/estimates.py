@@ -8,14 +8,12 @@ from functools import partial
 import numpy as np
 from ngsolve import Integrate
 
-from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import HyperViscosity
+import ngvisco as nv
 from ngvisco.physics.tensors import square
-from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.functionals import DeltaTerms
 from tests.verification.rates import RateTable
-from tests.verification.setups import KINDS, SETTING, block, closure, slope_line
+from tests.verification.setups import CLOSURE, KINDS, SETTING, block, closure, slope_line
 
 THEME = "A-priori estimates"
 SIZES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
@@ -34,10 +32,10 @@ SLOPES = {
 """Which the paper bounds as delta -> 0; of the cells' own gradients."""
 
 
-def run_of(kind: str, size: float) -> Simulation:
+def run_of(kind: str, size: float) -> nv.Simulation:
     """The block with epsilon = delta = ``size``, not run yet."""
-    law = Regularisation(delta_density=size, delta_fields=size, epsilon=size)
-    return block(kind, TAU, creep=2.0, hyperviscosity=HyperViscosity(mu=1e-4, p=4), regularisation=law)
+    law = nv.Regularisation(delta_density=size, delta_fields=size, epsilon=size)
+    return block(kind, TAU, creep=2.0, hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4), regularisation=law)
 
 
 def bounds_measured(kind: str) -> Outcome:
@@ -90,7 +88,7 @@ def bounds_measured(kind: str) -> Outcome:
     )
 
 
-def gradients(run: Simulation) -> tuple[float, float]:
+def gradients(run: nv.Simulation) -> tuple[float, float]:
     """Norms of the broken gradients of rho, in L4, and of z, in L2."""
     u = run.rothe_step.now
     rho = square(u.grad_rho)
@@ -151,7 +149,7 @@ def _cases(kind: str) -> tuple[Case, Case]:
                 1e-10,
                 "the discrete energy inequality; its right-hand side has neither epsilon nor delta",
             ),
-            Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
+            CLOSURE,
             *(
                 Bound(
                     f"largest of {name} over that at the smallest delta",

@@ -8,21 +8,14 @@ from functools import partial
 from ngsolve import CF, Mesh, cos, sin, x, y
 from ngsolve.meshes import MakeStructured2DMesh
 
-from ngvisco.forms.spaces import Discretisation
-from ngvisco.forms.start.initial import Initial
+import ngvisco as nv
 from ngvisco.geometries import disc
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials import BarotropicFluid, LinearElastic, ReferentialNeoHookean
-from ngvisco.physics.model import Gravity, Model
-from ngvisco.physics.rheology import StokesViscosity
-from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
-from tests.verification.setups import KINDS, closure
+from tests.verification.setups import CLOSURE, KINDS, closure
 
 THEME = "Exact solutions: transport, rotation, Couette flow"
-CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
 WEAK = 1e-9
 """Moduli so small that nothing disturbs the uniform flow, Pa."""
 
@@ -36,7 +29,9 @@ def strip(n: int) -> Mesh:
     )
 
 
-def travelling(kind: str, m: int, n: int, steps: int, until: float = 0.2) -> tuple[Simulation, float, float]:
+def travelling(
+    kind: str, m: int, n: int, steps: int, until: float = 0.2
+) -> tuple[nv.Simulation, float, float]:
     """A profile 1 + 0.2 sin(2 pi x) of density and E_11 or J, carried at 1 m/s through a periodic strip.
 
     Returns the run and its errors against the exact profile with the implicit step's own factor
@@ -45,16 +40,16 @@ def travelling(kind: str, m: int, n: int, steps: int, until: float = 0.2) -> tup
     k = 2 * math.pi
     wave = 1 + PROFILE * sin(k * x)
     if kind == "linearised":
-        material: Material = LinearElastic(K_e=WEAK, G_e=WEAK)
+        material: nv.Material = nv.LinearElastic(K_e=WEAK, G_e=WEAK)
         values = {"E": CF((wave - 1, 0, 0, 0, 0, 0, 0, 0, 0), dims=(3, 3))}
     else:
-        material, values = BarotropicFluid(B=WEAK, gamma=1.4), {"J": wave}
-    run = Simulation(
+        material, values = nv.BarotropicFluid(B=WEAK, gamma=1.4), {"J": wave}
+    run = nv.Simulation(
         strip(n),
-        Model(material=material, viscosity=StokesViscosity(K_v=10.0, G_v=10.0)),
+        nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=10.0, G_v=10.0)),
         dt=until / steps,
-        initial=Initial(density=wave, velocity=(CF(1.0), 0.0), values=values),
-        discretisation=Discretisation(m=m),
+        initial=nv.Initial(density=wave, velocity=(CF(1.0), 0.0), values=values),
+        discretisation=nv.Discretisation(m=m),
     )
     run.run(until)
     factor = (1 / (1 + 1j * k * run.dt)) ** steps
@@ -92,23 +87,25 @@ def _travelling(kind: str) -> Outcome:
 OMEGA = 1.0
 
 
-def rotating(kind: str, h: float, steps: int) -> tuple[Simulation, dict[str, float]]:
+def rotating(kind: str, h: float, steps: int) -> tuple[nv.Simulation, dict[str, float]]:
     """A quarter of a turn of a disc; the body force −Omega² x is its centripetal one.
 
     Returns the run and the L2 errors of v and of E or H, relative to the exact fields' norms (E: absolute).
     """
     until = 0.5 * math.pi / OMEGA
     if kind == "linearised":
-        material: Material = LinearElastic(K_e=10.0, G_e=5.0)
+        material: nv.Material = nv.LinearElastic(K_e=10.0, G_e=5.0)
     else:
-        material = ReferentialNeoHookean(K_e=10.0, G_e=5.0)
-    model = Model(
+        material = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
+    model = nv.Model(
         material=material,
-        viscosity=StokesViscosity(K_v=0.1, G_v=0.1),
-        loads=(Gravity((-(OMEGA**2) * x, -(OMEGA**2) * y)),),
+        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+        loads=(nv.Gravity((-(OMEGA**2) * x, -(OMEGA**2) * y)),),
     )
     exact_v = CF((-OMEGA * y, OMEGA * x))
-    run = Simulation(disc(1.0, h), model, dt=until / steps, initial=Initial(density=1.0, velocity=exact_v))
+    run = nv.Simulation(
+        disc(1.0, h), model, dt=until / steps, initial=nv.Initial(density=1.0, velocity=exact_v)
+    )
     run.run(until)
     c, s = math.cos(OMEGA * until), math.sin(OMEGA * until)
     R = CF((c, -s, 0, s, c, 0, 0, 0, 1), dims=(3, 3))

@@ -8,23 +8,15 @@ from functools import partial
 import numpy as np
 from ngsolve import CF, erf, y
 
+import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
-from ngvisco.forms.spaces import Discretisation
-from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box
-from ngvisco.physics.flow_rules import Creep
-from ngvisco.physics.materials import LinearElastic
-from ngvisco.physics.model import Model
-from ngvisco.physics.rheology import StokesViscosity
-from ngvisco.physics.walls import NoSlip, PrescribedTangential
-from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
-from tests.verification.setups import closure
+from tests.verification.setups import CLOSURE, closure
 
 THEME = "Exact solutions: layers and fronts"
-CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
 
 
 def _stokes(creeping: bool) -> Outcome:
@@ -36,19 +28,21 @@ def _stokes(creeping: bool) -> Outcome:
     table, curves, closures = RateTable("error of v_1 at t = 1 s, relative to 0.1 m/s"), [], []
     ys = np.linspace(0.0, 1.0, 41)
     for steps in (5, 10, 20):
-        model = Model(
-            material=LinearElastic(K_e=20.0, G_e=10.0) if creeping else LinearElastic(K_e=1e-6, G_e=1e-6),
-            viscosity=None if creeping else StokesViscosity(K_v=eta, G_v=eta),
-            creep=Creep(G_m=2 * eta) if creeping else None,
+        model = nv.Model(
+            material=nv.LinearElastic(K_e=20.0, G_e=10.0)
+            if creeping
+            else nv.LinearElastic(K_e=1e-6, G_e=1e-6),
+            viscosity=None if creeping else nv.StokesViscosity(K_v=eta, G_v=eta),
+            creep=nv.Creep(G_m=2 * eta) if creeping else None,
         )
-        walls: Conditions = {"bottom": NoSlip(), "top": PrescribedTangential((top, 0.0))}
+        walls: Conditions = {"bottom": nv.NoSlip(), "top": nv.PrescribedTangential((top, 0.0))}
         # a Maxwell fluid starts with the stress of the layer it starts with
         slope = profile.Diff(y) * (eta / 20.0 if creeping else 0.0)
         E_0 = CF((0, slope, 0, slope, 0, 0, 0, 0, 0), dims=(3, 3))
-        initial = Initial(velocity=(profile, 0.0), values={"E": E_0})
+        initial = nv.Initial(velocity=(profile, 0.0), values={"E": E_0})
         mesh = box((0.2, 1.0), 0.1, periodic="x")
-        orders = Discretisation(k=3, m=2)
-        run = Simulation(
+        orders = nv.Discretisation(k=3, m=2)
+        run = nv.Simulation(
             mesh, model, dt=(end - begin) / steps, walls=walls, initial=initial, discretisation=orders
         )
         run.run(end - begin)

@@ -7,14 +7,13 @@ from functools import partial
 import numpy as np
 from ngsolve import CF, cos, pi, sin, x, y, z
 
+import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import HyperViscosity
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.cases import hyper, robustness, sequence, stability, whole_scheme
-from tests.verification.cases.invariants import CLOSURE, RHO_MAX, converging
+from tests.verification.cases.invariants import RHO_MAX, converging
 from tests.verification.rates import RateTable
-from tests.verification.setups import KINDS, LABELS, closure, cube_mesh, separation, slope_line
+from tests.verification.setups import CLOSURE, KINDS, LABELS, closure, cube_mesh, separation, slope_line
 
 THEME = "Three dimensions"
 CUBE = (
@@ -60,7 +59,7 @@ def invariants(kind: str) -> Outcome:
     rows: list[list[str | float]] = []
     curves, runs = [], []
     for m, delta in ((0, 0.0), (1, 0.0), (1, 1e-3)):
-        law = Regularisation(delta_density=delta, rho_max=RHO_MAX)
+        law = nv.Regularisation(delta_density=delta, rho_max=RHO_MAX)
         run, end = converging(kind, law, 1 / 8, 0.02, m, 3)
         ledger = run.ledger
         runs.append(run)
@@ -101,7 +100,7 @@ def vanishing(kind: str) -> Outcome:
     for p in (4.0, 2.0):
         table = RateTable(f"distance to mu = 0 at t = {HYPER_STEPS * hyper.TAU:g} s, p = {p:g}")
         for mu in MUS:
-            run = hyper.run_of(kind, HyperViscosity(mu=mu, p=p), mesh=mesh, steps=HYPER_STEPS)
+            run = hyper.run_of(kind, nv.HyperViscosity(mu=mu, p=p), mesh=mesh, steps=HYPER_STEPS)
             runs.append(run)
             table.add(mu, **separation(run, without))
         values[f"last rate of v as mu -> 0, p = {p:g}"] = table.last("v")

@@ -7,27 +7,19 @@ from functools import partial
 import numpy as np
 from ngsolve import CF, cos, pi, sin, x
 
-from ngvisco.errors import StepError
-from ngvisco.forms.spaces import Discretisation
-from ngvisco.forms.start.initial import Initial
+import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.physics.materials import LinearElastic, NeoHookean
-from ngvisco.physics.model import Model
-from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
-from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.setups import KINDS, SETTING, block, closure, square_mesh
+from tests.verification.setups import CLOSURE, KINDS, SETTING, block, closure, square_mesh
 
 THEME = "Mass, density and Jacobian"
-CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
 
 REGULARISATIONS = {
     "none": None,
-    "delta": Regularisation(delta_density=1e-2, delta_fields=1e-2),
-    "epsilon": Regularisation(epsilon=0.1),
-    "cut-off": Regularisation(rho_max=1.05),
-    "all": Regularisation(delta_density=1e-2, delta_fields=1e-2, epsilon=0.1, rho_max=1.05),
+    "delta": nv.Regularisation(delta_density=1e-2, delta_fields=1e-2),
+    "epsilon": nv.Regularisation(epsilon=0.1),
+    "cut-off": nv.Regularisation(rho_max=1.05),
+    "all": nv.Regularisation(delta_density=1e-2, delta_fields=1e-2, epsilon=0.1, rho_max=1.05),
 }
 
 
@@ -42,7 +34,7 @@ def mass(kind: str) -> Outcome:
                 tau,
                 creep=2.0,
                 gravity=2.0,
-                hyperviscosity=HyperViscosity(mu=1e-5, p=4),
+                hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
                 regularisation=law,
             )
             ledger = run.run(6 * tau)
@@ -64,21 +56,21 @@ RHO_MAX = 1.0
 
 
 def converging(
-    kind: str, law: Regularisation | None, maxh: float, tau: float, m: int = 1, dim: int = 2
-) -> tuple[Simulation, str]:
+    kind: str, law: nv.Regularisation | None, maxh: float, tau: float, m: int = 1, dim: int = 2
+) -> tuple[nv.Simulation, str]:
     """Matter of density 1 runs into the middle of a soft tube at 3 m/s; up to 0.3 s, or why it ended."""
-    soft = LinearElastic(K_e=1.0, G_e=0.5)
-    model = Model(
-        material=soft if kind == "linearised" else NeoHookean(K_e=1.0, G_e=0.5, epsilon=0.1),
-        viscosity=StokesViscosity(K_v=0.1, G_v=0.1),
+    soft = nv.LinearElastic(K_e=1.0, G_e=0.5)
+    model = nv.Model(
+        material=soft if kind == "linearised" else nv.NeoHookean(K_e=1.0, G_e=0.5, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
         regularisation=law,
     )
-    initial = Initial(density=1.0, velocity=(3 * sin(2 * pi * x), *(0.0,) * (dim - 1)))
-    mesh, discretisation = box((1, *(0.125,) * (dim - 1)), maxh), Discretisation(m=m)
-    run = Simulation(mesh, model, dt=tau, initial=initial, discretisation=discretisation)
+    initial = nv.Initial(density=1.0, velocity=(3 * sin(2 * pi * x), *(0.0,) * (dim - 1)))
+    mesh, discretisation = box((1, *(0.125,) * (dim - 1)), maxh), nv.Discretisation(m=m)
+    run = nv.Simulation(mesh, model, dt=tau, initial=initial, discretisation=discretisation)
     try:
         run.run(0.3)
-    except StepError as error:
+    except nv.StepError as error:
         return run, f"stopped at t = {run.t:.2f} s: {str(error).split('; ')[0][:90]}"
     return run, ""
 
@@ -102,7 +94,7 @@ def cut_off(kind: str) -> Outcome:
     curves, runs = [], []
     for name, delta, maxh, tau, m in (*CUT_OFF_RUNS, ("no cut-off", 1e-3, 1 / 16, 0.01, 1)):
         rho_max = None if name == "no cut-off" else RHO_MAX
-        run, end = converging(kind, Regularisation(delta_density=delta, rho_max=rho_max), maxh, tau, m)
+        run, end = converging(kind, nv.Regularisation(delta_density=delta, rho_max=rho_max), maxh, tau, m)
         ledger = run.ledger
         runs.append(run)
         highest, lowest = ledger.column("rho_max"), float(ledger.column("rho_min").min())
@@ -149,8 +141,10 @@ def positivity(kind: str) -> Outcome:
     curves, lows = [], []
     runs = []
     for h, tau in ((0.5, 0.02), (0.25, 0.01), (0.125, 0.005)):
-        initial = Initial(density=1.0, velocity=CF((sin(pi * x) * cos(pi * x), 0.0)) * 4)
-        run = block(kind, tau, mesh=square_mesh(h), initial=initial, hyperviscosity=HyperViscosity(mu=1e-4))
+        initial = nv.Initial(density=1.0, velocity=CF((sin(pi * x) * cos(pi * x), 0.0)) * 4)
+        run = block(
+            kind, tau, mesh=square_mesh(h), initial=initial, hyperviscosity=nv.HyperViscosity(mu=1e-4)
+        )
         ledger = run.run(0.2)
         runs.append(run)
         low = float(ledger.column("rho_min").min())

@@ -7,12 +7,11 @@ from functools import partial
 from itertools import pairwise
 from typing import Any
 
-from ngvisco.physics.materials import Yosida
-from ngvisco.physics.regularisation import Regularisation
-from ngvisco.run.simulation import Simulation
+import ngvisco as nv
 from tests.verification.case import Bound, Case, Outcome, Plot
 from tests.verification.rates import RateTable
 from tests.verification.setups import (
+    CLOSURE,
     KINDS,
     LABELS,
     SETTING,
@@ -28,7 +27,6 @@ THEME = "Limits"
 DURATION = 0.16
 SIZES = (1e-1, 1e-2, 1e-3, 1e-4)
 YOSIDA_SIZES = (1e-2, 1e-3, 1e-4, 1e-5)
-CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
 
 
 def _plot(table: RateTable, size: str, rate: float, what: str = "distance in L2") -> Plot:
@@ -42,7 +40,7 @@ def in_tau(kind: str) -> Outcome:
     """Runs with tau, tau/2, ... against the next finer one, and what they dissipate numerically."""
     table = RateTable(f"distance to the run with half the step, t = {DURATION} s")
     losses = RateTable("numerical dissipation until then, relative to the initial energy")
-    runs: list[Simulation] = []
+    runs: list[nv.Simulation] = []
     for steps in (8, 16, 32, 64, 128):
         run = block(kind, DURATION / steps, creep=2.0, gravity=1.0)
         ledger = run.run(DURATION)
@@ -90,15 +88,15 @@ def against_zero(
 
 
 def _delta(size: float) -> dict[str, Any]:
-    return {"regularisation": Regularisation(delta_density=size, delta_fields=size)}
+    return {"regularisation": nv.Regularisation(delta_density=size, delta_fields=size)}
 
 
 def _epsilon(size: float) -> dict[str, Any]:
-    return {"regularisation": Regularisation(epsilon=size)}
+    return {"regularisation": nv.Regularisation(epsilon=size)}
 
 
 def _yosida(kind: str, size: float) -> dict[str, Any]:
-    return {"of": Yosida(material=material(kind), eps=size)}
+    return {"of": nv.Yosida(material=material(kind), eps=size)}
 
 
 def _rates(limit: float, reason: str) -> tuple[Bound, ...]:

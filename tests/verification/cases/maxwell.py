@@ -8,18 +8,13 @@ import numpy as np
 from ngsolve import CF, cos, sin, y
 from ngsolve import pi as PI
 
+import ngvisco as nv
 from ngvisco.forms.context import time
-from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import box, channel
-from ngvisco.physics.flow_rules import Creep
-from ngvisco.physics.materials import LinearElastic
-from ngvisco.physics.model import Gravity, Model
-from ngvisco.physics.rheology import StokesViscosity
-from ngvisco.physics.walls import NoSlip, PrescribedTangential
-from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot
-from tests.verification.cases.shear import CLOSURE, THEME, stresses
+from tests.verification.cases.shear import THEME, stresses
 from tests.verification.rates import RateTable
+from tests.verification.setups import CLOSURE, closure
 
 MYR = 1e6 * 365.25 * 24 * 3600
 ROCK = {"G": 1e10, "eta": 1e22, "tau_0": 20e6, "duration": 0.25 * MYR, "size": 100e3, "rho": 3300.0}
@@ -27,16 +22,16 @@ ROCK = {"G": 1e10, "eta": 1e22, "tau_0": 20e6, "duration": 0.25 * MYR, "size": 1
 
 def relaxed_stress(
     G: float, eta: float, tau_0: float, duration: float, steps: int, size: float, rho: float
-) -> tuple[list[float], Simulation]:
+) -> tuple[list[float], nv.Simulation]:
     """dev S_11 after every step in a box with slip, v = 0, from the uniform deviator diag(1, -1, 0) tau_0."""
     E_0 = CF((1, 0, 0, 0, -1, 0, 0, 0, 0), dims=(3, 3)) * (tau_0 / (2 * G))
-    model = Model(
-        material=LinearElastic(K_e=2 * G, G_e=G),
-        viscosity=StokesViscosity(K_v=0.1 * eta, G_v=0.1 * eta),
-        creep=Creep.from_reciprocal(1 / (2 * eta)),
+    model = nv.Model(
+        material=nv.LinearElastic(K_e=2 * G, G_e=G),
+        viscosity=nv.StokesViscosity(K_v=0.1 * eta, G_v=0.1 * eta),
+        creep=nv.Creep.from_reciprocal(1 / (2 * eta)),
     )
-    initial = Initial(density=rho, values={"E": E_0})
-    run = Simulation(box((size, size), 0.6 * size), model, dt=duration / steps, initial=initial)
+    initial = nv.Initial(density=rho, values={"E": E_0})
+    run = nv.Simulation(box((size, size), 0.6 * size), model, dt=duration / steps, initial=initial)
     E, stresses = run.fields["E"], []
     for _ in range(steps):
         run.advance()
@@ -76,17 +71,21 @@ AMPLITUDE, OMEGA = 1e-3, PI / 2
 
 def oscillating(
     steps: int, scheme: str = "backward-euler"
-) -> tuple[Simulation, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[nv.Simulation, np.ndarray, np.ndarray, np.ndarray]:
     """Shear rate AMPLITUDE sin(omega t); the body force keeps v linear in y, as without inertia.
 
     Returns the run, times, T_12 over eta times AMPLITUDE and the closed form of it.
     """
-    material = LinearElastic(K_e=2.0, G_e=1.0)
+    material = nv.LinearElastic(K_e=2.0, G_e=1.0)
     force = AMPLITUDE * OMEGA * cos(OMEGA * time) * y
-    model = Model(material=material, creep=Creep(G_m=2.0), loads=(Gravity((force, 0.0)),))
-    wall = PrescribedTangential((AMPLITUDE * sin(OMEGA * time), 0.0))
-    run = Simulation(
-        channel(1, 1, maxh=0.5), model, dt=8 / steps, walls={"top": wall, "bottom": NoSlip()}, scheme=scheme
+    model = nv.Model(material=material, creep=nv.Creep(G_m=2.0), loads=(nv.Gravity((force, 0.0)),))
+    wall = nv.PrescribedTangential((AMPLITUDE * sin(OMEGA * time), 0.0))
+    run = nv.Simulation(
+        channel(1, 1, maxh=0.5),
+        model,
+        dt=8 / steps,
+        walls={"top": wall, "bottom": nv.NoSlip()},
+        scheme=scheme,
     )
     rows = []
     for _ in range(steps):
@@ -101,7 +100,7 @@ def _oscillation() -> Outcome:
     table, curves, closures = RateTable("largest error, relative to eta gamma_0"), [], []
     for steps in (40, 80, 160):
         run, t, found, exact = oscillating(steps)
-        closures.append(float(np.abs(run.ledger.column("closure_relative")).max()))
+        closures.append(closure(run))
         table.add(8 / steps, tau_12=float(np.abs(found - exact).max()))
         curves.append(Curve(f"{steps} steps", [float(s) for s in t], [float(s) for s in found], "."))
     curves.append(Curve("exact", [float(s) for s in t], [float(s) for s in exact], "k-"))

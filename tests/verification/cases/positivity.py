@@ -4,32 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from ngvisco.errors import StepError
+import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.geometries import box
-from ngvisco.physics.materials import NeoHookean
-from ngvisco.physics.model import Model
-from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
-from ngvisco.physics.walls import NoSlip, PrescribedTangential
-from ngvisco.run.simulation import Simulation
-from ngvisco.run.stepping import AdaptiveSteps
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.setups import CLOSURE
 
 THEME = "Robustness of the scheme"
 DT, END = 0.02, 0.4
 SCHEMES = ("backward-euler", "midpoint", "sdirk2")
 
 
-def cavity(scheme: str, limiter: bool) -> Simulation:
+def cavity(scheme: str, limiter: bool) -> nv.Simulation:
     """The body of demos/cavity; without a limiter steps are not tried in other ways."""
-    model = Model(
-        material=NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1, elastic_state="F"),
-        viscosity=StokesViscosity(K_v=0.01, G_v=0.01),
-        hyperviscosity=HyperViscosity(mu=1e-5, p=4),
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1, elastic_state="F"),
+        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
+        hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
     )
-    walls: Conditions = {"top": PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): NoSlip()}
-    steps = None if limiter else AdaptiveSteps(dt_min=DT, dt_max=DT)
-    return Simulation(
+    walls: Conditions = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
+    steps = None if limiter else nv.AdaptiveSteps(dt_min=DT, dt_max=DT)
+    return nv.Simulation(
         box((1, 1), 0.1), model, dt=DT, walls=walls, scheme=scheme, limiter=limiter, stepping=steps
     )
 
@@ -43,7 +38,7 @@ def _measured() -> Outcome:
             run = cavity(scheme, limiter)
             try:
                 run.run(END)
-            except StepError:
+            except nv.StepError:
                 ended = max(ended, run.t)
             ledger = run.ledger
             column = {name: ledger.column(name)[1:] for name in ("newton_iterations", "limited_cells")}
@@ -108,7 +103,7 @@ CASES = (
         bounds=(
             Bound("time reached with a limiter, s", ">=", END * (1 - 1e-9), "the run's end"),
             Bound("latest time reached without, s", "<=", 0.3, "the finding: it ends"),
-            Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
+            CLOSURE,
             Bound("largest |mass drift|", "<=", 1e-11, "rounding, and the transport's tolerance"),
             Bound("most iterations of a solve", "<=", 30.0, "an impulsive start and none harder after it"),
         ),

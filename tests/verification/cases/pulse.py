@@ -8,17 +8,13 @@ from functools import partial
 import numpy as np
 from ngsolve import CF, Det, pi, sin, x
 
-from ngvisco.forms.start.initial import Initial
+import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.physics.materials import NeoHookean, ReferentialNeoHookean
-from ngvisco.physics.model import Model
-from ngvisco.physics.rheology import StokesViscosity
-from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.cases.fronts import CLOSURE, THEME
+from tests.verification.cases.fronts import THEME
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
-from tests.verification.setups import closure
+from tests.verification.setups import CLOSURE, closure
 from tests.verification.tube import densities
 
 
@@ -41,7 +37,7 @@ def _pulse(kind: str) -> Outcome:
     """A pulse that steepens: rho J and rho det F should stay rho_0 = 1, rho be the Lagrangian one."""
     actual = kind == "J and det F"
     material = (
-        NeoHookean(K_e=1.0, G_e=0.5, epsilon=0.5) if actual else ReferentialNeoHookean(K_e=1.0, G_e=0.5)
+        nv.NeoHookean(K_e=1.0, G_e=0.5, epsilon=0.5) if actual else nv.ReferentialNeoHookean(K_e=1.0, G_e=0.5)
     )
     table = RateTable("L2 distances at t = 0.4 s")
     line = np.linspace(0.01, 0.99, 99)
@@ -52,8 +48,8 @@ def _pulse(kind: str) -> Outcome:
     rows: list[list[float | str]] = []
     for cells, steps in ((10, 20), (20, 40), (40, 80), (80, 160)):
         mesh = box((1.0, 2 / cells), 1 / cells, periodic="xy")
-        model = Model(material=material, viscosity=StokesViscosity(K_v=0.02, G_v=0.02))
-        run = Simulation(mesh, model, dt=0.4 / steps, initial=Initial(velocity=(sin(2 * pi * x), 0.0)))
+        model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.02, G_v=0.02))
+        run = nv.Simulation(mesh, model, dt=0.4 / steps, initial=nv.Initial(velocity=(sin(2 * pi * x), 0.0)))
         rho, z = run.fields["density"], run.fields
         # det H of H = J^(-5/6) F is det F^(-3/2)
         det_F = Det(z["F"]) if "F" in z else Det(z["H"]) ** (-2 / 3)

@@ -12,20 +12,13 @@ from functools import partial
 import numpy as np
 from scipy.integrate import solve_ivp
 
+import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
-from ngvisco.forms.start.initial import Initial
 from ngvisco.geometries import channel
-from ngvisco.physics.flow_rules import Creep
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean
-from ngvisco.physics.model import Model
-from ngvisco.physics.rheology import StokesViscosity
-from ngvisco.physics.walls import NoSlip, Traction
-from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot
-from tests.verification.cases.shear import CLOSURE, sheared, stresses
+from tests.verification.cases.shear import sheared, stresses
 from tests.verification.rates import RateTable
-from tests.verification.setups import KINDS
+from tests.verification.setups import CLOSURE, KINDS, closure
 
 THEME = "Exact solutions: rheology"
 BY_B = "finite-b"
@@ -38,11 +31,11 @@ Rate = Callable[[np.ndarray, float], np.ndarray]
 """Time derivative of the flattened tensor for a shear rate."""
 
 
-def material(kind: str) -> Material:
+def material(kind: str) -> nv.Material:
     """Shear modulus G in both models; the neo-Hookean G_e is half of it."""
     if kind == "linearised":
-        return LinearElastic(K_e=50.0, G_e=G)
-    return ReferentialNeoHookean(K_e=50.0, G_e=G / 2, elastic_state="B" if kind == BY_B else "F")
+        return nv.LinearElastic(K_e=50.0, G_e=G)
+    return nv.ReferentialNeoHookean(K_e=50.0, G_e=G / 2, elastic_state="B" if kind == BY_B else "F")
 
 
 G_M = 2 * G * LAMBDA
@@ -102,15 +95,17 @@ def creep_ode(kind: str, traction: float, t: np.ndarray) -> np.ndarray:
     return np.array([solution.y[9], stress]).T
 
 
-def _startup(kind: str) -> Outcome:
+def startup(kind: str, scheme: str = "backward-euler") -> Outcome:
     rate, until = 1.0, 4.0
     table, curves, closures = RateTable("largest error over the run, relative to G"), [], []
     for steps in (20, 40, 80):
-        run, rows = sheared(material(kind), until / steps, until, rate=rate, G_m=G_M, viscosity=G_V)
+        run, rows = sheared(
+            material(kind), until / steps, until, rate=rate, G_m=G_M, viscosity=G_V, scheme=scheme
+        )
         exact = startup_ode(kind, rate, rows[:, 0])
         errors = np.abs(rows[:, 1:3] - exact).max(axis=0) / G
         table.add(until / steps, T_12=float(errors[0]), N_1=float(errors[1]))
-        closures.append(float(np.abs(run.ledger.column("closure_relative")).max()))
+        closures.append(closure(run))
         t = [float(s) for s in rows[:, 0]]
         curves.append(Curve(f"{steps} steps", t, [float(s) + G_V * rate for s in rows[:, 1]], "."))
     curves.append(Curve("ODE", t, [float(s) + G_V * rate for s in exact[:, 0]], "k-"))
@@ -130,14 +125,16 @@ def _creep(kind: str) -> Outcome:
     traction, until, density = 0.5, 4.0, 1e-4
     table, curves, closures = RateTable("largest error over the run"), [], []
     for steps in (20, 40, 80):
-        model = Model(
+        model = nv.Model(
             material=material(kind),
-            viscosity=StokesViscosity(K_v=G_V, G_v=G_V),
-            creep=Creep(G_m=G_M),
+            viscosity=nv.StokesViscosity(K_v=G_V, G_v=G_V),
+            creep=nv.Creep(G_m=G_M),
         )
-        walls: Conditions = {"top": Traction(f=(traction, 0.0)), "bottom": NoSlip()}
+        walls: Conditions = {"top": nv.Traction(f=(traction, 0.0)), "bottom": nv.NoSlip()}
         dt = until / steps
-        run = Simulation(channel(1, 1, maxh=0.5), model, dt=dt, walls=walls, initial=Initial(density=density))
+        run = nv.Simulation(
+            channel(1, 1, maxh=0.5), model, dt=dt, walls=walls, initial=nv.Initial(density=density)
+        )
         rows, shear = [(0.0, 0.0, 0.0)], 0.0
         for _ in range(steps):
             run.advance()
@@ -148,7 +145,7 @@ def _creep(kind: str) -> Outcome:
         exact = creep_ode(kind, traction, found[:, 0])
         errors = np.abs(found[:, 1:] - exact).max(axis=0)
         table.add(dt, shear=float(errors[0]), T_12=float(errors[1]))
-        closures.append(float(np.abs(run.ledger.column("closure_relative")).max()))
+        closures.append(closure(run))
         t = [float(s) for s in found[:, 0]]
         curves.append(Curve(f"{steps} steps", t, [float(s) for s in found[:, 1]], "."))
     curves.append(Curve("ODE", t, [float(s) for s in exact[:, 0]], "k-"))
@@ -220,7 +217,7 @@ def _cases(kind: str) -> tuple[Case, Case]:
             Bound("error at the finest step", "<=", 0.05, "first order, tau = 0.05 s"),
             CLOSURE,
         ),
-        run=partial(_startup, kind),
+        run=partial(startup, kind),
         reduced=kind == "finite",
     )
     creep = Case(

@@ -10,12 +10,8 @@ from itertools import product
 import numpy as np
 from ngsolve import CoefficientFunction, Mesh, cos, pi, sin, x, y
 
-from ngvisco.errors import StepError
-from ngvisco.forms.start.initial import Initial
+import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean
-from ngvisco.run.simulation import Simulation
 from ngvisco.run.stepping import Accepted, FixedStepper
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.setups import KINDS, block
@@ -55,12 +51,12 @@ class FirstTry(FixedStepper):
         super().__init__(dt)
         self.directly = self.helped = 0
 
-    def advance(self, simulation: Simulation, stop: float) -> Accepted:
+    def advance(self, simulation: nv.Simulation, stop: float) -> Accepted:
         integrator = simulation.integrator
         try:
             taken = integrator.advance(simulation.t, self.dt)
             self.directly += 1
-        except StepError:
+        except nv.StepError:
             taken = integrator.advance(simulation.t, self.dt)
             self.helped += 1
         return Accepted((simulation.number + 1) * self.dt, taken)
@@ -91,11 +87,11 @@ class Tally:
         return [self.tried, *shares, self.iterations / max(solved, 1), self.closure, self.cfl]
 
 
-def material(kind: str, stiffness: float, ratio: float) -> Material:
+def material(kind: str, stiffness: float, ratio: float) -> nv.Material:
     """Shear modulus ``stiffness``, bulk modulus ``ratio`` times that."""
     if kind == "linearised":
-        return LinearElastic(K_e=ratio * stiffness, G_e=stiffness)
-    return ReferentialNeoHookean(K_e=ratio * stiffness, G_e=stiffness / 2, elastic_state="F")
+        return nv.LinearElastic(K_e=ratio * stiffness, G_e=stiffness)
+    return nv.ReferentialNeoHookean(K_e=ratio * stiffness, G_e=stiffness / 2, elastic_state="F")
 
 
 def attempt(
@@ -115,14 +111,14 @@ def attempt(
         mesh=mesh or drifting_mesh(),
         of=material(kind, stiffness, ratio),
         viscosity=viscosity,
-        initial=Initial(density=1 + 0.2 * cos(2 * pi * x), velocity=drift),
+        initial=nv.Initial(density=1 + 0.2 * cos(2 * pi * x), velocity=drift),
     )
     run.stepper = stepper = FirstTry(tau)
     failure = ""
     for _ in range(STEPS):
         try:
             run.advance()
-        except StepError as error:
+        except nv.StepError as error:
             failure = f"step {run.number + 1}: {str(error).split(': ', 1)[-1][:100]}"
             break
     ledger = run.ledger

@@ -17,7 +17,7 @@ from tests.verification.case import Bound, Case, Curve, Outcome, Plot
 from tests.verification.cases.whole_scheme import THEME, WHOLE, whole
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
-from tests.verification.setups import KINDS, closure, slope_line, square_mesh, state
+from tests.verification.setups import CLOSURE, KINDS, closure, slope_line, square_mesh, state
 
 DURATION = 0.08
 MESHES = (0.35, 0.175)
@@ -154,7 +154,7 @@ def bounds(kind: str) -> tuple[Bound, ...]:
             for name, (rate, reason) in RATES.items()
             for field, label in LABELS[kind].items()
         ),
-        Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
+        CLOSURE,
     )
 
 

@@ -8,30 +8,22 @@ from functools import partial
 import numpy as np
 from ngsolve import CF, Integrate, cos, x
 
-from ngvisco.forms.spaces import Discretisation
-from ngvisco.forms.start.initial import Initial
+import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials import LinearElastic, ReferentialNeoHookean
-from ngvisco.physics.model import Model
-from ngvisco.physics.rheology import HyperViscosity, StokesViscosity
-from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.rates import RateTable
-from tests.verification.setups import KINDS, closure
+from tests.verification.setups import CLOSURE, KINDS, closure
 
 THEME = "Exact solutions: waves"
-CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
 K_E, G_E, G_V, K_V, MU = 2.0, 1.0, 0.02, 0.01, 1e-3
 AMPLITUDE = 1e-2
 """m/s: strains of at most 1 %, and well above the width of the smoothed upwinding (1e-4 m/s)."""
 
 
-def material(kind: str) -> Material:
+def material(kind: str) -> nv.Material:
     """Bulk modulus K_E and shear modulus G_E in both models (the neo-Hookean G_e is half of it)."""
     if kind == "linearised":
-        return LinearElastic(K_e=K_E, G_e=G_E)
-    return ReferentialNeoHookean(K_e=K_E, G_e=G_E / 2, elastic_state="F")
+        return nv.LinearElastic(K_e=K_E, G_e=G_E)
+    return nv.ReferentialNeoHookean(K_e=K_E, G_e=G_E / 2, elastic_state="F")
 
 
 def dispersion(k: float, wave: str, mu: float, viscous: bool = True) -> complex:
@@ -50,23 +42,23 @@ def standing_wave(
     mu: float = MU,
     viscous: bool = True,
     scheme: str = "backward-euler",
-) -> tuple[Simulation, np.ndarray]:
+) -> tuple[nv.Simulation, np.ndarray]:
     """Amplitudes of the velocity in a strip of one wave length, periodic in x and y, after every step."""
     length = 2 * math.pi / k
-    model = Model(
+    model = nv.Model(
         material=material(kind),
-        viscosity=StokesViscosity(K_v=K_V, G_v=G_V) if viscous else None,
-        hyperviscosity=HyperViscosity(mu=mu, p=2) if mu else None,
+        viscosity=nv.StokesViscosity(K_v=K_V, G_v=G_V) if viscous else None,
+        hyperviscosity=nv.HyperViscosity(mu=mu, p=2) if mu else None,
     )
     shape = cos(k * x)
     velocity = (0.0, AMPLITUDE * shape) if wave == "shear" else (AMPLITUDE * shape, 0.0)
     mesh = box((length, length / 4), length / 8, periodic="xy")
-    run = Simulation(
+    run = nv.Simulation(
         mesh,
         model,
         dt=dt,
-        initial=Initial(velocity=CF(velocity)),
-        discretisation=Discretisation(k=3, m=2),
+        initial=nv.Initial(velocity=CF(velocity)),
+        discretisation=nv.Discretisation(k=3, m=2),
         velocity_scale=1.0,
         scheme=scheme,
     )
@@ -135,39 +127,6 @@ def _dispersion(kind: str, wave: str) -> Outcome:
     )
 
 
-def _standing() -> Outcome:
-    """Five periods without any viscosity: the amplitude and energy that implicit Euler leaves."""
-    k, periods = 2.0, 5
-    omega = k * math.sqrt(G_E)
-    table, curves, deviation, closures = RateTable("energy drift over five periods"), [], 0.0, []
-    for per_period in (20, 40, 80):
-        dt = 2 * math.pi / omega / per_period
-        run, a = standing_wave("linearised", "shear", k, dt, periods * per_period, mu=0.0, viscous=False)
-        z = 1 / (1 - 1j * omega * dt)
-        n = np.arange(len(a))
-        # the two modes +-i omega of the implicit step, from v = 1 and no strain
-        deviation = max(deviation, float(np.abs(a - (z**n).real).max()))
-        energy = run.ledger.column("kinetic") + run.ledger.column("stored")
-        table.add(dt, drift=float(-math.log(energy[-1] / energy[0])))
-        closures.append(closure(run))
-        times = [float(t) for t in run.ledger.column("time")]
-        curves.append(Curve(f"{per_period} steps a period", times, [float(v) for v in a], "-"))
-    curves.append(Curve("exact", times, [math.cos(omega * t) for t in times], "k--"))
-    return Outcome(
-        values={
-            "deviation from the implicit Euler formula": deviation,
-            "rate of the energy drift in tau": table.last("drift"),
-            "largest |closure|": max(closures),
-        },
-        tables=[table.table("tau, s")],
-        plots=[Plot("Elastic standing wave, five periods", "t, s", "relative velocity amplitude", curves)],
-        remarks=[
-            "The drift column is −ln(energy/initial energy): first order in tau, and large for a wave, "
-            "which is the price of a fully implicit scheme."
-        ],
-    )
-
-
 def _wave_cases(kind: str) -> tuple[Case, ...]:
     return tuple(
         Case(
@@ -194,22 +153,4 @@ def _wave_cases(kind: str) -> tuple[Case, ...]:
     )
 
 
-CASES = (
-    *(case for kind in KINDS for case in _wave_cases(kind)),
-    Case(
-        name="standing-wave",
-        theme=THEME,
-        statement="A small elastic standing wave follows cos(k x) cos(c_s k t); its energy drifts by "
-        "the implicit "
-        "step's own damping only, which vanishes like tau.",
-        label="Euler-small-viscoelastodyn+; Underworld3",
-        setting="Strip of one wave length, k = 2 1/m, G_e = 1 Pa, no viscosity, five periods of 20, 40, "
-        "80 steps.",
-        bounds=(
-            Bound("deviation from the implicit Euler formula", "<=", 2e-3, "the error in space"),
-            Bound("rate of the energy drift in tau", ">=", 0.9, "order tau"),
-            CLOSURE,
-        ),
-        run=_standing,
-    ),
-)
+CASES = tuple(case for kind in KINDS for case in _wave_cases(kind))

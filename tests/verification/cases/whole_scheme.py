@@ -9,15 +9,12 @@ from itertools import pairwise
 import numpy as np
 from ngsolve import CoefficientFunction, GridFunction, Integrate, Mesh
 
+import ngvisco as nv
 from ngvisco.forms.fields import Fields
-from ngvisco.physics.flow_rules import Creep
-from ngvisco.physics.materials import WithQuadratic, Yosida
-from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import HyperViscosity
 from ngvisco.physics.tensors import dev, square
-from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.setups import KINDS, SETTING, block, closure, material, square_mesh
+from tests.verification.cases.dependent import COFACTORS
+from tests.verification.setups import CLOSURE, KINDS, SETTING, block, closure, material, square_mesh
 
 THEME = "The whole scheme"
 GRAVITY, RHO_MAX, MU, NU = 1.0, 2.0, 1e-4, 1e-2
@@ -32,18 +29,18 @@ WHOLE = (
 )
 
 
-def whole(kind: str, dt: float, mesh: Mesh, delta: float, epsilon: float) -> Simulation:
+def whole(kind: str, dt: float, mesh: Mesh, delta: float, epsilon: float) -> nv.Simulation:
     """The block of ``WHOLE``, not run yet; a delta or epsilon of 0 leaves its terms out."""
-    law = Regularisation(
+    law = nv.Regularisation(
         delta_density=delta, delta_fields=delta, epsilon=epsilon, r=EXPONENT, p=EXPONENT, rho_max=RHO_MAX
     )
-    of = material(kind)
-    if kind == "finite" and epsilon:
-        of = Yosida(material=of, eps=epsilon)
-    if kind == "finite" and delta:
-        of = WithQuadratic(material=of, delta=delta)
-    creep = Creep(G_m=2.0, nu=NU, q=EXPONENT) if kind == "finite" else Creep(G_m=2.0)
-    hyper = HyperViscosity(mu=MU, p=EXPONENT)
+    of = COFACTORS if kind == "cofactors" else material(kind)
+    if kind != "linearised" and epsilon:
+        of = nv.Yosida(material=of, eps=epsilon)
+    if kind != "linearised" and delta:
+        of = nv.WithQuadratic(material=of, delta=delta)
+    creep = nv.Creep(G_m=2.0) if kind == "linearised" else nv.Creep(G_m=2.0, nu=NU, q=EXPONENT)
+    hyper = nv.HyperViscosity(mu=MU, p=EXPONENT)
     return block(
         kind, dt, mesh=mesh, gravity=GRAVITY, creep=creep, hyperviscosity=hyper, of=of, regularisation=law
     )
@@ -59,7 +56,7 @@ SIZES = (1e-1, 1e-2, 1e-3, 1e-4)
 class Norms:
     """Norms over the time and the domain of one run, by name; ``after`` every step."""
 
-    def __init__(self, run: Simulation) -> None:
+    def __init__(self, run: nv.Simulation) -> None:
         self.run, step = run, run.rothe_step
         self._previous = GridFunction(step.layout.space)
         self._old = step.layout.fields(self._previous.components)
@@ -177,6 +174,7 @@ OWN = {
         "‖∇Pi‖ Lq": "Euler-large-est3++",
         "sup ‖Pi‖ W1,q": "Euler-large-est-Lp",
     },
+    "cofactors": {"sup ‖H‖ L2": "Euler-large-est3-H"},
 }
 
 POWERS = {
@@ -187,6 +185,7 @@ POWERS = {
         "‖F‖ L4(L3)": (0.375, "Euler-large-est3*"),
         "‖J‖ L4(L3)": (0.375, "Euler-large-est3*"),
     },
+    "cofactors": {"‖∇H‖ L2": (0.75, "Euler-large-est3-H")},
 }
 """Norms that may grow like a power of 1/delta, this power, and the label."""
 
@@ -253,7 +252,7 @@ def bounds(kind: str) -> tuple[Bound, ...]:
         *powers,
         Bound("largest rho", "<=", RHO_MAX + 1, "Euler-small-est3+++"),
         Bound("gravity's power over M (1 + ‖p/√rho‖²) |g|", "<=", 1.0, "Euler-small-est-Gronwall"),
-        Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration"),
+        CLOSURE,
     )
 
 
@@ -275,4 +274,19 @@ def _case(kind: str) -> Case:
     )
 
 
-CASES = tuple(_case(kind) for kind in KINDS)
+COFACTOR_MESHES = (0.5, 0.25)
+
+CASES = (
+    *(_case(kind) for kind in KINDS),
+    Case(
+        name="whole-estimates-cofactors",
+        theme=THEME,
+        statement="With Cof F among the variables the a-priori estimates of the finite-strain model hold, "
+        "and that of Cof F: sup ‖H‖ is bounded, and ‖∇H‖ grows no faster than delta^(-3/4).",
+        label="Euler-large-est3-H, rem-polyconvex-general",
+        setting=f"{WHOLE}; MooneyRivlin with G_e = 3 Pa, G_mr = 2 Pa; h = 0.5 and 0.25 m, {STEPS} steps of "
+        f"{TAU} s; epsilon = delta from 0.1 to 1e-4.",
+        bounds=bounds("cofactors"),
+        run=lambda: estimates("cofactors", {h: square_mesh(h) for h in COFACTOR_MESHES}),
+    ),
+)

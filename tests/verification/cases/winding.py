@@ -8,47 +8,38 @@ from typing import Literal
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, IfPos, Integrate, cos, pi, sin, x, y
 
-from ngvisco.errors import StepError
+import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.context import time
 from ngvisco.geometries import box
-from ngvisco.physics.flow_rules import Creep
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials import CustomMaterial
-from ngvisco.physics.model import BodyForce, Model
-from ngvisco.physics.rheology import StokesViscosity
 from ngvisco.physics.tensors import dev, square, sym, tr
 from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen, Values
-from ngvisco.physics.walls import NoSlip, PrescribedTangential
-from ngvisco.run.ledger import DefectWarning
-from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.cases.flows import CLOSURE
 from tests.verification.rates import RateTable
-from tests.verification.setups import closure
+from tests.verification.setups import CLOSURE, closure
 
 THEME = "Creeping flow at finite strain"
 K_E, G_E, G_M, VISCOSITY = 20.0, 0.05, 0.005, 0.01
 """Pa, Pa, Pa s, Pa s; the Maxwell time G_M/(4 G_E) is 0.025 s in shear, 0.05 s by the stress's square."""
 
 
-def material(state: Literal["F", "B", "none"], G_e: float = G_E) -> Material:
+def material(state: Literal["F", "B", "none"], G_e: float = G_E) -> nv.Material:
     """phi = K/2 (J - 1)^2 + G_e (tr(J^(-2/3) F F^T) - 3) by F, by B, or without shear."""
 
     def volume(J: CoefficientFunction) -> CoefficientFunction:
         return K_E / 2 * (J - 1) * (J - 1)
 
     if state == "F":
-        return CustomMaterial(
+        return nv.CustomMaterial(
             transported=(Distortion(), Jacobian()),
             stored_energy=lambda F, J: volume(J) + G_e * (J ** (-2 / 3) * square(F) - 3),
         )
     if state == "B":
-        return CustomMaterial(
+        return nv.CustomMaterial(
             transported=(LeftCauchyGreen(exponent=-2 / 3), Jacobian()),
             stored_energy=lambda B, J: volume(J) + G_e * (tr(B) - 3),
         )
-    return CustomMaterial(transported=(Jacobian(),), stored_energy=volume)
+    return nv.CustomMaterial(transported=(Jacobian(),), stored_energy=volume)
 
 
 def isochoric(state: str, fields: Values) -> CoefficientFunction:
@@ -59,15 +50,18 @@ def isochoric(state: str, fields: Values) -> CoefficientFunction:
 
 
 def lid(
-    of: Material, maxh: float, dt: float, *, creep: Creep | None = None, viscosity: float = VISCOSITY
-) -> Simulation:
+    of: nv.Material, maxh: float, dt: float, *, creep: nv.Creep | None = None, viscosity: float = VISCOSITY
+) -> nv.Simulation:
     """A unit box under a lid with the speed 16 x^2 (1 - x)^2 m/s, ramped up until 0.2 s."""
-    model = Model(material=of, viscosity=StokesViscosity(K_v=VISCOSITY, G_v=viscosity), creep=creep)
+    model = nv.Model(material=of, viscosity=nv.StokesViscosity(K_v=VISCOSITY, G_v=viscosity), creep=creep)
     ramp = IfPos(time - 0.2, 1, time / 0.2)
     speed = ramp * 16 * x * x * (1 - x) * (1 - x)
-    walls: Conditions = {"top": PrescribedTangential((speed, 0.0)), ("left", "right", "bottom"): NoSlip()}
+    walls: Conditions = {
+        "top": nv.PrescribedTangential((speed, 0.0)),
+        ("left", "right", "bottom"): nv.NoSlip(),
+    }
     time.Set(0.0)
-    return Simulation(box((1, 1), maxh), model, dt=dt, walls=walls, velocity_scale=1.0)
+    return nv.Simulation(box((1, 1), maxh), model, dt=dt, walls=walls, velocity_scale=1.0)
 
 
 TABLE = (
@@ -85,13 +79,13 @@ def _side_by_side() -> Outcome:
     runs, gaps, ends, warned = [], {"F": [0.0], "B": [0.0]}, "", {"F": 0, "B": 0}
     for state, maxh, dt, times in TABLE:
         with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", DefectWarning)
-            run = lid(material(state), maxh, dt, creep=Creep(G_m=G_M))  # type: ignore[arg-type]
+            warnings.simplefilter("always", nv.DefectWarning)
+            run = lid(material(state), maxh, dt, creep=nv.Creep(G_m=G_M))  # type: ignore[arg-type]
             runs.append(run)
             for until in times:
                 try:
                     run.run(until)
-                except StepError as error:
+                except nv.StepError as error:
                     ends = ends or f"by F with cells of {maxh:g} m the run ends at {run.t:.2f} s: {error}"
                     break
                 A = isochoric(state, run.fields)
@@ -103,7 +97,7 @@ def _side_by_side() -> Outcome:
                 trace = run.sampler.extrema(tr(A))[1]
                 numbers = [low, high, trace, *J, last["stored"], last["defect_rms"], closure(run)]
                 rows.append([state, maxh, dt, until, *numbers])
-        warned[state] += sum(issubclass(w.category, DefectWarning) for w in caught)
+        warned[state] += sum(issubclass(w.category, nv.DefectWarning) for w in caught)
     return Outcome(
         values={
             "largest |det B − 1|": max(gaps["B"]),
@@ -140,7 +134,7 @@ def _cavity() -> Outcome:
     table, runs, gaps = RateTable("against the Navier–Stokes flow, relative in L2, y < 0.8 m"), [fluid], []
     rows: list[list[str | float]] = []
     for maxwell_time in (0.05, 0.025, 0.0125):
-        run = lid(material("B", G_m / (4 * maxwell_time)), maxh, dt, creep=Creep(G_m=G_m))
+        run = lid(material("B", G_m / (4 * maxwell_time)), maxh, dt, creep=nv.Creep(G_m=G_m))
         run.run(until)
         runs.append(run)
         low, high = run.sampler.extrema(Det(run.fields["B"]))
@@ -172,27 +166,27 @@ def _cavity() -> Outcome:
     )
 
 
-def _cell_means(A: CoefficientFunction, run: Simulation) -> np.ndarray:
+def _cell_means(A: CoefficientFunction, run: nv.Simulation) -> np.ndarray:
     """Means over cells times the root of the volume, (cells, 9): an L2 product of means."""
     volume = Integrate(CF(1), run.mesh, element_wise=True).NumPy()
     parts = [Integrate(A[i, j], run.mesh, element_wise=True).NumPy() for i in range(3) for j in range(3)]
     return np.array(parts).T / np.sqrt(volume)[:, None]
 
 
-def vortex(state: Literal["F", "B"], maxh: float, dt: float) -> Simulation:
+def vortex(state: Literal["F", "B"], maxh: float, dt: float) -> nv.Simulation:
     """A force that keeps an eddy of 1 m/s turning in the unit box, slip on its walls."""
     eta = VISCOSITY + G_M / 2
     eddy = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
     ramp = IfPos(time - 0.2, 1, time / 0.2)
     force = tuple(2 * eta * pi**2 * ramp * v for v in eddy)
-    model = Model(
+    model = nv.Model(
         material=material(state),
-        viscosity=StokesViscosity(K_v=VISCOSITY, G_v=VISCOSITY),
-        creep=Creep(G_m=G_M),
-        loads=(BodyForce(force),),
+        viscosity=nv.StokesViscosity(K_v=VISCOSITY, G_v=VISCOSITY),
+        creep=nv.Creep(G_m=G_M),
+        loads=(nv.BodyForce(force),),
     )
     time.Set(0.0)
-    return Simulation(box((1, 1), maxh), model, dt=dt, velocity_scale=1.0)
+    return nv.Simulation(box((1, 1), maxh), model, dt=dt, velocity_scale=1.0)
 
 
 def _vortex() -> Outcome:
@@ -200,11 +194,11 @@ def _vortex() -> Outcome:
     runs = []
     for state in ("F", "B"):
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DefectWarning)
+            warnings.simplefilter("ignore", nv.DefectWarning)
             run = vortex(state, 0.15, 0.05)
             try:
                 run.run(until)
-            except StepError:
+            except nv.StepError:
                 assert state == "F"  # which may end: that is the finding
         runs.append(run)
         rows = run.ledger
