@@ -12,12 +12,12 @@ from ngvisco import case as cases
 from ngvisco.case.directory import Results, RunDirectory
 from ngvisco.errors import ParameterError
 from ngvisco.run.comparison import plot_comparison
-from ngvisco.run.fields import field_unit, scalar_fields
+from ngvisco.run.fields import scalar_fields, title_of
 from ngvisco.run.movie import write_movie
-from ngvisco.run.observers import read_pvd
 from ngvisco.run.outlines import outlined
 from ngvisco.run.plots import Section, plot_energies, plot_fields, plot_history, require_space, titled
 from ngvisco.run.scene import write_scene, write_scene_of_series
+from ngvisco.run.vtk import read_pvd
 from ngvisco.sweep.table import read_table
 
 
@@ -43,7 +43,7 @@ def plot(options: argparse.Namespace) -> int:
     written = [out / f"{name}.{options.format}" for name in ("energies", "history", "fields")]
     plot_energies(ledger, written[0])
     plot_history(ledger, written[1])
-    fields = [(_titled(name), value) for name, value in chosen.items()]
+    fields = [(title_of(name), value) for name, value in chosen.items()]
     title = titled(results.case.sections.title, results.time)
     lines = _outlines(results)
     plot_fields(results.mesh, fields, written[2], section=section, title=title, outlines=lines)
@@ -112,8 +112,3 @@ def _say_without_outlines(place: RunDirectory) -> None:
 
 def _names(options: argparse.Namespace) -> list[str] | None:
     return None if options.fields is None else [name.strip() for name in options.fields.split(",")]
-
-
-def _titled(name: str) -> str:
-    title, unit = name.replace("_", " "), field_unit(name)
-    return f"{title}, {unit}" if unit else title

@@ -156,3 +156,9 @@ def field_unit(name: str) -> str:
     }
     whole = name.rpartition("_")[0] if name.rpartition("_")[2].isdigit() else name
     return units.get(whole, "")
+
+
+def title_of(name: str) -> str:
+    """A field's name in words, with its unit."""
+    title, unit = name.replace("_", " "), field_unit(name)
+    return f"{title}, {unit}" if unit else title

@@ -11,24 +11,11 @@ from typing import Any
 import numpy as np
 
 from ngvisco.errors import ParameterError
-from ngvisco.run.fields import field_unit
-from ngvisco.run.outlines import averaged, outline, outlined
-from ngvisco.run.plots import (
-    COLOURS,
-    PAGE,
-    SHRINK,
-    PlotError,
-    Section,
-    figure,
-    height_of,
-    require_space,
-    subdivision,
-    titled,
-)
-from ngvisco.run.vtu import Frame, cut, read_frame, read_series_files
+from ngvisco.run.fields import title_of
+from ngvisco.run.plots import COLOURS, Picture, PlotError, Section, require_space
+from ngvisco.run.vtu import read_frame, read_series_files
 
 FORMATS = ("gif", "mp4")
-_PIECES, _DRAWN = 6, 200_000  # of the sides of triangles, and triangles in all
 _GREYS = 32  # of the colours of a .gif: lines and letters have smooth edges by them
 
 
@@ -80,28 +67,18 @@ def write_movie(
     if not names:
         raise ParameterError("write_movie.fields", fields, "at least one field of the series")
     ranges = _ranges([file for _, file in files], names)
-    wide = min(len(names), 2)
-    rows = -(-len(names) // 2)
-    fig, axes = figure(rows, wide, (PAGE, rows * _height(first, section, PAGE / wide) + 0.4))
-    for axis in axes.ravel()[len(names) :]:
-        axis.set_axis_off()
-    axes = axes.ravel()[: len(names)]
-    picture = _Picture(first, section)
-    images = [
-        picture.draw(fig, axis, name, limits) for axis, name, limits in zip(axes, names, ranges, strict=True)
-    ]
+    picture = Picture(first, names, section)
+    for name, axis, image, limits in zip(names, picture.axes, picture.images, ranges, strict=True):
+        axis.set_title(title_of(name))
+        image.set_clim(*limits)
     draft = target.with_name(f"{target.stem}.part{target.suffix}")
     target.parent.mkdir(parents=True, exist_ok=True)
     writer = _writer(kind, frames_per_second)
     try:
-        with writer.saving(fig, str(draft), dpi=130):
-            lines: list[Any] = []
+        with writer.saving(picture.figure, str(draft), dpi=130):
             for time, file in files:
-                frame = read_frame(file)
-                for image, name in zip(images, names, strict=True):
-                    image.set_array(picture.values(frame, name))
-                lines = picture.outlined(frame, axes, lines)
-                fig.suptitle(titled(title, time, picture.section_text))
+                picture.show(read_frame(file))
+                picture.suptitle(title, time)
                 writer.grab_frame()
         draft.replace(target)
     finally:
@@ -153,67 +130,3 @@ def _ranges(files: Sequence[Path], names: Sequence[str]) -> list[tuple[float, fl
         (float(a), float(b)) if b > a else (float(a) - 0.5, float(a) + 0.5)
         for a, b in zip(low, high, strict=True)
     ]
-
-
-def _height(frame: Frame, section: Section | None, width: float) -> float:
-    """Of a picture of this width, inches."""
-    extent = np.ptp(frame.points, axis=0)
-    i, j = (0, 1) if frame.dim == 2 else (section or Section()).axes
-    return height_of(width, float(extent[j] / extent[i]))
-
-
-class _Picture:
-    """What is the same in all frames: the triangles that are drawn, in two dimensions."""
-
-    def __init__(self, frame: Frame, section: Section | None) -> None:
-        self.section_text, self._axes = "", (0, 1)
-        if frame.dim == 2:
-            self._triangles = frame.cells
-            self._ends = np.stack([np.arange(len(frame.points))] * 2, axis=1)
-            self._share = np.zeros(len(frame.points))
-        else:
-            chosen = section or Section()
-            at = chosen.place(frame.points)
-            self._axes, self.section_text = chosen.axes, chosen.text(at)
-            self._ends, self._share, self._triangles = cut(frame, chosen.normal_axis, at)
-            if not len(self._triangles):
-                raise ParameterError("section", self.section_text, "a plane that meets the body")
-        self._points = self._between(frame.points)[:, self._axes]
-        # matplotlib mixes the colours of corners: between values that differ much these are not of the scale
-        finer = int(np.clip((_DRAWN / len(self._triangles)) ** 0.5, 1, _PIECES))
-        lattice, self._small = subdivision(finer)
-        self._weights = np.column_stack([1 - lattice.sum(axis=1), lattice])
-
-    def _between(self, values: np.ndarray) -> np.ndarray:
-        share = self._share.reshape((-1,) + (1,) * (values.ndim - 1))
-        return (1 - share) * values[self._ends[:, 0]] + share * values[self._ends[:, 1]]
-
-    def _in_pieces(self, values: np.ndarray) -> np.ndarray:
-        """Of values at the corners of triangles those at the corners of their pieces."""
-        return (values[self._triangles] @ self._weights.T).ravel()
-
-    def values(self, frame: Frame, name: str) -> np.ndarray:
-        return self._in_pieces(self._between(frame.scalar(name)))
-
-    def outlined(self, frame: Frame, axes: Sequence[Any], former: Sequence[Any]) -> list[Any]:
-        """Draw the surfaces of bodies in a frame, in place of the former one's."""
-        for line in former:
-            line.remove()
-        X, Y = self._points.T
-        names = outlined(list(frame.fields))
-        fractions = [self._between(averaged(frame.points, frame.scalar(name))) for name in names]
-        lines = [outline(axis, X, Y, self._triangles, share) for axis in axes for share in fractions]
-        return [line for line in lines if line is not None]
-
-    def draw(self, fig: Any, axis: Any, name: str, limits: tuple[float, float]) -> Any:
-        X, Y = map(self._in_pieces, self._points.T)
-        starts = np.arange(len(self._triangles)) * len(self._weights)
-        pieces = np.add.outer(starts, self._small).reshape(-1, 3)
-        image = axis.tripcolor(X, Y, pieces, np.zeros(len(X)), shading="gouraud", cmap=COLOURS)
-        image.set_clim(*limits)
-        unit = field_unit(name)
-        labels = [f"{'xyz'[i]}, m" for i in self._axes]
-        axis.set(aspect="equal", xlabel=labels[0], ylabel=labels[1])
-        axis.set_title(name.replace("_", " ") + (f", {unit}" if unit else ""))
-        fig.colorbar(image, ax=axis, shrink=SHRINK)
-        return image

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from ngvisco.errors import (
-    CheckpointError,
     ParameterError,
     UnknownNameError,
     as_integer,
@@ -33,7 +32,7 @@ from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.files import append, write_atomically
 from ngvisco.run.further_fields import usual
 from ngvisco.run.stepping import step_under_way
-from ngvisco.run.vtk import shown_by, write_vtu
+from ngvisco.run.vtk import read_pvd, shown_by, write_vtu
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -240,23 +239,3 @@ class VTKSeries:
             f'byte_order="LittleEndian">\n<Collection>\n{sets}\n</Collection>\n</VTKFile>\n'
         )
         write_atomically(self._pvd, text.encode())
-
-
-def read_pvd(path: Path) -> list[tuple[float, str]]:
-    """(time, file) of every data set that a .pvd of ours lists; empty if there is no such file.
-
-    Raises
-    ------
-    CheckpointError
-        If it is none of ours, or damaged.
-    """
-    if not path.exists():
-        return []
-    try:
-        found = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text(encoding="utf-8"))
-        series = [(float(time), name) for time, name in found]
-    except ValueError as error:
-        raise CheckpointError(f"{path}: not a readable file of a VTK series ({error})") from error
-    if not series:
-        raise CheckpointError(f"{path}: not a file of a VTK series, or one without states; move it away")
-    return series

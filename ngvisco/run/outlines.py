@@ -17,6 +17,7 @@ import numpy as np
 OUTLINE: dict[str, Any] = {"levels": [0.5], "colors": "white", "linewidths": 1.4}
 """How matplotlib draws them."""
 _SAME = 1e-9  # of the points' extent: those this close are one
+_FLAT = 1e-6  # of the largest triangle: what is smaller is a corner or an edge
 _HALVINGS = 2  # of the triangles in which a line is drawn
 
 
@@ -28,7 +29,7 @@ def averaged(points: np.ndarray, values: np.ndarray) -> np.ndarray:
     points : array (points, dim), m
     values : array (..., points)
     """
-    _, place = np.unique(_rounded(points), axis=0, return_inverse=True)
+    _, place = np.unique(whole_numbers(points), axis=0, return_inverse=True)
     place = place.reshape(-1)
     count = np.bincount(place)
     rows = values.reshape(-1, values.shape[-1])
@@ -36,33 +37,28 @@ def averaged(points: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.array(means).reshape(values.shape)
 
 
-def _rounded(points: np.ndarray) -> np.ndarray:
-    """Whole numbers that are the same for points that are one."""
+def whole_numbers(points: np.ndarray) -> np.ndarray:
+    """Whole numbers that are the same for points that are one, in a domain of any size."""
     size = float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0
     return np.round(points / (_SAME * size)).astype(np.int64)
 
 
 def outline(axis: Any, X: np.ndarray, Y: np.ndarray, triangles: np.ndarray, fraction: np.ndarray) -> Any:
     """Draw the line of a fraction at the corners of triangles, averaged; None where it has none."""
-    if not has_outline(fraction):  # matplotlib warns of lines that are not there
+    if not fraction.min() < 0.5 < fraction.max():  # matplotlib warns of lines that are not there
         return None
     tri = importlib.import_module("matplotlib.tri")
     points = np.stack([X, Y], axis=1)
-    _, first, number = np.unique(_rounded(points), axis=0, return_index=True, return_inverse=True)
+    _, first, number = np.unique(whole_numbers(points), axis=0, return_index=True, return_inverse=True)
     cells, (X, Y), values = number.reshape(-1)[triangles], points[first].T, fraction[first]
     a, b, c = np.moveaxis(points[first][cells], 1, 0)
     area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    cells = cells[area > _SAME * area.max()]  # a section has corners of cells too
+    cells = cells[area > _FLAT * area.max()]  # a section has corners and edges of cells too
     is_cut = (values[cells].min(axis=1) < 0.5) & (values[cells].max(axis=1) > 0.5)
     near = cells[np.isin(cells, cells[is_cut]).any(axis=1)]
     mesh = tri.Triangulation(X, Y, near)
     finer, smooth = tri.UniformTriRefiner(mesh).refine_field(values, subdiv=_HALVINGS)
     return axis.tricontour(finer, smooth, **OUTLINE)
-
-
-def has_outline(fraction: np.ndarray) -> bool:
-    """Whether a fraction is one half anywhere."""
-    return bool(np.nanmin(fraction) < 0.5 < np.nanmax(fraction))
 
 
 def outlined(names: Sequence[str]) -> list[str]:

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y
+from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.errors import NgviscoError, ParameterError, _is_number
-from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.run.files import write_atomically
-from ngvisco.run.outlines import OUTLINE, averaged, has_outline, outline
+from ngvisco.run.outlines import outline
+from ngvisco.run.vtu import Frame, cut, frame_of
+from ngvisco.shapes.fractions import subdivision
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ PAGE, LABELS = 7.2, 9
 """Width of pictures, inches, that of a page; the size of the smallest labels, points."""
 COLOURS, SHRINK = "viridis", 0.75
 """The scale of colours, and its length in heights of what it is beside."""
+_PIECES, _DRAWN = 6, 200_000  # of the sides of triangles, and triangles in all
 
 
 class PlotError(NgviscoError, RuntimeError):
@@ -74,7 +76,7 @@ class Section:
         return ((1, 2), (0, 2), (0, 1))[self.normal_axis]
 
     def place(self, points: np.ndarray) -> float:
-        """Its coordinate, m, for a body with these points; raises ParameterError when it misses the body."""
+        """Its coordinate, m, in a body with these points; raises ParameterError when it misses the body."""
         along = points[:, self.normal_axis]
         low, high = float(along.min()), float(along.max())
         at = 0.5 * (low + high) if self.at is None else float(self.at)
@@ -82,21 +84,11 @@ class Section:
             raise ParameterError(f"section {self.normal}", at, f"a coordinate from {low:g} to {high:g} m")
         return at
 
-    def text(self, at: float) -> str:
-        """How a title says it."""
-        return f"{self.normal} = {at:.4g} m"
-
 
 def require_space(section: Section | None, dim: int) -> None:
     """Raise ParameterError for a section of what is flat."""
     if section is not None and dim != 3:
         raise ParameterError("section", section.normal, "none: the mesh has two dimensions")
-
-
-def height_of(width: float, ratio: float) -> float:
-    """Height of a field's picture, inches, with its title and labels; ``ratio`` is height over width of what
-    it shows, beside which there is a scale of colours."""
-    return 0.75 + 0.62 * width * min(max(ratio, 0.3), 2.0)
 
 
 def titled(*parts: str | float) -> str:
@@ -234,103 +226,95 @@ def plot_fields(
     section : Section, optional
         In 3D the plane; default through the middle, normal to z.
     subdivisions : int
-        In 2D every cell is drawn as subdivisions^2 triangles, so that jumps between cells show.
+        Every cell is drawn as subdivisions^dim pieces, so that jumps between cells show.
     title : str
         Above all fields; in 3D the plane is added to it.
     outlines : sequence of scalar coefficient functions
         Volume fractions of bodies: drawn over each field as the line where they are one half.
     """
-    for name, value in fields:
-        if value.dim != 1:
-            raise ParameterError(f"plot_fields field {name!r}", value.dim, "a scalar")
     require_space(section, mesh.dim)
-    corners = coordinates(mesh)
-    chosen = section or Section()
-    along = chosen.axes if mesh.dim == 3 else (0, 1)
-    extent = np.ptp(corners, axis=0)
-    wide = min(len(fields), 2)
-    rows = -(-len(fields) // 2)
-    height = height_of(PAGE / wide, float(extent[along[1]] / extent[along[0]]))
-    fig, axes = figure(rows, wide, (PAGE, rows * height + 0.3))
-    for axis in axes.ravel()[len(fields) :]:
-        axis.set_axis_off()
-    for axis, (name, value) in zip(axes.ravel(), fields, strict=False):
-        if mesh.dim == 3:
-            image = _draw_plane(axis, mesh, value, chosen, outlines)
-        else:
-            image = _draw_cells(axis, mesh, value, subdivisions, outlines)
-        labels = [f"{'xyz'[i]}, m" for i in along]
-        axis.set(title=name, aspect="equal", xlabel=labels[0], ylabel=labels[1])
-        fig.colorbar(image, ax=axis, shrink=SHRINK)
-    plane = chosen.text(chosen.place(corners)) if mesh.dim == 3 else ""
-    if title or plane:
-        fig.suptitle(titled(title, plane))
-    save(fig, path)
-
-
-def subdivision(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points of a lattice in the reference triangle, (points, 2), and its n^2 triangles of them."""
-    index = {p: k for k, p in enumerate((i, j) for j in range(n + 1) for i in range(n + 1 - j))}
-    small = []
-    for i, j in index:
-        if i + j < n:
-            small.append((index[i, j], index[i + 1, j], index[i, j + 1]))
-        if i + j < n - 1:
-            small.append((index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]))
-    return np.array(list(index)) / n, np.array(small)
-
-
-def _draw_cells(
-    axis: Any,
-    mesh: Mesh,
-    value: CoefficientFunction,
-    subdivisions: float,
-    outlines: Sequence[CoefficientFunction],
-) -> Any:
-    """Every triangle (or quadrilateral) by its own points: nothing is averaged between cells."""
-    lattice, small = subdivision(int(subdivisions))
-    rule = IntegrationRule([tuple(point) for point in lattice], [0.0] * len(lattice))
-    points = mesh.MapToAllElements({ET.TRIG: rule, ET.QUAD: rule}, VOL)
-    X, Y, values = (np.asarray(f(points)).ravel() for f in (x, y, value))
-    cells = len(X) // len(lattice)
-    triangles = np.add.outer(np.arange(cells) * len(lattice), small).reshape(-1, 3)
-    image = axis.tripcolor(X, Y, triangles, values, shading="gouraud", cmap=COLOURS, rasterized=True)
-    for fraction in outlines:
-        outline(
-            axis, X, Y, triangles, averaged(np.stack([X, Y], axis=1), np.asarray(fraction(points)).ravel())
+    named = dict(fields)
+    if not 0 < len(named) == len(fields):
+        raise ParameterError(
+            "plot_fields.fields", [name for name, _ in fields], "one field or more, by titles"
         )
-    return image
+    picture = Picture(frame_of(mesh, named, outlines, subdivisions), list(named), section)
+    for name, axis, image in zip(named, picture.axes, picture.images, strict=True):
+        axis.set_title(name)
+        image.autoscale()
+    picture.suptitle(title)
+    save(picture.figure, path)
 
 
-def _draw_plane(
-    axis: Any,
-    mesh: Mesh,
-    value: CoefficientFunction,
-    section: Section,
-    outlines: Sequence[CoefficientFunction],
-) -> Any:
-    corners = coordinates(mesh)
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    inset = 1e-9 * (high - low)
-    ranges = [np.linspace(low[i] + inset[i], high[i] - inset[i], 81) for i in section.axes]
-    X, Y = np.meshgrid(*ranges)
-    at = section.place(corners)
-    points = np.empty((X.size, 3))
-    points[:, section.axes[0]], points[:, section.axes[1]] = X.ravel(), Y.ravel()
-    points[:, section.normal_axis] = np.clip(at, low + inset, high - inset)[section.normal_axis]
-    found = mesh(*points.T)
-    inside = found["nr"] >= 0
+class Picture:
+    """Scalar fields of a frame in two columns, each with a scale of colours; in 3D in a plane.
 
-    def on_plane(function: CoefficientFunction) -> np.ndarray:
-        values = np.full(X.size, np.nan)
-        values[inside] = np.asarray(function(found[inside])).reshape(-1)
-        return values.reshape(X.shape)
+    Of another frame of the same cells they are drawn by ``show``.
+    """
 
-    image = axis.pcolormesh(X, Y, on_plane(value), shading="gouraud", cmap=COLOURS, rasterized=True)
-    for share in map(on_plane, outlines):
-        if has_outline(share):
-            axis.contour(X, Y, share, **OUTLINE)
-    return image
+    def __init__(self, frame: Frame, names: Sequence[str], section: Section | None) -> None:
+        self.names, self._plane = names, ""
+        along = (0, 1)
+        if frame.dim == 2:
+            self._triangles = frame.cells
+            self._ends = np.stack([np.arange(len(frame.points))] * 2, axis=1)
+            self._share = np.zeros(len(frame.points))
+        else:
+            chosen = section or Section()
+            at = chosen.place(frame.points)
+            along, self._plane = chosen.axes, f"{chosen.normal} = {at:.4g} m"
+            self._ends, self._share, self._triangles = cut(frame, chosen.normal_axis, at)
+        self._points = self._between(frame.points)[:, along]
+        # matplotlib mixes the colours of corners: between values that differ much these are not of the scale
+        finer = int(np.clip((_DRAWN / len(self._triangles)) ** 0.5, 1, _PIECES))
+        lattice, self._small = subdivision(2, finer)
+        self._weights = np.column_stack([1 - lattice.sum(axis=1), lattice])
+        self._lines: list[Any] = []
+        self._draw([f"{'xyz'[i]}, m" for i in along])
+        self.show(frame)
+
+    def _draw(self, labels: Sequence[str]) -> None:
+        wide, rows = min(len(self.names), 2), -(-len(self.names) // 2)
+        extent = np.ptp(self._points, axis=0)
+        ratio = float(np.clip(extent[1] / extent[0], 0.3, 2.0))
+        height = 0.75 + 0.62 * PAGE / wide * ratio  # a field's, with title, labels and the scale beside it
+        self.figure, axes = figure(rows, wide, (PAGE, rows * height + 0.4))
+        self.axes = axes.ravel()[: len(self.names)]
+        for axis in axes.ravel()[len(self.names) :]:
+            axis.set_axis_off()
+        X, Y = map(self._in_pieces, self._points.T)
+        starts = np.arange(len(self._triangles)) * len(self._weights)
+        pieces = np.add.outer(starts, self._small).reshape(-1, 3)
+        self.images = []
+        for axis in self.axes:
+            style = {"shading": "gouraud", "cmap": COLOURS, "rasterized": True}
+            self.images.append(axis.tripcolor(X, Y, pieces, np.zeros(len(X)), **style))
+            axis.set(aspect="equal", xlabel=labels[0], ylabel=labels[1])
+            self.figure.colorbar(self.images[-1], ax=axis, shrink=SHRINK)
+
+    def _between(self, values: np.ndarray) -> np.ndarray:
+        share = self._share.reshape((-1,) + (1,) * (values.ndim - 1))
+        return (1 - share) * values[self._ends[:, 0]] + share * values[self._ends[:, 1]]
+
+    def _in_pieces(self, values: np.ndarray) -> np.ndarray:
+        """Of values at the corners of triangles those at the corners of their pieces."""
+        return (values[self._triangles] @ self._weights.T).ravel()
+
+    def show(self, frame: Frame) -> None:
+        """Draw the fields of a frame, and the surfaces of its bodies, in place of the former one's."""
+        for image, name in zip(self.images, self.names, strict=True):
+            image.set_array(self._in_pieces(self._between(frame.scalar(name))))
+        for line in self._lines:
+            line.remove()
+        X, Y = self._points.T
+        shares = [self._between(fraction) for fraction in frame.fractions()]
+        lines = [outline(axis, X, Y, self._triangles, share) for axis in self.axes for share in shares]
+        self._lines = [line for line in lines if line is not None]
+
+    def suptitle(self, *parts: str | float) -> None:
+        """Write a title above all fields, in 3D with the plane."""
+        if text := titled(*parts, self._plane):
+            self.figure.suptitle(text)
 
 
 def _require_steps(field: str, ledger: Ledger) -> None:

@@ -13,57 +13,19 @@ import html
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from ngsolve import (
-    BND,
-    CF,
-    ET,
-    VOL,
-    BoundaryFromVolumeCF,
-    CoefficientFunction,
-    IntegrationRule,
-    Mesh,
-    x,
-    y,
-    z,
-)
+from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.errors import ParameterError
 from ngvisco.run.fields import USUAL, field_unit
 from ngvisco.run.files import write_atomically
-from ngvisco.run.outlines import averaged, outlined
-from ngvisco.run.vtu import read_frame, read_series_files
+from ngvisco.run.vtu import Frame, frame_of, read_frame, read_series_files
 
 _VIEWER = Path(__file__).with_name("viewer.html")
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """What a page shows: triangles, in 3D the tetrahedra behind them, and values at all their corners.
-
-    Attributes
-    ----------
-    dim : int
-    triangles : array (3 count, 3)
-        Corners of the drawn triangles, m.
-    cells : array (4 count, 3)
-        Corners of the tetrahedra that a plane cuts; empty in 2D.
-    times : sequence of float
-        Of the states, s.
-    fields : mapping of names to (values at ``triangles``, values at ``cells``), each (states, corners)
-    """
-
-    dim: int
-    triangles: np.ndarray
-    cells: np.ndarray
-    times: Sequence[float]
-    fields: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    outlines: Sequence[tuple[np.ndarray, np.ndarray]] = ()
-    """Fractions of bodies as a field is, drawn as lines where they are one half."""
+_PIECES = {2: 3, 3: 1}
+"""Parts of a cell's sides in a page, in which fields are linear: in 3D all tetrahedra are in it."""
 
 
 def write_scene(
@@ -71,7 +33,6 @@ def write_scene(
     fields: Mapping[str, CoefficientFunction],
     path: str | os.PathLike[str],
     title: str = "ngvisco",
-    subdivisions: int = 3,
     outlines: Sequence[CoefficientFunction] = (),
 ) -> None:
     """Write the view of scalar fields at the present time.
@@ -82,26 +43,13 @@ def write_scene(
     fields : mapping of names to scalar coefficient functions, not empty
     path : path of the HTML file
     title : str
-    subdivisions : int
-        Every triangle is drawn as subdivisions^2 ones, in which fields are linear.
     outlines : sequence of scalar coefficient functions
         Volume fractions of bodies: drawn as lines where they are one half.
     """
     if not fields:
         raise ParameterError("write_scene.fields", list(fields), "at least one field")
-    for name, value in fields.items():
-        if value.dim != 1:
-            raise ParameterError(f"write_scene field {name!r}", value.dim, "a scalar")
-    together = CF((*fields.values(), *outlines))
-    points, values = _triangles(mesh, together, subdivisions)
-    corners, inside = _tetrahedra(mesh, together)
-    every = [(values[None, :, i], inside[None, :, i]) for i in range(values.shape[1])]
-    named = dict(zip(fields, every, strict=False))
-    lines = [
-        (averaged(points, on_triangles), averaged(corners, within) if len(corners) else within)
-        for on_triangles, within in every[len(fields) :]
-    ]
-    write_page(Drawing(mesh.dim, points, corners, [0.0], named, lines), path, title)
+    frame = frame_of(mesh, fields, outlines, pieces=_PIECES[mesh.dim])
+    _write_page([(0.0, frame)], list(fields), path, title)
 
 
 def write_scene_of_series(
@@ -134,88 +82,47 @@ def write_scene_of_series(
     """
     files = read_series_files(series)
     chosen = sorted({round(i) for i in np.linspace(0, len(files) - 1, min(most, len(files)))})
-    times, frames = [files[i][0] for i in chosen], [read_frame(files[i][1]) for i in chosen]
-    first = frames[0]
-    names = [name for name in USUAL if name in first.fields] if fields is None else list(fields)
+    states = [(files[i][0], read_frame(files[i][1])) for i in chosen]
+    there = states[0][1].fields
+    names = [name for name in USUAL if name in there] if fields is None else list(fields)
     if not names:
         raise ParameterError("write_scene_of_series.fields", fields, "at least one field of the series")
+    _write_page(states, names, path, title)
+
+
+def _write_page(
+    states: Sequence[tuple[float, Frame]], names: Sequence[str], path: str | os.PathLike[str], title: str
+) -> None:
+    """Write states, each with its time (s), and the viewer into one file.
+
+    In 3D the faces are drawn, and the tetrahedra are there for the plane that cuts them.
+    """
+    (_, first), frames = states[0], [frame for _, frame in states]
     faces = (first.cells if first.dim == 2 else first.boundary()).ravel()
     corners = first.cells.ravel() if first.dim == 3 else faces[:0]
-    values = {name: np.array([frame.scalar(name) for frame in frames]) for name in names}
-    named = {name: (table[:, faces], table[:, corners]) for name, table in values.items()}
-    fractions = [
-        averaged(first.points, np.array([frame.scalar(name) for frame in frames]))
-        for name in outlined(list(first.fields))
-    ]
-    of_bodies = [(table[:, faces], table[:, corners]) for table in fractions]
-    drawing = Drawing(first.dim, first.points[faces], first.points[corners], times, named, of_bodies)
-    write_page(drawing, path, title)
 
+    def packed(values: Sequence[np.ndarray]) -> dict[str, str]:
+        table = np.array(values)  # (states, points)
+        return {"values": _packed(table[:, faces]), "inside": _packed(table[:, corners])}
 
-def write_page(drawing: Drawing, path: str | os.PathLike[str], title: str) -> None:
-    """Write a drawing with the viewer into one file."""
     data = {
         "title": title,
-        "dim": drawing.dim,
-        "triangles": len(drawing.triangles) // 3,
-        "points": _packed(drawing.triangles),
-        "cells": _packed(drawing.cells),
-        "times": [float(time) for time in drawing.times],
+        "dim": first.dim,
+        "triangles": len(faces) // 3,
+        "points": _packed(first.points[faces]),
+        "cells": _packed(first.points[corners]),
+        "times": [float(time) for time, _ in states],
         "fields": [
-            {"name": name, "unit": field_unit(name), "values": _packed(values), "inside": _packed(inside)}
-            for name, (values, inside) in drawing.fields.items()
+            {"name": name, "unit": field_unit(name)} | packed([frame.scalar(name) for frame in frames])
+            for name in names
         ],
-        "outlines": [
-            {"values": _packed(values), "inside": _packed(inside)} for values, inside in drawing.outlines
-        ],
+        "outlines": [packed(of_body) for of_body in zip(*(f.fractions() for f in frames), strict=True)],
     }
     # "</" would end the script element wherever it stands
     text = json.dumps(data).replace("</", "<\\/")
     page = _VIEWER.read_text(encoding="utf-8")
     page = page.replace("__TITLE__", html.escape(title)).replace("__DATA__", text)
     write_atomically(Path(path), page.encode())
-
-
-def _tetrahedra(mesh: Mesh, value: CoefficientFunction) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of all tetrahedra, (4 count, 3), and the values there; none in 2D."""
-    if mesh.dim == 2:
-        return np.empty((0, 3)), np.empty((0, value.dim))
-    corners = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
-    mapped = mesh.MapToAllElements({ET.TET: IntegrationRule(corners, [0.0] * 4)}, VOL)
-    table = np.asarray(CF((x, y, z, value))(mapped)).reshape(-1, 3 + value.dim)
-    return table[:, :3], table[:, 3:]
-
-
-def _triangles(mesh: Mesh, value: CoefficientFunction, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of all small triangles, (3 count, 3), and the values there, (3 count, fields)."""
-    flat = mesh.dim == 2
-    rules: dict[Any, IntegrationRule] = {}
-    local: dict[Any, list[tuple[int, int, int]]] = {}
-    for et, points, small in ((ET.TRIG, *_lattice(n, False)), (ET.QUAD, *_lattice(n, True))):
-        rules[et], local[et] = IntegrationRule(points, [0.0] * len(points)), small
-    kind = VOL if flat else BND
-    mapped = mesh.MapToAllElements(rules, kind)
-    wanted = CF((x, y, z, value)) if flat else CF((x, y, z, BoundaryFromVolumeCF(value)))
-    table = np.asarray(wanted(mapped)).reshape(-1, 3 + value.dim)
-    corners, start = [], 0
-    for element in mesh.Elements(kind):
-        corners.append(start + np.array(local[element.type]).ravel())
-        start += len(rules[element.type].points)
-    chosen = table[np.concatenate(corners)]
-    return chosen[:, :3], chosen[:, 3:]
-
-
-def _lattice(n: int, square: bool) -> tuple[list[tuple[float, float]], list[tuple[int, int, int]]]:
-    """Points of a subdivided reference triangle (or square), and its small triangles."""
-    places = [(i, j) for j in range(n + 1) for i in range(n + 1 if square else n + 1 - j)]
-    index = {place: number for number, place in enumerate(places)}
-    small = []
-    for i, j in places:
-        if (i + 1, j) in index and (i, j + 1) in index:
-            small.append((index[i, j], index[i + 1, j], index[i, j + 1]))
-        if (i + 1, j + 1) in index:
-            small.append((index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]))
-    return [(i / n, j / n) for i, j in places], small
 
 
 def _packed(array: np.ndarray) -> str:

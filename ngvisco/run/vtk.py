@@ -1,13 +1,15 @@
-"""Fields of a mesh as a .vtu file, which ParaView opens."""
+"""Fields of a mesh as a .vtu file, which ParaView opens, and the list of a series of them."""
 
 from __future__ import annotations
 
 import errno
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ngsolve import CF, CoefficientFunction, Mesh, VTKOutput
 
+from ngvisco.errors import CheckpointError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.run.files import write_atomically
 
@@ -95,3 +97,23 @@ def _labels(name: str, value: CoefficientFunction) -> str:
     axes = ["1", "2", "3"] if name.startswith("principal") else ["x", "y", "z"]
     labels = {3: axes, 9: [f"{i}{j}" for i in "123" for j in "123"]}.get(value.dim, [])
     return "".join(f' ComponentName{i}="{label}"' for i, label in enumerate(labels))
+
+
+def read_pvd(path: Path) -> list[tuple[float, str]]:
+    """(time, file) of every data set that a .pvd of ours lists; empty if there is no such file.
+
+    Raises
+    ------
+    CheckpointError
+        If it is none of ours, or damaged.
+    """
+    if not path.exists():
+        return []
+    try:
+        found = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text(encoding="utf-8"))
+        series = [(float(time), name) for time, name in found]
+    except ValueError as error:
+        raise CheckpointError(f"{path}: not a readable file of a VTK series ({error})") from error
+    if not series:
+        raise CheckpointError(f"{path}: not a file of a VTK series, or one without states; move it away")
+    return series

@@ -1,4 +1,4 @@
-"""The VTK series of a run read back, as arrays: for animations and scenes, without the run's state.
+"""What pictures, animations and scenes draw: states as arrays, of a VTK series or of fields as they are.
 
 Cells have their own points, so that fields may jump between them.  The mesh is the same in every file.
 """
@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+from ngsolve import CF, ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y, z
 
-from ngvisco.errors import CheckpointError, UnknownNameError
-from ngvisco.run.observers import read_pvd
+from ngvisco.errors import CheckpointError, ParameterError, UnknownNameError
+from ngvisco.run.outlines import averaged, outlined, whole_numbers
+from ngvisco.run.vtk import read_pvd
+from ngvisco.shapes.fractions import subdivision
 
 _KINDS = {"Float64": "<f8", "Float32": "<f4", "Int32": "<i4", "UInt8": "u1"}
 _MARK = b'<AppendedData encoding="raw">'
@@ -25,18 +28,20 @@ _FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
 
 @dataclass(frozen=True)
 class Frame:
-    """One file of a series: cells with points of their own, and fields at the points.
+    """One state: cells with points of their own, and fields at the points.
 
     Attributes
     ----------
     points : array (points, 3), m
     cells : array (cells, 3) of triangles' points in 2D, (cells, 4) of tetrahedra's in 3D
     fields : arrays (points, components) by name
+    bodies : names of the fields that are fractions of bodies, whose surfaces are drawn
     """
 
     points: np.ndarray
     cells: np.ndarray
     fields: dict[str, np.ndarray]
+    bodies: Sequence[str] = ()
 
     @property
     def dim(self) -> int:
@@ -72,13 +77,48 @@ class Frame:
             }[values.shape[1]]
         ]
 
+    def fractions(self) -> list[np.ndarray]:
+        """Of the bodies that are outlined, (points,), the same in all cells that meet at a point."""
+        return [averaged(self.points, self.scalar(name)) for name in self.bodies]
+
     def boundary(self) -> np.ndarray:
         """In 3D the faces that belong to one tetrahedron only, (faces, 3)."""
         faces = np.concatenate([self.cells[:, face] for face in _FACES])
-        _, places = np.unique(np.round(self.points, 9), axis=0, return_inverse=True)
+        _, places = np.unique(whole_numbers(self.points), axis=0, return_inverse=True)
         corners = np.sort(places.reshape(-1)[faces], axis=1)
         _, first, count = np.unique(corners, axis=0, return_index=True, return_counts=True)
         return faces[first[count == 1]]
+
+
+def frame_of(
+    mesh: Mesh,
+    fields: Mapping[str, CoefficientFunction],
+    outlines: Sequence[CoefficientFunction] = (),
+    pieces: int = 1,
+) -> Frame:
+    """Scalar fields as they are, by name, with the fractions of bodies whose surfaces are drawn.
+
+    Every cell is cut into ``pieces``^dim ones, quadrilaterals into twice as many triangles.  Raises
+    ParameterError for a field that is no scalar.
+    """
+    for name, value in fields.items():
+        if value.dim != 1:
+            raise ParameterError(f"field {name!r} of a picture", value.dim, "a scalar")
+    bodies = {f"outline {i}": value for i, value in enumerate(outlines)}
+    lattices = {ET.TRIG: subdivision(2, pieces), ET.QUAD: subdivision(2, pieces, True)}
+    if mesh.dim == 3:
+        lattices = {ET.TET: subdivision(3, pieces)}
+    rules = {
+        kind: IntegrationRule([tuple(map(float, corner)) for corner in corners], [0.0] * len(corners))
+        for kind, (corners, _) in lattices.items()
+    }
+    table = np.asarray(CF((x, y, z, *fields.values(), *bodies.values()))(mesh.MapToAllElements(rules, VOL)))
+    table = table.reshape(-1, 3 + len(fields) + len(bodies))
+    kinds = [cell.type for cell in mesh.Elements(VOL)]
+    starts = np.cumsum([0, *(len(lattices[kind][0]) for kind in kinds)])
+    cells = [lattices[kind][1] + start for kind, start in zip(kinds, starts, strict=False)]
+    columns = {name: table[:, [3 + i]] for i, name in enumerate((*fields, *bodies))}
+    return Frame(table[:, :3], np.concatenate(cells), columns, tuple(bodies))
 
 
 def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Path]]:
@@ -109,7 +149,8 @@ def _joined(parts: Sequence[Frame]) -> Frame:
     starts = np.cumsum([0, *(len(part.points) for part in parts)])
     cells = [part.cells + start for part, start in zip(parts, starts, strict=False)]
     fields = {name: np.concatenate([part.fields[name] for part in parts]) for name in parts[0].fields}
-    return Frame(np.concatenate([part.points for part in parts]), np.concatenate(cells), fields)
+    points = np.concatenate([part.points for part in parts])
+    return Frame(points, np.concatenate(cells), fields, parts[0].bodies)
 
 
 def read_frame(path: Path) -> Frame:
@@ -123,7 +164,7 @@ def read_frame(path: Path) -> Frame:
         arrays = {node.attrib["Name"]: _array(node.attrib, raw) for node in root.iter("DataArray")}
         types, where = arrays.pop("types")[:, 0], arrays.pop("connectivity")[:, 0]
         del arrays["offsets"]
-        return Frame(arrays.pop("Points"), _cells(types, where), arrays)
+        return Frame(arrays.pop("Points"), _cells(types, where), arrays, outlined(list(arrays)))
     except (OSError, ValueError, KeyError, ElementTree.ParseError, struct.error) as error:
         raise CheckpointError(f"{path}: not a readable file of a VTK series ({error})") from error
 
@@ -163,6 +204,8 @@ def cut(frame: Frame, axis: int, position: float) -> tuple[np.ndarray, np.ndarra
     """
     height = frame.points[:, axis] - position
     above = height[frame.cells] > 0
+    if not above.any():  # at the body's end the plane is its face
+        above = height[frame.cells] >= 0
     count = above.sum(axis=1)
     ends: list[np.ndarray] = []
     triangles: list[np.ndarray] = []

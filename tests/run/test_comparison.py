@@ -8,7 +8,8 @@ from ngvisco.cli.main import main
 from ngvisco.run import comparison
 from ngvisco.run.comparison import plot_comparison
 from ngvisco.run.outlines import outline
-from ngvisco.run.plots import LABELS, PAGE, figure, subdivision
+from ngvisco.run.plots import LABELS, PAGE, figure
+from ngvisco.shapes.fractions import subdivision
 
 HEAD = """\
 [domain]
@@ -122,7 +123,7 @@ def test_a_study_is_compared_by_the_values_that_vary(runs, capsys):
 def test_outlines_are_finer_than_the_cells():
     """A circle's level at the corners of 72 triangles, whose linear line is off by a twentieth of a cell."""
     n = 6
-    lattice, small = subdivision(n)
+    lattice, small = subdivision(2, n)
     halves = np.concatenate([lattice, 1 - lattice])
     triangles = np.concatenate([small, small + len(lattice)])
     level = 0.5 + 2 * (0.3**2 - ((halves - 0.5) ** 2).sum(axis=1))

@@ -13,7 +13,7 @@ from ngvisco.run.movie import write_movie
 from ngvisco.run.plots import PlotError, Section, plot_fields
 from ngvisco.run.scales import rest_pressure
 from ngvisco.run.scene import write_scene_of_series
-from ngvisco.run.vtu import cut, read_frame, read_series_files
+from ngvisco.run.vtu import cut, frame_of, read_frame, read_series_files
 
 
 def series(place, size, **options):
@@ -66,6 +66,18 @@ def test_boundary_and_section_have_the_area_of_the_body(written):
         points = a + share[:, None] * (b - a)
         assert points[:, axis] == pytest.approx(0.21) and area(points[triangles]) == pytest.approx(exact)
     assert len(cut(frame, 0, 2.0)[2]) == 0
+
+
+def test_a_frame_of_fields_is_the_body_at_any_size_and_its_ends_are_faces():
+    for size in (1e-12, 1e3):
+        frame = frame_of(box((size, size, size), 0.6 * size), {"x": x}, pieces=2)
+        assert frame.scalar("x") == pytest.approx(frame.points[:, 0], abs=1e-14 * size)
+        assert area(frame.points[frame.boundary()]) == pytest.approx(6 * size**2)
+        for position in (0.0, 0.5 * size, size):
+            ends, share, triangles = cut(frame, 2, position)
+            a, b = frame.points[ends[:, 0]], frame.points[ends[:, 1]]
+            section = (a + share[:, None] * (b - a))[triangles]
+            assert area(section) == pytest.approx(size**2)
 
 
 def area(corners):

@@ -13,7 +13,7 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.further_fields import usual
 from ngvisco.run.ledger import unit
-from ngvisco.run.observers import read_pvd
+from ngvisco.run.vtk import read_pvd
 
 
 def small_run(observers, material=None, steps=4):

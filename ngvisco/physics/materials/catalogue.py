@@ -6,8 +6,10 @@ The table of MATERIALS.md is ``table()``; a test runs every example.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cache
+from typing import Literal
 
 from ngsolve import Trace
 
@@ -79,70 +81,8 @@ def examples() -> tuple[Example, ...]:
             "the user's, sampled",
             "Euler-small-ass-phi",
         ),
-        Example(
-            NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
-            "NeoHookean",
-            "K_e/2 (J − 1 + ε/K_e)² + G_e J^(−2/3) |F|² − ε ln J",
-            "joint",
-            "neo-Hookean-potential-actual",
-        ),
-        Example(
-            NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2, elastic_state="F"),
-            "NeoHookean(kappa=ϰ)",
-            "K_e/2 (J − 1 + ϰε/K_e)² + G_e J^(−2/3) |F|² + ε/J^ϰ",
-            "joint",
-            "exa-polyconvex-general",
-        ),
-        Example(
-            MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F"),
-            "MooneyRivlin",
-            "K_e/2 (J − 1 + ε/K_e)² + G_e J^(−2/3) |F|² + 2/(3√3) G_mr J^(−2) |Cof F|³ − ε ln J",
-            "joint",
-            "rem-polyconvex-general",
-        ),
-        Example(
-            ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="F"),
-            "ReferentialNeoHookean",
-            "K_e/2 (J − 2 + 1/J) + G_e |H|²",
-            "joint, strong in H",
-            "exa-neo-Hookean-ref",
-        ),
-        Example(
-            ReferentialNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2, elastic_state="F"),
-            "ReferentialNeoHookean(epsilon=ε, kappa=ϰ)",
-            "K_e/2 (J − 1 + ϰε/K_e)²/J + G_e |H|² + ε/J^(ϰ+1)",
-            "joint, strong in H",
-            "exa-neo-Hookean-ref",
-        ),
-        Example(
-            IsochoricNeoHookean(K_e=10.0, G_e=5.0, elastic_state="F"),
-            "IsochoricNeoHookean",
-            "K_e/2 (J − 2 + 1/J) + G_e |H|²/J",
-            "joint",
-            "exa-neo-Hookean-ref",
-        ),
-        Example(
-            LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
-            "LogarithmicNeoHookean",
-            "K_e/2 (1/A − 2 + 2ε/K_e + (1 − ε/K_e)² A) + G_e |H|² − ε K",
-            "joint, strong in H",
-            "exa-neo-Hookean-ref, DT-det-inverse",
-        ),
-        Example(
-            ReferentialMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, elastic_state="F"),
-            "ReferentialMooneyRivlin",
-            "K_e/2 (J − 2 + 1/J) + G_e |H|² + G_mr |N|²",
-            "joint, strong in (H, N)",
-            "exa-Mooney–Rivlin-ref",
-        ),
-        Example(
-            LogarithmicMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F"),
-            "LogarithmicMooneyRivlin",
-            "K_e/2 (1/A − 2 + 2ε/K_e + (1 − ε/K_e)² A) + G_e |H|² + G_mr |N|² − ε K",
-            "joint, strong in (H, N)",
-            "exa-Mooney–Rivlin-ref, DT-det-inverse",
-        ),
-        *_by_left_cauchy_green(),
+        *_isotropic("F"),
+        *_isotropic("B"),
         Example(
             OldroydB(K_e=10.0, G_e=5.0),
             "OldroydB",
@@ -184,73 +124,82 @@ def examples() -> tuple[Example, ...]:
     )
 
 
-def _by_left_cauchy_green() -> tuple[Example, ...]:
-    """The isotropic materials at finite strain in their form by B = J^a F F^T."""
-    return (
-        Example(
-            NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B"),
-            'NeoHookean(elastic_state="B")',
-            "K_e/2 (J − 1 + ε/K_e)² + G_e tr B − ε ln J",
-            "joint, strict in J",
-            "neo-Hookean-potential-actual",
-        ),
-        Example(
-            NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2, elastic_state="B"),
-            'NeoHookean(kappa=ϰ, elastic_state="B")',
-            "K_e/2 (J − 1 + ϰε/K_e)² + G_e tr B + ε/J^ϰ",
-            "joint, strict in J",
-            "exa-polyconvex-general",
-        ),
-        Example(
-            MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="B"),
-            'MooneyRivlin(elastic_state="B")',
-            "K_e/2 (J − 1 + ε/K_e)² + G_e tr B + 2/(3√3) G_mr (tr N)^(3/2) − ε ln J",
-            "joint, strict in J",
-            "rem-polyconvex-general",
-        ),
-        Example(
-            ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="B"),
-            'ReferentialNeoHookean(elastic_state="B")',
-            "K_e/2 (J − 2 + 1/J) + G_e tr B",
-            "joint, strict in J",
-            "exa-neo-Hookean-ref",
-        ),
-        Example(
-            ReferentialNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2, elastic_state="B"),
-            'ReferentialNeoHookean(epsilon=ε, kappa=ϰ, elastic_state="B")',
-            "K_e/2 (J − 1 + ϰε/K_e)²/J + G_e tr B + ε/J^(ϰ+1)",
-            "joint, strict in J",
-            "exa-neo-Hookean-ref",
-        ),
-        Example(
-            IsochoricNeoHookean(K_e=10.0, G_e=5.0, elastic_state="B"),
-            'IsochoricNeoHookean(elastic_state="B")',
-            "K_e/2 (J − 2 + 1/J) + G_e tr B",
-            "joint, strict in J",
-            "exa-neo-Hookean-ref",
-        ),
-        Example(
-            LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B"),
-            'LogarithmicNeoHookean(elastic_state="B")',
-            "K_e/2 (1/A − 2 + 2ε/K_e + (1 − ε/K_e)² A) + G_e tr B − ε K",
-            "joint, strict in A",
-            "exa-neo-Hookean-ref, DT-det-inverse",
-        ),
-        Example(
-            ReferentialMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, elastic_state="B"),
-            'ReferentialMooneyRivlin(elastic_state="B")',
-            "K_e/2 (J − 2 + 1/J) + G_e tr B + G_mr tr N",
-            "joint, strict in J",
-            "exa-Mooney–Rivlin-ref",
-        ),
-        Example(
-            LogarithmicMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="B"),
-            'LogarithmicMooneyRivlin(elastic_state="B")',
-            "K_e/2 (1/A − 2 + 2ε/K_e + (1 − ε/K_e)² A) + G_e tr B + G_mr tr N − ε K",
-            "joint, strict in A",
-            "exa-Mooney–Rivlin-ref, DT-det-inverse",
-        ),
-    )
+_ISOTROPIC = (
+    (
+        NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        "",
+        ("K_e/2 (J − 1 + ε/K_e)² + G_e J^(−2/3) |F|² − ε ln J", "joint"),
+        ("K_e/2 (J − 1 + ε/K_e)² + G_e tr B − ε ln J", "joint, strict in J"),
+        "neo-Hookean-potential-actual",
+    ),
+    (
+        NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2),
+        "kappa=ϰ",
+        ("K_e/2 (J − 1 + ϰε/K_e)² + G_e J^(−2/3) |F|² + ε/J^ϰ", "joint"),
+        ("K_e/2 (J − 1 + ϰε/K_e)² + G_e tr B + ε/J^ϰ", "joint, strict in J"),
+        "exa-polyconvex-general",
+    ),
+    (
+        MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1),
+        "",
+        ("K_e/2 (J − 1 + ε/K_e)² + G_e J^(−2/3) |F|² + 2/(3√3) G_mr J^(−2) |Cof F|³ − ε ln J", "joint"),
+        ("K_e/2 (J − 1 + ε/K_e)² + G_e tr B + 2/(3√3) G_mr (tr N)^(3/2) − ε ln J", "joint, strict in J"),
+        "rem-polyconvex-general",
+    ),
+    (
+        ReferentialNeoHookean(K_e=10.0, G_e=5.0),
+        "",
+        ("K_e/2 (J − 2 + 1/J) + G_e |H|²", "joint, strong in H"),
+        ("K_e/2 (J − 2 + 1/J) + G_e tr B", "joint, strict in J"),
+        "exa-neo-Hookean-ref",
+    ),
+    (
+        ReferentialNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, kappa=2.0, J_min=0.2),
+        "epsilon=ε, kappa=ϰ",
+        ("K_e/2 (J − 1 + ϰε/K_e)²/J + G_e |H|² + ε/J^(ϰ+1)", "joint, strong in H"),
+        ("K_e/2 (J − 1 + ϰε/K_e)²/J + G_e tr B + ε/J^(ϰ+1)", "joint, strict in J"),
+        "exa-neo-Hookean-ref",
+    ),
+    (
+        IsochoricNeoHookean(K_e=10.0, G_e=5.0),
+        "",
+        ("K_e/2 (J − 2 + 1/J) + G_e |H|²/J", "joint"),
+        ("K_e/2 (J − 2 + 1/J) + G_e tr B", "joint, strict in J"),
+        "exa-neo-Hookean-ref",
+    ),
+    (
+        LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        "",
+        ("K_e/2 (1/A − 2 + 2ε/K_e + (1 − ε/K_e)² A) + G_e |H|² − ε K", "joint, strong in H"),
+        ("K_e/2 (1/A − 2 + 2ε/K_e + (1 − ε/K_e)² A) + G_e tr B − ε K", "joint, strict in A"),
+        "exa-neo-Hookean-ref, DT-det-inverse",
+    ),
+    (
+        ReferentialMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0),
+        "",
+        ("K_e/2 (J − 2 + 1/J) + G_e |H|² + G_mr |N|²", "joint, strong in (H, N)"),
+        ("K_e/2 (J − 2 + 1/J) + G_e tr B + G_mr tr N", "joint, strict in J"),
+        "exa-Mooney–Rivlin-ref",
+    ),
+    (
+        LogarithmicMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1),
+        "",
+        ("K_e/2 (1/A − 2 + 2ε/K_e + (1 − ε/K_e)² A) + G_e |H|² + G_mr |N|² − ε K", "joint, strong in (H, N)"),
+        ("K_e/2 (1/A − 2 + 2ε/K_e + (1 − ε/K_e)² A) + G_e tr B + G_mr tr N − ε K", "joint, strict in A"),
+        "exa-Mooney–Rivlin-ref, DT-det-inverse",
+    ),
+)
+"""Isotropic materials at finite strain: options of the constructor, energy and convexity by F and by B."""
+
+
+def _isotropic(elastic_state: Literal["F", "B"]) -> Iterator[Example]:
+    """The isotropic materials at finite strain in their form by F or by B = J^a F F^T."""
+    for material, options, by_F, by_B, paper in _ISOTROPIC:
+        words = [options] if options else []
+        words += ['elastic_state="B"'] if elastic_state == "B" else []
+        constructor = type(material).__name__ + (f"({', '.join(words)})" if words else "")
+        energy, convexity = by_F if elastic_state == "F" else by_B
+        yield Example(replace(material, elastic_state=elastic_state), constructor, energy, convexity, paper)
 
 
 def table() -> str:
