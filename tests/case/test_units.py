@@ -127,7 +127,7 @@ def test_what_is_resolved_is_in_si_and_resolves_to_itself():
 
 
 def test_every_unit_of_the_reference_is_known():
-    exponents = {"p": 4.0, "q": 4.0, "r": 3.0, "gamma": 1.4}
+    exponents = {"p": 4.0, "q": 4.0, "r": 3.0, "n": 3.0, "gamma": 1.4}
     for meant in entries():
         if meant.unit not in ("", "1", "any"):
             unit = meant.unit
