@@ -1,7 +1,7 @@
 """Rates of the transported variables and their power, as the terms of a step ask for them.
 
-``Rates`` writes them with coefficient functions.  ``TabulatedRates`` (``ngvisco.forms.rate_tensors``) has the
-same methods for arrays of values, with the constant tensors that the rates are made of: a term asks
+``Rates`` writes them with coefficient functions.  ``TabulatedRates`` (``ngvisco.forms.tabulated_rates``) has
+the same methods for arrays of values, with the constant tensors that the rates are made of: a term asks
 ``u.context.rates`` and need not know which of them it is.
 """
 

@@ -156,8 +156,7 @@ class Layout:
             return self.velocity_space(self._dirichlet)
         if unknown.space is not None:
             return unknown.space(self.mesh)
-        make = {"cells": L2, "facets": FacetFESpace, "normals": NormalFacetFESpace, "continuous": H1}
-        space = make[unknown.place](self.mesh, order=unknown.order)
+        space = _SPACES[unknown.place](self.mesh, order=unknown.order)
         if unknown.size is not None:
             space = VectorValued(space, unknown.size)
         return Periodic(space) if self.periodic and not unknown.is_local else space
@@ -178,25 +177,25 @@ class Layout:
         free &= space.FreeDofs()
         return identified
 
-    def scalar_velocity_space(self) -> FESpace:
-        """The scalar space, without constraints, that every component of v lives in."""
-        space = H1(self.mesh, order=self.discretisation.k)
-        return Periodic(space) if self.periodic else space
-
-    def scalar_facet_space(self) -> FESpace:
-        """The scalar space that every component of z_hat lives in."""
-        space = FacetFESpace(self.mesh, order=self.discretisation.m)
-        return Periodic(space) if self.periodic else space
-
-    def scalar_creep_space(self) -> FESpace:
-        """The scalar space that every component of Pi lives in."""
-        space = H1(self.mesh, order=max(1, self.discretisation.m))
-        return Periodic(space) if self.periodic else space
+    def scalar_space(self, name: str) -> FESpace:
+        """The scalar space, without constraints, that every component of an unknown lives in."""
+        unknown = self.unknowns[name]
+        space = _SPACES[unknown.place](self.mesh, order=unknown.order)
+        return Periodic(space) if self.periodic and not unknown.is_local else space
 
     def fields(self, parts: Sequence[Any]) -> Fields:
         """Fields of trial or test proxies, or of a grid function's components."""
         return Fields(self, dict(zip(self.names, parts, strict=True)))
 
+
+_SPACES = {
+    "velocity": H1,
+    "cells": L2,
+    "facets": FacetFESpace,
+    "normals": NormalFacetFESpace,
+    "continuous": H1,
+}
+"""Of scalars, by the place."""
 
 _DIRICHLET = ("dirichletx", "dirichlety", "dirichletz")
 

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from ngsolve import BilinearForm, GridFunction, Mesh, VectorValued
@@ -37,8 +36,8 @@ from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
 from ngvisco.forms.fading import fading_terms
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature
-from ngvisco.forms.rate_tensors import TabulatedRates
 from ngvisco.forms.spaces import Discretisation, Layout
+from ngvisco.forms.tabulated_rates import TabulatedRates
 from ngvisco.forms.term import Entry, Integrand, Term
 from ngvisco.forms.terms.creep import CreepRate
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
@@ -154,6 +153,8 @@ class Step:
             self.quadrature.volume_degree,
         )
         self.context.terms = self.terms
+        self.tabulated_rates = TabulatedRates(model, mesh.dim)
+        """The rates of the variables for arrays of values."""
         self.ranges: dict[str, tuple[float, float]] = {}
         """Least and largest start values of the material's parameters, by name."""
         self.residual = self._residual()
@@ -168,11 +169,6 @@ class Step:
             with refused_by_name(term):
                 self.quadrature.add(form, term.form(u, w))
         return form
-
-    @cached_property
-    def tabulated_rates(self) -> TabulatedRates:
-        """The rates of the variables for arrays of values."""
-        return TabulatedRates(self.model, self.mesh.dim)
 
     @property
     def impenetrability(self) -> Impenetrability | None:

@@ -58,7 +58,7 @@ class VelocityOfMomentum:
         quadrature: Quadrature,
     ) -> None:
         self.v = state.vec.FV().NumPy()[layout.ranges["v"]]
-        scalar, space = layout.scalar_velocity_space(), layout.blocks["v"]
+        scalar, space = layout.scalar_space("v"), layout.blocks["v"]
         trial, test = scalar.TnT()
         self._mass = BilinearForm(scalar, symmetric=True)
         self._mass += (density * trial * test).Compile() * quadrature.cells

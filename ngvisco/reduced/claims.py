@@ -29,12 +29,10 @@ from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics, 
 from ngvisco.forms.withheld import GivenParts, refused_by_name
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.evaluation import NotAtPointsError, asked_slots, why
-from ngvisco.reduced.unknowns import Unknowns, density_by_forms
+from ngvisco.reduced.unknowns import Unknowns, density_by_forms, in_cells
 
-AT_POINTS = {"v", "grad v", "rho", "grad rho", "z", "grad z", "Pi", "grad Pi"}
-"""Tests whose rows are made of arrays."""
-
-_FLOW = {"v", "grad v", "Pi", "grad Pi"}
+_FIELDS = {"rho", "grad rho", "z", "grad z"}
+"""Tests whose rows are those of the fields, and not of the flow."""
 
 
 @dataclass
@@ -72,8 +70,11 @@ class Claims:
         Raises
         ------
         ParameterError
-            For a term that no part takes.
+            For a term that no part takes, or a variable whose rate is not linear in the variables.
         """
+        if bent := step.tabulated_rates.tensors.bent:
+            expected = f"the rate of {bent[0]!r} is not linear in the variables, as the split solver needs it"
+            raise ParameterError("Variable.rate", bent[0], expected)
         claims = cls()
         for term in step.terms:
             claims._claim(step, term)
@@ -86,17 +87,19 @@ class Claims:
         others = [
             term
             for term in self.at_points
-            if type(term) not in own and id(term) not in at_coarse_points and self.rows[id(term)] & _FLOW
+            if type(term) not in own and id(term) not in at_coarse_points and self.rows[id(term)] - _FIELDS
         ]
         return [*self.by_forms, *others]
 
     def of_gradients(self) -> list[PointTerm]:
         """Terms with rows of grad w, whose linearisation by v a coarse rule will do for; not the elastic
-        force, which changes with the fields."""
+        force, which changes with the fields, nor what couples v with another unknown of the flow."""
         return [
             term
             for term in self.at_points
-            if "grad v" in self.rows[id(term)] and not isinstance(term, ElasticForce)
+            if "grad v" in self.rows[id(term)]
+            and self.rows[id(term)] - _FIELDS <= {"v", "grad v"}
+            and not isinstance(term, ElasticForce)
         ]
 
     def of_inertia(self) -> list[PointTerm]:
@@ -145,7 +148,8 @@ class Claims:
             rows = self.rows[id(term)] = asked_slots(step, term, step.tabulated_rates)
         except NotAtPointsError as error:
             return str(error)
-        others = rows - AT_POINTS
+        names = in_cells(step.layout)
+        others = rows - {*names, *(f"grad {name}" for name in names)}
         return f"no array takes its rows of {', '.join(sorted(others))}" if others else None
 
 

@@ -52,7 +52,7 @@ class FieldDiffusionRows:
         self.strains = curvature.strains
         """Which components diffuse."""
         self._compliance = curvature.compliance
-        cell, facet = operators.scalar, step.layout.scalar_facet_space()
+        cell, facet = step.layout.scalar_space("z"), step.layout.scalar_space("z_hat")
         names = ("zeta", "z_slope", "zeta_delta_hat", "z_slope_hat")
         one = [VectorValued(scalar, 1) for scalar in (cell, facet, facet)]
         space = FESpace([one[0], VectorValued(cell, step.mesh.dim), *one[1:]])

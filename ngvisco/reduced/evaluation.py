@@ -21,13 +21,13 @@ from ngsolve import CF, CoefficientFunction, GridFunction
 from ngvisco.algebra.local import by_parts
 from ngvisco.errors import NgviscoError
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.rate_tensors import TabulatedRates
 from ngvisco.forms.system import Step
+from ngvisco.forms.tabulated_rates import TabulatedRates
 from ngvisco.forms.term import PointTerm
 from ngvisco.forms.upwinding import Upwinding
 from ngvisco.physics.arrays import Array, Linear, slots
-from ngvisco.physics.tensors import trace_free_tensors
 from ngvisco.reduced.operators import Operators, SideOperators
+from ngvisco.reduced.unknowns import in_cells
 
 Coefficients = Mapping[str, np.ndarray]
 """Coefficients of unknowns by name, (components, functions); of scalars (functions,)."""
@@ -37,6 +37,10 @@ Rows = dict[str, np.ndarray]
 
 
 _CELLS, _FACETS = "in cells", "on facets"
+
+_HATS = ("rho_hat", "z_hat")
+_ON_SIDES = ("v", "rho", "z", *_HATS)
+"""Unknowns with tests on facets."""
 
 
 class NotAtPointsError(NgviscoError, LookupError):
@@ -75,16 +79,13 @@ class CellContext:
 
     def start(self) -> None:
         """Evaluate what is known through the step: old fields, old momentum and averaged loads."""
-        step, op = self._step, self._op
-        ranges, old = step.layout.ranges, step.state_old.vec.FV().NumPy()
-        rho, z = (old[ranges[name]].copy() for name in ("rho", "z"))
-        z = z.reshape(step.layout.states.size, -1)
-        values = {"rho": lambda: op.z(rho), "z": lambda: op.z(z)}
-        slopes = {
-            "rho": lambda: op.gradients(op.dz, rho[None])[0],
-            "z": lambda: op.gradients(op.dz, z),
-        }
-        self.old = _fields(step.layout, values, slopes, "of the old state", self)
+        step, layout = self._step, self._step.layout
+        state, old = step.state_old.vec.FV().NumPy(), {}
+        for name in set(layout.evolving).intersection(in_cells(layout)):
+            size = layout.unknowns[name].size
+            of_name = state[layout.ranges[name]].copy()
+            old[name] = of_name if size is None else of_name.reshape(size, -1)
+        self.old = _in_cells(self._op, old, old, "of the old state", self)
         for value, function in self._averages.items():
             _put(function, step.context.average_now(value))
         for value, function in self._given.items():
@@ -96,9 +97,7 @@ class CellContext:
         step, points = self._step, self._op.points
         if points.per_cell * step.mesh.dim * step.mesh.ne == step.momentum_old.space.ndof:
             return Array(points.read(step.momentum_old, step.mesh.dim), None)
-        # of a coarser rule, for tangents only
-        old = step.state_old.vec.FV().NumPy()[step.layout.ranges["v"]]
-        return self.old.rho * Array(self._op.v(old.reshape(step.mesh.dim, -1)), None)
+        return self.old.rho * self.old.v  # of a coarser rule, for tangents only
 
     def rate(self, difference: Any) -> Any:
         """difference/tau, of numbers, arrays of values or linear forms."""
@@ -177,18 +176,7 @@ class CellTerms:
 
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with these coefficients at the points."""
-        op = self.op
-        makers = _values(op, c)
-        gradients = {
-            "v": lambda: op.gradients(op.dv, c["v"]),
-            "rho": lambda: op.gradients(op.dz, c["rho"][None])[0],
-            "z": lambda: op.gradients(op.dz, c["z"]),
-            "zeta": lambda: op.gradients(op.dz, c["zeta"]),
-        }
-        if "Pi" in self.layout.ranges:
-            makers["Pi"] = lambda: op.creep_values(c["Pi"])
-            gradients["Pi"] = lambda: op.gradients(op.dcreep, c["Pi"])
-        return _fields(self.layout, makers, gradients, _CELLS, self.context)
+        return _in_cells(self.op, c, in_cells(self.layout), _CELLS, self.context)
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """What multiplies each test and its gradient, (..., points)."""
@@ -215,11 +203,9 @@ class CellTerms:
         """Rows of the terms' integrals over the cells."""
         op, rows = self.op, Rows()
         found = self.slots(terms, u)
-        spaces = {"v": (op.v, op.dv), "rho": (op.z, op.dz), "z": (op.z, op.dz)}
-        if "Pi" in self.layout.ranges:
-            spaces["Pi"] = op.creep_values, op.dcreep
-        for name, (value, derivatives) in spaces.items():
+        for name in in_cells(self.layout):
             parts = []
+            value, derivatives = op.of(name)
             if name in found:
                 parts.append(value.test(_full(found[name], op.points.count)))
             if f"grad {name}" in found:
@@ -242,7 +228,8 @@ class FacetTerms:
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with these coefficients on the sides."""
         op = self.op
-        makers = _values(op, c)
+        spaces = {"v": op.v, "rho": op.z, "z": op.z, "zeta": op.z}
+        makers = {name: partial(lambda name: spaces[name](c[name]), name) for name in spaces}
         makers |= {name: partial(lambda name: op.hat(c[name]), name) for name in ("rho_hat", "z_hat")}
         return _fields(self.layout, makers, {}, _FACETS, self.context)
 
@@ -261,10 +248,18 @@ class FacetTerms:
         }
 
 
-def _values(op: Operators | SideOperators, c: Coefficients) -> dict[str, Callable[[], np.ndarray]]:
-    """Makers of the values of v, rho, z and zeta, by name; coefficients are read when one is asked for."""
-    spaces = {"v": op.v, "rho": op.z, "z": op.z, "zeta": op.z}
-    return {name: partial(lambda name, space: space(c[name]), name, space) for name, space in spaces.items()}
+def _in_cells(op: Operators, c: Coefficients, names: Iterable[str], place: str, context: Any) -> Fields:
+    """Values and gradients of the unknowns ``names``; their coefficients are read when one is asked for."""
+
+    def values(name: str) -> np.ndarray:
+        return op.of(name)[0](c[name])
+
+    def gradients(name: str) -> np.ndarray:
+        rows = np.atleast_2d(c[name])
+        return op.gradients(op.of(name)[1], rows).reshape(*c[name].shape[:-1], len(op.dv), -1)
+
+    makers, slopes = ({name: partial(make, name) for name in names} for make in (values, gradients))
+    return _fields(op.layout, makers, slopes, place, context)
 
 
 def with_values(u: Fields, grad_v: np.ndarray | None = None, **given: np.ndarray) -> Fields:
@@ -289,21 +284,18 @@ def _fields(
 
 def _shapes(step: Step) -> dict[str, tuple[int, ...]]:
     """Shapes of the values of the unknowns that have tests, by name."""
-    d, n = step.mesh.dim, step.layout.states.size
-    shapes: dict[str, tuple[int, ...]] = {"v": (d,), "rho": (), "z": (n,), "rho_hat": (), "z_hat": (n,)}
-    if "Pi" in step.layout.ranges:
-        shapes["Pi"] = (trace_free_tensors(d).size,)
-    return shapes
+    sizes = {name: step.layout.unknowns[name].size for name in (*in_cells(step.layout), *_HATS)}
+    return {name: () if size is None else (size,) for name, size in sizes.items() if name != "zeta"}
 
 
-def _tests(step: Step, in_cells: bool, context: Any) -> Fields:
+def _tests(step: Step, inside: bool, context: Any) -> Fields:
     """Tests that record what multiplies them: with gradients in cells, with those of traces on facets."""
     shapes, d = _shapes(step), step.mesh.dim
-    hats, place = ("rho_hat", "z_hat"), _CELLS if in_cells else _FACETS
-    names = [name for name in shapes if name not in (hats if in_cells else ("Pi",))]
+    place = _CELLS if inside else _FACETS
+    names = [name for name in shapes if name not in _HATS] if inside else _ON_SIDES
     parts = {name: partial(Linear, shapes[name], slot=name) for name in names}
     slopes = {
-        name: partial(Linear, (*shapes[name], d), slot=f"grad {name}") for name in (names if in_cells else ())
+        name: partial(Linear, (*shapes[name], d), slot=f"grad {name}") for name in (names if inside else ())
     }
     gradients = Lazy(slopes, f"{place}, as a gradient")
     return Fields(step.layout, Lazy(parts, place), context, lambda name: gradients[name])
@@ -372,9 +364,8 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
     NotAtPointsError
         When the term asks for something that arrays do not have.
     """
-    d, n = step.mesh.dim, step.layout.states.size
-    shapes = _shapes(step)
-    shapes |= {"zeta": (n,)}
+    d, shapes = step.mesh.dim, _shapes(step)
+    shapes["zeta"] = shapes["z"]
 
     def ones(shape: tuple[int, ...]) -> Array:
         return Array(np.ones((*shape, 1)), None)
@@ -394,7 +385,7 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
         rates=rates,
         terms=step.terms,
     )
-    inside.old = fields(inside, ("rho", "z"), _CELLS)
+    inside.old = fields(inside, set(step.layout.evolving).intersection(shapes), _CELLS)
     side = SimpleNamespace(
         normal=ones((d,)),
         inner=ones(()),
@@ -404,13 +395,12 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
         rate=inside.rate,
         given=inside.given,
     )
-    cells = [name for name in shapes if not name.endswith("_hat")]
-    facets = [name for name in shapes if name != "Pi"]
+    cells = [name for name in shapes if name not in _HATS]
     try:
         with np.errstate(all="ignore"):  # all values one need not be in a law's domain
             u, w = fields(inside, cells, _CELLS), _tests(step, True, inside)
             found = set(_slots(list(term.cells(u, w))))
-            u, w = fields(side, facets, _FACETS), _tests(step, False, side)
+            u, w = fields(side, (*_ON_SIDES, "zeta"), _FACETS), _tests(step, False, side)
             return found | set(_slots(list(term.facets(u, w))))
     except NotAtPointsError:
         raise

@@ -113,7 +113,7 @@ class MatrixHyperviscosity:
         constant = k == 2 and step.mesh.GetCurveOrder() <= 1 and self.is_uniform
         self.points = CellPoints(step.mesh, 0) if constant else points
         self.fields = L2(step.mesh, order=layout.discretisation.m)
-        velocity, normal = layout.scalar_velocity_space(), NormalFacetFESpace(step.mesh, order=k - 1)
+        velocity, normal = layout.scalar_space("v"), NormalFacetFESpace(step.mesh, order=k - 1)
         self._velocities = velocity.ndof
         self.component = FESpace([velocity, Periodic(normal) if layout.periodic else normal])
         """(v_i, a_i): what is linear in these is the same for every component."""

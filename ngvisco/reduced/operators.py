@@ -10,7 +10,6 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from ngsolve import L2
 
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
@@ -25,24 +24,21 @@ class Operators:
     """Fields at the points of one rule, and tests there."""
 
     def __init__(self, step: Step, order: int) -> None:
-        layout, mesh = step.layout, step.mesh
-        self.points = points = CellPoints(mesh, order)
-        self.scalar = L2(mesh, order=layout.discretisation.m)
-        self.velocity, self.creep = layout.scalar_velocity_space(), layout.scalar_creep_space()
-        self.weights = points.weights
-        self.z, self.v = self.local(points.values(self.scalar)), self.local(points.values(self.velocity))
-        self.dz = [self.local(D) for D in points.gradients(self.scalar)]
-        self.dv = [self.local(D) for D in points.gradients(self.velocity)]
+        self.layout, self.points = step.layout, CellPoints(step.mesh, order)
+        self.weights = self.points.weights
+        self._made: dict[tuple[str, int], tuple[LocalMatrix, list[LocalMatrix]]] = {}
+        self.z, self.dz = self.of("z")
+        self.v, self.dv = self.of("v")
 
-    @cached_property
-    def creep_values(self) -> LocalMatrix:
-        """Values of a component of a creep rate field."""
-        return self.local(self.points.values(self.creep))
-
-    @cached_property
-    def dcreep(self) -> list[LocalMatrix]:
-        """Partial derivatives of the same."""
-        return [self.local(D) for D in self.points.gradients(self.creep)]
+    def of(self, name: str) -> tuple[LocalMatrix, list[LocalMatrix]]:
+        """Values of a component of an unknown of cells, and its partial derivatives."""
+        unknown = self.layout.unknowns[name]
+        key = unknown.place, unknown.order
+        if key not in self._made:
+            space, points = self.layout.scalar_space(name), self.points
+            slopes = [self.local(D) for D in points.gradients(space)]
+            self._made[key] = self.local(points.values(space)), slopes
+        return self._made[key]
 
     def local(self, matrix: sp.csr_matrix) -> LocalMatrix:
         """A matrix whose rows are the points, with the rule's weights for tests."""
@@ -63,12 +59,12 @@ class Operators:
 class SideOperators:
     """Fields at the points of the cells' sides, and tests there."""
 
-    def __init__(self, step: Step, cells: Operators) -> None:
+    def __init__(self, step: Step) -> None:
         mesh, context = step.mesh, step.context
         self.points = points = SidePoints(mesh, step.quadrature.facet_degree)
         self.z, self.hat, self.v = (
             LocalMatrix(points.values(space), mesh.ne, points.weights)
-            for space in (cells.scalar, step.layout.scalar_facet_space(), cells.velocity)
+            for space in map(step.layout.scalar_space, ("z", "z_hat", "v"))
         )
         self.inner = np.round(points.sample(context.inner))
         """1 between two cells, 0 on walls."""

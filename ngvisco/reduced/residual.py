@@ -93,7 +93,7 @@ class ReducedResidual:
         """``clock(name)`` measures the time of a part; ``exchange`` is that of the step's space."""
         self.step, self.unknowns, self._clock = step, Unknowns(step), clock
         self.op = Operators(step, step.quadrature.volume_degree // 2)
-        self.side_op = SideOperators(step, self.op)
+        self.side_op = SideOperators(step)
         self.rates = step.tabulated_rates
         self.cell_terms = CellTerms(step, self.op, self.rates)
         self.facet_terms = FacetTerms(step, self.side_op)

@@ -6,8 +6,15 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from ngvisco.forms.spaces import Layout
 from ngvisco.forms.system import Step
 from ngvisco.parallel.exchange import Exchange
+
+
+def in_cells(layout: Layout) -> list[str]:
+    """Unknowns with values at the points of cells: those that are iterated on, and zeta."""
+    continuous = [name for name in layout.names_of("continuous") if layout.unknowns[name].space is None]
+    return ["v", "rho", "z", "zeta", *continuous]
 
 
 class Unknowns:

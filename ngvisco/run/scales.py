@@ -22,7 +22,7 @@ from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter, parameters_in
 from ngvisco.physics.pointwise import squares
-from ngvisco.physics.tensors import square
+from ngvisco.physics.tensors import constant, embed_gradient, square
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
 
 if TYPE_CHECKING:
@@ -334,7 +334,7 @@ def wave_speed(step: Step, state: np.ndarray, density: float) -> float:
         kg/m^3.
     """
     material, dim = step.model.material, step.mesh.dim
-    columns = step.tabulated_rates.tensors.columns(state[:, None])[0]
+    columns = _rate_columns(material, state, dim)
     fastest = 0.0
     for j in range(dim):
         Q = np.empty((dim, dim))
@@ -345,6 +345,17 @@ def wave_speed(step: Step, state: np.ndarray, density: float) -> float:
         if np.isfinite(Q).all():
             fastest = max(fastest, float(np.linalg.eigvals(Q).real.max()))
     return math.sqrt(fastest / density)
+
+
+def _rate_columns(material: Material, state: np.ndarray, dim: int) -> np.ndarray:
+    """d rate/dL of a state, (n, dim^2), L row by row."""
+    states, zero, at = material.states(dim), constant(np.zeros((3, 3))), squares(1)[1]
+    z, columns = states.tensors(lambda: CF(tuple(float(c) for c in state))), []
+    for unit in np.eye(dim * dim):
+        L = embed_gradient(constant(unit.reshape(dim, dim)), dim)
+        rates = states.components({v.name: v.rate(z, L, zero) for v in material.variables})
+        columns.append(np.asarray(CF(rates)(at)).ravel())
+    return np.stack(columns, axis=1)
 
 
 def rest_pressure(material: Material, dim: int) -> float:

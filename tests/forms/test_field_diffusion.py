@@ -38,7 +38,7 @@ class Diffusion:
         model = nv.Model(material=material, regularisation=law)
         self.step = step = Step(mesh, model, nv.Discretisation(m=m))
         self.op = op = Operators(step, step.quadrature.volume_degree // 2)
-        self.side = SideOperators(step, op)
+        self.side = SideOperators(step)
         self.slope = PointwiseSlope(step, op.points)
         self.term = next(term for term in step.terms if isinstance(term, FieldDiffusion))
         traces = FacetMass(self.side.hat, Exchange(self.side.hat.width, {}, Communicator()))

@@ -66,6 +66,20 @@ class Pores(Relaxation):
         return [Entry("dissipation_theta", "dissipation", seeping)]
 
 
+class Swelling(Pores):
+    """The volume of a cell grows with the pressure, half of it old: rows of z that read what else evolves."""
+
+    def _growth(self, u):
+        return 0.05 * (u.parts["theta"] + u.context.old.parts["theta"])
+
+    def cells(self, u, w):
+        return [*super().cells(u, w), -self._growth(u) * w.z_tensors["J"]]
+
+    def entries(self, u):
+        power = Integrand(self._growth(u) * u.zeta_tensors["J"])
+        return [*super().entries(u), Entry("power_swelling", "power", power)]
+
+
 def simulation(term: object, model: nv.Model = MODEL, maxh: float = 0.6, theta=0.7, **options) -> Simulation:
     values = {} if theta is None else {"theta": theta}
     return Simulation(
@@ -110,10 +124,11 @@ def test_a_vector_evolves_too():
 
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
-def test_solvers_agree_and_the_ledger_closes_where_it_drives_the_flow(scheme):
+@pytest.mark.parametrize("term", [Pores(), Swelling()], ids=["of the flow", "of the fields too"])
+def test_solvers_agree_and_the_ledger_closes_where_it_drives_the_flow(term, scheme):
     states, ledgers = [], []
     for solver in ("coupled", "split"):
-        run = simulation(Pores(), theta=exp(x) * y, scheme=scheme, solver=solver)
+        run = simulation(term, theta=exp(x) * y, scheme=scheme, solver=solver)
         ledgers.append(run.run(0.1))
         states.append(theta_of(run))
         assert np.abs(ledgers[-1].column("closure_relative")).max() < 1e-13

@@ -7,10 +7,12 @@ import pytest
 from ngsolve import CF, Norm, cos, pi, sin, x, y
 
 import ngvisco as nv
+from ngvisco.errors import ParameterError
 from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.forms.terms.momentum import Continuity
 from ngvisco.geometries import box
-from ngvisco.physics.tensors import inner, log, sqrt, square
+from ngvisco.physics.tensors import exp, inner, log, sqrt, square, tr
+from ngvisco.physics.variables import Distortion, Variable
 from ngvisco.reduced import claims
 from tests.parallel.own import Drag
 
@@ -394,3 +396,38 @@ def test_a_derived_class_is_another_term():
 def test_what_is_no_term_is_refused(wrong):
     with pytest.raises(nv.ParameterError, match=r"Simulation\.terms"):
         simulation(wrong)
+
+
+@dataclass(frozen=True)
+class Bent(Variable):
+    """A scalar whose rate is a square of it, or a square of grad v."""
+
+    name: str = "s"
+    kind: str = "scalar"
+    of_gradient: bool = False
+
+    def rate(self, z, L, Pi):
+        return square(L) if self.of_gradient else tr(L) * (1 + z["s"] * z["s"])
+
+    def from_distortion(self, F):
+        return CF(0.0)
+
+
+def with_bent(**of_variable):
+    return nv.CustomMaterial(
+        transported=(Distortion(), Bent(**of_variable)),
+        stored_energy=lambda F, s: 3.0 * square(F) + 2.0 * s * s + 6.0 * exp(-s),
+    )
+
+
+def test_a_rate_that_is_not_linear_in_the_variables_is_the_coupled_solver_s():
+    """The split solver, which tabulates rates, refuses it by the variable's name; it is not made linear."""
+    with pytest.raises(ParameterError, match="'coupled': the rate of 's' is not linear in the variables"):
+        simulation(material=with_bent(), solver="split")
+    run = simulation(material=with_bent(), solver="coupled")
+    assert np.abs(run.run(0.04).column("closure_relative")).max() <= 1e-12
+
+
+def test_a_rate_that_is_not_linear_in_the_velocity_gradient_is_refused():
+    with pytest.raises(ParameterError, match=r"Bent\.rate = 's': expected linear in L and Pi"):
+        simulation(material=with_bent(of_gradient=True), solver="coupled")

@@ -220,7 +220,7 @@ class Preconditioner:
         dv = dflow[:size].reshape(dim, size // dim)
         dPi = None
         if "Pi" in u.slices:
-            dPi = op.creep_values(dflow[u.slices["Pi"]].reshape(u.components["Pi"], -1))
+            dPi = op.of("Pi")[0](dflow[u.slices["Pi"]].reshape(u.components["Pi"], -1))
         dz = self.fields.z(np.ascontiguousarray(r.z.T) - operator.fields_rows(dv, dPi))
         dv_q, L = op.v(dv), op.velocity_gradient(dv)
         drho = op.z(rho) * sum(L[i * (dim + 1)] for i in range(dim))

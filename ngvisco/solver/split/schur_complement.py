@@ -109,7 +109,7 @@ class FlowSchurComplement:
     def _creep_stiffness(self) -> sp.csr_matrix:
         """What M takes from a creep rate field Pi within the step, coupling to v left out."""
         first = self.residual.rates.tensors.gradients
-        values = self.op.creep_values.matrix
+        values = self.op.of("Pi")[0].matrix
         C = self.points.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
         size = C.shape[1]
         blocks = [[values.T @ sp.diags(C[:, i, k]) @ values for k in range(size)] for i in range(size)]

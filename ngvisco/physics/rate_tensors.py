@@ -1,0 +1,131 @@
+"""The rates of a material's variables as constant tensors.
+
+Rates are affine in z and linear in L and Pi (ngvisco.physics.variables), so that for X = (L, Pi)
+
+    rate(z; X)_n = sum_x X_x (C_xn + sum_m T_xnm z_m)
+
+in components, with constants that are read off here by evaluating the rates at unit arguments.  L has the
+dim^2 entries L_ij, row by row, and Pi the components of the trace-free tensors (of the symmetric ones by a
+law of creep with a trace).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from ngsolve import L2, GridFunction, VectorValued
+
+from ngvisco.errors import ParameterError
+from ngvisco.physics.pointwise import squares
+from ngvisco.physics.state_space import StateSpace
+from ngvisco.physics.tensors import (
+    IDENTITY,
+    constant,
+    embed_gradient,
+    symmetric_tensors,
+    trace_free_tensors,
+)
+from ngvisco.physics.variables import Variable
+
+_ROUNDING = 1e-10
+
+
+@dataclass(frozen=True)
+class RateTensors:
+    """C (X, n) and T (X, n, n) of the module's docstring, and T's non-zero entries one by one."""
+
+    constant: np.ndarray
+    linear: np.ndarray
+    gradients: int
+    """How many of the X are entries of L; the others are components of Pi."""
+    bent: tuple[str, ...] = ()
+    """Variables whose rates are not affine in z: the tensors are not theirs."""
+
+    @staticmethod
+    @cache
+    def of(variables: tuple[Variable, ...], dim: int, has_trace: bool = False) -> RateTensors:
+        """Read off at z = 0 and at unit vectors of the components; ``has_trace`` is that of Pi.
+
+        Raises
+        ------
+        ParameterError
+            For a variable whose rate is not linear in L and Pi, by its name: stresses would not belong to it.
+        """
+        states, space = StateSpace.of(variables, dim), (trace_free_tensors, symmetric_tensors)[has_trace](dim)
+        n, g = states.size, dim * dim
+        random = np.random.default_rng(0)
+        mixed = random.standard_normal(g + space.size)
+        mesh, points = squares(2 + int(np.sqrt(n)))  # a square each for z = 0, the unit vectors, and others
+        z = GridFunction(VectorValued(L2(mesh, order=0), n))
+        tensors, values = states.tensors(lambda: z), z.vec.FV().NumPy().reshape(n, -1)
+        at_rest = states.components({v.name: v.from_distortion(IDENTITY) for v in variables})
+        values[:] = np.asarray(at_rest(points)).reshape(-1, n).T
+        values += 0.1 * random.standard_normal(values.shape)
+        values[:, : n + 1] = np.eye(n, n + 1, 1)
+        rates = np.empty((g + space.size + 1, *values.shape))
+        for x, X in enumerate([*np.eye(len(mixed)), mixed]):
+            L = embed_gradient(constant(X[:g].reshape(dim, dim)), dim)
+            Pi = constant(np.tensordot(X[g:], np.array(space.basis), 1))
+            found = states.components({v.name: v.rate(tensors, L, Pi) for v in variables})
+            rates[x] = np.asarray(found(points)).reshape(-1, n).T
+        rates, of_mixed = rates[:-1], rates[-1]
+        result = RateTensors(rates[:, :, 0], rates[:, :, 1 : n + 1] - rates[:, :, :1], g)
+        others, bent = slice(n + 1, None), []
+        for v in variables:
+            own = states.slices[v.name]
+            if _differ(np.tensordot(mixed, rates[:, own], 1), of_mixed[own]):
+                expected = "linear in L and Pi together; what else changes it is the part of a term"
+                raise ParameterError(f"{type(v).__name__}.rate", v.name, expected)
+            affine = result.rate(values[:, others], mixed[:, None])
+            if _differ(affine[own], of_mixed[own, others]):
+                bent.append(v.name)
+        return RateTensors(result.constant, result.linear, g, tuple(bent))
+
+    def columns(self, z: np.ndarray) -> np.ndarray:
+        """d rate/dX at values z (n, points): (points, n, X)."""
+        columns = np.einsum("xnm,mp->pnx", self.linear, z, optimize=True)
+        columns += self.constant.T[None]
+        return columns
+
+    def rate(self, z: np.ndarray, X: np.ndarray, first: int = 0) -> np.ndarray:
+        """rate(z; X), (n, points), of the X (X, points) from ``first`` on."""
+        out = np.zeros((self.linear.shape[1], z.shape[1]), np.result_type(z, X))
+        stop = first + len(X)
+        for x, n in np.argwhere(self.constant[first:stop]):
+            out[n] += self.constant[first + x, n] * X[x]
+        product = np.empty(z.shape[1], out.dtype)
+        for x, n, m in np.argwhere(self.linear[first:stop]):
+            _add_product(out[n], X[x], z[m], self.linear[first + x, n, m], product)
+        return out
+
+    def stress(self, z: np.ndarray, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
+        """d(zeta : rate)/dX for X = first ... stop - 1, (X, points)."""
+        out = np.zeros((stop - first, z.shape[1]), np.result_type(z, zeta))
+        for x, n in np.argwhere(self.constant[first:stop]):
+            out[x] += self.constant[first + x, n] * zeta[n]
+        product = np.empty(z.shape[1], out.dtype)
+        for x, n, m in np.argwhere(self.linear[first:stop]):
+            _add_product(out[x], zeta[n], z[m], self.linear[first + x, n, m], product)
+        return out
+
+
+def _add_product(
+    target: np.ndarray, a: np.ndarray, b: np.ndarray, factor: float, product: np.ndarray
+) -> None:
+    """target += factor a b; ``product`` is overwritten."""
+    np.multiply(a, b, out=product)
+    if factor == 1.0:
+        target += product
+    elif factor == -1.0:
+        target -= product
+    else:
+        product *= factor
+        target += product
+
+
+def _differ(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether values differ by more than rounding; where both are no numbers they are not compared."""
+    asked = np.isfinite(a) | np.isfinite(b)
+    return bool((~(abs(a - b) <= _ROUNDING * (1 + abs(a) + abs(b))) & asked).any())
