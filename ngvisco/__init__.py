@@ -40,6 +40,7 @@ from ngvisco.physics.flow_rules import (
     Norton,
     Perzyna,
 )
+from ngvisco.physics.heat import Heat, WallHeat
 from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import (
@@ -59,6 +60,7 @@ from ngvisco.physics.materials import (
     PerReferentialVolume,
     ReferentialMooneyRivlin,
     ReferentialNeoHookean,
+    Thermal,
     WithQuadratic,
     Yosida,
 )
@@ -148,6 +150,7 @@ __all__ = [
     "Gravity",
     "HalfSpace",
     "HardeningElastic",
+    "Heat",
     "HyperViscosity",
     "Image",
     "Initial",
@@ -199,6 +202,7 @@ __all__ = [
     "StepError",
     "StokesViscosity",
     "Subdomain",
+    "Thermal",
     "TimeScheme",
     "TimeSteps",
     "Traction",
@@ -206,6 +210,7 @@ __all__ = [
     "UnknownNameError",
     "VTKSeries",
     "WallForces",
+    "WallHeat",
     "WithQuadratic",
     "Yosida",
     "check_convexity",

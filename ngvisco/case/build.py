@@ -22,7 +22,7 @@ from ngvisco.case.faults import Locator, faults_of, given, key_of, numbers_out_o
 from ngvisco.case.places import copy_of, digest_of, parts_of, reads_z, shape_of, shapes_with_files, united
 from ngvisco.case.samples import samples
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import Section, field_names, made, parameters
+from ngvisco.case.section import Section, field_names, made, owner_of, parameters
 from ngvisco.case.timetables import with_tables
 from ngvisco.case.units import to_si
 from ngvisco.case.values import as_function, is_table
@@ -347,6 +347,10 @@ class Case:
         """A section's parameters with its expressions as coefficient functions."""
         values, fields = parameters(part), field_names(part)
         for name, value in values.items():
+            if isinstance(value, Section):
+                inner = self._values(value, (*path, name), dim)
+                with self.located(*path, name):
+                    values[name] = owner_of(type(value))(**inner)
             if name in fields:
                 self._check_names(value, (*path, name), dim)
                 self._check_length(value, (*path, name), dim)

@@ -15,6 +15,7 @@ from ngvisco.case.regions import closed_surface, image
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
 from ngvisco.physics.flow_rules import Creep, DruckerPrager, Eyring, Norton, Perzyna
+from ngvisco.physics.heat import Heat
 from ngvisco.physics.materials import (
     FENEP,
     BarotropicFluid,
@@ -29,6 +30,7 @@ from ngvisco.physics.materials import (
     PerReferentialVolume,
     ReferentialMooneyRivlin,
     ReferentialNeoHookean,
+    Thermal,
     WithQuadratic,
     Yosida,
 )
@@ -82,6 +84,7 @@ MATERIALS: dict[str, Callable[..., Any]] = {
 
 WRAPPERS: dict[str, Callable[..., Any]] = {
     "PerReferentialVolume": PerReferentialVolume,
+    "Thermal": Thermal,
     "Yosida": Yosida,
     "WithQuadratic": WithQuadratic,
 }
@@ -93,6 +96,7 @@ MECHANISMS: dict[str, type] = {
     "viscosity": StokesViscosity,
     "linear_viscosity": LinearViscosity,
     "hyperviscosity": HyperViscosity,
+    "heat": Heat,
     "regularisation": Regularisation,
 }
 

@@ -25,6 +25,7 @@ from ngvisco.case.laws import EnergyText
 from ngvisco.case.values import FIELDS, ModulusValue, NumberValues, ScalarValue, TensorValue, VectorValue
 from ngvisco.errors import UnknownNameError
 from ngvisco.expressions import parse
+from ngvisco.physics.heat import WallHeat
 from ngvisco.physics.material import Material as MaterialObject
 from ngvisco.physics.parameters import Modulus
 from ngvisco.run.stepping import AdaptiveSteps
@@ -52,6 +53,9 @@ def _annotation(hint: Any) -> Any:
             is_vector = any(get_origin(part) is collections.abc.Sequence for part in arguments)
             field = VectorValue if is_vector else ScalarValue if float in arguments else TensorValue
             return field | None if type(None) in arguments else field
+        given = [part for part in arguments if get_origin(part) is not collections.abc.Callable]
+        if len(given) < len(arguments):  # a case file has no functions of Python
+            return _annotation(functools.reduce(operator.or_, given))
         parts = [part for part in arguments if part is not type(None)]
         inner = [_annotation(part) for part in parts]
         if any(get_origin(part) is Literal for part in parts):
@@ -61,7 +65,7 @@ def _annotation(hint: Any) -> Any:
         return functools.reduce(operator.or_, [*inner, None] if len(parts) < len(arguments) else inner)
     if origin is Literal:
         return hint
-    if hint is AdaptiveSteps:
+    if hint in (AdaptiveSteps, WallHeat):
         return section(hint)
     if origin is collections.abc.Mapping and arguments[0] is str and _mentions_function(arguments[1]):
         return dict[str, TensorValue]
@@ -105,6 +109,8 @@ def section(
     for name, parameter in inspect.signature(target).parameters.items():
         hint = hints.get(name)
         annotation = wrapped if hint is MaterialObject else _annotation(hint)
+        if hint == MaterialObject | None:
+            annotation = wrapped | None
         required = parameter.default is inspect.Parameter.empty
         if annotation is None:
             if required:
@@ -180,12 +186,13 @@ def _checked_section(target: Callable[..., Any]) -> type[Section]:
 def parameters(part: Section) -> dict[str, Any]:
     """The parameters that a section holds, by name, without its other keys; None is left to the default.
 
-    A section within it becomes the object that it describes, a modulus' text a function of the place.
+    A section within it becomes the object that it describes, but for one of functions of space and time; a
+    modulus' text a function of the place.
     """
     values: dict[str, Any] = {}
     for name in inspect.signature(owner_of(type(part))).parameters.keys() & type(part).model_fields:
         value = getattr(part, name)
-        if isinstance(value, Section):
+        if isinstance(value, Section) and not field_names(value):
             value = made(value)
         elif isinstance(value, str) and name in moduli(type(part)):
             value = parse(value).coefficient()

@@ -23,7 +23,7 @@ from typing import Any
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.term import PointTerm
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import identity_like, inner
 from ngvisco.physics.variables import SmallStrain, Variable
@@ -46,10 +46,10 @@ class Fading(PointTerm):
         test = w.z_tensors[self.variable.name]
         return [inner(u.context.rate(self.weight(u)) * self._faded(u), test)]
 
-    def entries(self, u: Fields) -> list[Entry]:
+    def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         name = self.variable.name
         power = u.context.rate(self.weight(u)) * inner(self._faded(u), u.zeta_tensors[name])
-        return [Entry(f"dissipation_fading_{name}", "dissipation", Integrand(power))]
+        return {f"dissipation_fading_{name}": power}
 
     def _faded(self, u: Fields) -> CoefficientFunction:
         """The tensor less its value at rest."""

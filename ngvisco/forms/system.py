@@ -40,6 +40,7 @@ from ngvisco.forms.spaces import Discretisation, Layout
 from ngvisco.forms.tabulated_rates import TabulatedRates
 from ngvisco.forms.term import Entry, Integrand, Term
 from ngvisco.forms.terms.creep import CreepRate
+from ngvisco.forms.terms.heat import heat_terms
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Continuity, Convection, Inertia, Loading, Stokes
 from ngvisco.forms.terms.regularisation import regularising_terms
@@ -115,7 +116,13 @@ class Step:
         self.discretisation = discretisation or Discretisation()
         self.walls = Walls(mesh, conditions)
         known = () if sources is None else (sources,)
-        self.terms = (*equations(model, mesh.dim), *wall_terms(self.walls), *terms, *known)
+        self.terms = (
+            *equations(model, mesh.dim),
+            *wall_terms(self.walls),
+            *heat_terms(model, self.walls),
+            *terms,
+            *known,
+        )
         self.sources = sources
         self.layout = Layout(
             mesh,

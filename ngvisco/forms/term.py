@@ -36,7 +36,7 @@ class Integrand:
     facets: CoefficientFunction | None = None
 
 
-Kind = Literal["dissipation", "power", "energy", "numerical", "monitor"]
+Kind = Literal["dissipation", "power", "energy", "numerical", "monitor", "production"]
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,8 @@ class Entry:
     """A column of the ledger: a dissipation or power (W), an energy, or a numerical dissipation (J a step).
 
     ``integrand`` is evaluated at the new state; dissipations, numerical ones and the change of energies enter
-    the energy identity with +, powers with -, monitors not at all.
+    the energy identity with +, powers with -, monitors not at all; nor do
+    productions of entropy, W/K, which like powers are those of the scheme's stages.
     """
 
     name: str
@@ -88,28 +89,29 @@ class PointTerm:
         cells = [Integrand(part) for part in self.cells(u, w)]
         return cells + [Integrand(facets=part) for part in self.facets(u, w)]
 
+    def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
+        """What it dissipates in cells, W/m^3, by the ledger's names."""
+        return {}
+
+    def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
+        """And on the boundaries of all cells, W/m^2."""
+        return {}
+
     def entries(self, u: Fields) -> list[Entry]:
-        """Columns of the energy ledger: none, of a term without power."""
-        return []
+        """Columns of the energy ledger: what it dissipates."""
+        cells, facets = self.dissipated(u), self.dissipated_on_facets(u)
+        names = dict.fromkeys((*cells, *facets))
+        return [Entry(name, "dissipation", Integrand(cells.get(name), facets.get(name))) for name in names]
 
 
-def dissipations(u: Fields, reader: Term) -> dict[str, CoefficientFunction]:
-    """What all terms but ``reader`` dissipate in cells, W/m^3, by the ledger's names.
+def dissipations(u: Fields, reader: Term, on_facets: bool = False) -> dict[str, CoefficientFunction]:
+    """What all terms but ``reader`` dissipate in cells, W/m^3, or on facets, W/m^2, by the ledger's names.
 
-    For a term whose ``cells`` turn them into something else, as heat.  Terms that are no functions of the
-    values at a point (hyperviscosity) have none that the split solver can read: it refuses the reader then.
+    For a term that turns them into something else, as heat.
     """
-    return {
-        entry.name: entry.integrand.cells
-        for term in u.context.terms
-        if term is not reader and _is_of_cells(term)
-        for entry in term.entries(u)
-        if entry.kind == "dissipation" and entry.integrand.cells is not None
-    }
-
-
-def _is_of_cells(term: Term) -> bool:
-    return not isinstance(term, PointTerm) or type(term).cells is not PointTerm.cells
+    points = (term for term in u.context.terms if term is not reader and isinstance(term, PointTerm))
+    parts = (term.dissipated_on_facets(u) if on_facets else term.dissipated(u) for term in points)
+    return {name: value for part in parts for name, value in part.items()}
 
 
 def named(term: Term) -> str:

@@ -68,6 +68,11 @@ class Unknown:
             raise ParameterError("Unknown.scale", self.scale, f"a size of {self.name!r}, >= 0, in its unit")
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """Of its values: () of a scalar."""
+        return () if self.size is None else (self.size,)
+
+    @property
     def is_local(self) -> bool:
         """Whether it is condensed cell by cell."""
         return self.place == "cells"

@@ -13,9 +13,14 @@ elastic force would jump by [z] : [zeta] where v . n changes its sign, and the s
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Sequence
+
 from ngsolve import CoefficientFunction
 
-from ngvisco.physics.tensors import sqrt
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import PointTerm
+from ngvisco.physics.tensors import inner, sqrt
 
 
 def mean_share(inner: CoefficientFunction) -> CoefficientFunction:
@@ -41,3 +46,24 @@ class Upwinding:
     def share(self) -> CoefficientFunction:
         """1 - n^-: what the cell's own value counts in the upwind trace."""
         return 1.0 - self.inflow
+
+
+class SideMean(PointTerm):
+    """sum_K int_{dK} share (a_hat - a) t = 0: a_hat, an unknown of facets, is a mean of both sides' values.
+
+    The shares of both sides sum up to one.  An explicit function of the cells' unknowns, which no solver
+    iterates on; where it reads other means, those of terms before it.
+    """
+
+    name: str
+
+    def share(self, u: Fields) -> CoefficientFunction:
+        """What a side counts."""
+        return mean_share(u.context.inner)
+
+    @abstractmethod
+    def value(self, u: Fields) -> CoefficientFunction:
+        """a, on a cell's side."""
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [self.share(u) * inner(u.parts[self.name] - self.value(u), w.parts[self.name])]

@@ -224,7 +224,7 @@ class StateSampling:
             part = states[:, start : start + size]
             if not variable.is_strain:
                 pass
-            elif size == 1:
+            elif size == 1 and variable.positive(CF(1.0)):
                 part *= np.exp(spread * rng.uniform(-1, 1, part.shape))
             else:
                 part += spread * rng.uniform(-1, 1, part.shape)

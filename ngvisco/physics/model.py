@@ -14,8 +14,10 @@ from ngvisco.errors import ParameterError, Quantity, _is_number, as_number, requ
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.flow_rules.check import check_rule
+from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import ElasticState, Material, check_material
 from ngvisco.physics.materials.heterogeneous import carrying
+from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.mixture import MixedCreep, MixedViscosity, Mixture, mixed_creep, mixed_viscosity
 from ngvisco.physics.parameters import parameters_in
 from ngvisco.physics.regularisation import Regularisation
@@ -122,6 +124,9 @@ class Model:
     loads : sequence of Gravity, CentralGravity or BodyForce
     regularisation : Regularisation, optional
         None (default) is none of the paper's regularising terms.
+    heat : Heat, optional
+        How heat is conducted and exchanged, of a material with a temperature (``Thermal``); None (default) is
+        adiabatic: its dissipation heats it, and nothing is conducted.
     bodies : sequence of Body
         In place of ``material``, ``viscosity`` and ``creep``, which are then those of the bodies' mixture
         (``ngvisco.physics.mixture``).  Isotropic materials that leave ``elastic_state`` open are by B.
@@ -144,6 +149,7 @@ class Model:
     loads: tuple[Load, ...] = field(default=())
     regularisation: Regularisation | None = None
     bodies: tuple[Body, ...] = field(default=())
+    heat: Heat | None = None
 
     def __post_init__(self) -> None:
         self._take_bodies()
@@ -153,6 +159,7 @@ class Model:
             ("hyperviscosity", HyperViscosity),
             ("creep", FlowRule),
             ("regularisation", Regularisation),
+            ("heat", Heat),
         ):
             value = getattr(self, name)
             if not (isinstance(value, kind) or (value is None and name != "material")):
@@ -180,8 +187,17 @@ class Model:
         if isinstance(material, Mixture):
             object.__setattr__(self, "bodies", material.bodies)
         check_energy(material)
+        self._check_heat(material)
         if self.creep is not None and self.creep.flows:
             check_rule(self.creep, material)
+
+    def _check_heat(self, material: Material) -> None:
+        if self.heat is not None and entropy_in(material) is None:
+            expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
+            raise ParameterError("Model.heat", self.heat, expected)
+        if self.heat is not None and self.heat.numerical_heating and material.response(3) is not None:
+            expected = "False for an energy without an expression, as that of a Yosida approximation"
+            raise ParameterError("Heat.numerical_heating", True, expected)
 
     def _take_bodies(self) -> None:
         """Make material, viscosity and creep those of the bodies, where there are such."""

@@ -5,21 +5,30 @@ The tangential part of a vector is a_t = a - (a.n) n.  Names of walls are the me
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, as_number
+from ngvisco.physics.heat import WallHeat
 from ngvisco.physics.model import VectorLike
 from ngvisco.physics.parameters import require_ranges
 
 
+@dataclass(frozen=True)
 class Wall:
-    """Base of all wall conditions."""
+    """Base of all wall conditions.
 
-    straight: bool = False
+    Parameters
+    ----------
+    heat : WallHeat, optional
+        Heat through the wall, of materials with a temperature; insulated where nothing is said.
+    """
+
+    straight = False
     """Whether straight facets are meant, see ``Slip``."""
+    heat: WallHeat | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)

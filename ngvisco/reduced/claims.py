@@ -25,7 +25,8 @@ from ngvisco.forms.terms.field_diffusion import FieldDiffusion
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Continuity, Inertia, Loading
 from ngvisco.forms.terms.regularisation import CutOffVolume, DensityDiffusion
-from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
+from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics
+from ngvisco.forms.upwinding import SideMean
 from ngvisco.forms.withheld import GivenParts, refused_by_name
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.evaluation import NotAtPointsError, asked_slots, why
@@ -39,8 +40,8 @@ _FIELDS = {"rho", "grad rho", "z", "grad z"}
 class Claims:
     """Terms by the part of the solver that takes them."""
 
-    traces: list[PointTerm] = field(default_factory=list)
-    """Equations of the upwind trace of z, solved for it."""
+    traces: list[SideMean] = field(default_factory=list)
+    """Equations of means of both sides, as the upwind trace of z, solved for these."""
     conjugates: list[Term] = field(default_factory=list)
     """The projection of phi'(z)."""
     at_points: list[PointTerm] = field(default_factory=list)
@@ -125,7 +126,7 @@ class Claims:
             self.hyperviscosity.append(term)
         elif isinstance(term, FieldDiffusion) and kind is FieldDiffusion:
             self.diffusion.append(term)
-        elif isinstance(term, UpwindTrace) and kind is UpwindTrace:
+        elif isinstance(term, SideMean) and type(term).facets is SideMean.facets:
             self.traces.append(term)
         elif kind is Conjugates:
             self.conjugates.append(term)

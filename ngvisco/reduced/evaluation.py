@@ -24,10 +24,10 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.tabulated_rates import TabulatedRates
 from ngvisco.forms.term import PointTerm
-from ngvisco.forms.upwinding import Upwinding
+from ngvisco.forms.upwinding import SideMean, Upwinding
 from ngvisco.physics.arrays import Array, Linear, slots
 from ngvisco.reduced.operators import Operators, SideOperators
-from ngvisco.reduced.unknowns import in_cells
+from ngvisco.reduced.unknowns import derived_in_cells, in_cells
 
 Coefficients = Mapping[str, np.ndarray]
 """Coefficients of unknowns by name, (components, functions); of scalars (functions,)."""
@@ -37,10 +37,6 @@ Rows = dict[str, np.ndarray]
 
 
 _CELLS, _FACETS = "in cells", "on facets"
-
-_HATS = ("rho_hat", "z_hat")
-_ON_SIDES = ("v", "rho", "z", *_HATS)
-"""Unknowns with tests on facets."""
 
 
 class NotAtPointsError(NgviscoError, LookupError):
@@ -137,7 +133,7 @@ class SideContext:
         self._given = WeakKeyDictionary[CoefficientFunction, Array]()
         self.normal = Array(operators.points.normals, None)
         self.inner = Array(operators.inner, None)
-        self.h = Array(operators.h, None)
+        self.h, self.terms = Array(operators.h, None), step.terms
 
     def rate(self, difference: Any) -> Any:
         """difference/tau."""
@@ -176,7 +172,8 @@ class CellTerms:
 
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with these coefficients at the points."""
-        return _in_cells(self.op, c, in_cells(self.layout), _CELLS, self.context)
+        names = (*in_cells(self.layout), *derived_in_cells(self.layout))
+        return _in_cells(self.op, c, names, _CELLS, self.context)
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """What multiplies each test and its gradient, (..., points)."""
@@ -223,15 +220,14 @@ class FacetTerms:
     def __init__(self, step: Step, operators: SideOperators) -> None:
         self.layout, self.op = step.layout, operators
         self.context = SideContext(step, operators)
-        self._tests = _tests(step, False, self.context)
+        self._tests, self._names = _tests(step, False, self.context), (*_on_sides(step), "zeta")
 
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with these coefficients on the sides."""
-        op = self.op
-        spaces = {"v": op.v, "rho": op.z, "z": op.z, "zeta": op.z}
-        makers = {name: partial(lambda name: spaces[name](c[name]), name) for name in spaces}
-        makers |= {name: partial(lambda name: op.hat(c[name]), name) for name in ("rho_hat", "z_hat")}
-        return _fields(self.layout, makers, {}, _FACETS, self.context)
+        names = (*self._names, *derived_in_cells(self.layout))
+        makers = {name: partial(lambda name: self.op.of(name)(c[name]), name) for name in names}
+        slopes = {"zeta": lambda: np.stack([D(c["zeta"]) for D in self.op.dz], axis=1)}
+        return _fields(self.layout, makers, slopes, _FACETS, self.context)
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """What multiplies each test, (..., points)."""
@@ -284,15 +280,21 @@ def _fields(
 
 def _shapes(step: Step) -> dict[str, tuple[int, ...]]:
     """Shapes of the values of the unknowns that have tests, by name."""
-    sizes = {name: step.layout.unknowns[name].size for name in (*in_cells(step.layout), *_HATS)}
-    return {name: () if size is None else (size,) for name, size in sizes.items() if name != "zeta"}
+    names = dict.fromkeys((*in_cells(step.layout), *_on_sides(step)))
+    return {name: step.layout.unknowns[name].shape for name in names if name != "zeta"}
+
+
+def _on_sides(step: Step) -> list[str]:
+    """Unknowns with tests on facets: of cells, and means of both sides."""
+    means = (term.name for term in step.terms if isinstance(term, SideMean))
+    return ["v", "rho", "z", "rho_hat", *means]
 
 
 def _tests(step: Step, inside: bool, context: Any) -> Fields:
     """Tests that record what multiplies them: with gradients in cells, with those of traces on facets."""
     shapes, d = _shapes(step), step.mesh.dim
     place = _CELLS if inside else _FACETS
-    names = [name for name in shapes if name not in _HATS] if inside else _ON_SIDES
+    names = [name for name in in_cells(step.layout) if name in shapes] if inside else _on_sides(step)
     parts = {name: partial(Linear, shapes[name], slot=name) for name in names}
     slopes = {
         name: partial(Linear, (*shapes[name], d), slot=f"grad {name}") for name in (names if inside else ())
@@ -364,16 +366,16 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
     NotAtPointsError
         When the term asks for something that arrays do not have.
     """
-    d, shapes = step.mesh.dim, _shapes(step)
-    shapes["zeta"] = shapes["z"]
+    d, shapes, derived = step.mesh.dim, _shapes(step), derived_in_cells(step.layout)
+    shapes |= {name: step.layout.unknowns[name].shape for name in ("zeta", *derived)}
 
     def ones(shape: tuple[int, ...]) -> Array:
         return Array(np.ones((*shape, 1)), None)
 
-    def fields(context: Any, names: Iterable[str], place: str) -> Fields:
+    def fields(context: Any, names: Iterable[str], sloping: Iterable[str], place: str) -> Fields:
         parts = {name: partial(ones, shapes[name]) for name in names}
-        slopes = {name: partial(ones, (*shapes[name], d)) for name in names}
-        gradients = Lazy(slopes if place == _CELLS else {}, f"{place}, as a gradient")
+        slopes = {name: partial(ones, (*shapes[name], d)) for name in sloping}
+        gradients = Lazy(slopes, f"{place}, as a gradient")
         return Fields(step.layout, Lazy(parts, place), context, lambda name: gradients[name])
 
     inside = SimpleNamespace(
@@ -385,7 +387,8 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
         rates=rates,
         terms=step.terms,
     )
-    inside.old = fields(inside, set(step.layout.evolving).intersection(shapes), _CELLS)
+    evolving, cells = set(step.layout.evolving).intersection(shapes), in_cells(step.layout)
+    inside.old = fields(inside, evolving, evolving, _CELLS)
     side = SimpleNamespace(
         normal=ones((d,)),
         inner=ones(()),
@@ -394,13 +397,15 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
         curvature=1.0,
         rate=inside.rate,
         given=inside.given,
+        terms=step.terms,
     )
-    cells = [name for name in shapes if name not in _HATS]
     try:
         with np.errstate(all="ignore"):  # all values one need not be in a law's domain
-            u, w = fields(inside, cells, _CELLS), _tests(step, True, inside)
+            u, w = fields(inside, (*cells, *derived), cells, _CELLS), _tests(step, True, inside)
             found = set(_slots(list(term.cells(u, w))))
-            u, w = fields(side, (*_ON_SIDES, "zeta"), _FACETS), _tests(step, False, side)
+            names = (*_on_sides(step), "zeta", *derived)
+            u, w = fields(side, names, ["zeta"], _FACETS), _tests(step, False, side)
+            u.__dict__["jump"] = ones((d,))
             return found | set(_slots(list(term.facets(u, w))))
     except NotAtPointsError:
         raise

@@ -100,6 +100,14 @@ class HyperValues:
     z: np.ndarray
     rows: np.ndarray
 
+    @property
+    def local(self) -> dict[str, np.ndarray]:
+        """The local unknowns by name."""
+        found = {"hess": self.hess, "hyperstress": self.stress}
+        if self.square is not None and self.coefficient is not None:
+            found |= {"hess_square": self.square, "hyper_coefficient": self.coefficient}
+        return found
+
 
 class MatrixHyperviscosity:
     """Rows of v and a of one step's hyperviscosity."""
@@ -202,14 +210,6 @@ class MatrixHyperviscosity:
         stiffness = value_of(self.term.stiffness(on_sides))
         rows = self.tested(loads) + sides.jump.test(stiffness * j)
         return HyperValues(x, hess, self.h_inverse(loads), s, coefficient, j, z, rows)
-
-    def put(self, values: HyperValues) -> None:
-        """Put the local unknowns into the step's state."""
-        state, ranges = self.step.state.vec.FV().NumPy(), self.step.layout.ranges
-        state[ranges["hess"]], state[ranges["hyperstress"]] = values.hess.ravel(), values.stress.ravel()
-        if values.square is not None and values.coefficient is not None:
-            state[ranges["hess_square"]] = values.square
-            state[ranges["hyper_coefficient"]] = values.coefficient
 
 
 def value_of(modulus: Any) -> Any:

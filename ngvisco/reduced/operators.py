@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
+from ngsolve import Grad
 
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
@@ -60,15 +61,34 @@ class SideOperators:
     """Fields at the points of the cells' sides, and tests there."""
 
     def __init__(self, step: Step) -> None:
-        mesh, context = step.mesh, step.context
-        self.points = points = SidePoints(mesh, step.quadrature.facet_degree)
-        self.z, self.hat, self.v = (
-            LocalMatrix(points.values(space), mesh.ne, points.weights)
-            for space in map(step.layout.scalar_space, ("z", "z_hat", "v"))
-        )
+        context, self.layout = step.context, step.layout
+        self.points = points = SidePoints(step.mesh, step.quadrature.facet_degree)
+        self._made: dict[tuple[str, int], LocalMatrix] = {}
+        self.z, self.hat, self.v = map(self.of, ("z", "z_hat", "v"))
         self.inner = np.round(points.sample(context.inner))
         """1 between two cells, 0 on walls."""
         self.h = np.repeat(context.h.vec.FV().NumPy(), self.z.per_cell)
+
+    def of(self, name: str) -> LocalMatrix:
+        """Values of a component of an unknown of cells or facets."""
+        unknown = self.layout.unknowns[name]
+        key = unknown.place, unknown.order
+        if key not in self._made:
+            self._made[key] = self._local(self.points.values(self.layout.scalar_space(name)))
+        return self._made[key]
+
+    @cached_property
+    def dz(self) -> list[LocalMatrix]:
+        """Partial derivatives of a component of z, in its cell."""
+        space = self.layout.scalar_space("z")
+
+        def slope(j: int) -> sp.csr_matrix:
+            return self.points.operator(space, lambda u: Grad(u)[j])
+
+        return [self._local(slope(j)) for j in range(self.points.mesh.dim)]
+
+    def _local(self, matrix: sp.csr_matrix) -> LocalMatrix:
+        return LocalMatrix(matrix, self.points.mesh.ne, self.points.weights)
 
 
 class FacetMass:

@@ -22,8 +22,10 @@ from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.sparse import mass_matrix
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import PointTerm
 from ngvisco.forms.upwinding import mean_share
 from ngvisco.parallel.exchange import Exchange
+from ngvisco.physics.arrays import Array
 from ngvisco.physics.increments import TINY
 from ngvisco.reduced.by_forms import RestrictedForm, RightHandSide
 from ngvisco.reduced.claims import Claims
@@ -128,8 +130,10 @@ class ReducedResidual:
             term = claims.diffusion[0]
             self.diffusion = FieldDiffusionRows(step, self.op, self.slope, term, self.trace_mass)
         self._at_points = [*claims.at_points, *claims.continuity]
-        self._of_traces = [*claims.traces, *claims.continuity]
-        self._zeros = {"z_hat": np.zeros((step.layout.states.size, 1)), "rho_hat": np.zeros(1)}
+        self._of_traces: list[tuple[PointTerm, str]] = [(term, term.name) for term in claims.traces]
+        self._of_traces += [(term, "rho_hat") for term in claims.continuity]
+        shapes = {name: step.layout.unknowns[name].shape for _, name in self._of_traces}
+        self._zeros = {name: np.zeros((*shape, 1)) for name, shape in shapes.items()}
 
     def start(self) -> None:
         """Evaluate what is known through the step."""
@@ -168,22 +172,22 @@ class ReducedResidual:
         op, is_real = self.op, not np.iscomplexobj(x)
         c = self.unknowns.coefficients(x)
         u, s = self.cell_terms.fields(c), self.facet_terms.fields(c)
-        with self._clock("traces"):
-            self._set_traces(c, s)
         with self._clock("projections"):
             c["zeta"] = self.inverse_mass(op.z.test(self.slope(u.z.value)))
+        with self._clock("traces"):
+            self._set_traces(c, s)
         with self._clock("diffusion"):
             if self.diffusion is not None:
                 c |= self.diffusion.slopes(u.z.value, c)
-        if is_real:
-            self.unknowns.unpack(x)
-            self.unknowns.put(c)
         hyper = None
         with self._clock("hyperviscosity"):
             if self.hyper is not None:
                 hyper = self.hyper(c["v"], c["a"], c["z"])
-                if is_real:
-                    self.hyper.put(hyper)
+                c |= hyper.local
+                s.__dict__["jump"] = Array(hyper.jumps, None)
+        if is_real:
+            self.unknowns.unpack(x)
+            self.unknowns.put(c)
         return c, u, s, hyper
 
     def derivative(self, at: Evaluation) -> Callable[[np.ndarray], Residual]:
@@ -207,11 +211,9 @@ class ReducedResidual:
         return rows
 
     def _set_traces(self, c: dict[str, np.ndarray], s: Fields) -> None:
-        """Solve for the upwind traces of z and rho."""
-        terms = self.claims.traces if self.density is not None else self._of_traces
-        loads = self.facet_terms.slots(terms, with_values(s, **self._zeros))
-        names = ["z_hat"] if self.density is not None else ["z_hat", "rho_hat"]
-        for name in names:
+        """Solve for the upwind traces and other means of both sides, which may read those before them."""
+        for term, name in self._of_traces:
+            loads = self.facet_terms.slots([term], with_values(s, **{name: self._zeros[name]}))
             tested = self._traces.sum(self.side_op.hat.test(loads[name]))
             c[name] = -self.trace_mass.solve(tested)
 

@@ -17,6 +17,11 @@ def in_cells(layout: Layout) -> list[str]:
     return ["v", "rho", "z", "zeta", *continuous]
 
 
+def derived_in_cells(layout: Layout) -> list[str]:
+    """Those of the hyperviscosity, which have values there too, and neither tests nor gradients."""
+    return [name for name in ("hess", "hess_square") if name in layout.unknowns]
+
+
 class Unknowns:
     """Views of the state's blocks and a packed copy of those that are iterated.
 

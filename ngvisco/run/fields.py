@@ -9,18 +9,19 @@ from ngsolve import CF, CoefficientFunction, sqrt
 from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.forms.system import Step
 from ngvisco.physics.material import Material, cauchy_stress
+from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import dev, if_positive, square, tr
 from ngvisco.run.further_fields import NAMES, further_fields, usual
 from ngvisco.run.passive import CARRIED
 from ngvisco.run.scales import rest_pressure
 
-USUAL = ("density", "J", "velocity", "pressure", "von_mises")
+USUAL = ("density", "J", "velocity", "pressure", "von_mises", "temperature")
 """What is drawn where nothing is said, as far as a run has it."""
 
 
-_OWN = ("velocity", "density", "cauchy_stress", "pressure", "pressure_from_rest", "von_mises")
-"""Fields of every run."""
+_OWN = ("velocity", "density", "cauchy_stress", "pressure", "pressure_from_rest", "von_mises", "temperature")
+"""Fields of every run, and of those with heat."""
 
 _TAKEN = "another name: a field of the run has this one"
 
@@ -53,10 +54,17 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
         "pressure": (-1 / 3) * tr(T),
         "pressure_from_rest": (-1 / 3) * tr(T) - rest_pressure(material, step.mesh.dim),
         "von_mises": sqrt(1.5 * square(dev(T))),
+        **_temperature(step),
         **{name: u.parts[name] for name in step.layout.further},
         **_body_fields(step),
         **further_fields(step, T),
     }
+
+
+def _temperature(step: Step) -> dict[str, CoefficientFunction]:
+    """K, by the projected conjugate of the entropy, of a material with heat."""
+    entropy = entropy_in(step.model.material)
+    return {} if entropy is None else {"temperature": step.now.zeta_tensors[entropy.name] / entropy.unit}
 
 
 _FRACTION = "_fraction"
@@ -142,6 +150,7 @@ def field_unit(name: str) -> str:
     units = {
         "velocity": "m/s",
         "density": "kg/m³",
+        "temperature": "K",
         "pressure": "Pa",
         "pressure_from_rest": "Pa",
         "von_mises": "Pa",

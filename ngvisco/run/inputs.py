@@ -20,10 +20,12 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import PERIODIC
 from ngvisco.physics.convexity import check_convexity
 from ngvisco.physics.material import Material
-from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, WithQuadratic, Yosida
+from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, Thermal, WithQuadratic, Yosida
 from ngvisco.physics.materials.heterogeneous import Heterogeneous
 from ngvisco.physics.mixture import Mixture
+from ngvisco.physics.model import Model
 from ngvisco.physics.walls import Wall
+from ngvisco.timestepping.scheme import TimeScheme
 
 
 def check_arguments(
@@ -72,9 +74,10 @@ def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
 
 def _is_own(material: Material) -> bool:
     """Whether what the regularising wrappers hold in the end is a user's energy."""
-    while isinstance(material, (WithQuadratic, Yosida, Heterogeneous)):
-        material = material.material
-    return isinstance(material, (CustomMaterial, IsotropicStrainEnergy))
+    held: Material | None = material
+    while isinstance(held, (WithQuadratic, Yosida, Heterogeneous, Thermal)):
+        held = held.material
+    return isinstance(held, (CustomMaterial, IsotropicStrainEnergy))
 
 
 def check_observer(observer: object) -> None:
@@ -83,6 +86,13 @@ def check_observer(observer: object) -> None:
         raise ParameterError(
             "Simulation.observers", observer, "objects with the methods start, step and finish"
         )
+
+
+def check_numerical_heating(model: Model, scheme: TimeScheme) -> None:
+    """Raise ParameterError where heat is to be made of what another scheme than backward Euler dissipates."""
+    if model.heat is not None and model.heat.numerical_heating and scheme.A != ((1.0,),):
+        expected = f"False for {scheme.name!r}: at a point only that of the backward Euler scheme is known"
+        raise ParameterError("Heat.numerical_heating", True, expected)
 
 
 def times_of(start: float, end: float) -> list[float]:

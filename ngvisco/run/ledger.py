@@ -29,6 +29,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry, Integrand, Kind
 from ngvisco.physics.defects import relative_defects
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
+from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
@@ -41,8 +42,8 @@ _STRETCH = 1e-4
 _OPERATIONS = 30
 """Roundings of an energy density, in units of that scale: as many operations as a density has."""
 
-RATES = ("dissipation", "power")
-"""Kinds of entries that enter the balance times the step's length."""
+RATES = ("dissipation", "power", "production")
+"""Kinds of entries that are rates, of the scheme's stages."""
 
 UNITS = {
     "step": "1",
@@ -217,7 +218,7 @@ class Ledger:
         exchanged = tau * sum(abs(values[name]) for name in physical)
         scale = max(abs(energy), abs(self.balance.energy), exchanged)
         if not abs(closure) <= CLOSED * scale:
-            scale = max(scale, self.rounding() / CLOSED)
+            scale = max(scale, self.rounding() / CLOSED, self.heat())
         drift = (values["mass"] - self.balance.initial_mass) / self.balance.initial_mass
         row = {
             **{"step": number, "time": time, "dt": tau, **values},
@@ -243,6 +244,18 @@ class Ledger:
         less, here, more = (self.step.energy.samples(state, self.sampler) for state in stretched)
         scale = np.nan_to_num(abs(less - 2 * here + more), posinf=0.0) / _STRETCH**2
         return _OPERATIONS * np.finfo(float).eps * self.sampler.integral(scale)
+
+    def heat(self) -> float:
+        """int theta |s|, the size of the heat beside that of the reference temperature, J; 0 without heat.
+
+        Warm and cold places cancel in the energy, and do not in what an iteration leaves.
+        """
+        entropy = entropy_in(self.step.model.material)
+        if entropy is None:
+            return 0.0
+        u = self.step.now
+        heat = u.zeta_tensors[entropy.name] * u.z_tensors[entropy.name]
+        return float(self.step.quadrature.integrate_cells(sqrt(heat * heat)))
 
     def _sum(self, values: dict[str, float], kind: str) -> float:
         return sum(values[entry.name] for entry in self.entries if entry.kind == kind)

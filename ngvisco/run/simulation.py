@@ -46,6 +46,7 @@ from ngvisco.run.fields import output_fields, require_names_of_their_own
 from ngvisco.run.inputs import (
     check_arguments,
     check_distributed,
+    check_numerical_heating,
     check_observer,
     times_of,
     warn_of_own_energy,
@@ -158,6 +159,7 @@ class Simulation:
             require_type(f"Simulation.{name}", kind() if value is None else value, kind)
         steps = time_steps(time, dt, scheme, former)
         check_arguments(observers, walls, passive, sources, terms)
+        check_numerical_heating(model, steps.made)
         ranks = Communicator.world() if mesh.comm.size == 1 else Communicator.of(mesh)
         require_petsc(ranks)
         mesh = distributed(mesh, ranks) if mesh.comm.size == 1 else mesh

@@ -12,6 +12,7 @@ import pytest
 import ngvisco as nv
 from ngvisco.case import reference, template, toml
 from ngvisco.case.build import parse_case
+from ngvisco.case.catalogue import WRAPPERS
 from ngvisco.case.faults import models_in
 from ngvisco.case.keys import meanings, quantities
 from ngvisco.case.schema import CaseSections
@@ -100,7 +101,7 @@ def placed(entry, kind):
     }
     if kind is not None:
         needed["geometry" if section == ("domain",) else "kind"] = kind
-    if kind in ("PerReferentialVolume", "Yosida", "WithQuadratic"):
+    if kind in WRAPPERS:
         needed["material"] = data["material"]
     node = data
     for depth, part in enumerate(section):
@@ -113,6 +114,9 @@ def placed(entry, kind):
             fresh = last and kind is not None
             node[{"NAME": "left"}.get(part, part)] = {} if fresh else node.get(part, {})
             node = node[{"NAME": "left"}.get(part, part)]
+    if section[-1:] == ("heat",) and section[0] == "walls":  # whose wall has a kind, as those of others
+        data["walls"]["left"] |= {"kind": "Slip"}
+        needed = {"temperature": 300.0, "coefficient": 10.0}
     if section:
         node.update(needed)
     toml.override(data, tuple(path), entry.example)

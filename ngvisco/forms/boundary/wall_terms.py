@@ -67,16 +67,18 @@ class TangentialStress(PointTerm):
             parts.append(self.indicator * self.friction * (_tangential(u.v, u.context.normal) * w.v))
         return parts
 
+    def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
+        if self.friction is None:
+            return {}
+        c, v_t = u.context, _tangential(u.v, u.context.normal)
+        friction = c.given(self.indicator) * c.given(self.friction)
+        return {f"dissipation_friction_{self.name}": friction * (v_t * v_t)}
+
     def entries(self, u: Fields) -> list[Entry]:
-        entries = []
-        if self.f is not None:
-            power = Integrand(facets=self.indicator * (self._traction(u) * u.v))
-            entries.append(Entry(f"power_traction_{self.name}", "power", power))
-        if self.friction is not None:
-            v_t = _tangential(u.v, u.context.normal)
-            loss = Integrand(facets=self.indicator * self.friction * (v_t * v_t))
-            entries.append(Entry(f"dissipation_friction_{self.name}", "dissipation", loss))
-        return entries
+        if self.f is None:
+            return super().entries(u)
+        power = Integrand(facets=self.indicator * (self._traction(u) * u.v))
+        return [Entry(f"power_traction_{self.name}", "power", power), *super().entries(u)]
 
 
 def _tangential(a: CoefficientFunction, n: CoefficientFunction) -> CoefficientFunction:

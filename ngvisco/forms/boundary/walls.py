@@ -27,6 +27,7 @@ from ngvisco.forms.boundary.boundaries import (
 from ngvisco.forms.boundary.kinks import require_curved_cells
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
+from ngvisco.physics.heat import WallHeat
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.walls import NoSlip, PrescribedTangential, Slip, Traction, Wall
 
@@ -79,6 +80,8 @@ class Walls:
         bent = [name for name in self.multiplied if not self.conditions[name].straight]
         require_curved_cells(mesh, {name: self.region([name]) for name in bent})
         for name, wall in self.conditions.items():
+            if not (wall.heat is None or isinstance(wall.heat, WallHeat)):
+                raise ParameterError(f"walls[{name!r}].heat", wall.heat, "a WallHeat, or None")
             if isinstance(wall, PrescribedTangential):
                 as_vector(wall.velocity, mesh.dim, f"walls[{name!r}].velocity")
             if isinstance(wall, Traction):

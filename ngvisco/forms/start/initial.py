@@ -34,6 +34,7 @@ from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material, conjugates, volume_ratio
+from ngvisco.physics.materials.thermal import entropy_in, thermal_parts
 from ngvisco.physics.mixture import AMOUNT
 from ngvisco.physics.model import VectorLike, as_tensor, as_vector
 from ngvisco.physics.parameters import Parameter, moduli_in, value_at
@@ -65,6 +66,8 @@ class Initial:
         Initial elastic distortion, 3x3, det F > 0, from which the start values of all variables are derived
         (J_0 = det F_0, E_0 = sym F_0 - I, ...); the identity where nothing is said, with a referential
         density (rho_R/rho_0)^{1/3} I. In 2D its 13, 23, 31, 32 entries are 0.
+    temperature : number or coefficient function, optional
+        Initial temperature of a material that has one; its reference temperature where nothing is said.
     values : mapping of names to coefficient functions, optional
         Initial values of single variables of the material, by name, in place of the derived ones, and of
         further terms' unknowns that evolve, else zero.
@@ -77,6 +80,7 @@ class Initial:
     F: Annotated[CoefficientFunction | None, Quantity("1", example=[[1.1, 0, 0], [0, 1, 0], [0, 0, 1]])] = (
         None
     )
+    temperature: Annotated[ScalarLike | None, Quantity("K", "> 0", 300.0)] = None
     values: Annotated[Mapping[str, CoefficientFunction], Quantity("1", example={"J": "1 + 0.1*x"})] = field(
         default_factory=dict
     )
@@ -134,6 +138,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         values = _initial_values(step, initial, F, parameters)
         if rho_R is not None:
             _check_density(rho_R, density, volume_ratio(step.model.material, values), sampler)
+    values |= _entropy(step, initial, values, sampler)
     _check_spaces(step, values, sampler)
     further = _further(step, initial, sampler)
     _check_density_range(density, sampler)
@@ -215,7 +220,8 @@ def _check_moduli(step: Step, parameters: Mapping[str, CoefficientFunction], sam
 
 def _require_no_time(initial: Initial) -> None:
     """Raise ParameterError for a start value that is a function of the time."""
-    given = {"density": initial.density, "velocity": initial.velocity, "F": initial.F}
+    names = ("density", "velocity", "F", "temperature")
+    given = {name: getattr(initial, name) for name in names}
     given |= {f"values[{name!r}]": value for name, value in initial.values.items()}
     for name, value in given.items():
         if any(reads_time(part) for part in _functions_in(value)):
@@ -229,6 +235,27 @@ def _functions_in(value: object) -> Iterator[CoefficientFunction]:
     elif isinstance(value, (list, tuple)):
         for part in value:
             yield from _functions_in(part)
+
+
+def _entropy(
+    step: Step, initial: Initial, values: Mapping[str, CoefficientFunction], sampler: Sampler
+) -> dict[str, CoefficientFunction]:
+    """The start value of the entropy, by the temperature and the volume of the others."""
+    material = step.model.material
+    entropy, parts = entropy_in(material), list(thermal_parts(material))
+    if entropy is None:
+        if initial.temperature is not None:
+            expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
+            raise ParameterError("Initial.temperature", initial.temperature, expected)
+        return {}
+    if entropy.name in initial.values:
+        if initial.temperature is not None:
+            raise ParameterError("Initial.temperature", initial.temperature, "None beside a start entropy")
+        return {}
+    given = parts[0].theta_R if initial.temperature is None else initial.temperature
+    theta = _as_shape("Initial.temperature", given, ())
+    sampler.require(theta, "temperature theta_0", minimum=0.0)
+    return {entropy.name: parts[0].start(theta, values["A"])}
 
 
 def _check_density_range(density: CoefficientFunction, sampler: Sampler) -> None:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.term import PointTerm
 from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.tensors import inner, square, trace_free_tensors
@@ -44,9 +44,9 @@ class CreepRate(PointTerm):
             -inner(u.context.rates.mandel_components(u), w.parts["Pi"]),
         ]
 
-    def entries(self, u: Fields) -> list[Entry]:
+    def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         rates = u.context.rates
-        return [
-            Entry("dissipation_creep", "dissipation", Integrand(rates.dissipation(u))),
-            Entry("dissipation_creep_gradient", "dissipation", Integrand(rates.gradient_dissipation(u))),
-        ]
+        return {
+            "dissipation_creep": rates.dissipation(u),
+            "dissipation_creep_gradient": rates.gradient_dissipation(u),
+        }

@@ -10,7 +10,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.energy import column, total
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.term import Integrand, PointTerm
 from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.curvature import Curvature, curvature_of
 from ngvisco.physics.material import Material
@@ -111,18 +111,21 @@ class FieldDiffusion(PointTerm):
         n = u.context.normal
         return [self._weight(u) * inner(jump, w.zeta_delta_hat), -inner(jump, w.z_slope * n)]
 
-    def entries(self, u: Fields) -> list[Entry]:
+    def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         """The form at G = zeta; where there are strains only, as the square that it is."""
-        delta, jump = self.law.delta_fields, self._jump(u)
-        if self.curvature.strains.all():
-            parts = u.context.energy.curved(u, u.z_slope)
-            cells = delta * total([inner(part, column(u.z_slope, j)) for j, part in enumerate(parts)])
-            curved = self.curvature.compliance - self.curvature.compliance @ self.curvature.linear
-            facets = delta * self._weight(u) * inner(constant(curved) * jump, jump)
-        else:
-            cells = delta * inner(self._of_strains(u.z_slope), u.grad_zeta)
-            facets = total(self._through_facets(u, self._across(u), jump, u.zeta))
-        return [Entry("dissipation_delta_fields", "dissipation", Integrand(cells, facets))]
+        delta = self.law.delta_fields
+        if not self.curvature.strains.all():
+            return {_COLUMN: delta * inner(self._of_strains(u.z_slope), u.grad_zeta)}
+        parts = u.context.energy.curved(u, u.z_slope)
+        return {_COLUMN: delta * total([inner(part, column(u.z_slope, j)) for j, part in enumerate(parts)])}
+
+    def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
+        jump = self._jump(u)
+        if not self.curvature.strains.all():
+            return {_COLUMN: total(self._through_facets(u, self._across(u), jump, u.zeta))}
+        curved = self.curvature.compliance - self.curvature.compliance @ self.curvature.linear
+        size = inner(constant(curved) * jump, jump)
+        return {_COLUMN: self.law.delta_fields * self._weight(u) * size}
 
     def _curved(self, u: Fields, test: CoefficientFunction) -> list[CoefficientFunction]:
         """phi''(z) q : Y, of parameters and linear directions q : Y, in summands."""
@@ -143,3 +146,6 @@ class FieldDiffusion(PointTerm):
 
     def _weight(self, u: Fields) -> CoefficientFunction:
         return self.law.penalty_weight(u.layout.discretisation.m) / u.context.h
+
+
+_COLUMN = "dissipation_delta_fields"

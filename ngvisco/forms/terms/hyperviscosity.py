@@ -36,7 +36,7 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields, hessian_basis
-from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, tested
+from ngvisco.forms.term import Integrand, Integrands, PointTerm, tested
 from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.rheology import HyperViscosity
 from ngvisco.physics.tensors import inner, square
@@ -129,14 +129,20 @@ class Hyperviscosity(PointTerm):
         assert coupling is not None
         return Integrand(self.law.coefficient(u.hess_square, u.z_tensors) * t, coupling * t)
 
-    def entries(self, u: Fields) -> list[Entry]:
-        """int c(|Hs|^2)|Hs|^2 and the penalty's share: the paper's int mu |hess v|^p."""
+    def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
+        """c(|Hs|^2)|Hs|^2: the paper's mu |hess v|^p."""
+        if self.law.is_linear:
+            return {_COLUMN: self.law.linear(u.z_tensors) * square(u.parts["hess"])}
+        return {_COLUMN: self.law.coefficient(u.hess_square, u.z_tensors) * u.hess_square}
+
+    def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
+        """The penalty's share."""
         penalty, coupling = self.penalty(u)
-        facets = penalty * square(u.jump)
+        share = penalty * square(u.jump)
         if coupling is None:
-            cells = self.law.linear(u.z_tensors) * square(u.hess)
-        else:
-            h = u.context.h
-            facets = facets + coupling * (u.hess_square + square(u.jump) / (h * h))
-            cells = self.law.coefficient(u.hess_square, u.z_tensors) * u.hess_square
-        return [Entry("dissipation_hyper", "dissipation", Integrand(cells, facets))]
+            return {_COLUMN: share}
+        h = u.context.h
+        return {_COLUMN: share + coupling * (u.hess_square + square(u.jump) / (h * h))}
+
+
+_COLUMN = "dissipation_hyper"

@@ -127,14 +127,12 @@ class Stokes(PointTerm):
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [inner(self.viscosity.stress(sym(u.L), u.z_tensors), w.L)]
 
-    def entries(self, u: Fields) -> list[Entry]:
+    def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         eps = sym(u.L)
-        bulk = Integrand(self.viscosity.bulk_dissipation(eps, u.z_tensors))
-        shear = Integrand(self.viscosity.shear_dissipation(eps, u.z_tensors))
-        return [
-            Entry("dissipation_stokes_bulk", "dissipation", bulk),
-            Entry("dissipation_stokes_shear", "dissipation", shear),
-        ]
+        return {
+            "dissipation_stokes_bulk": self.viscosity.bulk_dissipation(eps, u.z_tensors),
+            "dissipation_stokes_shear": self.viscosity.shear_dissipation(eps, u.z_tensors),
+        }
 
 
 @dataclass(frozen=True)

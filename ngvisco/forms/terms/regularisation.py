@@ -72,9 +72,8 @@ class VelocityDamping(PointTerm):
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [self.law.friction(square(u.v)) * inner(u.v, w.v)]
 
-    def entries(self, u: Fields) -> list[Entry]:
-        power = self.law.friction(square(u.v)) * square(u.v)
-        return [Entry("dissipation_epsilon", "dissipation", Integrand(power))]
+    def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
+        return {"dissipation_epsilon": self.law.friction(square(u.v)) * square(u.v)}
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
 from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, tested
 from ngvisco.forms.unknowns import Setting, Unknown
+from ngvisco.forms.upwinding import SideMean
 from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner, masked
@@ -82,12 +83,12 @@ class Kinematics(PointTerm):
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [-transport_through_facets(u, u, w, "z")]
 
-    def entries(self, u: Fields) -> list[Entry]:
-        """Creep's dissipation, where it has no equation of its own."""
+    def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
+        """Creep's, where it has no equation of its own."""
         rates = u.context.rates
         if rates.rule is None or not rates.rule.is_local:
-            return []
-        return [Entry("dissipation_creep", "dissipation", Integrand(rates.dissipation(u)))]
+            return {}
+        return {"dissipation_creep": rates.dissipation(u)}
 
     def energy(self, u: Fields) -> Entry:
         """phi(z)."""
@@ -104,14 +105,19 @@ class Kinematics(PointTerm):
         return Entry("bregman", "numerical", Integrand(bregman))
 
 
-class UpwindTrace(PointTerm):
+class UpwindTrace(SideMean):
     """sum_K int_{dK} (1 - n^-)(z_hat - z) : G_hat = 0: the trace is the upwind value, by v* of the step."""
 
-    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        return (Unknown("z_hat", "facets", setting.m, setting.states.size, trace_of="z"),)
+    name = "z_hat"
 
-    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return [u.context.upwinding.share * inner(u.z_hat - u.z, w.z_hat)]
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown(self.name, "facets", setting.m, setting.states.size, trace_of="z"),)
+
+    def share(self, u: Fields) -> CoefficientFunction:
+        return u.context.upwinding.share
+
+    def value(self, u: Fields) -> CoefficientFunction:
+        return u.z
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from ngvisco.physics.materials.referential import (
     ReferentialNeoHookean,
 )
 from ngvisco.physics.materials.regularised import WithQuadratic
+from ngvisco.physics.materials.thermal import Thermal
 from ngvisco.physics.materials.yosida import Yosida
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "PerReferentialVolume",
     "ReferentialMooneyRivlin",
     "ReferentialNeoHookean",
+    "Thermal",
     "WithQuadratic",
     "Yosida",
     "examples",

@@ -1,0 +1,157 @@
+"""Heat of a body: how it is conducted, what is exchanged through walls, and what produces it.
+
+A material with a temperature (``ngvisco.physics.materials.thermal``) is heated by all that its mechanisms
+dissipate.  ``Heat`` is what a model says besides, and ``WallHeat`` what a wall does; without them nothing is
+conducted, and walls are insulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import ParameterError, Quantity, as_number
+from ngvisco.physics.tensors import linear_map
+
+Function: TypeAlias = float | CoefficientFunction
+"""A number, or a function of the place and the run's time."""
+
+Conductivity: TypeAlias = float | Callable[[Any], Any] | Sequence[Sequence[float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class WallHeat:
+    """Heat that comes in through a wall: flux + coefficient (temperature - theta) (Robin, Newton's cooling).
+
+    A large coefficient holds the wall at the temperature.  A wall without it is insulated.
+
+    Parameters
+    ----------
+    temperature : float, optional
+        That of the surroundings, with a coefficient; a function of the place and the run's time.
+    coefficient : float, optional
+        Heat transfer coefficient; a function of the place and the run's time.
+    flux : float, optional
+        Heat that comes in besides, whatever the temperature; a function of the place and the run's time.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range, one of temperature and coefficient is given without the other, or
+        nothing is.
+    """
+
+    temperature: Annotated[Function | None, Quantity("K", "> 0", 300.0)] = None
+    coefficient: Annotated[Function | None, Quantity("W/(m^2 K)", ">= 0", 10.0)] = None
+    flux: Annotated[Function | None, Quantity("W/m^2", example=100.0)] = None
+
+    def __post_init__(self) -> None:
+        _require(self, "temperature", is_positive=True)
+        _require(self, "coefficient", is_positive=False)
+        _require(self, "flux", is_positive=None)
+        if (self.temperature is None) != (self.coefficient is None):
+            missing = "temperature" if self.temperature is None else "coefficient"
+            expected = "a value: temperature and coefficient go together"
+            raise ParameterError(f"WallHeat.{missing}", None, expected)
+        if self.temperature is None and self.flux is None:
+            raise ParameterError("WallHeat.flux", None, "a flux, or a temperature and a coefficient")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heat:
+    """What heats and cools a body besides its own dissipation.
+
+    Parameters
+    ----------
+    conductivity : float
+        Thermal conductivity kappa: a number, a 3x3 matrix, symmetric and positive semidefinite, or a function
+        of the temperature, theta -> kappa, written with the functions of ``ngvisco.physics.tensors``.
+    source : float, optional
+        Heat that is produced; a function of the place and the run's time.
+    numerical_heating : bool
+        Whether what the time scheme dissipates is heat too, so that the total energy is kept to rounding; of
+        the backward Euler scheme only.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
+    """
+
+    conductivity: Annotated[Conductivity, Quantity("W/(m K)", example=50.0)] = 0.0
+    source: Annotated[Function | None, Quantity("W/m^3", example=100.0)] = None
+    numerical_heating: bool = False
+
+    def __post_init__(self) -> None:
+        self._check_conductivity()
+        _require(self, "source", is_positive=None)
+
+    def _check_conductivity(self) -> None:
+        given, owner = self.conductivity, "Heat.conductivity"
+        number = as_number(given)
+        if number is not None:
+            if number < 0:
+                raise ParameterError(owner, given, "a finite number >= 0")
+            object.__setattr__(self, "conductivity", number)
+        elif callable(given) and not isinstance(given, CoefficientFunction):
+            values = np.array([given(np.float64(theta)) for theta in _TEMPERATURES])
+            if not (np.isfinite(values).all() and (values >= 0).all()):
+                worst = float(np.nanmin(values)) if np.isfinite(values).any() else values[0]
+                raise ParameterError(owner, worst, "a function of the temperature, finite and >= 0")
+        else:
+            try:
+                matrix = np.array(given, dtype=float)
+            except (TypeError, ValueError):
+                matrix = np.zeros(0)
+            expected = "a number >= 0, a function of the temperature, or a 3x3 matrix"
+            if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+                raise ParameterError(owner, given, expected)
+            size = abs(matrix).max()
+            if abs(matrix - matrix.T).max() > 1e-12 * size:
+                raise ParameterError(owner, given, f"{expected}, symmetric")
+            if (least := np.linalg.eigvalsh(matrix)[0]) < -1e-12 * size:
+                raise ParameterError(
+                    owner, given, f"{expected}, positive semidefinite; it has an eigenvalue {least:.4g}"
+                )
+            object.__setattr__(self, "conductivity", tuple(map(tuple, matrix.tolist())))
+
+    @property
+    def conducts(self) -> bool:
+        """Whether heat is conducted at all."""
+        return callable(self.conductivity) or bool(np.any(np.asarray(self.conductivity)))
+
+    def size(self, theta: CoefficientFunction) -> CoefficientFunction | float:
+        """kappa, of a matrix its largest eigenvalue, W/(m K)."""
+        if callable(self.conductivity):
+            return self.conductivity(theta)
+        if isinstance(self.conductivity, tuple):
+            return float(np.linalg.eigvalsh(np.array(self.conductivity))[-1])
+        return self.conductivity
+
+    def flux(self, theta: CoefficientFunction, slope: CoefficientFunction, dim: int) -> CoefficientFunction:
+        """kappa grad theta, W/m^2."""
+        if isinstance(self.conductivity, tuple):
+            return linear_map(np.array(self.conductivity)[:dim, :dim], slope, (dim,))
+        return self.size(theta) * slope
+
+
+_TEMPERATURES = 10.0 ** np.arange(-3, 5)
+"""K, at which a conductivity is looked at."""
+
+
+def _require(owner: object, name: str, is_positive: bool | None) -> None:
+    """Raise ParameterError unless a parameter is None, a scalar function or a number, > 0, >= 0 or any."""
+    value = getattr(owner, name)
+    if value is None:
+        return
+    if isinstance(value, CoefficientFunction) and value.dim == 1 and not value.is_complex:
+        return
+    number, sign = as_number(value), {True: " > 0", False: " >= 0", None: ""}[is_positive]
+    if number is None or (is_positive is not None and not (number > 0 or (number == 0 and not is_positive))):
+        expected = f"a finite number{sign}, or a scalar function of the place and the time"
+        raise ParameterError(f"{type(owner).__name__}.{name}", value, expected)
+    object.__setattr__(owner, name, number)

@@ -1,0 +1,208 @@
+"""Materials with heat: the entropy is one more variable, and the energy the internal one.
+
+The entropy s per actual volume is conserved but for what is produced, ds/dt = -(tr L) s + ..., so that it is
+transported like A = 1/J.  Its conjugate is the temperature, theta = d phi/d s.  With S = s/A per reference
+volume and a heat capacity c at constant volume
+
+    phi = phi_m + A c theta_R (exp(S/c - g) - 1) [+ A c theta_R g],    theta = theta_R exp(S/c - g) > 0,
+
+where g is Gamma (J - 1) with the term in brackets (``expansion``), or Gamma ln J without it (``gruneisen``).
+Both are perspectives of convex functions of (S, J): jointly convex with phi_m, the energy without heat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Self
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction, Id
+
+from ngvisco.errors import ParameterError, Quantity
+from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.parameters import Modulus, require_ranges, substituted
+from ngvisco.physics.tensors import exp, log, tr
+from ngvisco.physics.time import sampled
+from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
+
+
+@dataclass(frozen=True)
+class Entropy(Variable):
+    """The entropy per actual volume in a unit of its own, that of a heat capacity: ds/dt = -(tr L) s.
+
+    Parameters
+    ----------
+    name : str
+    unit : float
+        J/(m^3 K).  The conjugate of the number s is unit theta, Pa.
+    """
+
+    name: str = "s"
+    kind: str = "scalar"
+    unit: float = 1.0
+
+    @property
+    def is_conserved(self) -> bool:
+        return True
+
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+        return -tr(L) * z[self.name]
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        """Zero: a start has a temperature (``Initial.temperature``)."""
+        return CF(0.0)
+
+
+def entropy_in(material: Material) -> Entropy | None:
+    """The entropy among a material's variables; None without heat."""
+    return next((v for v in material.variables if isinstance(v, Entropy)), None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thermal(Material):
+    """A material that has a temperature: its energy is the internal one, phi(z, s), and theta = d phi/d s.
+
+    The heat capacity at constant volume is c.  With ``expansion`` the thermal pressure is
+    Gamma c (theta - theta_R) with Gamma c = K ``expansion``, K the bulk modulus at rest of the material
+    without heat, which is the isothermal one: no stress at theta_R beside that of the material.  With
+    ``gruneisen`` it is Gamma c theta/J, that of an ideal gas with the adiabatic exponent 1 + Gamma where
+    there is no other material.
+
+    Example::
+
+        import ngvisco as nv
+
+        steel = nv.ReferentialNeoHookean(K_e=160e9, G_e=40e9)
+        material = nv.Thermal(material=steel, c=3.6e6, expansion=3.6e-5, theta_R=293.0)
+        air = nv.Thermal(c=862.0, gruneisen=0.4, theta_R=293.0, rho_R=1.2)
+        print([variable.name for variable in material.variables], air.pressure(293.0, J=1.0))
+
+    Parameters
+    ----------
+    material : Material, optional
+        The material without heat, whatever its variables; A = 1/J is carried beside them where it is none of
+        them.  None for a gas, which has no other pressure than that of heat.
+    c : float
+        Heat capacity at constant volume, per referential volume.
+    theta_R : float
+        Reference temperature, at which the entropy is zero where J = 1.
+    expansion : float, optional
+        Thermal expansion of the volume, three times that of a length.
+    gruneisen : float, optional
+        Grueneisen's parameter Gamma, in place of ``expansion``.
+    rho_R : float, optional
+        Density where J = 1; with it the initial density and J follow from one another.
+    entropy_unit : float, optional
+        What the carried entropy counts in; default c.  Bodies of a model have one in common.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range, both of ``expansion`` and ``gruneisen`` are given, a gas has no
+        ``gruneisen``, a material with an expansion no bulk modulus, or the material has heat already.
+    """
+
+    material: Material | None = None
+    c: Annotated[float, Quantity("J/(m^3 K)", "> 0", 3.6e6)]
+    theta_R: Annotated[float, Quantity("K", "> 0", 293.0)]
+    expansion: Annotated[float | None, Quantity("1/K", ">= 0", 3.6e-5)] = None
+    gruneisen: Annotated[float | None, Quantity("1", ">= 0", 0.4)] = None
+    rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
+    entropy_unit: Annotated[float | None, Quantity("J/(m^3 K)", "> 0", 3.6e6)] = None
+    _Gamma: float = field(init=False, repr=False, default=0.0)
+    """Of the module's docstring."""
+
+    def __post_init__(self) -> None:
+        require_ranges(self)
+        owner = type(self).__name__
+        if not (self.material is None or isinstance(self.material, Material)):
+            raise ParameterError(f"{owner}.material", self.material, "a Material, or None for a gas")
+        if self.expansion is not None and self.gruneisen is not None:
+            raise ParameterError(f"{owner}.gruneisen", self.gruneisen, "None beside an expansion")
+        if self.material is None and not self.gruneisen:
+            expected = "a number > 0 without a material: a gas has a pressure by it"
+            raise ParameterError(f"{owner}.gruneisen", self.gruneisen, expected)
+        if self.material is not None and entropy_in(self.material) is not None:
+            raise ParameterError(f"{owner}.material", self.material, "a material without heat")
+        Gamma = self.gruneisen or 0.0
+        if self.expansion and self.material is not None:
+            Gamma = self.expansion * bulk_modulus(self.material) / self.c
+            if not Gamma > 0:
+                expected = "None, or a material whose bulk modulus at rest is > 0"
+                raise ParameterError(f"{owner}.expansion", self.expansion, expected)
+        object.__setattr__(self, "_Gamma", Gamma)
+
+    def with_elastic_state(self, state: ElasticState) -> Self:
+        if self.material is None:
+            return self
+        return replace(self, material=self.material.with_elastic_state(state))
+
+    @property
+    def entropy(self) -> Entropy:
+        """The carried entropy."""
+        return Entropy(unit=self.entropy_unit or self.c)
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        own = () if self.material is None else self.material.variables
+        volume = () if ReciprocalJacobian() in own else (ReciprocalJacobian(),)
+        return (*own, *volume, self.entropy)
+
+    @property
+    def referential_density(self) -> Modulus | None:
+        if self.rho_R is not None or self.material is None:
+            return self.rho_R
+        return self.material.referential_density
+
+    @property
+    def conformation(self) -> str | None:
+        return None if self.material is None else self.material.conformation
+
+    @property
+    def continued(self) -> frozenset[str]:
+        return frozenset() if self.material is None else self.material.continued
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
+        unit = self.entropy.unit / self.c
+        phi = heat * (A * exp(unit * z["s"] * J - self._g(J)) - A)
+        if self.gruneisen is None and self._Gamma:
+            phi = phi + heat * self._Gamma * (1 - A)
+        if self.material is None:
+            return phi
+        return phi + self.material.energy({v.name: z[v.name] for v in self.material.variables})
+
+    def _g(self, J: Any) -> Any:
+        """g of the module's docstring."""
+        return self._Gamma * (J - 1) if self.gruneisen is None else self._Gamma * log(J)
+
+    def start(self, theta: Any, A: Any) -> CoefficientFunction:
+        """The carried entropy of a temperature theta, K, and A = 1/J."""
+        return self.c / self.entropy.unit * A * (log(theta / self.theta_R) + self._g(1 / A))
+
+    def pressure(self, theta: float, J: float = 1.0) -> float:
+        """The thermal pressure, Pa."""
+        if self.gruneisen is None:
+            return self._Gamma * self.c * (theta - self.theta_R)
+        return self._Gamma * self.c * theta / J
+
+
+def bulk_modulus(material: Material) -> float:
+    """d^2(J phi)/dJ^2 along F = J^{1/3} I at rest, Pa, where parameters have their typical values."""
+    J = CF(1.0).MakeVariable()
+    typical = substituted(material, lambda expression: expression.typical)
+    z = {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables}
+    return float(np.mean(sampled((J * typical.energy(z)).Diff(J).Diff(J))))
+
+
+def thermal_parts(part: object) -> Iterator[Thermal]:
+    """The materials with heat that a material is made of."""
+    if isinstance(part, Thermal):
+        yield part
+    elif isinstance(part, tuple):
+        for one in part:
+            yield from thermal_parts(one)
+    elif isinstance(part, Material):
+        for one in vars(part).values():
+            yield from thermal_parts(one)

@@ -1,0 +1,176 @@
+"""Heat: what is dissipated arrives, total energy is kept, entropy grows; in both solvers."""
+
+import math
+
+import numpy as np
+import pytest
+from ngsolve import CF, Integrate, cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.terms.heat import PRODUCTION
+from ngvisco.geometries import box
+from ngvisco.physics.tensors import inner, square
+
+SOLID = nv.Thermal(
+    material=nv.IsochoricNeoHookean(K_e=20.0, G_e=1.0, elastic_state="B"), c=3.0, expansion=0.1, theta_R=1.0
+)
+SWIRL = CF((sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))
+VISCOSITY = nv.StokesViscosity(K_v=0.05, G_v=0.05)
+ALL = {
+    "viscosity": VISCOSITY,
+    "hyperviscosity": nv.HyperViscosity(mu=1e-4),
+    "creep": nv.Creep(G_m=1.0),
+    "regularisation": nv.Regularisation(epsilon=0.1),
+}
+"""Mechanisms that dissipate."""
+
+
+def run_of(solver, heat=None, steps=2, laws=ALL, dt=0.05, **options):
+    model = nv.Model(material=SOLID, heat=heat, **laws)
+    start = nv.Initial(density=1.0, velocity=SWIRL, temperature=options.pop("temperature", 1 + 0.2 * x))
+    run = nv.Simulation(box((1, 1), maxh=0.7), model, dt=dt, initial=start, solver=solver, **options)
+    run.run(until=steps * dt)
+    return run
+
+
+def energy(ledger):
+    return ledger.column("kinetic") + ledger.column("stored")
+
+
+def produced(ledger):
+    """Entropy by mechanism, W/K, (mechanisms, steps)."""
+    return np.array([ledger.column(name)[1:] for name in ledger.columns if name.startswith(PRODUCTION)])
+
+
+@pytest.mark.parametrize("conductivity", [0.0, lambda theta: 0.05 * theta * theta])
+def test_a_closed_box_keeps_its_energy_and_gains_entropy_in_both_solvers(conductivity):
+    """All mechanisms on, Euler with what the scheme dissipates as heat; friction at a wall is heat too."""
+    heat, found = nv.Heat(conductivity=conductivity, numerical_heating=True), []
+    for solver in ("coupled", "split"):
+        run = run_of(solver, heat, walls={"bottom": nv.NavierFriction(0.2)})
+        ledger = run.ledger
+        names = {name for name in ledger.columns if name.startswith("dissipation_")}
+        assert names >= {f"dissipation_{n}" for n in ("hyper", "creep", "epsilon", "friction_bottom")}
+        heated = 0.05 * (ledger.column("power_heat_dissipated") + ledger.column("power_heat_numerical")).sum()
+        assert abs(energy(ledger) - energy(ledger)[0]).max() <= 1e-9 * heated
+        entropy = ledger.column("entropy")
+        assert (np.diff(entropy) > 0).all() and (produced(ledger) >= 0).all()
+        assert np.diff(entropy) == pytest.approx(0.05 * produced(ledger).sum(axis=0), rel=1e-8)
+        assert len(produced(ledger)) == len(names) + 1 + bool(conductivity)
+        found.append([ledger.column(name)[-1] for name in ("kinetic", "stored", "entropy", *sorted(names))])
+    assert found[0] == pytest.approx(found[1], rel=1e-8)
+
+
+@pytest.mark.parametrize("solver", ["coupled", "split"])
+def test_heat_from_sources_and_through_walls_is_in_the_energy(solver):
+    walls = {
+        "left": nv.Slip(heat=nv.WallHeat(temperature=1.5, coefficient=0.4)),
+        "right": nv.NoSlip(heat=nv.WallHeat(flux=0.1 * (1 + y))),
+    }
+    heat = nv.Heat(conductivity=0.05, source=0.3 * (1 + x))
+    run = run_of(solver, heat, scheme="midpoint", laws={"viscosity": VISCOSITY}, walls=walls)
+    ledger = run.ledger
+    assert ledger.column("power_heat_source")[-1] == pytest.approx(0.45, rel=1e-12)
+    assert ledger.column("power_heat_right")[-1] == pytest.approx(0.15, rel=1e-12)
+    assert 0.05 < ledger.column("power_heat_left")[-1] < 0.25
+    columns = [f"power_heat_{name}" for name in ("source", "left", "right")]
+    supplied = 0.05 * sum(ledger.column(name) for name in columns)
+    remainder = ledger.column("inertial") + ledger.column("bregman")
+    assert np.diff(energy(ledger)) == pytest.approx((supplied - remainder)[1:], rel=1e-9)
+    assert abs(remainder).max() < 0.01 * supplied[-1]
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10
+
+
+@pytest.mark.parametrize("conductivity", [0.3, np.diag([0.3, 0.1, 1.0])])
+def test_conduction_at_rest_is_that_of_the_heat_equation(conductivity):
+    """theta_R + 10 cos(pi x): it decays by kappa pi^2/c, and nothing moves, without expansion."""
+    material = nv.Thermal(material=nv.LinearElastic(K_e=1e3, G_e=1e3), c=2.0, theta_R=100.0)
+    model = nv.Model(material=material, heat=nv.Heat(conductivity=conductivity))
+    start = nv.Initial(density=1.0, temperature=100 + 10 * cos(pi * x))
+    options = {"scheme": "midpoint", "solver": "coupled"}
+    run = nv.Simulation(box((1, 0.3), maxh=0.25), model, dt=0.05, initial=start, **options)
+    run.run(until=0.1)
+    amplitude = 2 / 3 * Integrate(run.fields["temperature"] * cos(pi * x), run.mesh)
+    assert amplitude == pytest.approx(math.exp(-0.3 / 2 * pi**2 * 0.1), rel=0.01)
+
+
+class Drag(PointTerm):
+    """A resistance whose dissipation is heat."""
+
+    def cells(self, u, w):
+        return [2.0 * inner(u.v, w.v)]
+
+    def dissipated(self, u):
+        return {"dissipation_drag": 2.0 * square(u.v)}
+
+
+class Hidden(Drag):
+    """One that has it in its columns only."""
+
+    def dissipated(self, u):
+        return {}
+
+    def entries(self, u):
+        return [Entry("dissipation_drag", "dissipation", Integrand(2.0 * square(u.v)))]
+
+
+@pytest.mark.parametrize("solver", ["coupled", "split"])
+def test_what_further_terms_dissipate_is_heat_or_refused(solver):
+    laws = {"viscosity": VISCOSITY}
+    ledger = run_of(solver, laws=laws, terms=[Drag()], scheme="midpoint").ledger
+    lost = ledger.column("dissipation_drag")
+    assert lost[-1] > 0.05 and ledger.column(PRODUCTION + "drag")[-1] > 0.04
+    assert energy(ledger) == pytest.approx(energy(ledger)[0], rel=1e-3)
+    with pytest.raises(nv.NgviscoError, match=r"Hidden.*dissipated"):
+        run_of(solver, laws=laws, terms=[Hidden()], steps=0)
+
+
+def test_heat_is_refused_where_it_makes_no_sense():
+    cold = nv.LinearElastic(K_e=1.0, G_e=1.0)
+    with pytest.raises(nv.NgviscoError, match=r"Model\.heat"):
+        nv.Model(material=cold, heat=nv.Heat())
+    walls = {"left": nv.Slip(heat=nv.WallHeat(flux=1.0))}
+    with pytest.raises(nv.NgviscoError, match=r"walls\['left'\]\.heat"):
+        nv.Simulation(box((1, 1), maxh=0.7), nv.Model(material=cold), dt=0.1, walls=walls)
+    with pytest.raises(nv.NgviscoError, match=r"walls\['left'\]\.heat"):
+        run_of("coupled", walls={"left": nv.Slip(heat=3.0)}, steps=0)
+    with pytest.raises(nv.NgviscoError, match="temperature theta_0"):
+        run_of("coupled", temperature=-0.5 + x, steps=0)
+    with pytest.raises(nv.NgviscoError, match=r"Initial\.temperature"):
+        nv.Simulation(
+            box((1, 1), maxh=0.7), nv.Model(material=cold), dt=0.1, initial=nv.Initial(temperature=1.0)
+        )
+    with pytest.raises(nv.NgviscoError, match=r"numerical_heating.*backward Euler"):
+        run_of("coupled", nv.Heat(numerical_heating=True), scheme="midpoint", steps=0)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"conductivity": -1.0}, r"Heat\.conductivity"),
+        ({"conductivity": np.diag([1.0, 1.0, -1.0])}, "positive semidefinite"),
+        ({"conductivity": [[1, 1, 0], [0, 1, 0], [0, 0, 1]]}, "symmetric"),
+        ({"conductivity": lambda theta: 1 - theta}, r"Heat\.conductivity"),
+        ({"conductivity": "much"}, r"Heat\.conductivity"),
+        ({"source": "hot"}, r"Heat\.source"),
+    ],
+)
+def test_a_law_of_heat_names_what_is_wrong(given, said):
+    with pytest.raises(nv.NgviscoError, match=said):
+        nv.Heat(**given)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"temperature": 300.0, "coefficient": -1.0}, r"WallHeat\.coefficient"),
+        ({"temperature": 0.0, "coefficient": 1.0}, r"WallHeat\.temperature"),
+        ({"temperature": 300.0}, r"WallHeat\.coefficient"),
+        ({"flux": math.nan}, r"WallHeat\.flux"),
+        ({}, r"WallHeat\.flux"),
+    ],
+)
+def test_heat_through_a_wall_names_what_is_wrong(given, said):
+    with pytest.raises(nv.NgviscoError, match=said):
+        nv.WallHeat(**given)
