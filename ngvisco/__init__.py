@@ -73,7 +73,7 @@ from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, 
 from ngvisco.run.bodies import Bodies
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.closure import ClosureWarning
-from ngvisco.run.ledger import DefectWarning
+from ngvisco.run.ledger import DefectWarning, EntropyWarning
 from ngvisco.run.notebook import NotebookProgress, draw
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields, plot_schemes
@@ -144,6 +144,7 @@ __all__ = [
     "DefectWarning",
     "Discretisation",
     "DruckerPrager",
+    "EntropyWarning",
     "Entry",
     "Eyring",
     "FlowRule",

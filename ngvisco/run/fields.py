@@ -9,7 +9,7 @@ from ngsolve import CF, CoefficientFunction, sqrt
 from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.forms.system import Step
 from ngvisco.physics.material import Material, cauchy_stress
-from ngvisco.physics.materials.thermal import entropy_in
+from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import dev, if_positive, square, tr
 from ngvisco.run.further_fields import NAMES, further_fields, usual
@@ -63,8 +63,8 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
 
 def _temperature(step: Step) -> dict[str, CoefficientFunction]:
     """K, by the projected conjugate of the entropy, of a material with heat."""
-    entropy = entropy_in(step.model.material)
-    return {} if entropy is None else {"temperature": step.now.zeta_tensors[entropy.name] / entropy.unit}
+    theta = temperature(step.model.material, step.now.zeta_tensors)
+    return {} if theta is None else {"temperature": theta}
 
 
 _FRACTION = "_fraction"

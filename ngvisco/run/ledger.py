@@ -27,9 +27,10 @@ from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
 from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry, Integrand, Kind
+from ngvisco.forms.terms.heat import PRODUCTION
 from ngvisco.physics.defects import relative_defects
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
-from ngvisco.physics.materials.thermal import entropy_in
+from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
@@ -55,6 +56,8 @@ UNITS = {
     "rho_min": "kg/m^3",
     "rho_max": "kg/m^3",
     "J_min": "1",
+    "entropy": "J/K",
+    "temperature_min": "K",
     "J_defect": "m^(d/2)",
     "defect_rms": "1",
     "defect_max": "1",
@@ -78,6 +81,8 @@ def unit(column: str) -> str:
     """The SI unit of a ledger column (per metre of thickness in plane strain)."""
     if column.startswith(("dissipation_", "power_")):
         return "W"
+    if column.startswith("entropy_"):
+        return "W/K"
     return UNITS.get(column, "J")
 
 
@@ -90,12 +95,19 @@ class Balance:
     initial_mass: float
 
 
+_NEGATIVE = 1e-9
+"""Share of all entropy that is produced that may be missing of a mechanism: what an iteration leaves."""
+
 WARNING_DEFECT = 0.01
 """Relative root mean square of a defect from which on a run warns."""
 
 
 class DefectWarning(NgviscoWarning):
     """Variables that stand for one thing have parted: the solution is wrong though the ledger closes."""
+
+
+class EntropyWarning(NgviscoWarning):
+    """A mechanism takes entropy away: the mesh does not resolve the temperature, or a law is none."""
 
 
 class Ledger:
@@ -115,8 +127,10 @@ class Ledger:
         _check_names(self.entries)
         self._state = _Integrals(step, self._state_integrands())
         self._rates = _Integrals(step, {e.name: e for e in self.entries if e.kind in RATES})
-        self._monitors = self._monitor_functions()
-        self._has_warned = False
+        theta = temperature(step.model.material, step.now.zeta_tensors)
+        self._of_heat = () if theta is None else ("temperature_min",)
+        self._monitors = self._monitor_functions(CF(0.0) if theta is None else theta)
+        self._has_warned, self._has_warned_of_entropy = False, False
         self._absent: dict[str, float] = {}
         self._pending: dict[str, float] = {}
         self.rows: list[dict[str, float]] = []
@@ -129,7 +143,7 @@ class Ledger:
             *("step", "time", "dt", *ENERGIES),
             *(entry.name for entry in self.entries),
             *("closure", "closure_relative", "mass", "mass_drift"),
-            *("rho_min", "rho_max", "J_min", "J_defect", "defect_rms", "defect_max"),
+            *("rho_min", "rho_max", "J_min", *self._of_heat, "J_defect", "defect_rms", "defect_max"),
             *("v_max", "newton_iterations", "rejections", "limited_cells"),
             *("cfl", "error_estimate"),
         ]
@@ -227,9 +241,24 @@ class Ledger:
             "limited_cells": taken.limited,
         }
         row = self._append(row, iterations, rejections, tau)
+        self._check_entropy(row)
         self._pending = {}
         self.balance = Balance(energy, values["mass"], self.balance.initial_mass)
         return row
+
+    def _check_entropy(self, row: Mapping[str, float]) -> None:
+        """Warn once of a mechanism that takes entropy away."""
+        made = {name: row[name] for name in self.columns if name.startswith(PRODUCTION)}
+        if not made or self._has_warned_of_entropy:
+            return
+        least = min(made, key=lambda name: made[name])
+        if made[least] < -_NEGATIVE * sum(map(abs, made.values())):
+            self._has_warned_of_entropy = True
+            message = (
+                f"at t = {row['time']:.4g} s {least} is {made[least]:.3g} W/K: where that is conduction, "
+                "the cells are too large for the slopes of the temperature; else a law gives energy"
+            )
+            self.sampler.ranks.warn(message, EntropyWarning, stacklevel=2)
 
     def rounding(self) -> float:
         """What rounding may leave of the stored energy at the present state, J.
@@ -281,8 +310,8 @@ class Ledger:
         entries = {name: Entry(name, "monitor", Integrand(value)) for name, value in named.items()}
         return entries | {e.name: e for e in self.entries if e.kind == "monitor"}
 
-    def _monitor_functions(self) -> CoefficientFunction:
-        """rho, J (NaN where the material has none), (J - det F)^2, |v|, |v|/h."""
+    def _monitor_functions(self, theta: CoefficientFunction) -> CoefficientFunction:
+        """rho, J (NaN where the material has none), |v|, |v|/h, theta."""
         u, nan = self.step.now, CF(math.nan)
         z = u.z_tensors
         J, F = nan, None
@@ -303,7 +332,7 @@ class Ledger:
         if F is not None and J is nan:
             J = Det(F)
         speed = sqrt(square(u.v))
-        return CF((u.rho, J, speed, speed / self.step.context.h))
+        return CF((u.rho, J, speed, speed / self.step.context.h, theta))
 
     def _extrema(self, tau: float, time: float) -> dict[str, float]:
         values, ranks = self.sampler.values(self._monitors), self.sampler.ranks
@@ -320,6 +349,7 @@ class Ledger:
             "defect_max": largest,
             "v_max": ranks.most(values[:, 2]),
             "cfl": tau * ranks.most(values[:, 3]),
+            **{name: ranks.least(values[:, 4]) for name in self._of_heat},
         }
 
     def _relative_defects(self, time: float) -> tuple[float, float]:

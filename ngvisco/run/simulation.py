@@ -38,6 +38,7 @@ from ngvisco.forms.term import Term
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
+from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.model import Model
 from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
@@ -426,6 +427,12 @@ class Simulation:
         """
         violation = self.bounds.violation()
         if violation is None:
-            return None
+            return self._defect_of_temperature()
         self._refused = (violation, self.rothe_step.state.vec.FV().NumPy().copy())
         return str(violation)
+
+    def _defect_of_temperature(self) -> str | None:
+        theta = temperature(self.model.material, self.rothe_step.now.zeta_tensors)
+        if theta is None or (least := self.sampler.extrema(theta)[0]) > 0:
+            return None
+        return f"the temperature is {least:.4g} K somewhere, and not positive"

@@ -34,7 +34,7 @@ from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material, conjugates, volume_ratio
-from ngvisco.physics.materials.thermal import entropy_in, thermal_parts
+from ngvisco.physics.materials.thermal import entropy_in, temperature, thermal_parts
 from ngvisco.physics.mixture import AMOUNT
 from ngvisco.physics.model import VectorLike, as_tensor, as_vector
 from ngvisco.physics.parameters import Parameter, moduli_in, value_at
@@ -165,6 +165,9 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         if not np.isfinite(step.energy.samples(step.now.z_tensors, sampler)).all():
             raise InitialDataError("stored energy", "not finite somewhere", "finite values")
         complete(step)
+    theta = temperature(step.model.material, step.now.zeta_tensors)
+    if theta is not None:
+        sampler.require(theta, "projected temperature theta_0", minimum=0.0)
     warn_of_mismatch(step, sampler, values)
     step.state_old.vec.data = step.state.vec
     step.start_from_old()

@@ -188,6 +188,12 @@ class Thermal(Material):
         return self._Gamma * self.c * theta / J
 
 
+def temperature(material: Material, zeta: Values) -> CoefficientFunction | None:
+    """theta, K, by the conjugates' values; None of a material without heat."""
+    entropy = entropy_in(material)
+    return None if entropy is None else zeta[entropy.name] / entropy.unit
+
+
 def bulk_modulus(material: Material) -> float:
     """d^2(J phi)/dJ^2 along F = J^{1/3} I at rest, Pa, where parameters have their typical values."""
     J = CF(1.0).MakeVariable()
