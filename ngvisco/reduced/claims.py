@@ -22,6 +22,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm, Term
 from ngvisco.forms.terms.field_diffusion import FieldDiffusion
+from ngvisco.forms.terms.heat import Heating
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Continuity, Inertia, Loading
 from ngvisco.forms.terms.regularisation import CutOffVolume, DensityDiffusion
@@ -102,6 +103,11 @@ class Claims:
             and self.rows[id(term)] - _FIELDS <= {"v", "grad v"}
             and not isinstance(term, ElasticForce)
         ]
+
+    @property
+    def conducting(self) -> list[Heating]:
+        """Heat that goes from cell to cell or through walls: the transport of the entropy has its matrix."""
+        return [term for term in self.at_points if isinstance(term, Heating) and term.conducts]
 
     def of_inertia(self) -> list[PointTerm]:
         """Terms of dv/dt, whose matrix is that of the whole rule: a coarse one makes it singular."""

@@ -169,6 +169,22 @@ def parameters(solver: str) -> nv.Simulation:
     return nv.Simulation(box((1, 1), maxh=0.4), model, dt=0.02, initial=initial, solver=solver)
 
 
+def heated(solver: str) -> nv.Simulation:
+    """A swirl that warms by all that dissipates, with conduction and a wall that cools."""
+    material = nv.Thermal(material=STIFF, c=3.0, expansion=0.1, theta_R=1.0)
+    model = nv.Model(
+        material=material,
+        viscosity=VISCOSITY,
+        hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
+        creep=nv.Creep(G_m=1.0),
+        heat=nv.Heat(conductivity=lambda theta: 0.05 * theta, numerical_heating=True),
+    )
+    initial = nv.Initial(velocity=SWIRL, temperature=1 + 0.2 * x)
+    walls = {"left": nv.NavierFriction(0.3, heat=nv.WallHeat(temperature=0.5, coefficient=0.2))}
+    mesh = box((1, 1), maxh=0.4)
+    return nv.Simulation(mesh, model, dt=0.02, initial=initial, walls=walls, solver=solver)
+
+
 def observed(dim: int) -> nv.Simulation:
     """With tables of points on facets, where fields jump, in cells, on walls; of forces and integrals."""
     middle = (0.5,) * dim
@@ -207,6 +223,8 @@ CASES = {
     "observed block": lambda: observed(3),
     "bodies": lambda: bodies("coupled"),
     "split bodies": lambda: bodies("split"),
+    "heated": lambda: heated("coupled"),
+    "split heated": lambda: heated("split"),
     "parameters": lambda: parameters("coupled"),
     "split parameters": lambda: parameters("split"),
     "swirl": lambda: swirl(0.3),

@@ -31,7 +31,10 @@ def observers(directory):
     ]
 
 
-@pytest.mark.parametrize("material", [NEO_HOOKEAN, nv.LinearElastic(K_e=10.0, G_e=5.0)])
+HEATED = nv.Thermal(material=nv.LinearElastic(K_e=10.0, G_e=5.0), c=1.0, theta_R=1.0, expansion=0.1)
+
+
+@pytest.mark.parametrize("material", [NEO_HOOKEAN, HEATED])
 def test_restart_is_bitwise_identical(tmp_path, material):
     SetNumThreads(1)  # sums over threads have no fixed order
     whole = simulation(observers(tmp_path / "whole"), material)

@@ -35,8 +35,10 @@ from ngvisco.physics.tensors import inner, linear_map, square
 PRODUCTION = "entropy_production_"
 """What the ledger's columns of entropy produced by a mechanism, never negative, begin with."""
 
-_PENALTY = 2.0
-"""Of the interior penalty, times (m + 1)^2."""
+
+def penalty_weight(m: int) -> float:
+    """s of the interior penalty p = s kappa/h for fields in P_m."""
+    return 2.0 * (m + 1) ** 2
 
 
 class _OfEntropy(PointTerm):
@@ -111,6 +113,16 @@ class Heating(_OfEntropy):
             found[f"power_heat_{name}"] = u.context.given(self._indicators[name]) * heat
         return found
 
+    @property
+    def conducts(self) -> bool:
+        """Whether heat goes from cell to cell or through walls."""
+        return self.law.conducts or bool(self._walls)
+
+    def exchange(self, u: Fields) -> list[CoefficientFunction]:
+        """Heat transfer coefficients of walls, zero elsewhere, W/(m^2 K)."""
+        given = u.context.given
+        return [given(self._indicators[name]) * given(values[1]) for name, values in self._walls.items()]
+
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         heat = [*dissipations(u, self).values(), *self._supplied(u).values()]
         return [-(reduce(add, heat) * self.chi(u, w))] if heat else []
@@ -178,9 +190,8 @@ class MeanHeatFlux(_OfEntropy, SideMean):
 
     def value(self, u: Fields) -> CoefficientFunction:
         c, theta = u.context, self.theta(u)
-        weight = _PENALTY * (u.layout.discretisation.m + 1) ** 2
-        penalty = weight * self.law.size(theta) / c.h * (theta - u.parts["theta_hat"])
-        return inner(self.flux(u), c.normal) - penalty
+        weight = penalty_weight(u.layout.discretisation.m) * self.law.size(theta) / c.h
+        return inner(self.flux(u), c.normal) - weight * (theta - u.parts["theta_hat"])
 
 
 class Conduction(_OfEntropy):

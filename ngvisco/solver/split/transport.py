@@ -1,12 +1,13 @@
 """The transport of the fields for a given velocity, and its approximate inverse by sweeps over the cells.
 
 One component of z, and rho, have the scalar matrix T = M/tau + convection + facets with the trace
-eliminated, in dense blocks: of a cell's own values, and of those across its sides (``FacetCoupling``): a flux
-through a facet sees its own cell's values and the facet's trace, a mean of both sides' values with weights of
-its own.  Sweeps over the cells, each for itself with its neighbours' values (block Jacobi), converge like the
-Courant number; their number is fixed by the velocity of the last ``update``, so that the map stays linear,
-as what solves for rows drawn at random.  With diffusion of z, which cells do not resolve, T is factorised.  A
-density equation that is not linear has a Jacobian of its own.
+eliminated, in dense blocks: of a cell's own values, and of those across its sides (``facet_coupling``).  A
+flux through a facet sees its own cell's values and the facet's trace, a mean of both sides' values with
+weights of its own.  Sweeps over the cells, each for itself with its neighbours' values (block Jacobi),
+converge like the Courant number; their number is fixed by the velocity of the last ``update``, so that the
+map stays linear, as what solves for rows drawn at random.  With diffusion of z, which cells do not resolve, T
+is factorised, and so is that of the entropy where heat is conducted.  A density equation that is not linear
+has a Jacobian of its own.
 """
 
 from __future__ import annotations
@@ -16,73 +17,12 @@ import numpy as np
 from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import direct_solver
 from ngvisco.algebra.sparse import of_blocks
-from ngvisco.reduced.operators import FacetMass, SideOperators
+from ngvisco.parallel.halo import HaloUnknowns
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import SweepOptions
+from ngvisco.solver.split.conduction import ConductionBlocks
+from ngvisco.solver.split.facet_coupling import FacetCoupling
 from ngvisco.threads import product
-
-
-class FacetCoupling:
-    """Builds the blocks for weights at the sides' points; the functions there are known once."""
-
-    def __init__(self, sides: SideOperators, mass: FacetMass) -> None:
-        z, per = sides.z, sides.points.per_side
-        self.cells, self.functions = z.cells, z.local
-        self.sides = z.per_cell // per
-        count = self.cells * self.sides
-        self._weights = sides.points.weights.reshape(count, per, 1)
-        self._z = z.blocks.reshape(count, per, self.functions)
-        self._z_t = np.ascontiguousarray(self._z.transpose(0, 2, 1))
-        self._hat = np.ascontiguousarray(mass.shapes.T).reshape(count, per, len(mass.shapes))
-        self._hat_t = np.ascontiguousarray(self._hat.transpose(0, 2, 1))
-        self._facet = mass.facet[::per]
-        self.across = self._other_sides()
-        """The side of the other cell, (sides,); itself on the boundary; beyond all sides on another rank."""
-        self.halo = mass.halo
-        side_of = np.zeros(len(mass.unknowns), dtype=np.int64)
-        side_of[self._facet] = np.arange(count)
-        self._border = side_of[mass.of_facets.places]
-        self.across[self._border] = count + np.arange(len(self._border))
-        self._inner = (self.across != np.arange(len(self._z)))[:, None, None]
-
-    def _other_sides(self) -> np.ndarray:
-        order = np.argsort(self._facet, kind="stable")
-        same = np.flatnonzero(np.diff(self._facet[order]) == 0)
-        across = np.arange(len(order))
-        across[order[same]], across[order[same + 1]] = order[same + 1], order[same]
-        return across
-
-    def neighbours(self) -> np.ndarray:
-        """The cell across each side, (cells, sides)."""
-        beyond = self.across - self.cells * self.sides
-        cell = np.where(beyond < 0, self.across // max(self.sides, 1), self.cells + beyond)
-        return cell.reshape(self.cells, self.sides)
-
-    def blocks(
-        self, own: np.ndarray, to_trace: np.ndarray, from_trace: np.ndarray, mass: FacetMass
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of int (own z + from_trace z_hat) q, where mass z_hat = int to_trace z t of both sides.
-
-        Parameters
-        ----------
-        own, to_trace, from_trace : ndarray, shape (sides' points,)
-        mass : FacetMass
-            At its last ``update``.
-
-        Returns
-        -------
-        of the cell's own values, (cells, q, q), and of those across each side, (cells, sides, q, q)
-        """
-        shape, w = self._weights.shape, self._weights
-        to_hat = product(self._hat_t, (w * to_trace.reshape(shape)) * self._z)
-        from_hat = product(self._z_t, (w * from_trace.reshape(shape)) * self._hat)
-        from_hat = product(from_hat, mass.inverses[self._facet])
-        here = product(self._z_t, (w * own.reshape(shape)) * self._z) + product(from_hat, to_hat)
-        if len(self._border):
-            to_hat = np.concatenate([to_hat, self.halo.swapped(to_hat[self._border])])
-        there = product(from_hat, to_hat[self.across]) * self._inner
-        by_cells = (self.cells, self.sides, self.functions, self.functions)
-        return here.reshape(by_cells).sum(axis=1), there.reshape(by_cells)
 
 
 class TransportSweeps:
@@ -101,6 +41,11 @@ class TransportSweeps:
             self._laplacian = residual.diffusion.laplacian(residual.inverse_mass)
             self._unknowns = residual.diffusion.unknowns
             self._whole = direct_solver(np.ones(self._unknowns.count, dtype=bool), inverse, self._unknowns)
+        self._conduction: ConductionBlocks | None = None
+        for term in residual.claims.conducting:
+            self._conduction = ConductionBlocks(residual, term, self.coupling)
+            self._of_heat = HaloUnknowns(self.coupling.halo, op.z.blocks.shape[2])
+            self._heat = direct_solver(np.ones(self._of_heat.count, dtype=bool), inverse, self._of_heat)
         if residual.density is not None:
             self._own = direct_solver(residual.density.free, inverse, residual.shared_density)
 
@@ -114,6 +59,11 @@ class TransportSweeps:
         if self._whole is not None:
             transport = of_blocks(own, across, self._neighbours, self.coupling.halo.count)
             self._whole.factorise((transport + self._laplacian).tocsr())
+        if self._conduction is not None:
+            here, there = self._conduction(at)
+            count = self.coupling.halo.count
+            self._heat.factorise(of_blocks(own + here, across + there, self._neighbours, count))
+            self._conducted = _rows_of(here, there)
         with r.ranks.together(np.linalg.LinAlgError):
             self._cells, self._carried = _sweep(own, across)
         self._blocks = _rows_of(own, across)
@@ -151,14 +101,16 @@ class TransportSweeps:
 
     def fields(self, r: np.ndarray) -> np.ndarray:
         """Increments of z before rates and creep, of rows r: both (cells' unknowns, n)."""
+        result = self._swept(self._cells, self._carried, r)
         if self._whole is not None:
             assert self.residual.diffusion is not None
-            result = self._swept(self._cells, self._carried, r)
             cells = self._unknowns.of_cells
             for i in np.flatnonzero(self.residual.diffusion.strains):
                 result[:, i] = self._whole(self._unknowns.of_cells_alone(r[:, i]))[:cells]
-            return result
-        return self._swept(self._cells, self._carried, r)
+        if self._conduction is not None:
+            i, of_heat = self._conduction.component, self._of_heat
+            result[:, i] = self._heat(of_heat.of_cells_alone(r[:, i]))[: of_heat.of_cells]
+        return result
 
     def in_cells(self, rows: np.ndarray) -> np.ndarray:
         """The cells' own inverses times ``rows``, (cells' unknowns, .): no sweep, no diffusion."""
@@ -182,6 +134,9 @@ class TransportSweeps:
             strains = self.residual.diffusion.strains
             beyond = self._unknowns.with_others(x[:, strains].T).T
             rows[:, strains] += self._unknowns.added((self._laplacian @ beyond).T).T
+        if self._conduction is not None:
+            i = self._conduction.component
+            rows[:, [i]] += self._applied(self._conducted, x[:, [i]])
         return rows
 
     def density_rows(self, x: np.ndarray) -> np.ndarray:

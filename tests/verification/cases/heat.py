@@ -1,0 +1,379 @@
+"""Heat against theory: expansion, adiabats, conduction, viscous heating, thermoelastic waves."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from ngsolve import CF, Integrate, cos, exp, pi, sin, x, y
+from scipy.optimize import brentq
+
+import ngvisco as nv
+from ngvisco.geometries import box, channel
+from ngvisco.physics.variables import Jacobian
+from tests.verification.case import Bound, Case, Outcome, Table
+from tests.verification.problems import distance
+from tests.verification.setups import CLOSURE, closure
+
+THEME = "Heat"
+
+# an elastic body whose heat matters: COUPLING^2 THETA_R/C is a quarter of its stiffness
+STIFFNESS, C, THETA_R, COUPLING = 4.0, 2.0, 5.0, 0.6
+SMALL = 1e-4
+
+
+def _elastic(conductivity: float = 0.0, warm: bool = True, **options: Any) -> nv.Model:
+    """A body with a stiffness for waves of ``STIFFNESS``, with heat or without."""
+    K = STIFFNESS - 4 / 3 * 2.0
+    cold = nv.LinearElastic(K_e=K, G_e=2.0)
+    if not warm:
+        return nv.Model(material=cold, **options)
+    material = nv.Thermal(material=cold, c=C, theta_R=THETA_R, expansion=COUPLING / K)
+    return nv.Model(material=material, heat=nv.Heat(conductivity=conductivity), **options)
+
+
+def _clamped() -> Outcome:
+    """A body between walls all around, heated from within."""
+    rows, errors = [], []
+    for dt in (0.1, 0.05, 0.025):
+        K, c, beta, power = 50.0, 2.0, 0.01, 3.0
+        material = nv.Thermal(
+            material=nv.ReferentialNeoHookean(K_e=K, G_e=10.0), c=c, theta_R=300.0, expansion=beta
+        )
+        model = nv.Model(material=material, heat=nv.Heat(source=power))
+        run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=dt, scheme="midpoint")
+        run.run(1.0)
+        theta, p = (run.fields[name](run.mesh(0.3, 0.4)) for name in ("temperature", "pressure"))
+        errors.append([abs(theta - 300 - power / c), abs(p - K * beta * power / c), closure(run)])
+        rows.append([dt, *errors[-1]])
+    names = ["dt, s", "error of the temperature, K", "error of the pressure, Pa", "closure"]
+    return Outcome(
+        values={
+            "error of the pressure K beta dtheta, relative": errors[-1][1] / (50 * 0.01 * 1.5),
+            "error of the temperature with half of the step, of that with the whole": errors[-1][0]
+            / errors[-2][0],
+            "largest |closure|": max(error[2] for error in errors),
+        },
+        tables=[Table("a clamped body that is heated by 1.5 K", names, rows)],
+    )
+
+
+def _period(model: nv.Model) -> float:
+    """Four times the first zero of int v sin(pi x) of a standing wave of length 2 m."""
+    start = nv.Initial(density=1.0, velocity=(SMALL * sin(pi * x), 0.0))
+    run = nv.Simulation(box((1, 0.2), maxh=0.2), model, dt=0.01, initial=start, scheme="midpoint")
+    found = [1.0]
+    while found[-1] > 0:
+        run.advance()
+        found.append(10 / SMALL * Integrate(run.fields["velocity"][0] * sin(pi * x), run.mesh))
+    return 4 * 0.01 * (len(found) - 2 + found[-2] / (found[-2] - found[-1]))
+
+
+def _sound() -> Outcome:
+    isentropic = 2 / math.sqrt(STIFFNESS + COUPLING**2 * THETA_R / C)
+    isothermal = 2 / math.sqrt(STIFFNESS)
+    gas = nv.Thermal(c=2.5, gruneisen=0.4, theta_R=1.0)
+    rows: list[list[Any]] = [
+        ["body without heat: isothermal", _period(_elastic(warm=False)), isothermal],
+        ["the same with heat: isentropic", _period(_elastic()), isentropic],
+        ["ideal gas, gamma = 1.4: isentropic", _period(nv.Model(material=gas)), 2 / math.sqrt(1.4)],
+    ]
+    errors = [abs(found / exact - 1) for _, found, exact in rows]
+    return Outcome(
+        values={
+            "largest relative error of a period": max(errors),
+            "isothermal over isentropic period": rows[0][1] / rows[1][1],
+        },
+        tables=[Table("periods of standing waves of 2 m", ["body", "measured, s", "theory, s"], rows)],
+    )
+
+
+def _slab_run(h: float, solver: str, m: int = 1) -> tuple[float, nv.Simulation]:
+    """Error of a slab that cools in its slowest mode, cos(b x) with b tan b = Bi, insulated at x = 0."""
+    kappa, c, coefficient, around = 0.4, 2.0, 0.6, 300.0
+    b = brentq(lambda b: b * math.tan(b) - coefficient / kappa, 1e-3, 1.5)
+    cold = nv.LinearElastic(K_e=1e3, G_e=1e3)
+    model = nv.Model(
+        material=nv.Thermal(material=cold, c=c, theta_R=around), heat=nv.Heat(conductivity=kappa)
+    )
+    walls: Any = {"right": nv.Slip(heat=nv.WallHeat(temperature=around, coefficient=coefficient))}
+    start = nv.Initial(density=1e3, temperature=around + 50 * cos(b * x))
+    dt = 0.2 * h
+    run = nv.Simulation(
+        box((1, 0.25), maxh=h),
+        model,
+        dt=dt,
+        walls=walls,
+        initial=start,
+        scheme="midpoint",
+        solver=solver,
+        discretisation=nv.Discretisation(m=m),
+    )
+    run.run(10 * 0.04)
+    exact = around + 50 * math.exp(-kappa / c * b * b * 0.4) * cos(b * x)
+    return distance(run.fields["temperature"], exact, run.mesh), run
+
+
+def _slab() -> Outcome:
+    sizes = (0.2, 0.1, 0.05)
+    found = [_slab_run(h, "coupled") for h in sizes]
+    split, its_run = _slab_run(sizes[0], "split")
+    errors = [error for error, _ in found]
+    rows = [[h, error] for h, error in zip(sizes, errors, strict=True)]
+    return Outcome(
+        values={
+            "rate of the error": math.log2(errors[-2] / errors[-1]),
+            "difference of the solvers, of the error": abs(split / errors[0] - 1),
+            "largest |closure|": closure(its_run, *(run for _, run in found)),
+        },
+        tables=[Table("temperature of the slab", ["h, m", "L2 error, K"], rows)],
+    )
+
+
+def _brinkman() -> Outcome:
+    """Couette flow between plates that cool the fluid, by its steady temperature."""
+    eta, kappa, V, coefficient, rows, errors = 0.5, 0.25, 2.0, 100.0, [], []
+    fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 50 * (J - 2 + 1 / J))
+    exact = 300 + eta * V * V / 2 * (y * (1 - y) / kappa + 1 / coefficient)
+    for h in (0.5, 0.25, 0.125):
+        model = nv.Model(
+            material=nv.Thermal(material=fluid, c=0.05, theta_R=300.0),
+            viscosity=nv.StokesViscosity(K_v=eta, G_v=eta),
+            heat=nv.Heat(conductivity=kappa),
+        )
+        held = nv.WallHeat(temperature=300.0, coefficient=coefficient)
+        walls: Any = {
+            "top": nv.PrescribedTangential((V, 0.0), heat=held),
+            "bottom": nv.NoSlip(heat=held),
+        }
+        start = nv.Initial(density=1.0, velocity=(V * y, 0.0))
+        run = nv.Simulation(channel(1, 1, maxh=h), model, dt=0.05, walls=walls, initial=start)
+        run.run(0.5)
+        errors.append(distance(run.fields["temperature"], exact, run.mesh))
+        warmest = run.fields["temperature"](run.mesh(0.5, 0.5))
+        rows.append([h, errors[-1], warmest, -run.ledger.column("power_heat_top")[-1]])
+    return Outcome(
+        values={
+            "rate of the error": math.log2(errors[-2] / errors[-1]),
+            "error of the heat that leaves through the top, relative": abs(
+                rows[-1][3] / (eta * V * V / 2) - 1
+            ),
+        },
+        tables=[Table("viscous heating", ["h, m", "L2 error, K", "warmest, K (301.01)", "heat, W"], rows)],
+    )
+
+
+def _thermoelastic(kappa: float) -> complex:
+    """Decay and frequency of a standing wave, by the cubic equation of the linear theory."""
+    k = math.pi
+    roots = np.roots(
+        [C, kappa * k**2, C * STIFFNESS * k**2 + COUPLING**2 * THETA_R * k**2, STIFFNESS * kappa * k**4]
+    )
+    return complex(max(roots, key=lambda s: s.imag))
+
+
+def _damping() -> Outcome:
+    """Thermoelastic damping: standing waves from slow to fast conduction, each started in its mode."""
+    rows, errors, T, k = [], [], 0.5, math.pi
+    for kappa in (0.02, 0.2, 0.6, 2.0, 20.0):
+        s = _thermoelastic(kappa)
+        warm = -COUPLING * THETA_R * s * k / (C * s + kappa * k * k)
+        stretch = CF((1 + SMALL * k * cos(k * x), 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
+        start = nv.Initial(
+            density=1.0,
+            F=stretch,
+            velocity=(SMALL * s.real * sin(k * x), 0.0),
+            temperature=THETA_R + SMALL * warm.real * cos(k * x),
+        )
+        run = nv.Simulation(
+            box((1, 0.2), maxh=0.1),
+            _elastic(kappa),
+            dt=0.01,
+            initial=start,
+            scheme="midpoint",
+            solver="coupled",
+        )
+        run.run(T)
+        v = 10 / SMALL * Integrate(run.fields["velocity"][0] * sin(k * x), run.mesh)
+        theta = 10 / SMALL * Integrate(run.fields["temperature"] * cos(k * x), run.mesh)
+        motion, heat = s * np.exp(s * T), warm * np.exp(s * T)
+        errors.append(max(abs(v - motion.real) / abs(motion), abs(theta - heat.real) / abs(heat)))
+        rows.append([kappa, s.real, s.imag, v, motion.real, theta, heat.real])
+    names = ["kappa, W/(m K)", "decay, 1/s", "frequency, 1/s", "v", "theory", "theta - theta_R", "theory"]
+    return Outcome(
+        values={"largest error of velocity and temperature, of their amplitudes": max(errors)},
+        tables=[Table(f"standing waves after {T} s", names, rows)],
+    )
+
+
+def _manufactured_error(h: float, slope: float = 1.0) -> float:
+    """Of theta = theta_R (1 + e^-t cos(pi x) cos(pi y)/4), kappa = theta/theta_R, by its source.
+
+    ``slope`` multiplies what the source has of the derivative of kappa: 1 is right.
+    """
+    c, theta_R, t = 2.0, 10.0, nv.time
+    part = 0.25 * exp(-t) * cos(pi * x) * cos(pi * y)
+    theta = theta_R * (1 + part)
+    square = (0.25 * exp(-t) * pi) ** 2 * (
+        (sin(pi * x) * cos(pi * y)) ** 2 + (cos(pi * x) * sin(pi * y)) ** 2
+    )
+    source = -c * theta_R * part + 2 * pi**2 * theta * part - slope * theta_R * square
+    cold = nv.LinearElastic(K_e=1e3, G_e=1e3)
+    model = nv.Model(
+        material=nv.Thermal(material=cold, c=c, theta_R=theta_R),
+        heat=nv.Heat(conductivity=lambda value: value / theta_R, source=source),
+    )
+    nv.time.Set(0.0)
+    start = nv.Initial(density=1.0, temperature=theta_R * (1 + 0.25 * cos(pi * x) * cos(pi * y)))
+    run = nv.Simulation(box((1, 1), maxh=h), model, dt=0.25 * h, initial=start, scheme="midpoint")
+    run.run(0.2)
+    return distance(run.fields["temperature"], theta, run.mesh)
+
+
+def _manufactured() -> Outcome:
+    sizes = (0.4, 0.2, 0.1)
+    right, wrong = ([_manufactured_error(h, slope) for h in sizes] for slope in (1.0, 0.0))
+    rows = [[h, a, b] for h, a, b in zip(sizes, right, wrong, strict=True)]
+    return Outcome(
+        values={
+            "rate of the error": math.log2(right[-2] / right[-1]),
+            "rate without the derivative of kappa in the source": math.log2(wrong[-2] / wrong[-1]),
+        },
+        tables=[Table("L2 error, K", ["h, m", "right", "without the derivative of kappa"], rows)],
+    )
+
+
+def _order() -> Outcome:
+    """Everything that dissipates, in a swirl that conducts heat: differences of runs with halved steps."""
+    values = []
+    steps = (0.02, 0.01, 0.005, 0.0025)
+    for dt in steps:
+        material = nv.Thermal(
+            material=nv.IsochoricNeoHookean(K_e=20.0, G_e=1.0, elastic_state="B"),
+            c=3.0,
+            expansion=0.1,
+            theta_R=1.0,
+        )
+        model = nv.Model(
+            material=material,
+            viscosity=nv.StokesViscosity(K_v=0.05, G_v=0.05),
+            hyperviscosity=nv.HyperViscosity(mu=1e-4),
+            creep=nv.Creep(G_m=1.0),
+            heat=nv.Heat(conductivity=0.05),
+        )
+        swirl = (0.3 * sin(pi * x) * cos(pi * y), -0.3 * cos(pi * x) * sin(pi * y))
+        start = nv.Initial(density=1.0, velocity=swirl, temperature=1 + 0.1 * cos(pi * x))
+        run = nv.Simulation(
+            box((1, 1), maxh=0.5), model, dt=dt, initial=start, scheme="midpoint", solver="split"
+        )
+        ledger = run.run(0.16)
+        values.append([ledger.column(name)[-1] for name in ("kinetic", "stored", "entropy")])
+    differences = np.abs(np.diff(np.array(values), axis=0))
+    rates = np.log2(differences[-2] / differences[-1])
+    rows = [[dt, *row] for dt, row in zip(steps, values, strict=True)]
+    return Outcome(
+        values={"least order of energies and entropy": float(rates.min())},
+        tables=[Table("after 0.16 s", ["dt, s", "kinetic, J", "stored, J", "entropy, J/K"], rows)],
+    )
+
+
+_AFTER = "set after a first run"
+
+CASES = (
+    Case(
+        name="heat-clamped",
+        theme=THEME,
+        statement="A clamped body that is heated does not move, and has the pressure K beta dtheta.",
+        label="Duhamel and Neumann's law; heat-energy of FORMULATION",
+        setting="Box of 1 m with walls all around, 3 W/m^3 for 1 s, c = 2 J/(m^3 K); midpoint rule.",
+        bounds=(
+            Bound(
+                "error of the pressure K beta dtheta, relative", "<=", 1e-8, f"of the step alone; {_AFTER}"
+            ),
+            Bound(
+                "error of the temperature with half of the step, of that with the whole",
+                "<=",
+                0.3,
+                "a quarter by a scheme of second order",
+            ),
+            CLOSURE,
+        ),
+        run=_clamped,
+        reduced=True,
+    ),
+    Case(
+        name="heat-sound",
+        theme=THEME,
+        statement="Without conduction waves are isentropic, faster than isothermal ones.",
+        label="c^2 = (M + (Gamma c)^2 theta_R/c)/rho, gamma p/rho of an ideal gas",
+        setting="Standing waves of 2 m, amplitude 1e-4 m/s, cells of 0.2 m, steps of 0.01 s, midpoint rule.",
+        bounds=(
+            Bound("largest relative error of a period", "<=", 1e-3, "(omega dt)^2/12 = 3e-4 of the step"),
+            Bound("isothermal over isentropic period", ">=", 1.1, "theory: 1.1068"),
+        ),
+        run=_sound,
+    ),
+    Case(
+        name="heat-slab",
+        theme=THEME,
+        statement="A slab cools through a wall in its slowest mode, at second order, by both solvers.",
+        label="Carslaw and Jaeger, b tan b = Bi; heat-wall",
+        setting="Slab of 1 m, Bi = 1.5, 50 K above its surroundings, until 0.4 s; dt = h/5, midpoint rule.",
+        bounds=(
+            Bound("rate of the error", ">=", 1.8, "2 by P1"),
+            Bound("difference of the solvers, of the error", "<=", 1e-8, "the same equations"),
+            CLOSURE,
+        ),
+        run=_slab,
+    ),
+    Case(
+        name="heat-brinkman",
+        theme=THEME,
+        statement="Viscous heating of plane Couette flow between plates that cool.",
+        label="Brinkman 1951; heat-entropy",
+        setting="Periodic channel of 1 m, eta V^2/kappa = 8 K, plates with 100 W/(m^2 K), until 0.5 s.",
+        bounds=(
+            Bound("rate of the error", ">=", 1.7, f"2 by P1; {_AFTER}"),
+            Bound("error of the heat that leaves through the top, relative", "<=", 1e-3, _AFTER),
+        ),
+        run=_brinkman,
+    ),
+    Case(
+        name="heat-thermoelastic",
+        theme=THEME,
+        statement="Thermoelastic damping and dispersion, from adiabatic to isothermal waves.",
+        label="Zener 1937; Chadwick 1960: (rho s^2 + M k^2)(c s + kappa k^2) + (Gamma c)^2 theta_R s k^2 = 0",
+        setting="Standing waves of 2 m started in their modes, until 0.5 s; five conductivities.",
+        bounds=(
+            Bound(
+                "largest error of velocity and temperature, of their amplitudes",
+                "<=",
+                5e-3,
+                f"(omega dt)^2/12 omega T = 1.4e-3; {_AFTER}",
+            ),
+        ),
+        run=_damping,
+    ),
+    Case(
+        name="heat-manufactured",
+        theme=THEME,
+        statement="Conduction with kappa(theta) converges at second order to a manufactured temperature.",
+        label="heat-conduction",
+        setting="Square of 1 m, kappa = theta/theta_R, theta varies by 25 %; cells to 0.1 m, dt = h/4.",
+        bounds=(
+            Bound("rate of the error", ">=", 1.8, "2 by P1"),
+            Bound("rate without the derivative of kappa in the source", "<=", 0.5, "the negative control"),
+        ),
+        run=_manufactured,
+    ),
+    Case(
+        name="heat-order",
+        theme=THEME,
+        statement="Of second order in time with everything on: viscosity, hyperviscosity, creep, conduction.",
+        label="heat-weak",
+        setting="A swirl of 0.3 m/s in a warm box, cells of 0.5 m, midpoint rule with 0.02 to 0.0025 s.",
+        bounds=(Bound("least order of energies and entropy", ">=", 1.9, "2"),),
+        run=_order,
+    ),
+)
