@@ -11,8 +11,8 @@ import numpy as np
 from ngvisco.forms.terms.heat import Heating, penalty_weight
 from ngvisco.forms.upwinding import mean_share
 from ngvisco.physics.arrays import Array
+from ngvisco.reduced.facet_coupling import FacetCoupling
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
-from ngvisco.solver.split.facet_coupling import FacetCoupling
 from ngvisco.threads import product
 
 
