@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 
 import numpy as np
-from ngsolve import BND, CF, VERTEX, VOL, Integrate, Mesh
+from ngsolve import CF, Integrate, Mesh, dx
 
 from ngvisco.errors import MeshError
 from ngvisco.parallel.communicator import Communicator
@@ -16,10 +16,6 @@ CURVED = (
 )
 _SHAPE = 1e-10
 """Relative difference of volume and surface that the parts of a mesh may have to the whole."""
-PERIODIC = (
-    "identified boundaries are not distributed: NGSolve's partition parts them; expected a domain that is "
-    "not periodic, or one process"
-)
 
 
 class Part(Mesh):
@@ -62,8 +58,8 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     Raises
     ------
     MeshError
-        On every rank, for a mesh that is not distributed: periodic, curved by no known geometry, or of fewer
-        cells than there are ranks for them, or of so few that METIS leaves a rank without.
+        On every rank, for a mesh that is not distributed: curved by no known geometry, or of fewer cells than
+        there are ranks for them, or of so few that METIS leaves a rank without.
     """
     from netgen.meshing import Mesh as NetgenMesh
 
@@ -74,7 +70,8 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     if refusal is not None:
         raise MeshError(refusal)
     if mesh is not None and ranks.is_first:
-        part = Part(mesh.ngmesh.Copy().Distribute(ranks.mpi))  # which takes the cells away
+        # of a copy, whose cells it takes away; Netgen's ``Copy`` forgets which boundaries are identified
+        part = Part(pickle.loads(pickle.dumps(mesh.ngmesh)).Distribute(ranks.mpi))
         part.whole = mesh
     else:
         part = Part(NetgenMesh.Receive(ranks.mpi))
@@ -109,8 +106,12 @@ def _curve(part: Part, whole: Mesh | None, ranks: Communicator) -> None:
 
 
 def volume_and_surface(mesh: Mesh) -> list[float]:
-    """Of a mesh, m^dim and m^(dim - 1); of a part those of the whole, collective."""
-    return [float(Integrate(CF(1.0), mesh, where)) for where in (VOL, BND)]
+    """Of a mesh's cells, m^dim and m^(dim - 1); of a part those of the whole, collective.
+
+    The surface of all cells, inner facets twice: a part has identified boundaries without its cells too.
+    """
+    integrals = (CF(1.0) * dx, CF(1.0) * dx(element_boundary=True))  # these of a rank's cells alone
+    return [float(mesh.comm.Sum(Integrate(each, mesh))) for each in integrals]
 
 
 def has_geometry(mesh: Mesh) -> bool:
@@ -166,8 +167,6 @@ def _refusal(mesh: Mesh | None, parts: int) -> str | None:
     assert mesh is not None
     if mesh.GetCurveOrder() > 1 and not has_geometry(mesh):
         return CURVED
-    if len(mesh.GetPeriodicNodePairs(VERTEX)):
-        return PERIODIC
     if mesh.ne < parts:
         return f"the mesh has {mesh.ne} cells for {parts} ranks with cells: expected fewer ranks"
     return None

@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 
 from ngvisco.errors import (
-    MeshError,
     ParameterError,
     require_collection,
     require_names,
 )
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.mesh import PERIODIC
 from ngvisco.physics.convexity import check_convexity
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, Thermal, WithQuadratic, Yosida
@@ -44,16 +42,6 @@ def check_arguments(
     for term in terms:  # type: ignore[attr-defined]
         if isinstance(term, type) or not _has_methods(term, ("form", "entries")):
             raise ParameterError("Simulation.terms", term, "objects with the methods form and entries")
-
-
-def check_distributed(step: Step) -> None:
-    """Raise MeshError for what several ranks do not take; nothing on one process."""
-    mesh = step.mesh
-    ranks = Communicator.of(mesh)
-    if not ranks.is_distributed:
-        return
-    if step.walls.periodic:
-        raise MeshError(PERIODIC)
 
 
 def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:

@@ -15,7 +15,9 @@ from ngsolve import VOL, ElementId, FESpace, Mesh
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.spaces import Layout
+from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.mesh import Part
 
 if TYPE_CHECKING:
@@ -28,7 +30,7 @@ class Numbers:
     Parameters
     ----------
     own : array (unknowns,)
-        Of this rank.
+        Of this rank; -1 for unknowns of no cell, as images of identified ones.
     space : FESpace or None
         On the whole mesh; None but on the first rank.
     ranks : Communicator
@@ -46,7 +48,7 @@ class Numbers:
         self.count, self.ranks = 0 if space is None else space.ndof, ranks
         self._parts = ranks.mpi.gather(own)
         if space is not None and chosen is not None:
-            self.count, place = len(chosen), np.zeros(space.ndof, dtype=np.int64)
+            self.count, place = len(chosen), np.full(space.ndof + 1, -1)
             place[chosen] = np.arange(len(chosen))
             self._parts = [place[numbers] for numbers in self._parts]
 
@@ -55,14 +57,14 @@ class Numbers:
         parts = self.ranks.mpi.gather(values)
         if parts is None:
             return np.zeros(0)
-        result = np.zeros(self.count)
+        result = np.zeros(self.count + 1)  # one more, for -1
         for numbers, part in zip(self._parts, parts, strict=True):
             result[numbers] = part
-        return result
+        return result[:-1]
 
     def own(self, values: np.ndarray | None) -> np.ndarray:
         """A rank's coefficients of those of the whole, which the first one has, None on others."""
-        parts = None if values is None else [values[numbers] for numbers in self._parts]
+        parts = None if values is None else [np.append(values, 0.0)[numbers] for numbers in self._parts]
         found: np.ndarray = self.ranks.mpi.scatter(parts)
         return found
 
@@ -124,6 +126,16 @@ class Numbering:
         return self._evolved if part == "stepping" else self._states
 
 
+def count_unknowns(step: Step) -> int:
+    """The number of unknowns of the whole mesh; collective."""
+    space, mesh, ranks = step.layout.space, step.mesh, Communicator.of(step.mesh)
+    if not ranks.is_distributed:
+        return int(space.ndof)
+    if step.layout.periodic and isinstance(mesh, Part):  # of identified unknowns parts count more images
+        return ranks.on_first(lambda: int(step.layout.on(mesh.whole).space.ndof))
+    return int(space.ndofglobal)
+
+
 def _evolved(layout: Layout) -> np.ndarray:
     """Numbers of the unknowns of a layout that evolve."""
     ranges = (layout.ranges[name] for name in layout.evolving)
@@ -136,9 +148,12 @@ def numbers_in(part: Part, space: FESpace, whole: FESpace | None) -> np.ndarray:
     answers = None
     if whole is not None:
         answers = [_of_cells(whole, cells) for cells in wanted]
-    numbers = np.zeros(space.ndof, dtype=np.int64)
-    numbers[_of_cells(space, range(part.ne))] = part.ranks.mpi.scatter(answers)
-    return numbers
+    numbers, here = np.zeros((2, space.ndof))
+    of_cells = _of_cells(space, range(part.ne))
+    numbers[of_cells], here[of_cells] = part.ranks.mpi.scatter(answers), 1.0
+    exchange = Exchange.of(space, part.ranks)  # of periodic domains a rank has unknowns of others' cells
+    numbers, count = exchange.sum(numbers), exchange.sum(here)
+    return np.where(count > 0, numbers / np.maximum(count, 1), -1).astype(np.int64)
 
 
 def _of_cells(space: FESpace, cells: Iterable[int]) -> np.ndarray:

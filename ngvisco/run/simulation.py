@@ -46,7 +46,6 @@ from ngvisco.run.failure import failure_report
 from ngvisco.run.fields import output_fields, require_names_of_their_own
 from ngvisco.run.inputs import (
     check_arguments,
-    check_distributed,
     check_numerical_heating,
     check_observer,
     times_of,
@@ -54,7 +53,7 @@ from ngvisco.run.inputs import (
 )
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
-from ngvisco.run.numbering import Numbering
+from ngvisco.run.numbering import Numbering, count_unknowns
 from ngvisco.run.passive import PassiveFields
 from ngvisco.run.ranks import ending_all_ranks, is_to_stop, tell
 from ngvisco.run.rest_stresses import warn_of_rest_stresses
@@ -168,11 +167,9 @@ class Simulation:
         self.stepper = make_stepper(self.dt, steps.adaptive, steps.halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
         require_names_of_their_own(model.material, self.rothe_step.layout.further)
-        check_distributed(self.rothe_step)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.ranks = self.sampler.ranks
-        space, self.cells = self.rothe_step.layout.space, int(self.ranks.total(mesh.ne))
-        self.unknowns = space.ndofglobal if self.ranks.is_distributed else space.ndof
+        self.unknowns, self.cells = count_unknowns(self.rothe_step), int(self.ranks.total(mesh.ne))
         """Of the whole mesh, as are ``cells``."""
         self._cells_here = mesh.ne
         self.check_data([0.0])

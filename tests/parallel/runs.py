@@ -17,7 +17,7 @@ from ngsolve import CoefficientFunction, IfPos, cos, pi, sin, x, y
 from walls import TWO_LEVELS
 
 import ngvisco as nv
-from ngvisco.geometries import box
+from ngvisco.geometries import box, structured_box
 from ngvisco.geometries import disc as round_disc
 from ngvisco.parallel.communicator import TRAFFIC, Communicator
 from ngvisco.physics.variables import Jacobian
@@ -99,6 +99,26 @@ def lid(solver: str = "coupled", maxh: float = 0.3) -> nv.Simulation:
     model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY)
     mesh = box((1, 1), maxh=maxh)
     return nv.Simulation(mesh, model, dt=0.05, walls=walls, scheme="midpoint", solver=solver)
+
+
+def channel(solver: str = "coupled", **options) -> nv.Simulation:
+    """Periodic along a force, between a sliding lid and a floor; what leaves it comes in again."""
+    walls = {"top": nv.PrescribedTangential((0.5, 0.0)), "bottom": nv.NoSlip()}
+    loads = [nv.Gravity((3.0, 0.0))]
+    hyper = nv.HyperViscosity(mu=1e-4, p=4)
+    model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY, hyperviscosity=hyper, loads=loads)
+    initial = nv.Initial(velocity=(4.0, 0.5 * sin(pi * y)))
+    mesh = box((1, 1), maxh=0.25, periodic="x")
+    return nv.Simulation(mesh, model, dt=0.05, walls=walls, initial=initial, solver=solver, **options)
+
+
+def crystal(solver: str, law: nv.Regularisation | None = None) -> nv.Simulation:
+    """A cell of a body that repeats itself in all directions, and drifts along a diagonal."""
+    hyper = None if law else nv.HyperViscosity(mu=1e-4, p=4)
+    model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY, hyperviscosity=hyper, regularisation=law)
+    wave = (1 + sin(2 * pi * y), 2 + cos(2 * pi * x), 1.0)
+    mesh = structured_box((1, 1, 1), (3, 3, 3), periodic="xyz")
+    return nv.Simulation(mesh, model, dt=0.05, initial=nv.Initial(velocity=wave), solver=solver)
 
 
 def creep(
@@ -235,6 +255,11 @@ CASES = {
     "disc": lambda: disc("coupled"),
     "split disc": lambda: disc("split"),
     "lid": lid,
+    "channel": lambda: channel(passive=["reference_map"]),
+    "split channel": lambda: channel("split"),
+    "split channel, two levels": lambda: channel("split", newton=TWO_LEVELS),
+    "split crystal": lambda: crystal("split"),
+    "split crystal, delta": lambda: crystal("split", DELTA),
     "creep": creep,
     "limited": limited,
     "split": lambda: swirl(0.3, scheme="midpoint", solver="split"),

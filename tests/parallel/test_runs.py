@@ -58,6 +58,9 @@ CASES = {
     "split": CASE.replace("coupled", "split"),
     "coupled": CASE,
     "regularised": REGULARISED.replace("coupled", "split"),
+    "periodic": CASE.replace("maxh = 0.5", "maxh = 0.35\nperiodic = 'x'")
+    .replace("coupled", "split")
+    .replace('"sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"', '"3 + cos(pi*y)", "sin(2*pi*x)*sin(pi*y)"'),
 }
 
 
@@ -108,6 +111,13 @@ SPLIT = (
     "split, all regularisations",
     "split crowded",
 )
+PERIODIC = (
+    "channel",
+    "split channel",
+    "split channel, two levels",
+    "split crystal",
+    "split crystal, delta",
+)
 WALLS = ("slip disc", "quadrilateral, k = 3", "turned", "quadrilateral", "ball", "turned ball", "leaning")
 SPLIT_WALLS = (
     "split turned",
@@ -125,9 +135,11 @@ OF_CI = (
     "sdirk2",
     "adaptive",
     "own term",
+    "channel",
     "quadrilateral",
     "slip disc",
     "split",
+    "split crystal",
     "split bodies",
     "split parameters",
     "split heated",
@@ -147,6 +159,7 @@ GROUPS = {
     "of CI": OF_CI,
     "coupled": COUPLED,
     "split": SPLIT,
+    "periodic": PERIODIC,
     "walls": WALLS,
     "split, walls": SPLIT_WALLS,
     "own": tuple(own.COUPLED),
@@ -277,7 +290,9 @@ def read(table):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("case", ["split", "coupled", pytest.param("regularised", marks=pytest.mark.ci)])
+@pytest.mark.parametrize(
+    "case", ["split", "coupled", "periodic", pytest.param("regularised", marks=pytest.mark.ci)]
+)
 def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
     alone, several = tmp_path / "alone", tmp_path / "several"
     case_file.write_text(CASES[case])
@@ -308,7 +323,7 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
         ("split", 3),
         *(
             pytest.param(case, ranks, marks=[pytest.mark.long, pytest.mark.ci])
-            for case, ranks in (("coupled", 4), ("regularised", 3))
+            for case, ranks in (("coupled", 4), ("regularised", 3), ("periodic", 4))
         ),
         pytest.param("split", 4, marks=pytest.mark.long),
     ],
@@ -421,7 +436,6 @@ def test_a_rank_that_metis_leaves_without_cells_is_refused_on_every_rank(tmp_pat
 
 
 REFUSED = {
-    "domain.periodic='x'": "identified boundaries are not distributed",
     "output.probes=[{name='p',point=[2, 0]}]": "a point of the domain, which lies in",
     "material.G_e=-1": "expected a finite number > 0",
     "initial.density='x - 0.1'": "density rho_0",
