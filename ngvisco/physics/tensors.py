@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TypeVar
 
 import ngsolve
@@ -90,13 +90,16 @@ def cof(A: CoefficientFunction) -> CoefficientFunction:
 
 
 def constant(array: np.ndarray) -> CoefficientFunction:
-    """An array of numbers as a coefficient function of its shape.
+    """An array of numbers as a coefficient function of its shape; the same one for the same numbers."""
+    return _constant(np.asarray(array, dtype=float).tobytes(), array.shape)
 
-    Each different number is made once: NGSolve takes a tenth of a millisecond to make one of Python's.
-    """
-    values, which = np.unique(array, return_inverse=True)
-    numbers = [CF(float(value)) for value in values]
-    return CF(tuple(numbers[i] for i in which.ravel()), dims=array.shape)
+
+@lru_cache(maxsize=1024)
+def _constant(numbers: bytes, shape: tuple[int, ...]) -> CoefficientFunction:
+    """Each different number is made once: NGSolve takes a tenth of a millisecond to make one of Python's."""
+    values, which = np.unique(np.frombuffer(numbers), return_inverse=True)
+    made = [CF(float(value)) for value in values]
+    return CF(tuple(made[i] for i in which.ravel()), dims=shape)
 
 
 def linear_map(matrix: np.ndarray, A: CoefficientFunction, shape: tuple[int, ...]) -> CoefficientFunction:
@@ -144,10 +147,11 @@ def embed_gradient(grad: CoefficientFunction, dim: int) -> CoefficientFunction:
         return grad
     if hasattr(grad, "mapped"):
         return grad.mapped(_EMBEDDING, (3, 3))
-    columns = CF((1, 0, 0, 1, 0, 0), dims=(3, 2))
+    columns = constant(_COLUMNS)
     return columns * grad * columns.trans
 
 
+_COLUMNS = np.eye(3, 2)
 _EMBEDDING = np.zeros((9, 4))
 _EMBEDDING[(0, 1, 3, 4), (0, 1, 2, 3)] = 1.0
 """Of the entries of a 2x2 matrix in a 3x3 one."""

@@ -263,12 +263,11 @@ def chosen_method(step: Step, options: NewtonOptions) -> str:
     ParameterError
         If ``options.method`` is ``"split"`` for a step that the split solver cannot take.
     """
-    obstacle = split_obstacle(step)
-    if options.method == "split" and obstacle is not None:
-        raise ParameterError("NewtonOptions.method", options.method, f"'coupled': {obstacle}")
     if options.method == "auto":
         large = Communicator.of(step.mesh).total(step.mesh.ne) >= options.split.chosen_from[step.mesh.dim - 2]
-        return "split" if large and obstacle is None else "coupled"
+        return "split" if large and split_obstacle(step) is None else "coupled"
+    if options.method == "split" and (obstacle := split_obstacle(step)) is not None:
+        raise ParameterError("NewtonOptions.method", options.method, f"'coupled': {obstacle}")
     return options.method
 
 
