@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
+from typing import Any
 
 import numpy as np
 from netgen.meshing import Element2D, FaceDescriptor, MeshPoint, Pnt
@@ -19,6 +20,8 @@ from ngsolve import (
     Mesh,
     OuterProduct,
     Trace,
+    cos,
+    pi,
     sin,
     x,
     y,
@@ -46,7 +49,9 @@ from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.geometries import box
+from ngvisco.physics.materials import examples
 from ngvisco.physics.tensors import dev, square
+from ngvisco.run.ledger import Ledger
 
 
 @cache
@@ -236,6 +241,62 @@ def parts_of(step: Step) -> dict[str, GridFunction]:
 def block(step: Step, array: np.ndarray, name: str) -> np.ndarray:
     """The coefficients of one unknown in an array of all."""
     return array[step.layout.ranges[name]]
+
+
+# --- runs --------------------------------------------------------------------------------------------
+
+EXAMPLES: dict[str, Material] = {example.constructor: example.material for example in examples()}
+"""One of every material of the catalogue, by its constructor."""
+SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+OF_MODELS = {field.name for field in fields(Model)}
+
+
+def swirling(
+    mesh: Mesh | float = 0.5, dt: float = 0.02, initial: Initial | None = None, **options: Any
+) -> Simulation:
+    """A swirl of 1 m/s in the unit square, or on another mesh; six triangles if no ``maxh`` is given.
+
+    ``options`` are those of ``Model``, whose material is neo-Hookean by default, and of ``Simulation``.
+    """
+    mesh = mesh if isinstance(mesh, Mesh) else box((1, 1), mesh)
+    of_model = {name: options.pop(name) for name in OF_MODELS & options.keys()}
+    if "bodies" not in of_model:
+        of_model.setdefault("material", NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1))
+    initial = initial or Initial(velocity=(*SWIRL, CF(0))[: mesh.dim])
+    return Simulation(mesh, Model(**of_model), dt=dt, initial=initial, **options)
+
+
+def evolved(run: Simulation) -> dict[str, np.ndarray]:
+    """Coefficients of v, rho and z."""
+    state, ranges = run.rothe_step.state.vec.FV().NumPy(), run.rothe_step.layout.ranges
+    return {name: state[ranges[name]].copy() for name in ("v", "rho", "z")}
+
+
+def assert_same(run: Simulation, other: Simulation, of: float = 1e-9) -> None:
+    """Coefficients of v, rho and z agree to ``of`` of the largest of each."""
+    first, second = evolved(run), evolved(other)
+    for name, values in first.items():
+        assert np.abs(values - second[name]).max() <= of * np.abs(values).max(), name
+
+
+def assert_closed(run: Simulation, until: float, bound: float = 1e-12) -> Ledger:
+    """Run on to a time and return the ledger: it closes, and mass is kept."""
+    ledger = run.run(until)
+    assert np.abs(ledger.column("closure_relative")).max() <= bound
+    assert np.abs(ledger.column("mass_drift")).max() <= min(bound, 1e-11)
+    return ledger
+
+
+def assert_sound(ledger: Ledger, material: Material) -> None:
+    """What the paper proves of a run with gravity and creep."""
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert np.abs(ledger.column("mass_drift")).max() <= 1e-12
+    assert ledger.column("rho_min").min() > 0
+    J = ledger.column("J_min")
+    assert np.isnan(J).all() or J.min() > 0
+    assert ledger.column("bregman").min() >= 0
+    assert ledger.column("power_gravity").max() != 0
+    assert (ledger.column("dissipation_creep").max() > 0) == any(v.creeps for v in material.variables)
 
 
 class StopAt:

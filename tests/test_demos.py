@@ -26,11 +26,11 @@ CLEAN = pytest.mark.filterwarnings("error::ngvisco.run.ledger.DefectWarning")
 @pytest.mark.parametrize(
     ("name", "steps", "options"),
     [
-        pytest.param("swirl", 5, {"until": 0.1}, marks=CLEAN),
+        pytest.param("swirl", 5, {"until": 0.1, "maxh": 0.4}, marks=CLEAN),
         pytest.param("swirl", 50, {}, marks=[pytest.mark.long, pytest.mark.ci, CLEAN]),
-        ("swirl3d", 5, {"until": 0.1, "maxh": 0.7}),
+        ("swirl3d", 2, {"until": 0.04, "maxh": 0.7}),
         pytest.param("swirl3d", 50, {}, marks=pytest.mark.long),
-        ("creep", 5, {"until": 0.25}),
+        ("creep", 2, {"until": 0.1}),
         pytest.param("creep", 50, {}, marks=pytest.mark.long),
     ],
 )
@@ -56,7 +56,7 @@ def test_demo_keeps_energy_mass_and_positivity(name, steps, options, tmp_path):
 
 def test_swirl_recoils_elastically():
     """The kinetic energy falls below 4 % of its start and comes back to more than three quarters."""
-    run = load("swirl").simulation(maxh=0.25)
+    run = load("swirl").simulation(maxh=0.35)
     kinetic = run.run(0.3).column("kinetic")
     low = int(np.argmin(kinetic[:10]))
     assert kinetic[low] < 0.04 * kinetic[0]
@@ -124,8 +124,8 @@ SCRIPTS = {
     "creep": lambda demo: demo.simulation(maxh=0.6),
     "shear": lambda demo: demo.simulation(),
     "shell": lambda demo: demo.simulation(maxh=0.7),
-    "slab": lambda demo: demo.simulation(cells=(6, 6)),
-    "soft_disc": lambda demo: demo.simulation(maxh=0.3),
+    "slab": lambda demo: demo.simulation(cells=(3, 4)),
+    "soft_disc": lambda demo: demo.simulation(maxh=0.5),
     "swirl": lambda demo: demo.simulation(maxh=0.35),
     "swirl3d": lambda demo: demo.simulation(maxh=0.9),
     "wave": lambda demo: demo.amplitudes(0.02, 2)[0],
@@ -140,13 +140,13 @@ MAXH = {
     "mooney_rivlin": 0.6,
     "shear": 1.0,
     "shell": 0.7,
-    "soft_disc": 0.3,
+    "soft_disc": 0.5,
     "swirl": 0.35,
     "swirl3d": 0.9,
     "wave": 0.4,
 }
 """Of each demo's script the run that its case file describes, on a mesh that is soon computed."""
-CELLS = {"collision": [7, 4], "slab": [6, 6]}
+CELLS = {"collision": [7, 4], "slab": [3, 4]}
 """The same of boxes of rows of cells."""
 
 
@@ -182,7 +182,7 @@ def test_case_file_gives_the_numbers_of_its_script(name, tmp_path):
 
 def test_soft_disc_keeps_its_mass_and_is_carried_by_the_flow(tmp_path):
     demo = load("soft_disc")
-    run = demo.main(str(tmp_path), until=0.15, maxh=0.25)
+    run = demo.main(str(tmp_path), until=0.15, maxh=0.35)
     assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
     rows = np.genfromtxt(tmp_path / "bodies.csv", delimiter=",", names=True)
     assert rows["disc_mass"] == pytest.approx(rows["disc_mass"][0], rel=1e-12)

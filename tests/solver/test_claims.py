@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from ngsolve import CF, Norm, cos, pi, sin, x, y
+from ngsolve import CF, Norm, x, y
+from support import SWIRL, assert_same, swirling
 
 import ngvisco as nv
 from ngvisco.errors import ParameterError
@@ -244,39 +245,28 @@ class OtherContinuity(Continuity):
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 
 
-def simulation(terms=(), maxh=0.5, scheme="backward-euler", material=NEO_HOOKEAN, **options):
-    model = nv.Model(
-        material=material,
-        hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
-        loads=[nv.Gravity((0.0, -1.0))],
-    )
-    velocity = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
-    initial = nv.Initial(density=1 + 0.2 * x, velocity=velocity)
-    mesh = box((1, 1), maxh=maxh)
-    return nv.Simulation(mesh, model, dt=0.02, initial=initial, terms=terms, scheme=scheme, **options)
+def simulation(terms=(), maxh=0.5, **options):
+    hyper, initial = nv.HyperViscosity(mu=1e-5, p=4), nv.Initial(density=1 + 0.2 * x, velocity=SWIRL)
+    loads = [nv.Gravity((0.0, -1.0))]
+    return swirling(maxh, hyperviscosity=hyper, loads=loads, initial=initial, terms=terms, **options)
 
 
-def solved(term, scheme="backward-euler", **options):
-    """Ledgers and states of both solvers."""
-    states, ledgers = [], []
+def solved(*terms, until=0.06, **options):
+    """Ledgers of both solvers, whose states agree."""
+    runs = []
     for solver in ("split", "coupled"):
         nv.time.Set(0.0)
-        terms = term if isinstance(term, list) else [term]
-        run = simulation(terms, scheme=scheme, solver=solver, **options)
-        ledgers.append(run.run(0.06))
-        state, ranges = run.rothe_step.state.vec.FV().NumPy(), run.rothe_step.layout.ranges
-        states.append({name: state[ranges[name]].copy() for name in ("v", "rho", "z")})
-    for name, values in states[0].items():
-        assert np.abs(values - states[1][name]).max() <= 1e-9 * np.abs(values).max()
-    return ledgers
+        runs.append(simulation(terms, solver=solver, **options))
+        assert np.abs(runs[-1].run(until).column("closure_relative")).max() <= 1e-12
+    assert_same(*runs)
+    return [run.ledger for run in runs]
 
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint"])
 @pytest.mark.parametrize("term", [Drag(8.0), DragByForms(8.0)], ids=lambda term: type(term).__name__)
 def test_a_term_of_the_users_acts_in_both_solvers(term, scheme):
     free = simulation(scheme=scheme, solver="split").run(0.06)
-    for ledger in solved(term, scheme):
-        assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+    for ledger in solved(term, scheme=scheme):
         (name,) = (name for name in ledger.columns if name.startswith("dissipation_drag"))
         assert ledger.column(name).max() > 0.1
         assert ledger.column("kinetic")[-1] < 0.8 * free.column("kinetic")[-1]
@@ -287,7 +277,6 @@ def test_a_term_of_the_users_acts_in_both_solvers(term, scheme):
 )
 def test_rows_of_the_density_and_on_facets_act_in_both_solvers(term):
     for ledger in solved(term):
-        assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
         mass = ledger.column("mass")
         assert abs(mass[-1] / mass[0] - 1) > 1e-2
 
@@ -296,29 +285,25 @@ def test_the_tangent_has_what_a_term_makes_of_the_fields():
     split, _ = solved(Healing(2e3), maxh=0.25)
     assert split.column("newton_iterations").max() <= 12
     assert split.column("dissipation_healing").max() > 1e-3
-    assert np.abs(split.column("closure_relative")).max() <= 1e-12
 
 
-@pytest.mark.parametrize(
-    "term",
-    [FormOnly(), OldSlopes(), OldViscosity(), Impulse(), RowsOfBoth(), GrowthInTime()],
-    ids=lambda term: type(term).__name__,
-)
 @pytest.mark.parametrize("scheme", ["backward-euler", "sdirk2"])
-def test_whatever_a_term_asks_for_it_acts_in_both_solvers(term, scheme):
-    for ledger in solved(term, scheme):
-        assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+def test_whatever_a_term_asks_for_it_acts_in_both_solvers(scheme):
+    terms = FormOnly(), OldSlopes(), OldViscosity(), Impulse(), RowsOfBoth(), GrowthInTime()
+    for ledger in solved(*terms, scheme=scheme):
+        for name in ("form_only", "old_slopes", "old_viscosity", "rows_of_both"):
+            assert ledger.column(f"dissipation_{name}").max() > 1e-6
+        for name in ("power_impulse", "power_growth_in_time"):
+            assert np.abs(ledger.column(name)).max() > 1e-6
 
 
 def test_terms_are_told_apart_by_what_they_are_not_by_equality():
-    for ledger in solved([ByArray(np.array([1.0, 0.1])), ByArray(np.array([1.0, 0.2]))]):
-        assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+    solved(ByArray(np.array([1.0, 0.1])), ByArray(np.array([1.0, 0.2])))
 
 
 def test_a_form_reads_the_energy_of_the_present_state():
     """Also where the energy has values at points only, which are kept."""
-    for ledger in solved(DragByEnergy(), material=nv.Yosida(material=NEO_HOOKEAN, eps=0.05)):
-        assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+    solved(DragByEnergy(), material=nv.Yosida(material=NEO_HOOKEAN, eps=0.05), until=0.04)
 
 
 def test_averages_of_functions_made_on_the_spot_are_not_kept():

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from ngsolve import CF, cos, pi, sin, x, y
+from ngsolve import CF, sin, x, y
+from support import SWIRL, assert_same, evolved, swirling
 from test_flow_rules import Cubic
 from test_split_derivative import assert_is_the_derivative
 
 import ngvisco as nv
-from ngvisco.geometries import box
 from ngvisco.physics.tensors import square
 
 
@@ -64,22 +64,15 @@ UNIFORM = {
 
 def simulation(solver, k=2, maxh=0.5, **laws):
     """A swirling square whose volume ratio differs from place to place."""
-    settings = {"hyperviscosity": nv.HyperViscosity(mu=1e-5)}
-    model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"), **(settings | laws)
-    )
     F = CF((1 + 0.3 * sin(3 * x), 0, 0, 0, 1 + 0.2 * y, 0, 0, 0, 1), dims=(3, 3))
-    velocity = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
-    initial = nv.Initial(velocity=velocity, F=F)
-    discretisation = nv.Discretisation(k=k)
-    return nv.Simulation(
-        box((1, 1), maxh), model, dt=0.02, initial=initial, solver=solver, discretisation=discretisation
+    return swirling(
+        maxh,
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
+        initial=nv.Initial(velocity=SWIRL, F=F),
+        solver=solver,
+        discretisation=nv.Discretisation(k=k),
+        **({"hyperviscosity": nv.HyperViscosity(mu=1e-5)} | laws),
     )
-
-
-def states(run):
-    state, ranges = run.rothe_step.state.vec.FV().NumPy(), run.rothe_step.layout.ranges
-    return {name: state[ranges[name]].copy() for name in ("v", "rho", "z")}
 
 
 @pytest.mark.parametrize(
@@ -87,18 +80,14 @@ def states(run):
     [*((name, 2) for name in LAWS), ("hyperviscosity", 3), ("power law with a gradient", 3)],
 )
 def test_both_solvers_have_the_point_s_moduli(name, k):
-    found, ledgers = [], []
-    for solver in ("split", "coupled"):
-        run = simulation(solver, k, **LAWS[name])
-        ledgers.append(run.run(0.04))
-        found.append(states(run))
-    for field, values in found[0].items():
-        assert np.abs(values - found[1][field]).max() <= 1e-9 * np.abs(values).max()
-    for ledger in ledgers:
-        assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
-    uniform = simulation("split", k, **UNIFORM[name])
-    uniform.run(0.04)
-    assert np.abs(states(uniform)["v"] - found[0]["v"]).max() > 1e-4 * np.abs(found[0]["v"]).max()
+    runs = [simulation(solver, k, **LAWS[name]) for solver in ("split", "coupled")]
+    for run in runs:
+        assert np.abs(run.run(0.02).column("closure_relative")).max() <= 1e-12
+    assert_same(*runs)
+    uniform = simulation("coupled", k, **UNIFORM[name])
+    uniform.run(0.02)
+    v, found = evolved(uniform)["v"], evolved(runs[0])["v"]
+    assert np.abs(v - found).max() > 1e-4 * np.abs(found).max()
 
 
 @pytest.mark.parametrize("name", LAWS)

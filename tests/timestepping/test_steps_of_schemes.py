@@ -6,7 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from ngsolve import CF, IfPos, cos, pi, sin, x, y
+from ngsolve import CF, IfPos, pi, sin, x, y
+from support import SWIRL, swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -15,19 +16,15 @@ from ngvisco.run.ledger import NUMERICAL
 from ngvisco.timestepping.error import ErrorEstimate
 
 SECOND_ORDER = ("midpoint", "sdirk2")
-SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 
 
 def simulation(dt=0.02, scheme="midpoint", **options):
-    model = nv.Model(
-        material=options.pop("material", nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)),
-        viscosity=options.pop("viscosity", nv.StokesViscosity(K_v=0.01, G_v=0.01)),
-        hyperviscosity=options.pop("hyperviscosity", nv.HyperViscosity(mu=1e-4)),
-        creep=options.pop("creep", None),
-        loads=options.pop("loads", [nv.Gravity((0.0, sin(3 * nv.time)))]),
-    )
-    initial = options.pop("initial", nv.Initial(velocity=SWIRL))
-    return nv.Simulation(box((1, 1), maxh=0.5), model, dt=dt, initial=initial, scheme=scheme, **options)
+    settings = {
+        "viscosity": nv.StokesViscosity(K_v=0.01, G_v=0.01),
+        "hyperviscosity": nv.HyperViscosity(mu=1e-4),
+        "loads": [nv.Gravity((0.0, sin(3 * nv.time)))],
+    }
+    return swirling(dt=dt, scheme=scheme, **(settings | options))
 
 
 def state(run):
@@ -67,12 +64,12 @@ RESTARTED = {
 def test_a_run_goes_on_from_any_checkpoint_bit_for_bit(name, tmp_path):
     file = tmp_path / "run.h5"
     whole = simulation(**RESTARTED[name], observers=[nv.Checkpoints(file, every=1, keep=9)])
-    whole.run(0.08)
-    assert whole.number >= 4
-    for stop in (1, 3):
+    whole.run(0.06)
+    assert whole.number >= 3
+    for stop in (1, 2):  # with one solution before it, and with two
         rest = simulation(**RESTARTED[name])
         rest.restore(file, stop)
-        ledger = rest.run(0.08)
+        ledger = rest.run(0.06)
         assert np.array_equal(state(whole), state(rest))
         for key, values in whole.passive.arrays().items():
             assert np.array_equal(values, rest.passive.arrays()[key])
@@ -167,7 +164,7 @@ def test_an_end_of_negative_density_is_refused_where_the_stage_is_not(monkeypatc
 
 
 def shear_modes(scheme, startup=0):
-    """Kinetic energy of a velocity that jumps from cell to cell, after 20 steps a thousand times too long."""
+    """Kinetic energy of a velocity that jumps from cell to cell, after ten steps a thousand times too long."""
     rough = IfPos(sin(40 * x) * sin(37 * y), 1.0, -1.0)
     run = simulation(
         dt=1.0,
@@ -179,7 +176,7 @@ def shear_modes(scheme, startup=0):
         initial=nv.Initial(velocity=(1e-3 * rough, 1e-3 * rough)),
         loads=[],
     )
-    return run.run(20.0).column("kinetic")
+    return run.run(10.0).column("kinetic")
 
 
 def test_sdirk2_damps_a_viscosity_that_midpoint_reflects():
@@ -220,18 +217,18 @@ def test_a_relaxed_run_dissipates_nothing_numerically():
     """Neither kinetic nor stored energy in sum, at every step, also where an output time is met exactly."""
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02)
     run = simulation(stepping=stepping, relaxation=True, solver="coupled")
-    ledger = run.run(0.2, stops=[0.07])
+    ledger = run.run(0.1, stops=[0.07])
     remainder = sum(ledger.column(name) for name in NUMERICAL)
     energy = ledger.column("kinetic")[0]
     # a difference of stored energies, of 15 J: five roundings of these
     assert np.abs(remainder).max() <= 1e-15 * ledger.column("stored")[0]
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
-    assert {0.07, 0.2} <= set(ledger.column("time"))
+    assert {0.07, 0.1} <= set(ledger.column("time"))
     lengths = ledger.column("dt")[1:3]
     assert (
         np.abs(lengths - 0.02).min() > 0 and np.abs(lengths - 0.02).max() <= 1e-4
     )  # near what was asked for
-    plain = simulation(solver="coupled").run(0.2)
+    plain = simulation(solver="coupled").run(0.1)
     assert np.abs(sum(plain.column(name) for name in NUMERICAL)).max() > 1e-9 * energy
 
 
