@@ -164,7 +164,7 @@ def test_an_end_of_negative_density_is_refused_where_the_stage_is_not(monkeypatc
 
 
 def shear_modes(scheme, startup=0):
-    """Kinetic energy of a velocity that jumps from cell to cell, after ten steps a thousand times too long."""
+    """Kinetic energy of a velocity that jumps between cells, after ten steps a thousand times too long."""
     rough = IfPos(sin(40 * x) * sin(37 * y), 1.0, -1.0)
     run = simulation(
         dt=1.0,
