@@ -195,6 +195,11 @@ class Model:
         if self.heat is not None and entropy_in(material) is None:
             expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
             raise ParameterError("Model.heat", self.heat, expected)
+        if isinstance(material, Mixture) and entropy_in(material) is not None:
+            for body in material.bodies:
+                if entropy_in(body.material) is None:
+                    expected = "a material with heat, as others have: one without it has no temperature"
+                    raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
         if self.heat is not None and self.heat.numerical_heating and material.response(3) is not None:
             expected = "False for an energy without an expression, as that of a Yosida approximation"
             raise ParameterError("Heat.numerical_heating", True, expected)

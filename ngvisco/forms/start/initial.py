@@ -34,8 +34,8 @@ from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material, conjugates, volume_ratio
-from ngvisco.physics.materials.thermal import entropy_in, temperature, thermal_parts
-from ngvisco.physics.mixture import AMOUNT
+from ngvisco.physics.materials.thermal import entropy_in, temperature, thermal_part
+from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.model import VectorLike, as_tensor, as_vector
 from ngvisco.physics.parameters import Parameter, moduli_in, value_at
 from ngvisco.physics.tensors import inner, square, tensor_space, trace_free_tensors
@@ -245,7 +245,7 @@ def _entropy(
 ) -> dict[str, CoefficientFunction]:
     """The start value of the entropy, by the temperature and the volume of the others."""
     material = step.model.material
-    entropy, parts = entropy_in(material), list(thermal_parts(material))
+    entropy = entropy_in(material)
     if entropy is None:
         if initial.temperature is not None:
             expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
@@ -255,10 +255,19 @@ def _entropy(
         if initial.temperature is not None:
             raise ParameterError("Initial.temperature", initial.temperature, "None beside a start entropy")
         return {}
-    given = parts[0].theta_R if initial.temperature is None else initial.temperature
-    theta = _as_shape("Initial.temperature", given, ())
-    sampler.require(theta, "temperature theta_0", minimum=0.0)
-    return {entropy.name: parts[0].start(theta, values["A"])}
+    parts = {"": (material, 1.0)}
+    if isinstance(material, Mixture):
+        shares = material.fractions.at(values)
+        parts = {body.name: (body.material, shares[body.name]) for body in material.bodies}
+    starts = []
+    for part, share in parts.values():
+        thermal = thermal_part(part)
+        assert thermal is not None  # as a model asks it of all bodies
+        given = thermal.theta_R if initial.temperature is None else initial.temperature
+        theta = _as_shape("Initial.temperature", given, ())
+        sampler.require(theta, "temperature theta_0", minimum=0.0)
+        starts.append(share * thermal.start(theta, values["A"]))
+    return {entropy.name: _sum(starts)}
 
 
 def _check_density_range(density: CoefficientFunction, sampler: Sampler) -> None:

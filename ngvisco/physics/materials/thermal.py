@@ -12,7 +12,6 @@ Both are perspectives of convex functions of (S, J): jointly convex with phi_m, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Self
 
@@ -202,13 +201,8 @@ def bulk_modulus(material: Material) -> float:
     return float(np.mean(sampled((J * typical.energy(z)).Diff(J).Diff(J))))
 
 
-def thermal_parts(part: object) -> Iterator[Thermal]:
-    """The materials with heat that a material is made of."""
-    if isinstance(part, Thermal):
-        yield part
-    elif isinstance(part, tuple):
-        for one in part:
-            yield from thermal_parts(one)
-    elif isinstance(part, Material):
-        for one in vars(part).values():
-            yield from thermal_parts(one)
+def thermal_part(part: object) -> Thermal | None:
+    """The material with heat that a material is, or that it regularises; None without one."""
+    while isinstance(part, Material) and not isinstance(part, Thermal):
+        part = getattr(part, "material", None)
+    return part if isinstance(part, Thermal) else None
