@@ -427,6 +427,8 @@ if ranks.is_first:
 """
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_rank_that_metis_leaves_without_cells_is_refused_on_every_rank(tmp_path):
     """As it does now and then where there are a cell or two for each."""
     (tmp_path / "empty.py").write_text(EMPTY)
@@ -620,7 +622,7 @@ def test_an_error_is_that_of_all_ranks(tmp_path):
             assert re.match(f"rank {rank} of 3 {message}", line), line
 
 
-@pytest.mark.parametrize("where", ["start", "step"])
+@pytest.mark.parametrize("where", [pytest.param("start", marks=[pytest.mark.long, pytest.mark.ci]), "step"])
 def test_a_fault_of_one_rank_ends_all(tmp_path, where):
     """The others wait for it in a computation: no rank is left behind."""
     (tmp_path / "failing.py").write_text(FAILING)

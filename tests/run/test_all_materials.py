@@ -35,7 +35,7 @@ ALL_IN_SPACE = [
 
 
 @pytest.mark.parametrize(("name", "m"), ALL_IN_SPACE)
-def test_ledger_closes_and_mass_and_positivity_hold_in_space(name, m):
+def test_ledger_closes_and_mass_and_positivity_hold(name, m):
     """With cellwise constants and no hyperviscosity, or all terms; in the plane: ``test_split_agrees``.
 
     Closure with all terms: 7e-12 at most (LinearElastic), by Newton's tolerance 1e-10.

@@ -87,9 +87,9 @@ def states(run):
 def test_ledger_mass_and_fractions_are_exact_and_both_solvers_agree(name):
     found = []
     for solver in ("split", "coupled"):
-        run = simulation(name, solver)
+        run = simulation(name, solver, maxh=0.4)
         before = masses(run)
-        run.run(0.06)
+        run.run(0.04)
         assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-12
         assert np.abs(masses(run) / before - 1).max() <= 1e-12
         assert run.ledger.rows[-1]["mass"] == pytest.approx(before.sum(), rel=1e-13)

@@ -195,6 +195,8 @@ def test_small_creep_modulus_is_a_viscous_fluid_in_the_mean_at_finite_strain(nam
         assert gaps[0] / gaps[1] == pytest.approx(2, rel=0.15)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_creep_stress_that_a_cell_cannot_relax_falls_like_G_m_to_two_thirds():
     """What dev T is beyond its cell means, in the H form with linear H, where the means are O(G_m).
 
@@ -300,6 +302,8 @@ def test_both_distortions_are_the_same_in_the_same_space():
     assert Integrate(square(run.fields["F"] - run.fields["F_tot"]), run.mesh) ** 0.5 < 1e-11
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_determinant_of_the_total_distortion_is_J_at_first_order_in_time():
     """det F_tot = J, also with creep: implicit Euler does not keep a determinant, to O(tau)."""
     gaps = []

@@ -39,6 +39,8 @@ def drop(modulus):
     return float(table.column("bar_y")[0] - table.column("bar_y")[-1])
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_bar_in_a_light_fluid_swings_as_in_empty_space_and_an_elastic_medium_holds_it():
     """Beam theory: E' = 2.8 Pa, omega = 3.516 sqrt(E' I/(rho a L^4)), w = q L^4/(20 E' I) (1 - cos omega t).
 

@@ -12,7 +12,7 @@ from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian
 
 SCHEMES = ["backward-euler", "midpoint", "sdirk2"]
-BY_DEFAULT = (("backward-euler", "coupled"), ("midpoint", "split"), ("sdirk2", "split"))
+BY_DEFAULT = (("backward-euler", "coupled"), ("midpoint", "split"))
 WITH_BOTH_SOLVERS = [
     pytest.param(scheme, solver, marks=() if (scheme, solver) in BY_DEFAULT else pytest.mark.long)
     for scheme in SCHEMES

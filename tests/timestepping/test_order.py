@@ -95,7 +95,8 @@ def test_second_order_under_a_lid_that_is_accelerated(scheme):
     assert min(found.values()) >= 1.9, found
 
 
-@pytest.mark.parametrize("scheme", ["midpoint", pytest.param("sdirk2", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("scheme", [pytest.param("midpoint", marks=pytest.mark.ci), "sdirk2"])
 def test_second_order_with_traction_on_a_curved_slip_wall(scheme):
     walls = {"wall": nv.Traction(f=(-y * sin(20 * nv.time), x * sin(20 * nv.time)), friction=0.1)}
     options = {"initial": nv.Initial(), "loads": [], "solver": "split"}

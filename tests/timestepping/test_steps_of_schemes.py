@@ -245,6 +245,8 @@ def test_a_relaxed_run_ends_where_little_moves(dt, speed):
     assert np.abs(remainder).max() <= 1e-15 * ledger.column("stored")[0]
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_relaxed_run_is_of_second_order():
     ends = []
     for n in (8, 16, 32):
