@@ -20,7 +20,7 @@ class TabulatedRates(Rates):
 
     def __init__(self, model: Model, dim: int) -> None:
         super().__init__(model, dim)
-        self._space = creep_tensors(self.rule, dim)
+        self.creep_space = creep_tensors(self.rule, dim)
         """The tensors among which Pi is, and the forces that drive it."""
         trace = self.rule is not None and self.rule.has_trace
         self.tensors = RateTensors.of(tuple(model.material.variables), dim, trace)
@@ -45,7 +45,7 @@ class TabulatedRates(Rates):
 
     def creep_power(self, z: Fields, Pi: Array, G: Fields, name: Conjugate) -> Sequence[Linear]:
         """rate(z; 0, Pi) : G, with G a test."""
-        components = self._space.components(Pi).value
+        components = self.creep_space.components(Pi).value
         rate = self.tensors.rate(z.z.value, components, first=self.tensors.gradients)
         return [G.parts[name].InnerProduct(Array(rate, None))]
 
@@ -53,7 +53,7 @@ class TabulatedRates(Rates):
         """Mandel stress of the projected conjugates, 3x3, Pa."""
         t = self.tensors
         M = Array(t.stress(u.z.value, u.zeta.value, t.gradients, len(t.constant)), None)
-        tensor = -self._space.tensor(M)
+        tensor = -self.creep_space.tensor(M)
         return dev(tensor) if self.rule is not None and self.rule.has_trace else tensor
 
     def mandel_components(self, u: Fields) -> Array:
@@ -66,4 +66,4 @@ class TabulatedRates(Rates):
 
     def creep_components(self, u: Fields) -> np.ndarray:
         """Pi of a local rule in components, (p, points)."""
-        return self._space.components(self.creep(u)).value
+        return self.creep_space.components(self.creep(u)).value

@@ -30,6 +30,7 @@ from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import FieldOptions, NewtonOptions
 from ngvisco.solver.split.flow_elements import PointTangent
 from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
+from ngvisco.solver.split.local_creep import LocalCreep
 from ngvisco.solver.split.schur_complement import FlowSchurComplement, at_points
 from ngvisco.solver.split.transport import TransportSweeps
 
@@ -101,12 +102,18 @@ class Preconditioner:
         self.without_multigrid: str | None = None
         """Why vertices are factorised where the options have a multigrid for them."""
         k, m = step.discretisation.k, step.discretisation.m
-        self.op = Operators(step, max(k - 1, m))
+        rule = residual.rates.rule
+        steep = rule is not None and rule.is_local and not rule.is_linear
+        # a coarse rule knows a linear law; of another one it misses where it is steep
+        self.op = residual.op if steep else Operators(step, max(k - 1, m))
         self.sweep = TransportSweeps(residual, options.inverse, self.options.sweeps)
         derivative = (
             None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
         )
         tangent = PointTangent(residual, self.op)
+        self.local_creep: LocalCreep | None = None
+        if steep and rule is not None and not rule.reads_conjugate:
+            self.local_creep = LocalCreep(tangent, rule)
         self.operator = FlowSchurComplement(residual, tangent, self.sweep, derivative)
         self.ranks, self.exchange = residual.ranks, residual.shared_rows
         places, kept = np.arange(unknowns.flow_slice.stop), np.zeros(0, dtype=np.int64)

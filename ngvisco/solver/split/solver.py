@@ -114,6 +114,8 @@ class Split:
         with self._clock("solves"):
             f = self.preconditioner(at, options.forcing)
         size = self.size(f)
+        if fresh or last > options.linearised_above:
+            self._follow_creep(f)
         worn = self.preconditioner.iterations > options.renewed_after[self.step.mesh.dim - 2]
         matters = max(size, last) > options.renewed_at_once_above
         if not fresh and ((worn and matters) or self._may_be_better):
@@ -122,6 +124,13 @@ class Split:
             self.preconditioner.strengthen()
             f, size = self._with_anew(problem, at)
         return f, size
+
+    def _follow_creep(self, f: np.ndarray) -> None:
+        """Let an increment from where the tangent is keep the stress on the flow rule's graph."""
+        if self.preconditioner.local_creep is not None:
+            z = self.unknowns.slices["z"]
+            dz = -f[z].reshape(self.unknowns.components["z"], -1)
+            f[z] -= self.preconditioner.local_creep(dz).ravel()
 
     def has_converged(self, f: np.ndarray, size: float, last: float) -> bool:
         """Whether x - f solves the equations: by the size of f, and of the smallest increment before."""

@@ -1,0 +1,159 @@
+"""The nonlinear equation of local creep at a point, solved exactly after each increment of Newton's method.
+
+An increment of z changes the Mandel stress M to a value from which a steep rule, by its tangent, relaxes to
+a stress far off its graph: with |M|^10 the rate is a thousand times too large where the stress is twice what
+it should be, and Newton's method comes back by a tenth in an iteration.  At fixed gradients of v all that
+creep does within the step is to take kappa Pi from the stress, kappa = tau (dM/dz)(drate/dPi).  So what the
+increment means is not M and the tangent's Pi, but their sum
+
+    M + kappa rate(M) = M_lin + kappa Pi_lin,    Pi_lin = Pi + rate'(M) (M_lin - M_before),
+
+whose solution is unique for a monotone rate: Newton's method for y = z + tau creep(z) instead of z, in which
+the equations are nearly linear.  z gets what Pi differs from Pi_lin by.  Where the rate is linear nothing
+changes; near the solution the difference is quadratic in the increment.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ngvisco.algebra.blocks import BlockInverse
+from ngvisco.algebra.sparse import mass_matrix
+from ngvisco.physics.arrays import Array
+from ngvisco.physics.flow_rules.rule import FlowRule
+from ngvisco.physics.increments import TINY
+from ngvisco.reduced.evaluation import with_values
+from ngvisco.solver.split.flow_elements import PointTangent
+
+_BISECTIONS, _ITERATIONS = 25, 40
+_STRESSES, _SETTLED = 3, 1e-2
+"""Stresses of corrected z, which the tangent's stiffness knows to first order, and the correction that is
+small beside an increment."""
+_EXACT = 1e-8
+"""Relative defect at which the iteration ends: what is left is for Newton's method of the step."""
+
+
+class LocalCreep:
+    """Corrections of z's increments at the points of a tangent."""
+
+    def __init__(self, tangent: PointTangent, rule: FlowRule) -> None:
+        self.tangent, self.rule, self.rates = tangent, rule, tangent.residual.rates
+        self.space = self.rates.creep_space
+        self.shapes = np.asarray(tangent.op.z.blocks)
+        """Values of the cells' functions, (cells, points of a cell, functions)."""
+        mass = mass_matrix(tangent.op.z.matrix, tangent.op.weights)
+        self._project = BlockInverse(mass)
+        self._project.update(mass)
+
+    def __call__(self, dz: np.ndarray) -> np.ndarray:
+        """What is to be added to increments of z from the tangent's state; both coefficients (n, .)."""
+        t, first = self.tangent, self.rates.tensors.gradients
+        columns, force = t.columns[:, :, first:], t.force[:, first:]
+        kappa, change = t.tau * force @ columns, t.op.z(dz)
+        M = self.space.components(self.rates.mandel(t.values)).value.T
+        tangent = -np.einsum("pij,pjm,mp->ip", self._slope(M), force, change, optimize=True)
+        held, z, added = self._projected(self._rate(M).T + tangent), t.z + change, np.zeros_like(dz)
+        for _ in range(_STRESSES):
+            Y = self._stress(z) + np.einsum("pij,jp->ip", kappa, held)
+            Pi = self._projected(self._solved(kappa, Y.T).T)
+            extra = t.tau * self._coefficients(np.einsum("pni,ip->np", columns, Pi - held))
+            if not np.isfinite(extra).all():
+                return np.zeros_like(dz)
+            added, z, held = added + extra, z + t.op.z(extra), Pi
+            if abs(extra).max(initial=0.0) <= _SETTLED * abs(dz).max(initial=0.0):
+                break
+        return added
+
+    def _coefficients(self, values: np.ndarray) -> np.ndarray:
+        """Of the projection of values at the points."""
+        return self._project(self.tangent.op.z.test(values))
+
+    def _projected(self, values: np.ndarray) -> np.ndarray:
+        return self.tangent.op.z(self._coefficients(values))
+
+    def _stress(self, z: np.ndarray) -> np.ndarray:
+        """Mandel stress of the projected conjugates of z, (p, points)."""
+        t = self.tangent
+        zeta = self._projected(t.slope(z))
+        return self.space.components(self.rates.mandel(with_values(t.values, z=z, zeta=zeta))).value
+
+    def _rate(self, M: np.ndarray) -> np.ndarray:
+        """The rate, (points, p), at stresses (points, p)."""
+        u = self.tangent.values
+        tensor = self.space.tensor(Array(M.T, None))
+        Pi = self.rule.rate(tensor, None, self.rates.read_values(self.rule, u))
+        return np.broadcast_to(self.space.components(Pi).value, M.T.shape).T
+
+    def _slope(self, M: np.ndarray) -> np.ndarray:
+        """The rate's derivative by the stress, (points, p, p)."""
+        units = np.eye(M.shape[1])
+        return np.stack([self._rate(M + 1j * TINY * unit).imag / TINY for unit in units], axis=2)
+
+    def _solved(self, kappa: np.ndarray, Y: np.ndarray) -> np.ndarray:
+        """rate(Y - kappa Pi_h) at the points, (points, p), with Pi_h its projection in every cell.
+
+        Newton's method for the cells' components, (cells, q, p), from the solutions at the points.  Along an
+        increment d the equation times kappa d grows, by the rule's monotonicity, which holds its length.
+        """
+        shape, p = self.shapes.shape, Y.shape[1]
+        weighted = self.shapes * self.tangent.op.weights.reshape(shape[0], shape[1], 1)
+        kappa, Y = kappa.reshape(*shape[:2], p, p), Y.reshape(*shape[:2], p)
+        mass = np.einsum("cki,ckj->cij", weighted, self.shapes)
+
+        def tested(values: np.ndarray) -> np.ndarray:
+            return np.einsum("cki,ckp->cip", weighted, values)
+
+        def at(c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            values = self.shapes @ c
+            M = Y - np.einsum("ckij,ckj->cki", kappa, values)
+            return self._rate(M.reshape(-1, p)).reshape(values.shape), values
+
+        c = np.linalg.solve(mass, tested(self._at_points(kappa, Y)))
+        Pi, values = at(c)
+        for _ in range(_ITERATIONS):
+            defect = tested(values - Pi)
+            size = np.linalg.norm(tested(abs(Pi)), axis=(1, 2))
+            left = np.linalg.norm(defect, axis=(1, 2)) > _EXACT * size
+            if not left.any():
+                break
+            M = (Y - np.einsum("ckij,ckj->cki", kappa, values)).reshape(-1, p)
+            bent = np.eye(p) + self._slope(M).reshape(kappa.shape) @ kappa
+            matrix = np.einsum("cka,ckij,ckb->caibj", weighted, bent, self.shapes, optimize=True)
+            n = shape[2] * p
+            d = -np.linalg.solve(matrix.reshape(-1, n, n), defect.reshape(-1, n, 1)).reshape(c.shape)
+            d *= left[:, None, None]
+            work = np.einsum("ckij,ckj->cki", kappa, self.shapes @ d)
+            before = self._power(work, values - Pi)
+            length, low, high = np.ones(len(c)), np.zeros(len(c)), np.ones(len(c))
+            for _ in range(_BISECTIONS):
+                Pi, values = at(c + length[:, None, None] * d)
+                power = self._power(work, values - Pi)
+                far, near = power > 0.5 * abs(before), (power < -0.5 * abs(before)) & (high < 1)
+                if not (left & (far | near)).any():
+                    break
+                low, high = np.where(near, length, low), np.where(far, length, high)
+                length = np.where(far | near, 0.5 * (low + high), length)
+            c = c + length[:, None, None] * d
+        return Pi.reshape(-1, p)
+
+    def _power(self, work: np.ndarray, defect: np.ndarray) -> np.ndarray:
+        """The integral of work . defect over each cell."""
+        weights = self.tangent.op.weights.reshape(work.shape[:2])
+        return np.einsum("ck,ckp,ckp->c", weights, work, defect)
+
+    def _at_points(self, kappa: np.ndarray, Y: np.ndarray) -> np.ndarray:
+        """rate(M) of the M along Y with M + kappa rate(M) = Y: Newton's method held by a bracket."""
+        shape, Y, kappa = Y.shape, Y.reshape(-1, Y.shape[-1]), kappa.reshape(-1, *kappa.shape[-2:])
+        size = np.linalg.norm(Y, axis=1)
+        along = Y / np.where(size > 0, size, 1.0)[:, None]
+        stiffness = np.einsum("pi,pij,pj->p", along, kappa, along)
+        low, high, s = np.zeros_like(size), size.copy(), 0.5 * size
+        for _ in range(_BISECTIONS):
+            value = (self._rate((s + 1j * TINY)[:, None] * along) * along).sum(axis=1)
+            defect = s + stiffness * value.real - size
+            if (abs(defect) <= _EXACT * size).all():
+                break
+            low, high = np.where(defect < 0, s, low), np.where(defect < 0, high, s)
+            newton = s - defect / (1 + stiffness * value.imag / TINY)
+            s = np.where((newton > low) & (newton < high), newton, 0.5 * (low + high))
+        return self._rate(s[:, None] * along).reshape(shape)
