@@ -1,4 +1,4 @@
-"""What a Rothe step costs: ``python -m tests.benchmarks [-o DIRECTORY] [--sizes ...]`` in the project's root.
+"""What a Rothe step costs: ``python -m tests.benchmarks [-o DIRECTORY]`` in the project's root.
 
 The neo-Hookean swirl (P2 velocity, DG1 fields, p = 4, tau = 0.02 s) in series of meshes, by both solvers,
 with creep by F and by B, and as one body and as two.  Every row is a process of its own, so that its peak
@@ -14,10 +14,18 @@ import json
 import subprocess
 import sys
 from itertools import product
-from pathlib import Path
 
 from tests.benchmarks.case import FIFTY_THOUSAND, STRUCTURED
-from tests.benchmarks.table import markdown, markdown_of_schemes, summary, summary_of_schemes
+from tests.benchmarks.table import (
+    add_files,
+    against,
+    markdown,
+    markdown_of_schemes,
+    read,
+    summary,
+    summary_of_schemes,
+    write,
+)
 
 SIZES = {
     "2D": [0.1, 0.055, 0.032],
@@ -43,6 +51,9 @@ QUICK = {
 }
 FORMS = {"creep": ("F", "B"), "bodies": ("one body", "two bodies")}
 """What is compared in a series, on each of its meshes."""
+
+LARGEST = 0.07
+"""maxh, m, of the finest mesh by default: finer ones, 33,000 and 50,000 tetrahedra, take hours."""
 
 SCHEMES = ["0.25", "0.2", "160", "0.02", "0.002"]
 QUICK_SCHEMES = ["0.5", "0.06", "6", "0.2"]
@@ -87,18 +98,21 @@ def measure_schemes(arguments: list[str], timeout: float) -> list[dict]:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, help="directory for benchmark.json and benchmark.md")
+    add_files(parser)
     parser.add_argument("--quick", action="store_true", help="tiny meshes, to see that it works")
     parser.add_argument("--series", nargs="*", choices=[*SIZES, "schemes"], default=[*SIZES, "schemes"])
-    parser.add_argument("--largest", type=float, help="leave out meshes finer than this maxh")
+    parser.add_argument(
+        "--largest", type=float, default=LARGEST, help=f"leave out meshes finer than this maxh ({LARGEST:g})"
+    )
     parser.add_argument("--threads", type=int, default=2, choices=(1, 2), help="threads (default 2)")
     parser.add_argument("--steps", type=int, default=2, help="steps timed, after a first one (default 2)")
     parser.add_argument("--timeout", type=float, default=3600, help="seconds a row may take")
     chosen = parser.parse_args(arguments)
+    older = read(chosen.against)
     rows: list[dict] = []
     for series in (name for name in SIZES if name in chosen.series):
         dim, method = int(series[0]), "coupled" if "coupled" in series else "split"
-        sizes = [h for h in (QUICK if chosen.quick else SIZES)[series] if h >= (chosen.largest or 0)]
+        sizes = [h for h in (QUICK if chosen.quick else SIZES)[series] if h >= chosen.largest]
         forms = FORMS.get(series[3:], ("",))
         for maxh, creeping in product(sizes, forms):
             rows.append(measure(dim, maxh, method, chosen.threads, chosen.steps, chosen.timeout, creeping))
@@ -113,11 +127,16 @@ def main(arguments: list[str] | None = None) -> int:
     if "schemes" in chosen.series:
         of_schemes = measure_schemes(QUICK_SCHEMES if chosen.quick else SCHEMES, chosen.timeout)
         text += f"\n{markdown_of_schemes(of_schemes)}\n{summary_of_schemes(of_schemes)}"
+    text += against(
+        rows,
+        [row for row in older if "dim" in row],
+        ("dim", "maxh", "method", "threads", "creeping"),
+        ("step", "first", "set-up", "iterations", "memory"),
+    )
+    of_older = [row for row in older if "tolerance" in row]
+    text += against(of_schemes, of_older, ("scheme", "tolerance"), ("seconds", "iterations"))
     print(f"\n{text}")
-    if chosen.output:
-        chosen.output.mkdir(parents=True, exist_ok=True)
-        (chosen.output / "benchmark.json").write_text(json.dumps(rows + of_schemes, indent=1))
-        (chosen.output / "benchmark.md").write_text(text)
+    write(chosen.output, "benchmark", rows + of_schemes, text)
     return 1 if any("failed" in row for row in rows + of_schemes) else 0
 
 

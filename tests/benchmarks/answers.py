@@ -7,6 +7,7 @@ their ratios within one call travel.  Of each problem's runs those are marked th
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from ngsolve import CF, SetNumThreads, cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import structured_box
+from tests.benchmarks.table import add_files, against, read, write
 
 SCHEMES = ("backward-euler", "midpoint")
 ORDERS = ((2, 1), (3, 2))
@@ -59,23 +61,54 @@ def measured(name: str, order: tuple[int, int], cells: int, steps: int, scheme: 
     return float(ledger.column("kinetic")[-1]), time.process_time() - began
 
 
-def main(names: list[str]) -> None:
-    """Print a table of each problem, the cheapest run first."""
+def rows_of(name: str) -> list[dict]:
+    """A problem's runs, the cheapest first; "best" where no cheaper one has a smaller error."""
+    exact, _ = measured(name, *REFERENCE)
+    rows = []
+    for (k, m), cells, steps, scheme in product(ORDERS, CELLS, STEPS, SCHEMES):
+        kinetic, seconds = measured(name, (k, m), cells, steps, scheme)
+        choice = {"problem": name, "scheme": scheme, "k": k, "m": m, "cells": 2 * cells**2}
+        row = {"dt": UNTIL / steps, "error": abs(kinetic / exact - 1), "seconds": seconds, "exact": exact}
+        rows.append(choice | row)
+    rows.sort(key=lambda row: row["seconds"])
+    least = float("inf")
+    for row in rows:
+        row["best"] = row["error"] < least
+        least = min(least, row["error"])
+    return rows
+
+
+def markdown(rows: list[dict]) -> str:
+    """A Markdown table of one problem's rows."""
+    lines = [f"| {rows[0]['problem']} | k, m | cells | dt, s | error | time, s | best |", "|" + "---|" * 7]
+    for row in rows:
+        values = f"{row['k']}, {row['m']} | {row['cells']} | {row['dt']:g} | {row['error']:.2%}"
+        lines.append(f"| {row['scheme']} | {values} | {row['seconds']:.1f} | {'*' if row['best'] else ''} |")
+    return "\n".join([*lines, "", f"Reference: {rows[0]['exact']:.6g} J.", ""])
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print a table of each problem, and ratios to an older one."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.answers")
+    parser.add_argument(
+        "problems", nargs="*", metavar="PROBLEM", help=f"of {', '.join(PROBLEMS)}: default all"
+    )
+    add_files(parser)
+    chosen = parser.parse_args(arguments)
+    if unknown := sorted(set(chosen.problems) - set(PROBLEMS)):
+        parser.error(f"no problem {unknown[0]!r}: there are {', '.join(PROBLEMS)}")
+    older = read(chosen.against)
     SetNumThreads(1)
-    for name in names or list(PROBLEMS):
-        exact, seconds = measured(name, *REFERENCE)
-        rows = []
-        for choice in product(ORDERS, CELLS, STEPS, SCHEMES):
-            kinetic, took = measured(name, *choice)
-            rows.append((took, abs(kinetic / exact - 1), choice))
-        print(f"\n| {name} | k, m | cells | dt, s | error | time, s | best |\n|" + "---|" * 7)
-        least = float("inf")
-        for took, error, ((k, m), cells, steps, scheme) in sorted(rows):
-            best, least = "*" if error < least else "", min(error, least)
-            values = f"{k}, {m} | {2 * cells**2} | {UNTIL / steps:g} | {error:.2%} | {took:.1f} | {best}"
-            print(f"| {scheme} | {values} |", flush=True)
-        print(f"\nReference: {exact:.6g} J, {seconds:.0f} s.", flush=True)
+    rows, text = [], ""
+    for name in chosen.problems or PROBLEMS:
+        rows += (new := rows_of(name))
+        text += f"{markdown(new)}\n"
+        print(markdown(new), flush=True)
+    compared = against(rows, older, ("problem", "scheme", "k", "m", "cells", "dt"), ("seconds", "error"))
+    print(compared)
+    write(chosen.output, "answers", rows, text + compared)
+    return 0
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    sys.exit(main())

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 
 PARTS = (
@@ -150,3 +155,59 @@ def summary_of_schemes(rows: list[dict]) -> str:
                 f"{iterations:.1f} in iterations"
             )
     return "\n".join(lines) + "\n"
+
+
+def against(rows: list[dict], older: list[dict], keys: Sequence[str], quantities: Sequence[str]) -> str:
+    """Quantities over those of an older table's row of the same keys, and their geometric means.
+
+    Rows that only one of the tables has, or that failed in one, are named at the end; without an older table
+    there is nothing to say.
+    """
+    if not older:
+        return ""
+
+    def known(table: list[dict]) -> dict[tuple, dict]:
+        return {tuple(row.get(key) for key in keys): row for row in table if "failed" not in row}
+
+    new, old = known(rows), known(older)
+    lines = [f"| {' | '.join(keys)} | {' | '.join(f'{name}, new/old' for name in quantities)} |"]
+    lines.append("|" + "---|" * (len(keys) + len(quantities)))
+    ratios = []
+    for which in [which for which in new if which in old]:
+        ratios.append([_ratio(new[which].get(name), old[which].get(name)) for name in quantities])
+        said = ["" if value is None else f"{value}" for value in which]
+        lines.append(f"| {' | '.join(said)} | {' | '.join(f'{ratio:.2f}' for ratio in ratios[-1])} |")
+    lines.append("")
+    for name, column in zip(quantities, np.transpose(ratios) if ratios else (), strict=False):
+        if len(finite := column[np.isfinite(column) & (column > 0)]):
+            lines.append(f"- {name}, new over old, geometric mean of {len(finite)}: {_mean(finite):.2f}")
+    for which in sorted(set(new) ^ set(old), key=str):
+        lines.append(f"- only in the {'new' if which in new else 'old'} table: {which}")
+    return "\n".join(lines) + "\n"
+
+
+def _ratio(new: float | None, old: float | None) -> float:
+    return float("nan") if new is None or not old else new / old
+
+
+def _mean(ratios: np.ndarray) -> float:
+    return float(np.exp(np.log(ratios).mean()))
+
+
+def add_files(parser: argparse.ArgumentParser) -> None:
+    """Options of where a table goes and of the one that it is compared with."""
+    parser.add_argument("-o", "--output", type=Path, metavar="DIRECTORY", help="keeps rows and tables there")
+    parser.add_argument("--against", type=Path, metavar="JSON", help="rows of an older call: prints ratios")
+
+
+def read(path: Path | None) -> list[dict]:
+    """Rows that ``write`` has kept; none without a path."""
+    return [] if path is None else json.loads(path.read_text())
+
+
+def write(directory: Path | None, name: str, rows: list[dict], text: str) -> None:
+    """Keep rows and text, where a directory is given."""
+    if directory is not None:
+        directory.mkdir(parents=True, exist_ok=True)
+        (directory / f"{name}.json").write_text(json.dumps(rows, indent=1))
+        (directory / f"{name}.md").write_text(text)
