@@ -224,8 +224,9 @@ def _check_count(field: str, value: float, measure: float, h: float, dim: int, o
 
 
 def _generated(owner: str, shape: Any, dim: int, maxh: float) -> Mesh:
+    """By one thread: Netgen's others wait for each other, for a second of a mesh of twelve tetrahedra."""
     try:
-        return Mesh(OCCGeometry(shape, dim=dim).GenerateMesh(maxh=maxh))
+        return Mesh(OCCGeometry(shape, dim=dim).GenerateMesh(maxh=maxh, parallel_meshing=False))
     except Exception as error:  # OpenCASCADE and Netgen raise their own
         raise MeshError(f"{owner}: Netgen cannot mesh it ({error})") from error
 
@@ -254,7 +255,8 @@ _TRIAL = """
 import sys
 from netgen.occ import OCCGeometry
 path, dim, maxh = sys.argv[1:]
-OCCGeometry(OCCGeometry(path).shape, dim=int(dim)).GenerateMesh(maxh=float(maxh))
+shape = OCCGeometry(path).shape
+OCCGeometry(shape, dim=int(dim)).GenerateMesh(maxh=float(maxh), parallel_meshing=False)
 """
 
 

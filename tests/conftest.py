@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NGSolve loads its BLAS
+os.environ.setdefault("NGS_NUM_THREADS", "1")  # read by processes that tests start
 
 import numpy as np
 import pytest

@@ -19,7 +19,7 @@ from ngvisco.forms.boundary.boundaries import (
     slip_constraints,
 )
 from ngvisco.forms.system import Step
-from ngvisco.geometries import box
+from ngvisco.geometries import box, sphere
 
 
 def named_square(names: tuple[str, str, str, str]) -> Mesh:
@@ -127,7 +127,7 @@ def test_unknown_boundary_name_raises_with_the_nearest() -> None:
         lambda: box((1, 1), 0.5),
         lambda: box((1, 1, 1), 1.0),
         disc,
-        lambda: Mesh(occ.OCCGeometry(occ.Sphere(occ.Pnt(0, 0, 0), 1)).GenerateMesh(maxh=1.0)).Curve(2),
+        lambda: sphere(1, 1),
         lambda: MakeStructured2DMesh(quads=True, nx=2, ny=2),
         lambda: MakeStructured2DMesh(quads=False, nx=3, ny=3, periodic_x=True),
     ],
@@ -216,7 +216,7 @@ def test_a_mesh_without_walls_is_refused() -> None:
 
 def test_a_surface_mesh_is_refused() -> None:
     geometry = occ.OCCGeometry(occ.Box(occ.Pnt(0, 0, 0), occ.Pnt(1, 1, 1)))
-    mesh = Mesh(geometry.GenerateMesh(maxh=1.0, perfstepsend=MeshingStep.MESHSURFACE))
+    mesh = Mesh(geometry.GenerateMesh(maxh=1.0, perfstepsend=MeshingStep.MESHSURFACE, parallel_meshing=False))
     assert mesh.dim == 3
     with pytest.raises(MeshError, match="no volume elements"):
         check_mesh(mesh)

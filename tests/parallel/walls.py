@@ -99,7 +99,7 @@ def leaning(solver: str, maxh: float = 0.6, **options) -> nv.Simulation:
     sine, cosine = np.sin(np.deg2rad([about_z, about_x])), np.cos(np.deg2rad([about_z, about_x]))
     along = -sine[0], cosine[0] * cosine[1], cosine[0] * sine[1]  # the right wall, which the axis of y was
     walls = {"right": nv.PrescribedTangential(tuple(0.1 * each for each in along)), "bottom": nv.NoSlip()}
-    mesh = Mesh(OCCGeometry(turned).GenerateMesh(maxh=maxh))
+    mesh = Mesh(OCCGeometry(turned).GenerateMesh(maxh=maxh, parallel_meshing=False))
     return simulation(mesh, solver, walls=walls, **options)
 
 

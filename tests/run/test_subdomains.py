@@ -32,7 +32,8 @@ def with_inclusion(dim, interface, maxh):
     (inner.faces if dim == 2 else inner.solids).name = "inclusion"
     outer = whole - inner
     (outer.faces if dim == 2 else outer.solids).name = "matrix"
-    return Mesh(occ.OCCGeometry(occ.Glue([outer, inner]), dim=dim).GenerateMesh(maxh=maxh))
+    geometry = occ.OCCGeometry(occ.Glue([outer, inner]), dim=dim)
+    return Mesh(geometry.GenerateMesh(maxh=maxh, parallel_meshing=False))
 
 
 def without_interfaces(mesh):
