@@ -23,7 +23,7 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError
 from ngvisco.physics.flow_rules import FlowRule
-from ngvisco.physics.parameters import Modulus
+from ngvisco.physics.parameters import Modulus, require_ranges
 from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import (
     IDENTITY,
@@ -45,6 +45,8 @@ ElasticState: TypeAlias = Literal["F", "B"]
 class Material(ABC):
     """What a constitutive law supplies: ``variables`` and ``energy``.
 
+    A material that is a dataclass raises ParameterError for a parameter outside the range of its annotation.
+
     Attributes
     ----------
     energy_parameter : str
@@ -52,6 +54,9 @@ class Material(ABC):
     """
 
     energy_parameter = "energy"
+
+    def __post_init__(self) -> None:
+        require_ranges(self)
 
     @property
     @abstractmethod

@@ -137,41 +137,71 @@ class SmallStrain(Variable):
 
 
 @dataclass(frozen=True)
-class Distortion(Variable):
+class DistortionTensor(Variable):
+    """J^exponent times a tensor of the elastic distortion F; a symmetric one is positive definite.
+
+    Raises
+    ------
+    ParameterError
+        If the exponent is no finite number.
+    """
+
+    exponent: float = 0.0
+
+    degree = 1
+    """The determinant of the tensor is J to this power."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not _is_number(self.exponent):
+            raise ParameterError(f"{type(self).__name__}.exponent", self.exponent, "a finite number")
+
+    @staticmethod
+    @abstractmethod
+    def tensor(F: CoefficientFunction) -> CoefficientFunction:
+        """The tensor of F, without the power of J."""
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        return Det(F) ** float(self.exponent) * self.tensor(F) if self.exponent else self.tensor(F)
+
+    def positive(self, value: CoefficientFunction) -> Values:
+        name, A = self.name, value
+        minors = {
+            f"{name}_11": A[0, 0],
+            f"{name}_11 {name}_22 - {name}_12^2": A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0],
+        }
+        return (minors if self.kind == "symmetric" else {}) | {f"det {name}": Det(A)}
+
+    @property
+    def frame(self) -> Literal["relaxed", "actual"] | None:
+        return "actual" if self.kind == "symmetric" else "relaxed"
+
+    def turned(self, value: CoefficientFunction, Q: CoefficientFunction) -> CoefficientFunction:
+        return super().turned(value, Q) if self.kind == "symmetric" else Q * value
+
+    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
+        return Det(value), 3 * self.exponent + self.degree
+
+
+@dataclass(frozen=True)
+class Distortion(DistortionTensor):
     """J^exponent F for the elastic distortion F (paper: ED-Euler-large2, rem-behind-polyconvexity)."""
 
     name: str = "F"
     kind: str = "full"
-    exponent: float = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _require_finite("Distortion.exponent", self.exponent)
 
     def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         H = z[self.name]
         convected = L * H - H * Pi
         return convected + self.exponent * tr(L) * H if self.exponent else convected
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
-        return Det(F) ** float(self.exponent) * F if self.exponent else F
-
-    def positive(self, value: CoefficientFunction) -> Values:
-        return {f"det {self.name}": Det(value)}
-
-    @property
-    def frame(self) -> Literal["relaxed", "actual"] | None:
-        return "relaxed"
-
-    def turned(self, value: CoefficientFunction, Q: CoefficientFunction) -> CoefficientFunction:
-        return Q * value
-
-    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
-        return Det(value), 3 * self.exponent + 1
+    @staticmethod
+    def tensor(F: CoefficientFunction) -> CoefficientFunction:
+        return F
 
 
 @dataclass(frozen=True)
-class Cofactor(Variable):
+class Cofactor(DistortionTensor):
     """J^exponent Cof F (paper: H-flow-rule; exponent -7/6 for exa-Mooney-Rivlin-ref).
 
     The paper prints another rate for the Mooney-Rivlin variable; see the module's docstring.
@@ -179,35 +209,20 @@ class Cofactor(Variable):
 
     name: str = "H"
     kind: str = "full"
-    exponent: float = 0.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _require_finite("Cofactor.exponent", self.exponent)
+    degree = 2
 
     def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         H = z[self.name]
         return (1 + self.exponent) * tr(L) * H - L.trans * H + H * Pi.trans
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
-        return Det(F) ** float(self.exponent) * Cof(F) if self.exponent else Cof(F)
-
-    def positive(self, value: CoefficientFunction) -> Values:
-        return {f"det {self.name}": Det(value)}
-
-    @property
-    def frame(self) -> Literal["relaxed", "actual"] | None:
-        return "relaxed"
-
-    def turned(self, value: CoefficientFunction, Q: CoefficientFunction) -> CoefficientFunction:
-        return Q * value
-
-    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
-        return Det(value), 3 * self.exponent + 2
+    @staticmethod
+    def tensor(F: CoefficientFunction) -> CoefficientFunction:
+        return Cof(F)
 
 
 @dataclass(frozen=True)
-class LeftCauchyGreen(Variable):
+class LeftCauchyGreen(DistortionTensor):
     """B = J^exponent F F^T, the left Cauchy-Green tensor of the elastic distortion F.
 
     From dF/dt = L F - F Pi_R and dJ/dt = (tr L) J,
@@ -225,11 +240,8 @@ class LeftCauchyGreen(Variable):
 
     name: str = "B"
     kind: str = "symmetric"
-    exponent: float = 0.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _require_finite("LeftCauchyGreen.exponent", self.exponent)
+    degree = 2
 
     def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         B = z[self.name]
@@ -237,19 +249,13 @@ class LeftCauchyGreen(Variable):
         rate = half + half.trans
         return rate + self.exponent * tr(L) * B if self.exponent else rate
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
-        B = F * F.trans
-        return Det(F) ** float(self.exponent) * B if self.exponent else B
-
-    def positive(self, value: CoefficientFunction) -> Values:
-        return _leading_minors(self.name, value)
-
-    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
-        return Det(value), 3 * self.exponent + 2
+    @staticmethod
+    def tensor(F: CoefficientFunction) -> CoefficientFunction:
+        return F * F.trans
 
 
 @dataclass(frozen=True)
-class CofactorLeftCauchyGreen(Variable):
+class CofactorLeftCauchyGreen(DistortionTensor):
     """N = J^exponent Cof(F F^T), what ``LeftCauchyGreen`` is to F for the cofactor of F.
 
     Cof(F F^T) = J^2 (F F^T)^-1, and from dB/dt = (L - Pi) B + B (L - Pi)^T follows
@@ -262,26 +268,17 @@ class CofactorLeftCauchyGreen(Variable):
 
     name: str = "N"
     kind: str = "symmetric"
-    exponent: float = 0.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _require_finite("CofactorLeftCauchyGreen.exponent", self.exponent)
+    degree = 4
 
     def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         N = z[self.name]
         half = (L.trans - Pi) * N
         return (2 + self.exponent) * tr(L) * N - half - half.trans
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
-        N = Cof(F) * Cof(F).trans
-        return Det(F) ** float(self.exponent) * N if self.exponent else N
-
-    def positive(self, value: CoefficientFunction) -> Values:
-        return _leading_minors(self.name, value)
-
-    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
-        return Det(value), 3 * self.exponent + 4
+    @staticmethod
+    def tensor(F: CoefficientFunction) -> CoefficientFunction:
+        return Cof(F) * Cof(F).trans
 
 
 @dataclass(frozen=True)
@@ -341,17 +338,3 @@ class LogJacobian(Variable):
     @property
     def requires(self) -> tuple[str, ...]:
         return (self.reciprocal,)
-
-
-def _leading_minors(name: str, A: CoefficientFunction) -> Values:
-    """What is positive exactly where the symmetric tensor A is positive definite."""
-    return {
-        f"{name}_11": A[0, 0],
-        f"{name}_11 {name}_22 - {name}_12^2": A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0],
-        f"det {name}": Det(A),
-    }
-
-
-def _require_finite(field: str, value: float) -> None:
-    if not _is_number(value):
-        raise ParameterError(field, value, "a finite number")

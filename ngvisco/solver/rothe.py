@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from ngsolve import BaseVector
@@ -70,8 +71,6 @@ class RotheSolver:
         self.norm = BlockNorm(step.layout.ranges, units, options.norm, self.exchange, shared)
         self.method = chosen_method(step, options)
         """``"coupled"`` or ``"split"``."""
-        self.newton = self._made()
-        self._warn_without_multigrid()
         self._last_tau: float | None = None
         self._factorised = {name: step.state.vec.CreateVector() for name in _FACTORISED_AT}
         self._factorised_at = dict.fromkeys(_PARAMETERS, 0.0)
@@ -79,23 +78,23 @@ class RotheSolver:
         self.extrapolation = Extrapolation(step)
         self.sides = Sides(step, self.h_min)
 
-    def _warn_without_multigrid(self) -> None:
-        """Say why the options' multigrid has no part in the steps."""
-        if self.options.coarse == "direct":
-            return
-        reason: str | None = "the coupled solver, which takes the steps, factorises all unknowns"
-        if isinstance(self.newton, Split):
-            reason = self.newton.preconditioner.without_multigrid
-        if reason is not None:
-            message = f"coarse = {self.options.coarse!r} of the solver has no effect: {reason}"
-            self.exchange.communicator.warn(message, InputWarning, stacklevel=6)
-
-    def _made(self) -> NonlinearSolver:
+    @cached_property
+    def newton(self) -> NonlinearSolver:
+        """Made with the first step: what looks at a run without going on with it needs no matrices."""
         step, norm, options, eliminate = self.step, self.norm, self.options, self.step.eliminate
         if self.method == "split":
-            return Split(step, norm, options, self.exchange)
+            split = Split(step, norm, options, self.exchange)
+            self._warn_without_multigrid(split.preconditioner.without_multigrid)
+            return split
+        self._warn_without_multigrid("the coupled solver, which takes the steps, factorises all unknowns")
         refresh = eliminate.refresh
         return Newton(step.residual, step.state.vec, norm, eliminate, options, refresh, self.exchange)
+
+    def _warn_without_multigrid(self, reason: str | None) -> None:
+        """Say why the options' multigrid has no part in the steps, for which there may be a reason."""
+        if self.options.coarse != "direct" and reason is not None:
+            message = f"coarse = {self.options.coarse!r} of the solver has no effect: {reason}"
+            self.exchange.communicator.warn(message, InputWarning, stacklevel=6)
 
     def problem(self, interval: Interval) -> RotheProblem:
         """The problem of a step over the interval."""
@@ -206,7 +205,7 @@ class RotheSolver:
         A restart factorises there again, so that it goes on bit for bit as the run that wrote it.
         """
         numbers, arrays = self.extrapolation.state_dict()
-        if not self.newton.is_factorised or self._last_tau is None:
+        if self._last_tau is None or not self.newton.is_factorised:
             return numbers, arrays
         numbers |= {**self._factorised_at, "last_tau": self._last_tau}
         return numbers, arrays | {name: vec.FV().NumPy().copy() for name, vec in self._factorised.items()}

@@ -46,7 +46,7 @@ def test_multigrid_without_effect_is_warned_of(monkeypatch, domain, solver, reas
     newton = nv.NewtonOptions(coarse="gamg", split=SplitOptions(direct_up_to=(limit, limit)))
     model = nv.Model(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1))
     with pytest.warns(InputWarning, match=f"coarse = 'gamg' of the solver has no effect: {reason}"):
-        nv.Simulation(domain(), model, dt=0.02, newton=newton, solver=solver)
+        assert nv.Simulation(domain(), model, dt=0.02, newton=newton, solver=solver).solver.newton
 
 
 class Halves:

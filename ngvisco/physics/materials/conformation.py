@@ -26,7 +26,7 @@ from ngvisco.errors import Quantity
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.referential import referential_volume
 from ngvisco.physics.materials.singular import continued_in_J
-from ngvisco.physics.parameters import Modulus, require_ranges
+from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import log, log_det, tr
 from ngvisco.physics.variables import Jacobian, LeftCauchyGreen, Values, Variable
 
@@ -56,9 +56,6 @@ class OldroydB(Material):
     K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
     G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
-
-    def __post_init__(self) -> None:
-        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -103,9 +100,6 @@ class FENEP(Material):
     G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
     b: Annotated[float, Quantity("1", "> 3", 50.0)]
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
-
-    def __post_init__(self) -> None:
-        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -28,6 +28,7 @@ class IsotropicElastic(Material):
     elastic_state: Annotated[ElasticState | None, Quantity(example="B")] = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.elastic_state is not None:
             require_choice(self, ("F", "B"), elastic_state=self.elastic_state)
 

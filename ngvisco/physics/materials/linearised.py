@@ -11,10 +11,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.isotropy import require_isotropy
 from ngvisco.physics.material import Material
-from ngvisco.physics.parameters import (
-    Modulus,
-    require_ranges,
-)
+from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.state_function import check_energy
 from ngvisco.physics.tensors import dev, power_of_square, sph, square, tr
 from ngvisco.physics.variables import SmallStrain, Values, Variable
@@ -42,9 +39,6 @@ class LinearElastic(Material):
 
     K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
     G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
-
-    def __post_init__(self) -> None:
-        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -128,9 +122,6 @@ class HardeningElastic(Material):
     G_h: Annotated[Modulus, Quantity("Pa", ">= 0", 5.0)]
     s: Annotated[float, Quantity("1", "> 2")] = 4.0
     floor: Annotated[float, Quantity("1", "> 0")] = 1e-8
-
-    def __post_init__(self) -> None:
-        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

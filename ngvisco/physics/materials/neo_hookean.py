@@ -14,7 +14,7 @@ from ngvisco.physics.materials.singular import (
     inverse_power,
     minus_log,
 )
-from ngvisco.physics.parameters import Modulus, require_ranges
+from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen, Values, Variable
 
@@ -64,10 +64,6 @@ class NeoHookean(IsotropicElastic):
     epsilon: Annotated[Modulus, Quantity("Pa", "> 0", 0.1)]
     kappa: Annotated[float | None, Quantity("1", "> 0", 2.0)] = None
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -23,10 +23,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import Quantity
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.singular import continued_in_J, inverse_power
-from ngvisco.physics.parameters import (
-    Modulus,
-    require_ranges,
-)
+from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import (
     Distortion,
@@ -77,10 +74,6 @@ class ReferentialNeoHookean(IsotropicElastic):
     kappa: Annotated[float, Quantity("1", ">= 0", 2.0)] = 1.0
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_ranges(self)
-
     @property
     def variables(self) -> tuple[Variable, ...]:
         return (_BY_B if self.is_by_B else Distortion("H", exponent=-5 / 6), Jacobian())
@@ -120,10 +113,6 @@ class IsochoricNeoHookean(IsotropicElastic):
     epsilon: Annotated[Modulus, Quantity("Pa", ">= 0", 0.1)] = 0.0
     kappa: Annotated[float, Quantity("1", ">= 0", 2.0)] = 1.0
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -167,10 +156,6 @@ class LogarithmicNeoHookean(IsotropicElastic):
     K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
     G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
     epsilon: Annotated[Modulus, Quantity("Pa", "> 0", 0.1)]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_ranges(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
