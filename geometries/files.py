@@ -11,14 +11,14 @@ import sys
 import warnings
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from netgen.meshing import Mesh as NetgenMesh
 from netgen.occ import OCCGeometry, Pnt
 from netgen.read_gmsh import ReadGmsh
 from ngsolve import Mesh
 
-from ngvisco.errors import MeshError, ParameterError, require_path
+from ngvisco.errors import MeshError, ParameterError, Quantity, require_path
 from ngvisco.geometries.corners import split_corner_cells
 from ngvisco.geometries.meshing import (
     CURVE_ORDER,
@@ -42,26 +42,28 @@ _ENDS = {
 
 
 def load(
-    path: str | PathLike[str],
+    path: Annotated[str | PathLike[str], Quantity(example="part.step")],
     *,
-    maxh: float | None = None,
+    maxh: Annotated[float | None, Quantity("m", example=0.1)] = None,
     order: int = CURVE_ORDER,
     split_corners: bool = False,
 ) -> Mesh:
     """A mesh from a file.
 
+    ``.vol`` or ``.msh`` (format 2) holds a mesh; ``.step``, ``.stp`` or ``.brep`` a geometry, of which solids
+    are meshed in 3D, faces in the plane z = 0 in 2D.  Walls have the names of the file's boundaries, faces
+    or physical groups.
+
     Parameters
     ----------
     path : path
-        ``.vol`` or ``.msh`` (format 2) holds a mesh; ``.step``, ``.stp`` or ``.brep`` a geometry, which is
-        meshed: solids in 3D, faces in the plane z = 0 in 2D.  Walls have the names of the file's
-        boundaries, faces or physical groups.
+        A .vol, .msh (gmsh), STEP or BREP file; in a case file relative to it.
     maxh : float
-        Largest cell size, in the file's unit; for geometries only, and needed there.
+        Largest size of a cell, in the file's unit; for geometries only, and needed there.
     order : int
-        Of the curved cells, where the geometry is known.
-    split_corners : bool
-        Divide the cells in corners (``split_corner_cells``).
+        Polynomial order of curved cells, where the geometry is known.
+    split_corners
+        As for ``box``.
 
     Raises
     ------

@@ -26,10 +26,10 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import ngsolve
-from ngsolve import CF, CoefficientFunction, IfPos
+from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import NgviscoError
-from ngvisco.physics.tensors import if_positive
+from ngvisco.physics.tensors import exp, if_positive, log, sqrt
 from ngvisco.physics.time import time
 
 Value: TypeAlias = float | CoefficientFunction
@@ -43,7 +43,8 @@ _LARGEST_WHOLE_POWER = 16
 
 COORDINATES = ("x", "y", "z")
 CONSTANTS = {"pi": math.pi}
-NAMES = (*COORDINATES, "t", *CONSTANTS)
+_SYMBOLS: dict[str, Value] = {"x": ngsolve.x, "y": ngsolve.y, "z": ngsolve.z, "t": time, **CONSTANTS}
+NAMES = tuple(_SYMBOLS)
 
 
 class ExpressionError(NgviscoError, ValueError):
@@ -69,8 +70,7 @@ class Expression:
 
         ``fields`` has the scalars of the further names that ``parse`` was given.
         """
-        symbols: dict[str, Value] = {"x": ngsolve.x, "y": ngsolve.y, "z": ngsolve.z, "t": time, **CONSTANTS}
-        evaluator = Evaluator(self.text, dict(fields or {}) | symbols)
+        evaluator = Evaluator(self.text, dict(fields or {}) | _SYMBOLS)
         return CF(evaluator.level(self._tree) if self.is_region else evaluator.value(self._tree))
 
 
@@ -84,9 +84,8 @@ def parse(text: str, fields: Collection[str] = ()) -> Expression:
         or one of the limits on length, depth and operations.
     """
     tree, lead = syntax_tree(text)
-    # constant parts are evaluated with no coordinate known: this finds every other fault
-    names = [*NAMES, *(name for name in fields if name not in NAMES)]
-    evaluator = Evaluator(text, dict(CONSTANTS), lead, names)
+    # any scalar function stands for a field
+    evaluator = Evaluator(text, _SYMBOLS | {name: ngsolve.x for name in fields if name not in NAMES}, lead)
     evaluator.value(tree)
     return Expression(text, frozenset(evaluator.seen), shifted(tree, lead))
 
@@ -101,7 +100,7 @@ def parse_region(text: str) -> Expression:
         As ``parse``, and for what is no condition.
     """
     tree, lead = syntax_tree(text)
-    evaluator = Evaluator(text, dict(CONSTANTS), lead, NAMES)
+    evaluator = Evaluator(text, _SYMBOLS, lead)
     evaluator.level(tree)
     return Expression(text, frozenset(evaluator.seen), shifted(tree, lead), is_region=True)
 
@@ -109,8 +108,7 @@ def parse_region(text: str) -> Expression:
 def number(text: str) -> float:
     """The value of a constant expression, such as ``"-5/6"``; raises ExpressionError."""
     tree, lead = syntax_tree(text)
-    value = Evaluator(text, dict(CONSTANTS), lead, CONSTANTS).value(tree)
-    return float(value)
+    return float(Evaluator(text, CONSTANTS, lead).value(tree))
 
 
 def syntax_tree(text: str) -> tuple[ast.expr, int]:
@@ -201,17 +199,6 @@ _USES = {
 """How often the value of a function has its arguments in it, at least."""
 
 
-class Unknown:
-    """Stands for a value that is not known yet while a text is checked."""
-
-    def __neg__(self) -> Unknown:
-        return self
-
-
-UNKNOWN: Any = Unknown()
-"""A scalar that depends on x, y, z, t or a field."""
-
-
 class Evaluator:
     """Evaluates a tree with floats where it is constant, and coefficient functions elsewhere.
 
@@ -223,12 +210,8 @@ class Evaluator:
 
     allowed = "only numbers, names, + - * / ** and the listed functions are allowed"
 
-    def __init__(
-        self, text: str, symbols: Mapping[str, Any], lead: int = 0, names: Collection[str] | None = None
-    ) -> None:
-        """``symbols`` are known by their values; of the other ``names`` only that they may be read."""
+    def __init__(self, text: str, symbols: Mapping[str, Any], lead: int = 0) -> None:
         self.text, self.symbols, self.lead = text, symbols, lead
-        self.known = tuple(symbols if names is None else names)
         self.seen: set[str] = set()
 
     @property
@@ -237,7 +220,7 @@ class Evaluator:
         return FUNCTIONS
 
     def value(self, node: ast.expr) -> Any:
-        """The value of a node, UNKNOWN where it is not known; raises ExpressionError."""
+        """The value of a node; raises ExpressionError."""
         if isinstance(node, ast.Constant):
             return self._number(node)
         if isinstance(node, ast.Name):
@@ -277,13 +260,13 @@ class Evaluator:
 
     def _name(self, node: ast.Name) -> Any:
         name = node.id
-        if name not in self.known:
-            allowed = ", ".join(self.known)
+        if name not in self.symbols:
             if name in self.functions:
                 raise self._error(node, f"function {name!r} needs its arguments in parentheses")
-            raise self._error(node, f"unknown name {name!r}{_hint(name, self.known)} (known: {allowed})")
+            known = ", ".join(self.symbols)
+            raise self._error(node, f"unknown name {name!r}{_hint(name, self.symbols)} (known: {known})")
         self.seen.add(name)
-        return self.symbols.get(name, UNKNOWN)
+        return self.symbols[name]
 
     def _binary(self, node: ast.BinOp) -> Any:
         operation = _BINARY.get(type(node.op))
@@ -297,8 +280,6 @@ class Evaluator:
             return self._finite(node, lambda: operation(a, b))
         if isinstance(node.op, ast.Div) and b == 0.0 and isinstance(b, float):
             raise self._error(node, "division by zero")
-        if a is UNKNOWN or b is UNKNOWN:
-            return UNKNOWN
         return operation(a, b)
 
     def _call(self, node: ast.Call) -> Any:
@@ -325,16 +306,11 @@ class Evaluator:
         _, exact, general = self.functions[name]
         if all(isinstance(argument, float) for argument in arguments):
             return self._finite(node, lambda: exact(*arguments))
-        if any(argument is UNKNOWN for argument in arguments):
-            return UNKNOWN
-        return general(*(CF(argument) for argument in arguments))
+        return general(*arguments)
 
     def _choice(self, node: ast.AST, test: ast.expr, yes: ast.expr, no: ast.expr) -> Any:
         condition, a, b = self._condition(test), self.value(yes), self.value(no)
         self._check_choice(node, a, b)
-        unknown = next((part for part in (a, b, condition) if isinstance(part, Unknown)), None)
-        if unknown is not None:
-            return unknown
         if isinstance(condition, float):
             return a if condition > 0 else b
         return if_positive(condition, a, b)
@@ -346,22 +322,17 @@ class Evaluator:
         """A number or function that is 1 where the condition holds and 0 elsewhere."""
         if isinstance(node, ast.BoolOp):
             parts = [self._condition(value) for value in node.values]
-            if any(part is UNKNOWN for part in parts):
-                return UNKNOWN
             if isinstance(node.op, ast.And):
                 return math.prod(parts[1:], start=parts[0])
             return 1.0 - math.prod((1.0 - part for part in parts[1:]), start=1.0 - parts[0])
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-            inner = self._condition(node.operand)
-            return inner if inner is UNKNOWN else 1.0 - inner
+            return 1.0 - self._condition(node.operand)
         if not isinstance(node, ast.Compare):
             raise self._error(node, "expected a condition such as x < 0.5")
         values = [self._scalar(part) for part in (node.left, *node.comparators)]
         for operator in node.ops:
             if type(operator) not in _COMPARE:
                 raise self._error(node, "the comparisons are < <= > >=")
-        if any(value is UNKNOWN for value in values):
-            return UNKNOWN
         pairs = zip(node.ops, values, values[1:], strict=False)
         parts = [_COMPARE[type(operator)](a, b) for operator, a, b in pairs]
         return math.prod(parts[1:], start=parts[0])
@@ -372,13 +343,10 @@ class Evaluator:
             parts = [self.level(value) for value in node.values]
             return _extremum(parts, "min" if isinstance(node.op, ast.And) else "max")
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-            inner = self.level(node.operand)
-            return inner if inner is UNKNOWN else -inner
+            return -self.level(node.operand)
         self._condition(node)  # which checks it, and refuses what is no comparison
         assert isinstance(node, ast.Compare)
         values = [self._scalar(part) for part in (node.left, *node.comparators)]
-        if any(value is UNKNOWN for value in values):
-            return UNKNOWN
         pairs = zip(node.ops, values, values[1:], strict=False)
         is_less = (ast.Lt, ast.LtE)
         return _extremum([b - a if isinstance(op, is_less) else a - b for op, a, b in pairs], "min")
@@ -389,7 +357,8 @@ class Evaluator:
 
 
 def _power(a: Value, b: Value) -> Value:
-    if isinstance(a, float) and isinstance(b, float):
+    is_array = not isinstance(a, (float, CoefficientFunction))  # which has powers of its own
+    if is_array or (isinstance(a, float) and isinstance(b, float)):
         return a**b
     if isinstance(b, float) and b.is_integer() and abs(b) <= _LARGEST_WHOLE_POWER:
         # repeated multiplication: exact signs for negative bases, which exp(b log a) has not
@@ -420,40 +389,47 @@ _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Pow: _power,
 }
 
-FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., CoefficientFunction]]] = {
+
+def _tanh(a: Any) -> Any:
+    # of the exponential that does not overflow
+    return if_positive(a, 1 - 2 / (exp(2 * a) + 1), 2 / (exp(-2 * a) + 1) - 1)
+
+
+def _of_exponentials(a: Any, sign: float) -> Any:
+    """sinh (sign -1) or cosh (sign 1), of arrays too."""
+    if isinstance(a, CoefficientFunction):
+        return ngsolve.sinh(a) if sign < 0 else ngsolve.cosh(a)
+    return 0.5 * (exp(a) + sign * exp(-a))
+
+
+FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., Any]]] = {
     "sin": (1, math.sin, ngsolve.sin),
     "cos": (1, math.cos, ngsolve.cos),
     "tan": (1, math.tan, ngsolve.tan),
     "asin": (1, math.asin, ngsolve.asin),
     "acos": (1, math.acos, ngsolve.acos),
     "atan": (1, math.atan, ngsolve.atan),
-    "atan2": (2, math.atan2, ngsolve.atan2),
-    "exp": (1, math.exp, ngsolve.exp),
-    "log": (1, math.log, ngsolve.log),
-    "sqrt": (1, math.sqrt, ngsolve.sqrt),
-    "abs": (1, abs, lambda a: IfPos(a, a, -a)),
-    "sinh": (1, math.sinh, ngsolve.sinh),
-    "cosh": (1, math.cosh, ngsolve.cosh),
-    "tanh": (
-        1,
-        math.tanh,
-        lambda a: IfPos(a, 1 - 2 / (ngsolve.exp(2 * a) + 1), 2 / (ngsolve.exp(-2 * a) + 1) - 1),
-    ),
-    "min": (2, min, lambda a, b: IfPos(a - b, b, a)),
-    "max": (2, max, lambda a, b: IfPos(a - b, a, b)),
+    "atan2": (2, math.atan2, lambda a, b: ngsolve.atan2(CF(a), CF(b))),
+    "exp": (1, math.exp, exp),
+    "log": (1, math.log, log),
+    "sqrt": (1, math.sqrt, sqrt),
+    "abs": (1, abs, lambda a: if_positive(a, a, -a)),
+    "sinh": (1, math.sinh, lambda a: _of_exponentials(a, -1.0)),
+    "cosh": (1, math.cosh, lambda a: _of_exponentials(a, 1.0)),
+    "tanh": (1, math.tanh, _tanh),
+    "min": (2, min, lambda a, b: if_positive(a - b, b, a)),
+    "max": (2, max, lambda a, b: if_positive(a - b, a, b)),
 }
-"""Name -> number of arguments, the function of numbers, that of coefficient functions."""
+"""Name -> count of arguments, the function of numbers, that of coefficient functions."""
 
 
 def _extremum(values: list[Any], name: str) -> Any:
     """The smallest or the largest of some values."""
-    if any(value is UNKNOWN for value in values):
-        return UNKNOWN
     _, exact, general = FUNCTIONS[name]
     result = values[0]
     for value in values[1:]:
         is_constant = isinstance(result, float) and isinstance(value, float)
-        result = exact(result, value) if is_constant else general(CF(result), CF(value))
+        result = exact(result, value) if is_constant else general(result, value)
     return result
 
 

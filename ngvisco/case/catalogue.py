@@ -10,8 +10,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
-from ngvisco.case.meshfile import read_mesh
-from ngvisco.case.regions import closed_surface, image
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
 from ngvisco.physics.flow_rules import Creep, DruckerPrager, Eyring, Norton, Perzyna
@@ -39,8 +37,10 @@ from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import HyperViscosity, LinearViscosity, StokesViscosity
 from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
 from ngvisco.run.time_steps import TimeSteps
+from ngvisco.shapes.image import Image
 from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon
 from ngvisco.shapes.subdomain import Subdomain
+from ngvisco.shapes.surface import ClosedSurface
 from ngvisco.solver.options import NewtonOptions
 
 
@@ -55,7 +55,7 @@ def _geometries() -> dict[str, Callable[..., Any]]:
         "channel": geometries.channel,
         "cylinder": geometries.cylinder,
         "disc": geometries.disc,
-        "file": read_mesh,
+        "file": geometries.load,
         "sphere": geometries.sphere,
         "spherical_shell": geometries.spherical_shell,
         "structured_box": geometries.structured_box,
@@ -127,9 +127,9 @@ WALLS: dict[str, type] = {
 SHAPES: dict[str, Callable[..., Any]] = {
     "Ball": Ball,
     "Block": Block,
-    "ClosedSurface": closed_surface,
+    "ClosedSurface": ClosedSurface,
     "HalfSpace": HalfSpace,
-    "Image": image,
+    "Image": Image,
     "Polygon": Polygon,
     "Subdomain": Subdomain,
 }

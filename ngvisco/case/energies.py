@@ -19,15 +19,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from ngsolve import CoefficientFunction
+from ngsolve import CoefficientFunction, x
 
 from ngvisco.expressions import (
     CONSTANTS,
     FUNCTIONS,
-    UNKNOWN,
     Evaluator,
     ExpressionError,
-    Unknown,
     shifted,
     syntax_tree,
 )
@@ -37,12 +35,8 @@ from ngvisco.physics.tensors import (
     det,
     dev,
     entry,
-    exp,
-    if_positive,
     inner,
-    log,
     sph,
-    sqrt,
     square,
     sym,
     tr,
@@ -53,8 +47,8 @@ UNIT = "I"
 RESERVED = (*CONSTANTS, UNIT)
 """Names that a parameter cannot have."""
 
-_TENSOR: Any = Unknown()
-"""A tensor while a text is checked; UNKNOWN is a scalar."""
+_ANY = {"scalar": x, "symmetric": IDENTITY, "full": IDENTITY}
+"""What stands for a variable while a text is checked, by its kind."""
 
 
 @dataclass(frozen=True)
@@ -98,11 +92,10 @@ def parse_energy(
         that reads none of the variables.
     """
     constants = {name: float(value) for name, value in (parameters or {}).items()}
-    kinds = {v.name: UNKNOWN if v.kind == "scalar" else _TENSOR for v in variables}
+    kinds = {v.name: _ANY[v.kind] for v in variables}
     tree, lead = syntax_tree(text)
-    symbols = {**CONSTANTS, UNIT: _TENSOR, **constants, **kinds}
-    evaluator = _EnergyEvaluator(text, symbols, lead, [*kinds, *constants, *RESERVED])
-    if evaluator.value(tree) is _TENSOR:
+    evaluator = _EnergyEvaluator(text, {**kinds, **constants, **CONSTANTS, UNIT: IDENTITY}, lead)
+    if _is_tensor(evaluator.value(tree)):
         raise ExpressionError(
             text, lead + tree.col_offset, "an energy is a scalar, this is a tensor (tr, det, norm2, dot)"
         )
@@ -134,7 +127,7 @@ class _EnergyEvaluator(Evaluator):
         indices = [value for value in values if type(value) is int and 0 <= value <= 2]
         if not len(parts) == len(indices) == 2:
             raise self._error(node.slice, "an entry has two indices from 0 to 2, as in F[0, 1]")
-        return UNKNOWN if tensor is _TENSOR else entry(tensor, indices[0], indices[1])
+        return entry(tensor, indices[0], indices[1])
 
     def _combined(self, node: ast.BinOp, operation: Callable[[Any, Any], Any], a: Any, b: Any) -> Any:
         tensors, kind = (_is_tensor(a), _is_tensor(b)), type(node.op)
@@ -146,25 +139,13 @@ class _EnergyEvaluator(Evaluator):
             raise self._error(node, "only scalars have powers (A*A is a product of tensors)")
         if kind is ast.Pow and not isinstance(b, float):
             raise self._error(node, "an exponent is a number or a parameter (a**b is exp(b*log(a)))")
-        if isinstance(a, Unknown) or isinstance(b, Unknown):
-            if not any(tensors):
-                return super()._combined(node, operation, a, b)
-            if kind is ast.Div and b == 0.0:
-                raise self._error(node, "division by zero")
-            return _TENSOR
-        if kind is ast.Pow and not isinstance(a, (float, CoefficientFunction)):
-            return a**b
         return super()._combined(node, operation, a, b)
 
     def _applied(self, node: ast.Call, name: str, arguments: list[Any]) -> Any:
-        _, takes, exact, general, gives = _FUNCTIONS[name]
+        takes = "tensor" if name in _TENSORS else "scalar"
         if any(_is_tensor(argument) != (takes == "tensor") for argument in arguments):
-            raise self._error(node, f"{name} takes {'tensors' if takes == 'tensor' else 'scalars'}")
-        if exact is not None and all(isinstance(argument, float) for argument in arguments):
-            return self._finite(node, lambda: exact(*arguments))
-        if any(isinstance(argument, Unknown) for argument in arguments):
-            return _TENSOR if gives == "tensor" else UNKNOWN
-        return general(*arguments)
+            raise self._error(node, f"{name} takes {takes}s")
+        return super()._applied(node, name, arguments)
 
     def _check_choice(self, node: ast.AST, a: Any, b: Any) -> None:
         if _is_tensor(a) != _is_tensor(b):
@@ -180,41 +161,20 @@ class _EnergyEvaluator(Evaluator):
 def _is_tensor(value: Any) -> bool:
     if isinstance(value, CoefficientFunction):
         return len(value.dims) == 2
-    return value is _TENSOR or not (isinstance(value, float) or value is UNKNOWN or value.is_scalar)
+    return not (isinstance(value, float) or value.is_scalar)
 
 
-def _tanh(a: Any) -> Any:
-    # of the exponential that does not overflow
-    return if_positive(a, 1 - 2 / (exp(2 * a) + 1), 2 / (exp(-2 * a) + 1) - 1)
-
-
-_SCALARS: dict[str, Callable[..., Any]] = {
-    "exp": exp,
-    "log": log,
-    "sqrt": sqrt,
-    "abs": lambda a: if_positive(a, a, -a),
-    "sinh": lambda a: 0.5 * (exp(a) - exp(-a)),
-    "cosh": lambda a: 0.5 * (exp(a) + exp(-a)),
-    "tanh": _tanh,
-    "min": lambda a, b: if_positive(a - b, b, a),
-    "max": lambda a, b: if_positive(a - b, a, b),
+_TENSORS: dict[str, tuple[int, None, Callable[..., Any]]] = {
+    "tr": (1, None, tr),
+    "det": (1, None, det),
+    "norm2": (1, None, square),
+    "dot": (2, None, inner),
+    "cof": (1, None, cof),
+    "inv": (1, None, lambda A: cof(A).trans / det(A)),
+    "trans": (1, None, lambda A: A.trans),
+    "sym": (1, None, sym),
+    "dev": (1, None, dev),
+    "sph": (1, None, sph),
 }
-
-_TENSORS: dict[str, tuple[int, Callable[..., Any], str]] = {
-    "tr": (1, tr, "scalar"),
-    "det": (1, det, "scalar"),
-    "norm2": (1, square, "scalar"),
-    "dot": (2, inner, "scalar"),
-    "cof": (1, cof, "tensor"),
-    "inv": (1, lambda A: cof(A).trans / det(A), "tensor"),
-    "trans": (1, lambda A: A.trans, "tensor"),
-    "sym": (1, sym, "tensor"),
-    "dev": (1, dev, "tensor"),
-    "sph": (1, sph, "tensor"),
-}
-
-_FUNCTIONS: dict[str, tuple[Any, ...]] = {
-    **{name: (count, "tensor", None, f, gives) for name, (count, f, gives) in _TENSORS.items()},
-    **{name: (FUNCTIONS[name][0], "scalar", FUNCTIONS[name][1], f, "scalar") for name, f in _SCALARS.items()},
-}
-"""Name -> number of arguments, what they are, the function of numbers, that of values, what it gives."""
+_SCALARS = ("exp", "log", "sqrt", "abs", "sinh", "cosh", "tanh", "min", "max")
+_FUNCTIONS: dict[str, tuple[Any, ...]] = {**_TENSORS, **{name: FUNCTIONS[name] for name in _SCALARS}}

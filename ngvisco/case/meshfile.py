@@ -3,43 +3,18 @@
 from __future__ import annotations
 
 import gzip
-import importlib
 import tempfile
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from ngsolve import Mesh
 
-from ngvisco.errors import MeshError, Quantity
+from ngvisco.errors import MeshError
 from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.parallel.mesh import has_geometry, volume_and_surface
 
 _DIGITS = 1e-5
 """Relative difference of volumes and surfaces that the digits of curved cells in a file may make."""
-
-
-def read_mesh(
-    path: Annotated[str, Quantity(example="part.step")],
-    maxh: Annotated[float | None, Quantity("m", example=0.1)] = None,
-    order: int = 3,
-    split_corners: bool = False,
-) -> Mesh:
-    """``ngvisco.geometries.load``, with a path as case files have it.
-
-    Parameters
-    ----------
-    path : str
-        A .vol, .msh (gmsh), STEP or BREP file; relative to the case file.
-    maxh : float, optional
-        Largest size of a cell, for STEP and BREP files, which are meshed.
-    order : int
-        Polynomial order of curved cells.
-    split_corners
-        As for ``box``.
-    """
-    load = importlib.import_module("ngvisco.geometries").load
-    return load(path, maxh=maxh, order=order, split_corners=split_corners)
 
 
 def require_whole(path: Path) -> None:

@@ -12,6 +12,7 @@ import dataclasses
 import functools
 import inspect
 import operator
+import os
 import types
 from collections.abc import Callable
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -53,8 +54,9 @@ def _annotation(hint: Any) -> Any:
             is_vector = any(get_origin(part) is collections.abc.Sequence for part in arguments)
             field = VectorValue if is_vector else ScalarValue if float in arguments else TensorValue
             return field | None if type(None) in arguments else field
-        given = [part for part in arguments if get_origin(part) is not collections.abc.Callable]
-        if len(given) < len(arguments):  # a case file has no functions of Python
+        of_python = (collections.abc.Callable, os.PathLike)  # no case file has these
+        given = [part for part in arguments if get_origin(part) not in of_python]
+        if len(given) < len(arguments):
             return _annotation(functools.reduce(operator.or_, given))
         parts = [part for part in arguments if part is not type(None)]
         inner = [_annotation(part) for part in parts]
@@ -159,11 +161,11 @@ def _default(annotation: Any, default: Any) -> Any:
 def _is_plain(target: Callable[..., Any], fields: dict[str, Any], returned: Any) -> bool:
     """Whether the object can be made, and so checked, from the file's values alone.
 
-    Functions make materials; those of geometries make meshes, which takes long.
+    Functions make materials; those of geometries make meshes, which takes long, and paths are relative.
     """
     has_fields = any(_has_field_value(annotation) for annotation, _ in fields.values())
     is_material = isinstance(returned, type) and issubclass(returned, MaterialObject)
-    return not has_fields and (dataclasses.is_dataclass(target) or is_material)
+    return not has_fields and "path" not in fields and (dataclasses.is_dataclass(target) or is_material)
 
 
 def _has_field_value(annotation: Any) -> bool:

@@ -7,11 +7,12 @@ import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from ngvisco.errors import ParameterError, as_number, require_path, require_type
+from ngvisco.errors import ParameterError, Quantity, as_number, require_path, require_type
 from ngvisco.shapes.places import Places
 from ngvisco.shapes.shape import Shape, as_place, require_dim
 
@@ -25,14 +26,16 @@ class Image(Shape):
     Parameters
     ----------
     path : path
-        A PNG file, grey or in colours; what is transparent counts as white.
-    low, high : pairs of numbers
-        The place of its lower left and upper right corner, m.  Outside of them there is nothing.
+        A PNG file, grey or in colours, in a case file relative to it; what is transparent counts as white.
+    low : pair of numbers
+        Place of the picture's lower left corner; outside of it there is nothing.
+    high : pair of numbers
+        Place of its upper right corner.
     threshold : float
-        Grey between 0 (black) and 1 (white) below which a pixel belongs to the shape; between the middles
-        of pixels the grey is interpolated.
+        Grey, from 0 (black) to 1 (white), below which a pixel belongs to it; between the middles of pixels
+        the grey is interpolated.
     dark : bool
-        False takes what is bright instead.
+        If false, what is brighter than the threshold instead.
 
     Raises
     ------
@@ -40,9 +43,9 @@ class Image(Shape):
         If the file is missing or no PNG, or matplotlib is.
     """
 
-    path: str | os.PathLike[str]
-    low: tuple[float, float]
-    high: tuple[float, float]
+    path: Annotated[str | os.PathLike[str], Quantity(example="part.png")]
+    low: Annotated[tuple[float, float], Quantity("m", example=[0.0, 0.0])]
+    high: Annotated[tuple[float, float], Quantity("m", example=[1.0, 1.0])]
     threshold: float = 0.5
     dark: bool = True
 

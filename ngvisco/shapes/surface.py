@@ -8,12 +8,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ngvisco.errors import ParameterError, require_path, require_positive
+from ngvisco.errors import ParameterError, Quantity, require_path, require_positive
 from ngvisco.shapes.places import Places
 from ngvisco.shapes.shape import Shape
 
@@ -33,8 +34,9 @@ class ClosedSurface(Shape):
     Parameters
     ----------
     path : path
+        An STL file whose surface closes; in a case file relative to it.
     scale : float
-        Length of the file's unit, m; STL files do not say theirs.
+        Length of the STL file's unit, which it does not say.
 
     Raises
     ------
@@ -44,8 +46,8 @@ class ClosedSurface(Shape):
         opposite senses.
     """
 
-    path: str | os.PathLike[str]
-    scale: float = 1.0
+    path: Annotated[str | os.PathLike[str], Quantity(example="part.stl")]
+    scale: Annotated[float, Quantity("m", "> 0", 1e-3)] = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "path", str(require_path("ClosedSurface.path", self.path)))
