@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +15,9 @@ from ngsolve import Mesh
 from pydantic import ValidationError
 
 from ngvisco.case import catalogue, toml
+from ngvisco.case.blame import Blame
 from ngvisco.case.errors import CaseError, Fault
-from ngvisco.case.faults import Locator, faults_of, given, key_of, numbers_out_of_range, shown
+from ngvisco.case.faults import Locator, faults_of, numbers_out_of_range
 from ngvisco.case.places import copy_of, digest_of, parts_of, reads_z, shape_of, shapes_with_files, united
 from ngvisco.case.samples import samples
 from ngvisco.case.schema import CaseSections
@@ -27,17 +26,13 @@ from ngvisco.case.timetables import with_tables
 from ngvisco.case.units import to_si
 from ngvisco.case.values import as_function, is_table
 from ngvisco.errors import (
-    InitialDataError,
-    MeshError,
-    NgviscoError,
     ParameterError,
     UnknownNameError,
     require_path,
 )
-from ngvisco.expressions import ExpressionError, parse
+from ngvisco.expressions import ExpressionError
 from ngvisco.forms.boundary.boundaries import check_boundary_names
 from ngvisco.forms.context import time
-from ngvisco.parallel.petsc import PETScError
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material
 from ngvisco.physics.model import Model, default_elastic_state
@@ -45,7 +40,6 @@ from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.inputs import times_of
 from ngvisco.run.observers import LedgerCSV, VTKSeries
-from ngvisco.run.ranks import abort_alone
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.shapes.fractions import MISSED, volumes
 from ngvisco.shapes.shape import Shape
@@ -126,6 +120,11 @@ class Case:
     source: str
     directory: Path
     locator: Locator
+
+    @cached_property
+    def blame(self) -> Blame:
+        """Turns errors into faults of its keys."""
+        return Blame(self.sections, self.source, self.locator)
 
     @property
     def until(self) -> float:
@@ -210,20 +209,18 @@ class Case:
         values = parameters(domain)
         if name == "file":
             values["path"] = str(self._mesh_path)
-        with self.located("domain"):
+        with self.blame.located("domain"):
             return catalogue.GEOMETRIES[name](**values)
 
     def model(self, dim: int) -> Model:
         """Material, mechanisms and loads in ``dim`` dimensions; raises CaseError."""
-        if dim == 2 and (found := reads_z(self.sections)) is not None:
-            path, text = found
-            raise self._error(path, f"{text!r:.60}: there is no z in a mesh of two dimensions")
+        self._check_place(dim)
         mechanisms = {}
         for name in type(self.sections.rheology).model_fields:
             part = getattr(self.sections.rheology, name)
             if part is not None:
                 kind = catalogue.FLOW_RULES[part.kind] if name == "creep" else catalogue.MECHANISMS[name]
-                with self.located("rheology", name):
+                with self.blame.located("rheology", name):
                     mechanisms[_MODEL_NAMES.get(name, name)] = kind(
                         **self._values(part, ("rheology", name), dim)
                     )
@@ -233,12 +230,17 @@ class Case:
         ]
         if self.sections.bodies:
             bodies = tuple(self._body(i) for i in range(len(self.sections.bodies)))
-            with self.located("bodies"):
+            with self.blame.located("bodies"):
                 return Model(bodies=bodies, loads=tuple(loads), **mechanisms)
-        with self.located("material"):
+        with self.blame.located("material"):
             material = self._material().with_elastic_state(default_elastic_state(mechanisms.get("creep")))
-        with self.located("loads"):
+        with self.blame.located("loads"):
             return Model(material=material, loads=tuple(loads), **mechanisms)
+
+    def _check_place(self, dim: int) -> None:
+        if dim == 2 and (found := reads_z(self.sections)) is not None:
+            path, text = found
+            raise self.blame.error(path, f"{text!r:.60}: there is no z in a mesh of two dimensions")
 
     def _body(self, number: int) -> Body:
         part, path = self.sections.bodies[number], ("bodies", str(number))
@@ -246,10 +248,10 @@ class Case:
         for name in ("material", "viscosity", "linear_viscosity", "creep"):
             section: Any = getattr(part, name)
             if section is not None:
-                with self.located(*path, name):
+                with self.blame.located(*path, name):
                     values[_MODEL_NAMES.get(name, name)] = made(section)
         values["where"] = united([shape for _, shape in self._places(number)])
-        with self.located(*path):
+        with self.blame.located(*path):
             return Body(name=part.name, density=part.density, order=part.order, **values)
 
     def _places(self, number: int) -> list[tuple[tuple[str, ...], Shape]]:
@@ -257,28 +259,29 @@ class Case:
         found = []
         for key, part in parts_of(self.sections.bodies[number].where):
             path = ("bodies", str(number), "where", *key)
-            with self.located(*path):
+            with self.blame.located(*path):
                 found.append((path, shape_of(part, self.directory)))
         return found
 
     def simulation(self, mesh: Mesh, observers: Sequence[Observer] = ()) -> Simulation:
         """The simulation at its initial state; raises CaseError for data that the model refuses."""
         sections, parts = self.sections, {}
-        with self.located("walls"):
+        self._check_place(mesh.dim)
+        with self.blame.located("walls"):
             check_boundary_names(mesh, sections.walls)
         for name in ("initial", "discretisation", "solver"):
-            with self.located(name):
+            with self.blame.located(name):
                 values = self._values(getattr(sections, name), (name,), mesh.dim)
                 parts[name] = catalogue.SECTIONS[name](**values)
         walls: dict[str | tuple[str, ...], Wall] = {}
         for wall, condition in sections.walls.items():
             walls[wall] = self._made(condition, catalogue.WALLS, ("walls", wall), mesh.dim)
-        with self.located("time"):
+        with self.blame.located("time"):
             steps = made(sections.time)
         time.Set(0.0)
         model = self.model(mesh.dim)
         self._check_bodies(mesh)
-        with self.located("initial"):
+        with self.blame.located("initial"):
             run = Simulation(
                 mesh,
                 model,
@@ -299,9 +302,9 @@ class Case:
         for i, body in enumerate(self.sections.bodies):
             volume = 0.0
             for path, shape in self._places(i):
-                with self.located(*path):
+                with self.blame.located(*path):
                     volume += volumes(mesh, [shape])[0]
-            with self.located("bodies", str(i), "where"):
+            with self.blame.located("bodies", str(i), "where"):
                 if body.where is not None and not volume > 0:
                     raise ParameterError("bodies.where", body.where, MISSED)
 
@@ -319,10 +322,11 @@ class Case:
         return chosen
 
     def _check_output(self, run: Simulation) -> None:
+        refuse = self.blame.error
         for name in self.sections.output.vtk.fields or ():
             if name not in run.fields:
                 error = UnknownNameError("field", name, run.fields)
-                raise self._error(("output", "vtk", "fields"), str(error))
+                raise refuse(("output", "vtk", "fields"), str(error))
         for path, series in samples(self.sections, Path()).items():
             try:
                 series.prepare(run)
@@ -331,16 +335,16 @@ class Case:
                 key = {("probes", "points"): "point", ("integrals", "integrands"): "of"}.get(
                     (path[1], key), key
                 )
-                raise self._error((*path, key), f"{error.value!r:.60}: expected {error.expected}") from error
+                raise refuse((*path, key), f"{error.value!r:.60}: expected {error.expected}") from error
             except UnknownNameError as error:
-                raise self._error((*path, {"wall": "walls"}.get(error.kind, "fields")), str(error)) from error
+                raise refuse((*path, {"wall": "walls"}.get(error.kind, "fields")), str(error)) from error
             except ExpressionError as error:
-                raise self._error((*path, "of"), str(error)) from error
+                raise refuse((*path, "of"), str(error)) from error
 
     def _made(
         self, part: Any, table: Mapping[str, Callable[..., Any]], path: tuple[str, ...], dim: int
     ) -> Any:
-        with self.located(*path):
+        with self.blame.located(*path):
             return table[part.kind](**self._values(part, path, dim))
 
     def _values(self, part: Section, path: tuple[str, ...], dim: int) -> dict[str, Any]:
@@ -349,94 +353,24 @@ class Case:
         for name, value in values.items():
             if isinstance(value, Section):
                 inner = self._values(value, (*path, name), dim)
-                with self.located(*path, name):
+                with self.blame.located(*path, name):
                     values[name] = owner_of(type(value))(**inner)
             if name in fields:
-                self._check_names(value, (*path, name), dim)
                 self._check_length(value, (*path, name), dim)
-                with self.located(*path, name):
+                with self.blame.located(*path, name):
                     if isinstance(value, dict) and not is_table(value):
                         values[name] = {key: as_function(field) for key, field in value.items()}
                     else:
                         values[name] = value if isinstance(value, (int, float)) else as_function(value)
         return values
 
-    def _check_names(self, value: Any, path: tuple[str, ...], dim: int) -> None:
-        if isinstance(value, (list, dict)):
-            for part in value.values() if isinstance(value, dict) else value:
-                self._check_names(part, path, dim)
-        elif isinstance(value, str) and dim == 2 and "z" in parse(value).names:
-            raise self._error(path, f"{value!r}: there is no z in a mesh of two dimensions")
-
     def _check_length(self, value: Any, path: tuple[str, ...], dim: int) -> None:
         is_vector = isinstance(value, list) and not any(isinstance(part, list) for part in value)
         if is_vector and len(value) != dim:
-            raise self._error(path, f"{value!r:.60}: expected an array of {dim} components, not {len(value)}")
-
-    def _error(self, path: tuple[str, ...], message: str) -> CaseError:
-        return CaseError(self.source, [self.locator.fault(path, message)])
-
-    @contextmanager
-    def located(self, *path: str) -> Iterator[None]:
-        """Turn ngvisco's errors into faults of a section (or of the one that the error names)."""
-        try:
-            yield
-        except (CaseError, PETScError):  # what the installation lacks is no fault of a section
-            raise
-        except ParameterError as error:
-            key = key_of(error.field, path, self.sections, error.value)
-            raise self._error(key, f"{self._written(key, error.value)}: expected {error.expected}") from error
-        except UnknownNameError as error:
-            where = (*_SECTION_OF_NAME.get(error.kind, path), error.name)
-            key = (*path, "names") if error.kind == "subdomain" else where
-            raise self._error(key, str(error)) from error
-        except InitialDataError as error:
-            material: Any = self.sections.material
-            if error.field == "stored energy" and self._starts_at_rest and material is not None:
-                names = ", ".join(parameters(material))
-                message = f"its energy at rest is not finite: expected other values of {names}"
-                raise self._error(("material",), message) from error
-            key = self._initial_key(error.field, path)
-            start = (
-                f"{self._written(key, error.field)}: at the start {error.value}; expected {error.expected}"
+            raise self.blame.error(
+                path, f"{value!r:.60}: expected an array of {dim} components, not {len(value)}"
             )
-            raise self._error(key, str(error) if key[0] == "initial" else start) from error
-        except MeshError as error:
-            of_file = self.sections.domain.geometry == "file"  # type: ignore[attr-defined]
-            raise self._error(("domain", "path") if of_file else ("domain",), str(error)) from error
-        except NgviscoError as error:
-            raise self._error(path, str(error)) from error
-        except Exception as error:  # NGSolve and Netgen raise bare exceptions for what they refuse
-            abort_alone(error)
-            raise self._error(path, f"{type(error).__name__}: {error}") from error
-
-    @property
-    def _starts_at_rest(self) -> bool:
-        initial: Any = self.sections.initial
-        return initial.F is None and not initial.values
-
-    def _initial_key(self, field: str, path: tuple[str, ...]) -> tuple[str, ...]:
-        """The key to blame for start values: of a law's modulus, of one variable, of the state."""
-        if re.fullmatch(r"[\w\['\].]+\.\w+", field):
-            return key_of(field, path, self.sections)
-        values: Any = self.sections.initial.values  # type: ignore[attr-defined]
-        named = (("values", name) for name in values if re.search(rf"\b{re.escape(name)}(_0)?\b", field))
-        known = ((key,) for word, key in _INITIAL_KEYS.items() if word in field)
-        return ("initial", *next(chain(named, known), ()))
-
-    def _written(self, key: tuple[str, ...], value: object) -> str:
-        """What the file has under a key, or what was made of it."""
-        there = given(self.sections, key)
-        is_whole = there is None or (isinstance(there, list) and any(isinstance(p, Section) for p in there))
-        return shown(value if is_whole else there)
 
 
 _MODEL_NAMES = {"linear_viscosity": "viscosity"}
 """Parameters of ``Model`` that have another name than the mechanism's table."""
-_SECTION_OF_NAME = {
-    "material variable": ("initial", "values"),
-    "passive field": ("output", "passive"),
-    "boundary": ("walls",),
-    "wall": ("domain", "refine"),
-}
-_INITIAL_KEYS = {"rho_0": "density", "F_0": "F", "v_0": "velocity", "material variables": "values"}

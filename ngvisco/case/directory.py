@@ -357,7 +357,7 @@ def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) ->
     """The mesh that the first rank makes, distributed; its error is raised on every rank."""
     made: list[Mesh] = []
     ranks.on_first(lambda: made.append(make()))
-    with case.located("domain"):
+    with case.blame.located("domain"):
         return distributed(made[0] if made else None, ranks)
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Iterable, Iterator
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from ngvisco.case.errors import Fault
-from ngvisco.case.section import Section, names_of
+from ngvisco.case.section import Section
 from ngvisco.case.toml import line_of, value_text
 from ngvisco.errors import ParameterError
 
@@ -150,45 +149,6 @@ def models_in(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return list(dict.fromkeys(found for part in get_args(annotation) for found in models_in(part)))
-
-
-def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = None) -> tuple[str, ...]:
-    """The key of a parameter that is named as in ``Gravity.g``, ``walls['top'].f`` or
-    ``bodies['disc'].NeoHookean.K_e``.
-
-    ``path`` is that of the section from which the object with the parameter was made; where several tables
-    may be meant it is the one that has the ``value``.
-    """
-    owner, *rest = re.sub(r"\[[\"']?(.*?)[\"']?\]", r".\1", field).split(".")
-    if owner in ("loads", "bodies"):
-        names = [str(part.name) for part in getattr(sections, owner)]
-        if not rest or rest[0] not in names:
-            return path
-        path, rest = (owner, str(names.index(rest[0]))), rest[1:]
-        if len(rest) < 2:
-            return (*path, *rest)
-        owner, *rest = rest
-    if owner == "Model":
-        return (rest[0],) if rest[:1] in (["bodies"], ["loads"]) else ("rheology", *rest)
-    if owner in _KEYS:
-        return (*_KEYS[owner], *(() if owner in ("until", "stops") else rest))
-    tables = [(*place, *rest) for place, part in tables_of(sections) if owner in names_of(part)]
-    found = [key for key in tables if not rest or has_key(sections, key[: len(key) - len(rest) + 1])]
-    near = [key for key in found if key[: len(path)] == path] or found
-    exact = [key for key in near if value is not None and given(sections, key) == value]
-    own = (*path, *rest)
-    tables = [key[: len(key) - len(rest)] for key in tables]  # of what no key of theirs says
-    return (exact or near or tables or [own if has_key(sections, own[: len(path) + 1]) else path])[0]
-
-
-_KEYS: dict[str, tuple[str, ...]] = {
-    "walls": ("walls",),
-    "Simulation": ("time",),
-    "until": ("time", "until"),
-    "stops": ("time", "until"),
-    "passive": ("output", "passive"),
-}
-"""Keys of what the parts of a simulation name in their errors, and what no table makes."""
 
 
 def numbers_out_of_range(sections: Section, locator: Locator) -> list[Fault]:

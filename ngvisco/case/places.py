@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from ngvisco.case import catalogue
 from ngvisco.case.errors import CaseError, Fault
-from ngvisco.case.section import Section, moduli, parameters
-from ngvisco.expressions import parse, parse_region
+from ngvisco.case.section import Section, field_names, moduli, parameters
+from ngvisco.expressions import Expression, parse, parse_region
 from ngvisco.shapes.shape import Shape, Union, Where
 
 
@@ -66,18 +66,21 @@ def copy_of(file: Path) -> str:
     return f"shapes/{digest_of(file)[:16]}{file.suffix.lower()}"
 
 
-def reads_z(part: Any, path: tuple[str, ...] = ()) -> tuple[tuple[str, ...], str] | None:
-    """Key path and text of a modulus, or of a body's place, that reads z; None where none does."""
-    if isinstance(part, (list, dict)):
-        inner = part.items() if isinstance(part, dict) else enumerate(part)
-        found = (reads_z(value, (*path, str(name))) for name, value in inner)
-    elif isinstance(part, Section):
-        for name in moduli(type(part)) | {"where"} & set(type(part).model_fields):
-            text = getattr(part, name)
-            checked = parse_region if name == "where" else parse
-            if isinstance(text, str) and "z" in checked(text).names:
-                return (*path, name), text
-        found = (reads_z(getattr(part, name), (*path, name)) for name in type(part).model_fields)
-    else:
-        return None
+def reads_z(
+    part: Any, path: tuple[str, ...] = (), parsed: Callable[[str], Expression] | None = None
+) -> tuple[tuple[str, ...], str] | None:
+    """Key path and text of a function of the place, or of a body's place, that reads z; None where none does.
+
+    ``parsed`` makes an expression of a text that is such a function; None where a text is none.
+    """
+    inner: Iterable[tuple[Any, Any, Any]] = ()
+    if isinstance(part, str):
+        return (path, part) if parsed is not None and "z" in parsed(part).names else None
+    if isinstance(part, Section):
+        of_place = dict.fromkeys(moduli(type(part)) | field_names(part), parse) | {"where": parse_region}
+        inner = ((name, getattr(part, name), of_place.get(name)) for name in type(part).model_fields)
+    elif isinstance(part, (list, dict)):
+        items = part.items() if isinstance(part, dict) else enumerate(part)
+        inner = ((name, value, parsed) for name, value in items)
+    found = (reads_z(value, (*path, str(name)), how) for name, value, how in inner)
     return next((one for one in found if one is not None), None)

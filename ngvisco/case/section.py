@@ -148,7 +148,8 @@ def names_of(part: Section) -> set[str]:
 
 def field_names(part: Section) -> set[str]:
     """The parameters of a section that are functions of space and time."""
-    return {name for name, annotation in _ANNOTATIONS[type(part)].items() if _has_field_value(annotation)}
+    found = _ANNOTATIONS.get(type(part), {}).items()
+    return {name for name, annotation in found if _has_field_value(annotation)}
 
 
 def _default(annotation: Any, default: Any) -> Any:
