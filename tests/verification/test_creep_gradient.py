@@ -34,7 +34,8 @@ def test_source_of_the_flow_rule_is_its_strong_residual(kind, dim):
         assert mismatch(wrong, sources, kind, T, mesh)["Pi"] > 1e-4, name
 
 
-@pytest.mark.parametrize("kind", ["linear", pytest.param("neo-hookean", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("kind", [pytest.param("linear", marks=pytest.mark.ci), "neo-hookean"])
 def test_creep_rate_converges_with_the_order_of_the_fields(kind):
     coupled_rates(kind, 2, None, 2, 1, 0.4, 3, nu=NU).require(Pi=1.75, z=1.75, v=2.5)
 

@@ -21,7 +21,8 @@ def test_coupled_rates_without_hyperviscosity_are_k_plus_1_and_m_plus_1(kind: st
     coupled_rates(kind, 2, None, 2, 1, 0.4, 3).require(v=2.7, rho=1.85, z=1.85)
 
 
-@pytest.mark.parametrize("kind", ["linear", pytest.param("neo-hookean", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("kind", [pytest.param("linear", marks=pytest.mark.ci), "neo-hookean"])
 def test_coupled_rates_with_hyperviscosity_are_2_for_k_2(kind: str) -> None:
     coupled_rates(kind, 2, 4.0, 2, 1, 0.4, 3).require(v=1.7, rho=1.75, z=1.75)
 
@@ -63,7 +64,8 @@ def test_coupled_rates_in_3d_of_order_3(kind: str) -> None:
     coupled_rates(kind, 3, None, 3, 2, 1.0, 2).require(v=2.8, rho=2.2, z=2.0)
 
 
-@pytest.mark.parametrize("kind", ["linear", pytest.param("neo-hookean", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("kind", [pytest.param("linear", marks=pytest.mark.ci), "neo-hookean"])
 def test_coupled_rates_on_a_disc_are_k_plus_1_and_m_plus_1(kind: str) -> None:
     coupled_rates(kind, 2, None, 2, 1, 0.5, 3, curved=True).require(v=2.7, rho=1.85, z=1.85)
 
@@ -92,16 +94,17 @@ def energy_itself(system: Model, dim: int, tau: float, curved: bool = False) -> 
     return Sources(replace(system, material=system.material.material), dim, tau, curved)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")
 @pytest.mark.parametrize(
     ("kind", "dim", "k", "curved", "wrong", "name"),
     [
-        pytest.param("linear", 2, 2, True, WithoutTraction, "v", id="traction"),
-        pytest.param("by B", 2, 2, False, without_creep, "z", id="B", marks=pytest.mark.long),
-        pytest.param("cofactors", 2, 2, False, without_creep, "z", id="cofactors", marks=pytest.mark.long),
-        pytest.param("linear", 3, 3, False, without_creep, "z", id="3D", marks=pytest.mark.long),
-        pytest.param("Yosida", 2, 2, False, energy_itself, "z", id="F", marks=pytest.mark.long),
-        pytest.param("Yosida, quartic", 2, 2, False, energy_itself, "z", id="E", marks=pytest.mark.long),
+        pytest.param("linear", 2, 2, True, WithoutTraction, "v", id="traction", marks=pytest.mark.ci),
+        pytest.param("by B", 2, 2, False, without_creep, "z", id="B"),
+        pytest.param("cofactors", 2, 2, False, without_creep, "z", id="cofactors"),
+        pytest.param("linear", 3, 3, False, without_creep, "z", id="3D"),
+        pytest.param("Yosida", 2, 2, False, energy_itself, "z", id="F"),
+        pytest.param("Yosida, quartic", 2, 2, False, energy_itself, "z", id="E"),
     ],
 )
 def test_wrong_sources_do_not_converge(

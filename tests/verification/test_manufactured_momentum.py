@@ -86,14 +86,16 @@ def hyperviscous_rates(k: int, p: float, levels: int) -> RateTable:
     return table
 
 
-@pytest.mark.parametrize(("k", "p"), [(2, 2.0), (2, 4.0), (3, 2.0)])
+@pytest.mark.parametrize(
+    ("k", "p"),
+    [
+        (2, 2.0),
+        (3, 2.0),
+        pytest.param(2, 4.0, marks=[pytest.mark.long, pytest.mark.ci]),
+        pytest.param(3, 4.0, marks=pytest.mark.long),  # two minutes
+    ],
+)
 def test_hyperviscous_rates_are_those_of_the_lifted_penalty(k: int, p: float) -> None:
     """FORMULATION.md, Section 5: order 2 for k = 2, and 3.6 or more (L2), 2.7 or more (H1) for k = 3."""
     L2, H1 = RATES[k, p]
     hyperviscous_rates(k, p, 3).require(L2=L2, H1=H1)
-
-
-@pytest.mark.long  # two minutes
-def test_hyperviscous_rates_with_p_4_and_k_3() -> None:
-    L2, H1 = RATES[3, 4.0]
-    hyperviscous_rates(3, 4.0, 3).require(L2=L2, H1=H1)

@@ -16,9 +16,19 @@ T, TAU = 0.3, 0.05
 TOLERANCE = 1e-6
 
 
-@pytest.mark.parametrize(("p", "regularised"), [(None, False), (2.0, False), (4.0, True)])
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("kind", KINDS)
+ALL_TERMS = (4.0, True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "dim", "p", "regularised"),
+    [
+        pytest.param(kind, dim, *terms, marks=marks)
+        for kind in KINDS
+        for dim in (2, 3)
+        for terms in ((None, False), (2.0, False), ALL_TERMS)
+        for marks in ([] if dim == 2 or terms == ALL_TERMS else [pytest.mark.long, pytest.mark.ci],)
+    ],
+)
 def test_sources_are_the_residuals_of_the_strong_equations(
     kind: str, dim: int, p: float | None, regularised: bool
 ) -> None:

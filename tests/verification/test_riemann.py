@@ -13,6 +13,8 @@ def test_weak_waves_are_acoustic():
     assert star_of_expansion(U) == pytest.approx(1 + 1e-4, abs=1e-7)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_star_states_of_impact_and_expansion():
     run = solved(0.2, 40)
     assert run.ledger.column("rejections").sum() == 0
