@@ -69,7 +69,7 @@ from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import HyperViscosity, LinearViscosity, StokesViscosity
 from ngvisco.physics.signals import pulse, step, table
-from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
+from ngvisco.physics.walls import Inflow, NavierFriction, NoSlip, Open, PrescribedTangential, Slip, Traction
 from ngvisco.run.bodies import Bodies
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.closure import ClosureWarning
@@ -154,6 +154,7 @@ __all__ = [
     "Heat",
     "HyperViscosity",
     "Image",
+    "Inflow",
     "Initial",
     "InitialDataError",
     "InputWarning",
@@ -182,6 +183,7 @@ __all__ = [
     "NotebookProgress",
     "Observer",
     "OldroydB",
+    "Open",
     "Parameter",
     "ParameterError",
     "PerMass",

@@ -35,7 +35,7 @@ from ngvisco.physics.materials import (
 from ngvisco.physics.model import BodyForce, CentralGravity, Gravity
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import HyperViscosity, LinearViscosity, StokesViscosity
-from ngvisco.physics.walls import NavierFriction, NoSlip, PrescribedTangential, Slip, Traction
+from ngvisco.physics.walls import Inflow, NavierFriction, NoSlip, Open, PrescribedTangential, Slip, Traction
 from ngvisco.run.time_steps import TimeSteps
 from ngvisco.shapes.image import Image
 from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon
@@ -116,8 +116,10 @@ LOADS: dict[str, type] = {
 }
 
 WALLS: dict[str, type] = {
+    "Inflow": Inflow,
     "NavierFriction": NavierFriction,
     "NoSlip": NoSlip,
+    "Open": Open,
     "PrescribedTangential": PrescribedTangential,
     "Slip": Slip,
     "Traction": Traction,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from ngsolve import (
     CF,
@@ -27,11 +28,14 @@ from ngvisco.forms.mesh.facets import boundary_facets, facets_with_two_sides
 from ngvisco.forms.rates import Rates
 from ngvisco.forms.term import Term
 from ngvisco.forms.time_means import TOLERANCE, TimeMean, mean_in_cells, mean_on_walls
-from ngvisco.forms.upwinding import Upwinding
+from ngvisco.forms.upwinding import Incoming, Upwinding
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.model import Model
 from ngvisco.physics.signals import may_read_time
 from ngvisco.physics.time import time
+
+if TYPE_CHECKING:
+    from ngvisco.forms.boundary.passages import Carried
 
 __all__ = ["Context", "cell_size", "inner_facets", "time"]
 
@@ -54,13 +58,14 @@ class Context:
         energy: StoredEnergy | None = None,
         momentum_old: CoefficientFunction | None = None,
         degree: int = 8,
+        passages: Sequence[Carried] = (),
     ) -> None:
         """``wind`` is the velocity v* of the upwinding, m/s.
 
         ``energy`` may be None where the material's energy has an expression.
 
         ``momentum_old`` are the values of m_old at the points of the forms' rule, kg/(m^2 s); None for
-        rho_old v_old.  ``degree`` is that of the forms' rule.
+        rho_old v_old.  ``degree`` is that of the forms' rule; ``passages`` are the walls that matter crosses.
         """
         self.mesh, self.old = mesh, old
         self.energy = energy or StoredEnergy(model.material, mesh.dim)
@@ -83,8 +88,21 @@ class Context:
         self.normal = specialcf.normal(mesh.dim)
         self.inner = inner_facets(mesh)
         self.h = cell_size(mesh)
-        self.upwinding = Upwinding(wind * self.normal, self.inner, self.eta)
+        self.crossed, incoming = self.inner, None
+        """1 on facets that matter crosses, on those between two cells and on such walls; 0 on all others."""
+        if passages:
+            where = sum((passage.indicator for passage in passages), CF(0.0))
+            self.crossed = self.inner + where
+            incoming = Incoming(where, {name: self._entering(name, passages) for name in ("rho", "z")})
+        self._through = wind * self.normal
+        self.upwinding = Upwinding(self._through, self.crossed, self.eta, incoming)
         """On a cell's boundary only."""
+
+    def closed(self) -> Context:
+        """The same where what comes in through walls has the values that are there."""
+        other = copy.copy(self)
+        other.crossed, other.upwinding = self.inner, Upwinding(self._through, self.inner, self.eta)
+        return other
 
     @property
     def momentum_old(self) -> CoefficientFunction:
@@ -165,10 +183,15 @@ class Context:
         made[1].update(self.loads_from.Get(), self.loads_over.Get())
         return made
 
+    def _entering(self, name: str, passages: Sequence[Carried]) -> CoefficientFunction:
+        """What flows in through walls, averaged over the step; zero elsewhere."""
+        parts = [one.indicator * self.average(one.values[name], one.region) for one in passages]
+        return sum(parts[1:], parts[0])
+
 
 def _shaped(function: GridFunction, value: CoefficientFunction) -> CoefficientFunction:
     if not value.dims:
-        return function
+        return function.components[0] if function.components else function
     vector = function if function.dim == value.dim else CF(tuple(function.components))
     return vector.Reshape(tuple(value.dims))
 

@@ -28,6 +28,7 @@ from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.forms.boundary.boundaries import check_mesh
 from ngvisco.forms.boundary.moving_walls import MovingWalls
+from ngvisco.forms.boundary.passages import Carried, passage_terms
 from ngvisco.forms.boundary.wall_terms import Impenetrability, wall_terms
 from ngvisco.forms.boundary.walls import Conditions, Walls
 from ngvisco.forms.context import Context
@@ -119,6 +120,7 @@ class Step:
         self.terms = (
             *equations(model, mesh.dim),
             *wall_terms(self.walls),
+            *passage_terms(self.walls, model),
             *heat_terms(model, self.walls),
             *terms,
             *known,
@@ -158,6 +160,7 @@ class Step:
             self.energy,
             self.momentum_old,
             self.quadrature.volume_degree,
+            [term for term in self.terms if isinstance(term, Carried)],
         )
         self.context.terms = self.terms
         self.tabulated_rates = TabulatedRates(model, mesh.dim)

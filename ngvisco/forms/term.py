@@ -36,7 +36,7 @@ class Integrand:
     facets: CoefficientFunction | None = None
 
 
-Kind = Literal["dissipation", "power", "energy", "numerical", "monitor", "production"]
+Kind = Literal["dissipation", "power", "energy", "numerical", "monitor", "production", "flux"]
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Entry:
     """A column of the ledger: a dissipation or power (W), an energy, or a numerical dissipation (J a step).
 
     ``integrand`` is evaluated at the new state; dissipations, numerical ones and the change of energies enter
-    the energy identity with +, powers with -, monitors not at all; nor do
-    productions of entropy, W/K, which like powers are those of the scheme's stages.
+    the energy identity with +, powers with -, monitors not at all; nor do productions of entropy, W/K, and
+    fluxes of mass into the domain, kg/s, which like powers are those of the scheme's stages.
     """
 
     name: str

@@ -303,7 +303,7 @@ def mean_on_walls(
     mass, load = BilinearForm(space, check_unused=False), LinearForm(space)
     for i, (u, w) in enumerate(zip(trial, test, strict=True)):
         mass += u * w * measure
-        load += value[i] * w * measure
+        load += (value[i] if value.dims else value) * w * measure
     on_walls = scalar.GetDofs(walls)
     active = BitArray([bool(flag) for _ in range(value.dim) for flag in on_walls])
     matrix = mass.Assemble().mat

@@ -1,20 +1,22 @@
 """Upwinding across facets: the one place where a cell's outflow is told from its inflow.
 
-With a = v* . n, zero on walls, and the smooth modulus |a|_eta = sqrt(a^2 + eta^2),
+With a = v* . n, zero on walls that nothing crosses, and the smooth modulus |a|_eta = sqrt(a^2 + eta^2),
 
-    n^- = (1 - a/|a|_eta)/2     near 1 where v* enters a cell, near 0 where it leaves; 0 on walls.
+    n^- = (1 - a/|a|_eta)/2     near 1 where v* enters a cell, near 0 where it leaves; 0 on such walls.
 
 The shares of both sides of a facet are 1 - n^- in (0, 1) and sum up to one, so that a trace weighted by them
-is a convex combination.  The velocity v* is known before a step is solved: in the energy identity the two
-uses of B_h (``ngvisco.forms.terms.transport``) cancel for any weights, and with weights that do not depend on
-the step's own velocity the equations of the step are smooth.  With those of the step's own velocity the
-elastic force would jump by [z] : [zeta] where v . n changes its sign, and the step could fold.
+is a convex combination.  On a wall that matter crosses the other side's value is that of what flows in
+(``Incoming``).  The velocity v* is known before a step is solved: in the energy identity the two uses of B_h
+(``ngvisco.forms.terms.transport``) cancel for any weights, and with weights that do not depend on the step's
+own velocity the equations of the step are smooth.  With those of the step's own velocity the elastic force
+would jump by [z] : [zeta] where v . n changes its sign, and the step could fold.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
@@ -29,18 +31,48 @@ def mean_share(inner: CoefficientFunction) -> CoefficientFunction:
     return 1.0 - 0.5 * inner
 
 
+@dataclass(frozen=True)
+class Incoming:
+    """What flows in through walls, zero elsewhere.
+
+    Attributes
+    ----------
+    where : CoefficientFunction or Array
+        1 on the walls that matter crosses, else 0.
+    parts : dict
+        Values of ``"rho"`` and ``"z"`` there.
+    """
+
+    where: CoefficientFunction
+    parts: Mapping[str, CoefficientFunction]
+
+
 class Upwinding:
-    """n^- and 1 - n^- of coefficient functions or of arrays."""
+    """n^- and 1 - n^- of coefficient functions or of arrays, and the values that a trace is a mean of."""
 
     def __init__(
-        self, through: CoefficientFunction, inner: CoefficientFunction, eta: CoefficientFunction | float
+        self,
+        through: CoefficientFunction,
+        crossed: CoefficientFunction,
+        eta: CoefficientFunction | float,
+        incoming: Incoming | None = None,
     ) -> None:
-        """``through`` is v* . n (m/s) also on walls, ``inner`` 1 between two cells and 0 on walls.
+        """``through`` is v* . n (m/s) also on walls, ``crossed`` 0 on facets that nothing crosses, else 1.
 
         ``eta`` is the width of the smoothed sign, m/s.
         """
-        a = inner * through
-        self.inflow = 0.5 * (inner - a / sqrt(a * a + eta * eta))
+        a = crossed * through
+        self.inflow = 0.5 * (crossed - a / sqrt(a * a + eta * eta))
+        self.incoming = incoming
+
+    def trace(self, u: Fields, name: str) -> CoefficientFunction:
+        """What an upwind trace of ``"rho"`` or ``"z"`` is zero for, of a cell's side: share (a_hat - a), and
+        n^- (a_hat - a_in) where a wall is crossed."""
+        hat, own = u.parts[f"{name}_hat"], u.parts[name]
+        difference = self.share * (hat - own)
+        if self.incoming is None:
+            return difference
+        return difference + (self.incoming.where * self.inflow) * (hat - self.incoming.parts[name])
 
     @property
     def share(self) -> CoefficientFunction:
@@ -57,13 +89,13 @@ class SideMean(PointTerm):
 
     name: str
 
-    def share(self, u: Fields) -> CoefficientFunction:
-        """What a side counts."""
-        return mean_share(u.context.inner)
-
     @abstractmethod
     def value(self, u: Fields) -> CoefficientFunction:
         """a, on a cell's side."""
 
+    def difference(self, u: Fields) -> CoefficientFunction:
+        """share (a_hat - a)."""
+        return mean_share(u.context.inner) * (u.parts[self.name] - self.value(u))
+
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return [self.share(u) * inner(u.parts[self.name] - self.value(u), w.parts[self.name])]
+        return [inner(self.difference(u), w.parts[self.name])]

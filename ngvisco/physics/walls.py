@@ -1,12 +1,14 @@
-"""What holds on a wall.  Every wall is impenetrable, v.n = 0; these say what its tangential part does.
+"""What holds on a wall.  A wall is impenetrable, v.n = 0, and says what v's tangential part does; matter
+crosses those that are a ``Passage``.
 
 The tangential part of a vector is a_t = a - (a.n) n.  Names of walls are the mesh's boundary names.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 from ngsolve import CoefficientFunction
 
@@ -14,6 +16,9 @@ from ngvisco.errors import ParameterError, Quantity, as_number
 from ngvisco.physics.heat import WallHeat
 from ngvisco.physics.model import VectorLike
 from ngvisco.physics.parameters import require_ranges
+
+Function: TypeAlias = float | CoefficientFunction
+"""A number, or a function of the place and the run's time."""
 
 
 @dataclass(frozen=True)
@@ -116,3 +121,85 @@ class NavierFriction(Wall):
                 "NavierFriction.coefficient", self.coefficient, "a number >= 0 or a function"
             )
         object.__setattr__(self, "coefficient", number)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Passage(Wall):
+    """Base of the walls that matter crosses: what flows out has its own values, what flows in these.
+
+    The mesh does not move: such a wall is a window, through which the body is seen, and no free surface.
+    """
+
+    density: Annotated[Function | None, Quantity("kg/m^3", "> 0", 1.0)] = None
+    values: Annotated[Mapping[str, CoefficientFunction], Quantity("1", example={"J": "1 + 0.1*sin(t)"})] = (
+        field(default_factory=dict)
+    )
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.values, Mapping):
+            expected = "a mapping of variable names to functions"
+            raise ParameterError(f"{type(self).__name__}.values", self.values, expected)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inflow(Passage):
+    """v = V on the wall, V with a normal part: an inlet.
+
+    Parameters
+    ----------
+    velocity : vector of the mesh's dimension
+        V, a function of x and of the run's time, of which each step has the mean; matter leaves where
+        V.n > 0.
+    density : number or coefficient function, optional
+        Density of what flows in, averaged over the step; needed but for a material with a referential density
+        rho_R, where it is rho_R/J.
+    values : mapping of names to coefficient functions, optional
+        The material's variables of what flows in, by name, averaged over the step; those of rest where
+        nothing is said, and of parameters their start values.
+    """
+
+    velocity: Annotated[VectorLike, Quantity("m/s", example=["y*(1 - y)", 0.0])]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Open(Passage):
+    """The stress on the wall is given and v is free: (T + D) n = f - p n - Z_p (v.n) n - Z_s v_t.
+
+    Parameters
+    ----------
+    pressure : number or coefficient function
+        p, averaged over the step.
+    traction : vector of the mesh's dimension, optional
+        f, normal part and all, averaged over the step.
+    impedance : pair of numbers
+        Z_p and Z_s: a dashpot along and across the normal. With density times the speeds of pressure and
+        shear waves, plane waves leave.
+    backflow : bool
+        Whether the kinetic energy of what flows in is taken from it, -rho (v.n) |v|^2/2 where v.n < 0:
+        without that a given stress may feed such a flow without bound.
+    density, values
+        As for ``Inflow``.
+    """
+
+    pressure: Annotated[Function, Quantity("Pa", example="0.1*sin(t)")] = 0.0
+    traction: Annotated[VectorLike | None, Quantity("Pa", example=[0.1, 0.0])] = None
+    impedance: Annotated[tuple[float, float], Quantity("Pa s/m", ">= 0", [1.0, 0.5])] = (0.0, 0.0)
+    backflow: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        numbers = _numbers(self.impedance)
+        if len(numbers) != 2 or any(number is None or number < 0 for number in numbers):
+            raise ParameterError("Open.impedance", self.impedance, "two numbers >= 0, Z_p and Z_s")
+        object.__setattr__(self, "impedance", tuple(numbers))
+
+
+MOVING = PrescribedTangential, Inflow
+"""Walls whose velocity is given."""
+HELD = NoSlip, *MOVING
+"""Walls on which all of v is prescribed."""
+
+
+def _numbers(value: object) -> list[float | None]:
+    """The entries of a sequence as numbers; None for what is none."""
+    return [as_number(entry) for entry in value] if isinstance(value, (tuple, list)) else []

@@ -24,7 +24,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.tabulated_rates import TabulatedRates
 from ngvisco.forms.term import PointTerm
-from ngvisco.forms.upwinding import SideMean, Upwinding
+from ngvisco.forms.upwinding import Incoming, SideMean, Upwinding
 from ngvisco.physics.arrays import Array, Linear, slots
 from ngvisco.reduced.operators import Operators, SideOperators
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
@@ -132,7 +132,8 @@ class SideContext:
         self._step, self._op, self._points = step, operators, operators.points
         self._given = WeakKeyDictionary[CoefficientFunction, Array]()
         self.normal = Array(operators.points.normals, None)
-        self.inner = Array(operators.inner, None)
+        self.inner, self.crossed = Array(operators.inner, None), Array(operators.crossed, None)
+        self.rates = step.tabulated_rates
         self.h, self.terms = Array(operators.h, None), step.terms
 
     def rate(self, difference: Any) -> Any:
@@ -145,7 +146,15 @@ class SideContext:
         wind = self._op.v(self._step.wind.vec.FV().NumPy().reshape(self._step.mesh.dim, -1))
         through = (self._op.points.normals * wind).sum(axis=0)
         eta = self._step.context.eta.Get()
-        self.upwinding = Upwinding(Array(through, None), self.inner, eta)
+        self.upwinding = Upwinding(Array(through, None), self.crossed, eta, self._incoming())
+
+    def _incoming(self) -> Incoming | None:
+        """What flows in through walls; None where nothing crosses them."""
+        incoming = self._step.context.upwinding.incoming
+        if incoming is None:
+            return None
+        parts = {name: self.given(value) for name, value in incoming.parts.items()}
+        return Incoming(self.given(incoming.where), parts)
 
     def given(self, value: CoefficientFunction) -> Array:
         """A scalar, a vector or a matrix at the end of the step, see ``Context.given``."""
@@ -392,6 +401,9 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
     side = SimpleNamespace(
         normal=ones((d,)),
         inner=ones(()),
+        crossed=ones(()),
+        upwinding=SimpleNamespace(share=ones(()), inflow=ones(())),
+        rates=rates,
         h=ones(()),
         eta=1.0,
         curvature=1.0,

@@ -67,6 +67,10 @@ class SideOperators:
         self.z, self.hat, self.v = map(self.of, ("z", "z_hat", "v"))
         self.inner = np.round(points.sample(context.inner))
         """1 between two cells, 0 on walls."""
+        self.crossed = self.inner
+        """1 also on walls that matter crosses."""
+        if context.crossed is not context.inner:
+            self.crossed = np.round(points.sample(context.crossed))
         self.h = np.repeat(context.h.vec.FV().NumPy(), self.z.per_cell)
 
     def of(self, name: str) -> LocalMatrix:

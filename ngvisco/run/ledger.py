@@ -43,7 +43,7 @@ _STRETCH = 1e-4
 _OPERATIONS = 30
 """Roundings of an energy density, in units of that scale: as many operations as a density has."""
 
-RATES = ("dissipation", "power", "production")
+RATES = ("dissipation", "power", "production", "flux")
 """Kinds of entries that are rates, of the scheme's stages."""
 
 UNITS = {
@@ -83,6 +83,8 @@ def unit(column: str) -> str:
         return "W"
     if column.startswith("entropy_"):
         return "W/K"
+    if column.startswith("inflow_"):
+        return "kg/s"
     return UNITS.get(column, "J")
 
 
@@ -93,6 +95,7 @@ class Balance:
     energy: float
     mass: float
     initial_mass: float
+    """With what has come in through walls since."""
 
 
 _NEGATIVE = 1e-9
@@ -233,7 +236,8 @@ class Ledger:
         scale = max(abs(energy), abs(self.balance.energy), exchanged)
         if not abs(closure) <= CLOSED * scale:
             scale = max(scale, self.rounding() / CLOSED, self.heat())
-        drift = (values["mass"] - self.balance.initial_mass) / self.balance.initial_mass
+        expected = self.balance.initial_mass + tau * self._sum(values, "flux")
+        drift = (values["mass"] - expected) / expected
         row = {
             **{"step": number, "time": time, "dt": tau, **values},
             **{"closure": closure, "closure_relative": closure / scale if scale else closure},
@@ -243,7 +247,7 @@ class Ledger:
         row = self._append(row, iterations, rejections, tau)
         self._check_entropy(row)
         self._pending = {}
-        self.balance = Balance(energy, values["mass"], self.balance.initial_mass)
+        self.balance = Balance(energy, values["mass"], expected)
         return row
 
     def _check_entropy(self, row: Mapping[str, float]) -> None:

@@ -14,7 +14,8 @@ earlier stages that the scheme prescribes, by the transport of the scheme's own 
 traces, on discontinuous P_k, k the velocity's order (with P_1 the gradient of xi in the
 cells is less than half of what it should be at h = 0.2).  The columns of F_tot share one matrix, the
 components of the others a second one; GMRES takes 10 to 20 iterations.  In place of xi the displacement
-x - xi is carried, which is periodic where the flow is; xi may then lie outside the cell.
+x - xi is carried, which is periodic where the flow is; xi may then lie outside the cell.  What flows in
+through a wall has the values that are there: where it comes from is not known.
 """
 
 from __future__ import annotations
@@ -225,7 +226,7 @@ class _Carrier:
         traces = VectorValued(traces, mesh.dim) if vector else traces
         self.space = FESpace([self.cells, Periodic(traces) if step.layout.periodic else traces])
         (f, f_hat), (g, g_hat) = self.space.TnT()
-        c, layout, rules = copy.copy(step.context), copy.copy(step.layout), step.quadrature
+        c, layout, rules = step.context.closed(), copy.copy(step.layout), step.quadrature
         c.rates = _Growth(step, rate)
         layout.states = StateSpace.of((Parameter("f"),), mesh.dim)
         u = Fields(layout, {"v": step.now.v, "z": f, "z_hat": f_hat}, c)

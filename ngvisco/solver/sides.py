@@ -51,7 +51,7 @@ class Sides:
         self._provisional = self._is_from_rest = False
         self._prescribed = ~mask_of(step.layout.blocks["v"].FreeDofs())
         c, (v, h) = step.context, (step.now.v, step.context.h)
-        through = c.inner * (v * c.normal)
+        through = c.crossed * (v * c.normal)
         fast = IfPos(through * through - (COURANT * h / c.tau) ** 2, 1.0, 0.0)
         downstream = IfPos(through, c.upwinding.inflow, c.upwinding.share)
         self._wrong = (fast * IfPos(downstream - _LOST, 1.0, 0.0)).Compile()

@@ -85,7 +85,9 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
     for name, rows in residual(split).items():
         assert np.linalg.norm(rows) <= allowed[name], name
     assert np.abs(split.ledger.column("closure_relative")).max() <= 1e-10
-    assert np.abs(split.ledger.column("mass_drift")).max() <= 1e-12
+    # what crosses walls is known as well as the iterate
+    drift = split.solver.options.tolerance if split.rothe_step.walls.crossed else 1e-12
+    assert np.abs(split.ledger.column("mass_drift")).max() <= drift
     for column in coupled.ledger.columns:
         if column.startswith(("dissipation", "power", "kinetic", "stored")):
             assert split.ledger.column(column) == pytest.approx(
@@ -194,6 +196,10 @@ WALLS = {
     "Navier friction": {"bottom": nv.NavierFriction(coefficient=0.5)},
     "a sliding lid": {"top": nv.PrescribedTangential(velocity=(0.5 * x * (1 - x), 0.0))},
     "no slip": {("left", "right"): nv.NoSlip()},
+    "in and out": {
+        "left": nv.Inflow(velocity=(0.5 * y * (1 - y), 0.0), density=1.2),
+        "right": nv.Open(pressure=-15.0 + y, traction=(0.0, 0.2), impedance=(0.3, 0.1), density=0.9),
+    },
 }
 
 

@@ -22,7 +22,7 @@ from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.tensors import tr
 from ngvisco.physics.time import time
-from ngvisco.physics.walls import NoSlip, PrescribedTangential
+from ngvisco.physics.walls import HELD, MOVING
 
 _VERTICES = {
     ET.TRIG: IntegrationRule([(0, 0), (1, 0), (0, 1)], [0.0] * 3),
@@ -75,10 +75,10 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
 def _corner_cells(step: Step) -> list[tuple[int, int]]:
     """Cells and their vertices on moving walls at which all their edges lie on walls that prescribe v."""
     mesh, conditions = step.mesh, step.walls.conditions
-    moving = [name for name, wall in conditions.items() if isinstance(wall, PrescribedTangential)]
+    moving = [name for name, wall in conditions.items() if isinstance(wall, MOVING)]
     if not moving:
         return []
-    held = moving + [name for name, wall in conditions.items() if isinstance(wall, NoSlip)]
+    held = [name for name, wall in conditions.items() if isinstance(wall, HELD)]
     # an edge or a vertex may lie on walls by facets of other ranks alone, which these spaces know
     on_walls = ~mask_of(HCurl(mesh, order=0, dirichlet=step.walls.region(held)).FreeDofs())
     moved = ~mask_of(H1(mesh, order=1, dirichlet=step.walls.region(moving)).FreeDofs())

@@ -30,7 +30,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.signals import may_read_time
 from ngvisco.physics.tensors import inner
-from ngvisco.physics.walls import PrescribedTangential
+from ngvisco.physics.walls import MOVING, Inflow
 
 OPEN = 1e-3  # |V.n|^2/|V|^2 that the geometry's approximation may leave of a tangential velocity
 
@@ -56,10 +56,10 @@ class MovingWalls:
         self.moving: dict[str, tuple[CoefficientFunction, np.ndarray]] = {}
         taken = self.zero.copy()
         for name, wall in walls.conditions.items():
-            if isinstance(wall, PrescribedTangential):
+            if isinstance(wall, MOVING):
                 mask = self.constrained(layout, (walls.region([name]),) * mesh.dim) & ~taken
                 taken |= mask
-                velocity = as_vector(wall.velocity, mesh.dim, "PrescribedTangential.velocity")
+                velocity = as_vector(wall.velocity, mesh.dim, f"walls[{name!r}].velocity")
                 self.moving[name] = (velocity, mask)
         self._means = {
             name: self._mean(name) for name, (velocity, _) in self.moving.items() if may_read_time(velocity)
@@ -110,13 +110,23 @@ class MovingWalls:
         return {name: self.interpolate(name, v)[mask] for name, (v, mask) in self.moving.items()}
 
     def interpolate(self, name: str, velocity: CoefficientFunction) -> np.ndarray:
-        """Coefficients on the wall of the tangential part of a velocity.
+        """Coefficients on the wall of a velocity; of its tangential part where nothing crosses the wall.
 
         Raises
         ------
         ParameterError
-            If the velocity has a normal part, i.e. the wall would be open.
+            If the velocity has a normal part there.
         """
+        if not isinstance(self.walls.conditions[name], Inflow):
+            velocity = self._tangential(name, velocity)
+        self._values.vec[:] = 0.0
+        if self.layout.periodic:
+            self._project(name, velocity)
+        else:
+            self._set(self._values, velocity, self.walls.region([name]))
+        return self._values.vec.FV().NumPy()
+
+    def _tangential(self, name: str, velocity: CoefficientFunction) -> CoefficientFunction:
         mesh = self.walls.mesh
         region = self.walls.region([name])
         n = specialcf.normal(mesh.dim)
@@ -127,14 +137,9 @@ class MovingWalls:
             raise ParameterError(
                 f"walls[{name!r}].velocity",
                 f"normal part {through**0.5:.3g} of {size**0.5:.3g} in L2",
-                "a tangential velocity: every wall is impenetrable, inflow and outflow are not modelled",
+                "a tangential velocity: nothing crosses such a wall; an inlet is nv.Inflow(velocity=...)",
             )
-        self._values.vec[:] = 0.0
-        if self.layout.periodic:
-            self._project(name, velocity - normal * n)
-        else:
-            self._set(self._values, velocity - normal * n, region)
-        return self._values.vec.FV().NumPy()
+        return velocity - normal * n
 
     def _project(self, name: str, velocity: CoefficientFunction) -> None:
         """The L2 projection on the wall: ``Set`` counts a vertex twice in a facet that meets its image."""

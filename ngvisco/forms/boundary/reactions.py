@@ -33,7 +33,7 @@ from ngvisco.forms.term import Integrand
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.tensors import inner
-from ngvisco.physics.walls import NoSlip, PrescribedTangential
+from ngvisco.physics.walls import HELD
 
 
 class WallReactions:
@@ -74,7 +74,7 @@ class WallReactions:
     def _constrained(self, name: str) -> np.ndarray:
         """The coefficients of v that this wall prescribes."""
         walls = self.step.walls
-        is_fixed = isinstance(walls.conditions[name], (NoSlip, PrescribedTangential))
+        is_fixed = isinstance(walls.conditions[name], HELD)
         own = walls.region([name])
         regions = [own if is_fixed or name in walls.axis[i] else None for i in range(self.step.mesh.dim)]
         return MovingWalls.constrained(self.step.layout, regions)
@@ -100,10 +100,11 @@ class WallReactions:
         }
 
     def _energy_flux(self) -> LinearForm:
-        """int phi (w . n) over all walls."""
+        """int phi (w . n) over the walls that nothing crosses: of others it is in the residual."""
         step = self.step
         space = step.layout.velocity_space((None,) * step.mesh.dim)
-        walls, w = facet_indicator(step.mesh, step.walls.conditions), space.TestFunction()
+        closed = [name for name in step.walls.conditions if name not in step.walls.crossed]
+        walls, w = facet_indicator(step.mesh, closed), space.TestFunction()
         load = LinearForm(space)
         flux = walls * step.energy.anywhere(step.now) * (w * step.context.normal)
         step.quadrature.add(load, [Integrand(facets=flux)])

@@ -29,7 +29,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.heat import WallHeat
 from ngvisco.physics.model import as_vector
-from ngvisco.physics.walls import NoSlip, PrescribedTangential, Slip, Traction, Wall
+from ngvisco.physics.walls import HELD, MOVING, NoSlip, Passage, Slip, Traction, Wall
 
 Conditions: TypeAlias = "Mapping[str | tuple[str, ...], Wall] | Sequence[tuple[str | tuple[str, ...], Wall]]"
 
@@ -73,16 +73,19 @@ class Walls:
         names = sorted(set(mesh.GetBoundaries()) - self.periodic - interfaces)
         self.conditions: dict[str, Wall] = {name: given.get(name, Slip()) for name in names}
         self.axis, self.oblique = axis_parallel_walls(mesh)
-        self.axis = [[name for name in group if name in self.conditions] for group in self.axis]
-        fixed = self._having(NoSlip, PrescribedTangential)
-        self.multiplied = [n for n in self.oblique if n in self.conditions and n not in fixed]
+        self.crossed = self._having(Passage)
+        """Walls that matter crosses."""
+        closed = [name for name in self.conditions if name not in self.crossed]
+        self.axis = [[name for name in group if name in closed] for group in self.axis]
+        fixed = self._having(*HELD)
+        self.multiplied = [n for n in self.oblique if n in closed and n not in fixed]
         """Oblique or curved walls, where v.n = 0 is held by a multiplier."""
         bent = [name for name in self.multiplied if not self.conditions[name].straight]
         require_curved_cells(mesh, {name: self.region([name]) for name in bent})
         for name, wall in self.conditions.items():
             if not (wall.heat is None or isinstance(wall.heat, WallHeat)):
                 raise ParameterError(f"walls[{name!r}].heat", wall.heat, "a WallHeat, or None")
-            if isinstance(wall, PrescribedTangential):
+            if isinstance(wall, MOVING):
                 as_vector(wall.velocity, mesh.dim, f"walls[{name!r}].velocity")
             if isinstance(wall, Traction):
                 as_vector(wall.f, mesh.dim, f"walls[{name!r}].f")
@@ -93,7 +96,7 @@ class Walls:
     @property
     def dirichlet(self) -> tuple[Region, ...]:
         """Where v_i is prescribed, one region for each i."""
-        fixed = self._having(NoSlip, PrescribedTangential)
+        fixed = self._having(*HELD)
         return tuple(self.region([*names, *fixed]) for names in self.axis)
 
     @property

@@ -33,7 +33,7 @@ from ngvisco.physics.model import BodyForce, CentralGravity, VectorLike, as_vect
 from ngvisco.physics.tensors import square
 from ngvisco.physics.time import time
 from ngvisco.physics.variables import Distortion
-from ngvisco.physics.walls import NavierFriction, PrescribedTangential, Traction
+from ngvisco.physics.walls import MOVING, NavierFriction, Traction
 
 _FLAT = 1e-12  # |a.n|^2/|a|^2 on walls parallel to the axes, whose normals are exact
 _ROUNDING = 1e-20  # of the mean of |a|^2 in the domain: sin(pi x) at x = 1 is 1e-16
@@ -68,7 +68,7 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
     dim, times = step.mesh.dim, list(times)
     for name, wall in step.walls.conditions.items():
         owner = f"walls[{name!r}]"
-        if isinstance(wall, PrescribedTangential):
+        if isinstance(wall, MOVING):
             velocity = as_vector(wall.velocity, dim, f"{owner}.velocity")
             for t in _at(times):
                 _require_finite(step.mesh, name, velocity, f"{owner}.velocity", wall.velocity, t)
@@ -105,7 +105,8 @@ def warn_of_normal_parts(step: Step, velocity: VectorLike | None) -> None:
         return
     v_0 = as_vector(velocity, step.mesh.dim, "Initial.velocity")
     # a function of the cells, such as one from an array, has no values on the boundary of its own
-    shares = {name: _normal_share(step, name, v_0, BoundaryFromVolumeCF(v_0)) for name in conditions}
+    closed = [name for name in conditions if name not in step.walls.crossed]
+    shares = {name: _normal_share(step, name, v_0, BoundaryFromVolumeCF(v_0)) for name in closed}
     through = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
     if through:
         _warn(

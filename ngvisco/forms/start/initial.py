@@ -16,7 +16,7 @@ from ngsolve import (
     specialcf,
 )
 
-from ngvisco.errors import InitialDataError, ParameterError, Quantity, UnknownNameError, as_number
+from ngvisco.errors import InitialDataError, ParameterError, Quantity
 from ngvisco.forms.amounts import Amounts
 from ngvisco.forms.cell_means import CellMeans
 from ngvisco.forms.elimination import LocalProjection
@@ -28,6 +28,7 @@ from ngvisco.forms.start.data_checks import distortion_of, warn_of_mismatch
 from ngvisco.forms.start.interpolation import Interpolation
 from ngvisco.forms.start.projections import project_in_cells, set_traces
 from ngvisco.forms.start.starting_bodies import starting_fractions
+from ngvisco.forms.start.variables import as_shape, parameter_values, starting_values
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
@@ -36,8 +37,8 @@ from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material, conjugates, volume_ratio
 from ngvisco.physics.materials.thermal import entropy_in, temperature, thermal_part
 from ngvisco.physics.mixture import AMOUNT, Mixture
-from ngvisco.physics.model import VectorLike, as_tensor, as_vector
-from ngvisco.physics.parameters import Parameter, moduli_in, value_at
+from ngvisco.physics.model import VectorLike, as_vector
+from ngvisco.physics.parameters import moduli_in, value_at
 from ngvisco.physics.tensors import inner, square, tensor_space, trace_free_tensors
 from ngvisco.physics.time import reads_time
 
@@ -113,29 +114,29 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     dim = step.mesh.dim
     if step.sources is None:  # manufactured states are those of one time of many
         _require_no_time(initial)
-    F = Id(3) if initial.F is None else _as_shape("Initial.F", initial.F, (3, 3))
+    F = Id(3) if initial.F is None else as_shape("Initial.F", initial.F, (3, 3))
     sampler.require(Det(F), "det F_0", minimum=0.0)
     referential = step.model.material.referential_density
-    parameters = _parameters(step, initial)
+    parameters = parameter_values(step.model.material, initial.values)
     amounts = _fractions(step, initial)
     rho_R = None if referential is None else CF(value_at(referential, parameters))
     _check_moduli(step, parameters, sampler)
     if amounts:
-        values = _initial_values(step, initial, F, parameters)
+        values = starting_values(step.model.material, initial.values, F, step.layout.further)
         J = volume_ratio(step.model.material, values)
         sampler.require(J, "material variables: J_0", minimum=0.0)
         values |= {AMOUNT + name: part / J for name, part in amounts.items()}
         density = _sum(body.density * values[AMOUNT + body.name] for body in step.model.bodies)
     elif initial.density is None:
-        values = _initial_values(step, initial, F, parameters)
+        values = starting_values(step.model.material, initial.values, F, step.layout.further)
         density = CF(1.0) if rho_R is None else rho_R / volume_ratio(step.model.material, values)
         sampler.require(density, "density rho_0", minimum=0.0)
     else:
-        density = _as_shape("Initial.density", initial.density, ())
+        density = as_shape("Initial.density", initial.density, ())
         sampler.require(density, "density rho_0", minimum=0.0)
         if rho_R is not None and initial.F is None and set(initial.values) <= set(parameters):
             F = (rho_R / density) ** (1 / 3) * Id(3)
-        values = _initial_values(step, initial, F, parameters)
+        values = starting_values(step.model.material, initial.values, F, step.layout.further)
         if rho_R is not None:
             _check_density(rho_R, density, volume_ratio(step.model.material, values), sampler)
     values |= _entropy(step, initial, values, sampler)
@@ -191,19 +192,6 @@ def _fractions(step: Step, initial: Initial) -> dict[str, CoefficientFunction]:
 def _sum(parts: Iterable[CoefficientFunction]) -> CoefficientFunction:
     first, *others = parts
     return sum(others, first)
-
-
-def _parameters(step: Step, initial: Initial) -> dict[str, CoefficientFunction]:
-    """Start values of the material's parameters by name."""
-    values = {}
-    for variable in step.model.material.variables:
-        if isinstance(variable, Parameter):
-            value = initial.values.get(variable.name, variable.start)
-            if value is None:
-                expected = f"nv.Parameter({variable.name!r}, start=...), or a value in Initial.values"
-                raise InitialDataError(f"parameter {variable.name}", "no start value", expected)
-            values[variable.name] = _as_shape(f"Initial.values[{variable.name!r}]", value, ())
-    return values
 
 
 def _check_moduli(step: Step, parameters: Mapping[str, CoefficientFunction], sampler: Sampler) -> None:
@@ -264,7 +252,7 @@ def _entropy(
         thermal = thermal_part(part)
         assert thermal is not None  # as a model asks it of all bodies
         given = thermal.theta_R if initial.temperature is None else initial.temperature
-        theta = _as_shape("Initial.temperature", given, ())
+        theta = as_shape("Initial.temperature", given, ())
         sampler.require(theta, "temperature theta_0", minimum=0.0)
         starts.append(share * thermal.start(theta, values["A"]))
     return {entropy.name: _sum(starts)}
@@ -303,27 +291,13 @@ def _materials_in(part: object) -> Iterator[Material]:
             yield from _materials_in(one)
 
 
-def _initial_values(
-    step: Step, initial: Initial, F: CoefficientFunction, parameters: Mapping[str, CoefficientFunction]
-) -> dict[str, CoefficientFunction]:
-    names = [variable.name for variable in step.model.material.variables]
-    for name in initial.values:
-        if name not in (*names, *step.layout.further):
-            raise UnknownNameError("material variable", name, [*names, *step.layout.further])
-    values = {v.name: v.from_distortion(F) for v in step.model.material.variables} | dict(parameters)
-    for name in set(names) & set(initial.values):
-        value = initial.values[name]
-        values[name] = _as_shape(f"Initial.values[{name!r}]", value, tuple(values[name].dims))
-    return values
-
-
 def _further(step: Step, initial: Initial, sampler: Sampler) -> dict[str, CoefficientFunction]:
     """Start values of what evolves beside v, rho and z, as far as they are given."""
     found = {}
     for name in step.layout.further:
         if name in initial.values:
             size, field_name = step.layout.unknowns[name].size, f"Initial.values[{name!r}]"
-            found[name] = value = _as_shape(field_name, initial.values[name], () if size is None else (size,))
+            found[name] = value = as_shape(field_name, initial.values[name], () if size is None else (size,))
             sampler.require(inner(value, value), f"|{name}_0|^2")
     return found
 
@@ -341,26 +315,6 @@ def _check_density(
         known = f"rho_R = {low:.7g}" if low == high else f"rho_R, from {low:.7g} to {high:.7g} kg/m^3,"
         expected = f"{known} there, or one of density and J only, from which the other follows"
         raise InitialDataError("density rho_0", found, expected)
-
-
-def _as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> CoefficientFunction:
-    """A coefficient function of this shape, or ParameterError; a number will do for a scalar."""
-    expected = {
-        0: "a number or a scalar coefficient function",
-        1: f"a coefficient function with {len(shape) and shape[0]} components",
-        2: "a 3x3 coefficient function, also in 2D",
-    }[len(shape)]
-    number = as_number(value)
-    if not shape and (number is not None or isinstance(value, float)):
-        return CF(float(value))  # type: ignore[arg-type]  # NaN and inf are found where data are sampled
-    if len(shape) == 2 and not isinstance(value, CoefficientFunction):
-        tensor = as_tensor(value, (shape[0], shape[1]))
-        value = value if tensor is None else tensor
-    if not isinstance(value, CoefficientFunction):
-        raise ParameterError(field_name, value, expected)
-    if tuple(value.dims) != shape:
-        raise ParameterError(field_name, f"shape {tuple(value.dims)}", expected)
-    return value
 
 
 def _check_spaces(step: Step, values: Mapping[str, CoefficientFunction], sampler: Sampler) -> None:
@@ -394,7 +348,8 @@ def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
     v = step.state.vec.FV().NumPy()[where]
     for name, (_, mask) in step.moving_walls.moving.items():
         n = specialcf.normal(step.mesh.dim)
-        v[mask] = step.moving_walls.interpolate(name, v_0 - (v_0 * n) * n)[mask]
+        through = 0.0 if name in step.walls.crossed else v_0 * n
+        v[mask] = step.moving_walls.interpolate(name, v_0 - through * n)[mask]
     term = step.impenetrability
     # on a periodic mesh ``Set`` counts a vertex twice in a cell that meets its own image
     if term is not None or step.layout.periodic:

@@ -36,7 +36,8 @@ class Continuity(PointTerm):
 
     rho_hat is the upwind trace, sum_K int_{dK} (1 - n^-) (rho_hat - rho) q_hat = 0 with the weights of the
     step (``ngvisco.forms.upwinding``), a convex combination of both sides' densities.  The flux through a
-    facet is single-valued and zero on walls: q = 1 conserves mass to rounding (paper: Euler-small-est-1+).
+    facet is single-valued and zero on walls that nothing crosses: q = 1 conserves mass to rounding (paper:
+    Euler-small-est-1+).
 
     With a cut-off, rho is f(rho) = K(rho) rho in the fluxes, which falls where rho > rho_max: an upwind flux
     would go on filling full cells.  The trace is then that of Engquist and Osher (Math. Comp. 36, 1981), the
@@ -62,12 +63,12 @@ class Continuity(PointTerm):
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c, law = u.context, self.regularisation
-        share, inflow = c.upwinding.share, c.upwinding.inflow
         if law is None or law.rho_max is None:
-            trace = share * (u.rho_hat - u.rho)
+            trace = c.upwinding.trace(u, "rho")
         else:
+            share, inflow = c.upwinding.share, c.upwinding.inflow
             trace = share * (u.rho_hat - law.rising(u.rho)) - inflow * law.falling(u.rho)
-        return [c.inner * (u.v * c.normal) * u.rho_hat * w.rho, trace * w.rho_hat]
+        return [c.crossed * (u.v * c.normal) * u.rho_hat * w.rho, trace * w.rho_hat]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ conserved, rate = -(div w) z, it is
 
     B_h(w; z, G) = sum_K int_K z w . grad G - sum_K int_{dK} (w . n) z_hat G,
 
-(w . n) zero on walls: the flux through a facet is single-valued, so that G = 1 keeps int z to rounding.
+(w . n) zero on walls that nothing crosses: the flux through a facet is single-valued, so that G = 1 keeps
+int z to rounding.
 
 The kinematic equations use B_h(v; z, G), the momentum equation the adjoint B_h(w; z, zeta), zeta the
 projected conjugates.  At w = v, G = zeta the two cancel identically, facets included: the elastic power of
@@ -51,9 +52,9 @@ def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> 
 def transport_through_facets(along: Fields, u: Fields, G: Fields, name: Conjugate) -> CoefficientFunction:
     """The facets' part of B_h(w; z, G), of both sides."""
     c, conserved = u.context, u.layout.states.conserved
-    carried = c.inner * u.z_jump
+    carried = c.crossed * u.z_jump
     if conserved.any():
-        carried = masked(carried, ~conserved) + c.inner * masked(u.z_hat, conserved)
+        carried = masked(carried, ~conserved) + c.crossed * masked(u.z_hat, conserved)
     return -((along.v * c.normal) * inner(carried, G.parts[name]))
 
 
@@ -113,11 +114,11 @@ class UpwindTrace(SideMean):
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         return (Unknown(self.name, "facets", setting.m, setting.states.size, trace_of="z"),)
 
-    def share(self, u: Fields) -> CoefficientFunction:
-        return u.context.upwinding.share
-
     def value(self, u: Fields) -> CoefficientFunction:
         return u.z
+
+    def difference(self, u: Fields) -> CoefficientFunction:
+        return u.context.upwinding.trace(u, "z")
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ class TransportSweeps:
         """Form the matrices and invert at an evaluation."""
         r, storage = self.residual, self.residual.step.context.rate(self._mass)
         convection, share = self._convection(at), at.facets.context.upwinding.share.value
-        through = r.side_op.inner * (r.side_op.points.normals * at.facets.v.value).sum(axis=0)
+        through = r.side_op.crossed * (r.side_op.points.normals * at.facets.v.value).sum(axis=0)
         own, across = self.coupling.blocks(-through, share, through, r.trace_mass)
         own += storage + convection
         if self._whole is not None:

@@ -1,0 +1,71 @@
+"""A material's variables by name from what is given of them, at the start or where matter flows in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from ngsolve import CF, CoefficientFunction
+
+from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
+from ngvisco.physics.material import Material
+from ngvisco.physics.model import as_tensor
+from ngvisco.physics.parameters import Parameter
+
+Given = Mapping[str, CoefficientFunction]
+
+
+def parameter_values(
+    material: Material, given: Given, owner: str = "Initial"
+) -> dict[str, CoefficientFunction]:
+    """Values of the material's parameters by name, where nothing is given those of the start."""
+    values = {}
+    for variable in material.variables:
+        if isinstance(variable, Parameter):
+            value = given.get(variable.name, variable.start)
+            if value is None:
+                expected = f"nv.Parameter({variable.name!r}, start=...), or a value in {owner}.values"
+                raise InitialDataError(f"parameter {variable.name}", "no start value", expected)
+            values[variable.name] = as_shape(f"{owner}.values[{variable.name!r}]", value, ())
+    return values
+
+
+def starting_values(
+    material: Material,
+    given: Given,
+    F: CoefficientFunction,
+    further: Iterable[str] = (),
+    owner: str = "Initial",
+) -> dict[str, CoefficientFunction]:
+    """Values of all variables by name: those given, else what the elastic distortion F says.
+
+    Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
+    """
+    names = [variable.name for variable in material.variables]
+    for name in given:
+        if name not in (*names, *further):
+            raise UnknownNameError("material variable", name, [*names, *further])
+    values = {v.name: v.from_distortion(F) for v in material.variables}
+    values |= parameter_values(material, given, owner)
+    for name in set(names) & set(given):
+        values[name] = as_shape(f"{owner}.values[{name!r}]", given[name], tuple(values[name].dims))
+    return values
+
+
+def as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> CoefficientFunction:
+    """A coefficient function of this shape, or ParameterError; a number will do for a scalar."""
+    expected = {
+        0: "a number or a scalar coefficient function",
+        1: f"a coefficient function with {len(shape) and shape[0]} components",
+        2: "a 3x3 coefficient function, also in 2D",
+    }[len(shape)]
+    number = as_number(value)
+    if not shape and (number is not None or isinstance(value, float)):
+        return CF(float(value))  # type: ignore[arg-type]  # NaN and inf are found where data are sampled
+    if len(shape) == 2 and not isinstance(value, CoefficientFunction):
+        tensor = as_tensor(value, (shape[0], shape[1]))
+        value = value if tensor is None else tensor
+    if not isinstance(value, CoefficientFunction):
+        raise ParameterError(field_name, value, expected)
+    if tuple(value.dims) != shape:
+        raise ParameterError(field_name, f"shape {tuple(value.dims)}", expected)
+    return value
