@@ -360,9 +360,49 @@ def test_conditions_that_make_no_sense_are_refused(mesh, walls, error, text):
         nv.Simulation(mesh(), model(), dt=0.1, walls=walls)
 
 
+ELASTIC = nv.ReferentialNeoHookean(K_e=2.0, G_e=1.0)
+
+
+@pytest.mark.parametrize(
+    ("wall", "message"),
+    [
+        (nv.Open(), r"density = None: .*no referential density"),
+        (nv.Open(density=1 - 2 * y), r"density = .*density = -\d.* expected density > 0"),
+        (nv.Open(density=1, values={"J": -1.0}), r"values\['J'\] = .* expected J > 0"),
+        (nv.Inflow(velocity=(-1, 0), density=1, values={"H": 1.0}), r"values\['H'\] = 1.0: expected a 3x3"),
+        (nv.Open(density=1, pressure=sqrt(-1 - x)), "pressure = .*finite"),
+    ],
+)
+def test_what_flows_in_is_looked_at(wall, message):
+    with pytest.raises(nv.ParameterError, match=r"walls\['right'\]\." + message):
+        nv.Simulation(box((1, 1), 1), nv.Model(material=ELASTIC), dt=0.1, walls={"right": wall})
+
+
+@pytest.mark.parametrize(
+    ("physics", "message"),
+    [
+        ({"material": ELASTIC, "regularisation": nv.Regularisation(rho_max=2.0)}, "a cut-off"),
+        ({"material": ELASTIC, "regularisation": nv.Regularisation(delta_density=1.0)}, "diffuses"),
+        ({"material": nv.Thermal(material=ELASTIC, c=1.0, theta_R=300.0)}, "with heat"),
+        ({"material": nv.Yosida(material=ELASTIC, eps=0.1)}, "no expression"),
+        ({"bodies": [nv.Body(name="a", density=1.0, material=ELASTIC)]}, "with bodies"),
+    ],
+)
+def test_models_whose_fluxes_through_walls_are_not_known_are_refused(physics, message):
+    with pytest.raises(
+        nv.ParameterError, match=r"walls\['right'\].* a wall that nothing crosses: .*" + message
+    ):
+        nv.Simulation(box((1, 1), 1), nv.Model(**physics), dt=0.1, walls={"right": nv.Open(density=1)})
+
+
+def test_an_impedance_is_two_numbers():
+    with pytest.raises(nv.ParameterError, match=r"Open.impedance = .*two numbers >= 0"):
+        nv.Open(impedance=(1.0,))
+
+
 @pytest.mark.parametrize("velocity", [(1.0, 0.1), (0.0, y), (x, y)])
-def test_an_open_wall_is_refused(velocity):
-    with pytest.raises(nv.ParameterError, match="inflow and outflow are not modelled"):
+def test_a_prescribed_velocity_through_a_closed_wall_is_refused(velocity):
+    with pytest.raises(nv.ParameterError, match=r"nothing crosses such a wall; an inlet is nv\.Inflow"):
         nv.Simulation(box((1, 1), 1), model(), dt=0.1, walls={"top": nv.PrescribedTangential(velocity)}).run(
             0.1
         )

@@ -25,6 +25,7 @@ from ngsolve import (
 from ngvisco.errors import InputWarning, ParameterError
 from ngvisco.forms.boundary.boundaries import walls_of
 from ngvisco.forms.boundary.moving_walls import OPEN
+from ngvisco.forms.boundary.passages import Carried, GivenStress
 from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
@@ -62,8 +63,8 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
     Raises
     ------
     ParameterError
-        For what is not finite, for a friction that is negative somewhere, and for a prescribed velocity
-        with a normal part.
+        For what is not finite, for a friction that is negative somewhere, for a prescribed velocity with a
+        normal part, and for what flows in where density, J, ... are not positive.
     """
     dim, times = step.mesh.dim, list(times)
     for name, wall in step.walls.conditions.items():
@@ -85,6 +86,31 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
                 if (least := Communicator.of(step.mesh).least(values.min(initial=0.0))) < 0:
                     expected = f"a function >= 0; at t = {t:g} s it is {least:.3g} somewhere on the wall"
                     raise ParameterError(where, wall.coefficient, expected)
+    for term in step.terms:
+        if isinstance(term, GivenStress):
+            for field, stress in (("pressure", term.pressure), ("traction", term.f)):
+                for t in _at(times if stress is not None else []):
+                    _require_finite(step.mesh, term.name, stress, f"walls[{term.name!r}].{field}", stress, t)
+        if isinstance(term, Carried):
+            for t in _at(times):
+                _check_incoming(step, term, t)
+
+
+def _check_incoming(step: Step, term: Carried, t: float) -> None:
+    """Raise ParameterError where what flows in is not finite, or its density, J, ... not positive."""
+    owner, ranks = f"walls[{term.name!r}]", Communicator.of(step.mesh)
+    z = step.layout.states.tensors(lambda: term.values["z"])
+    positive = {f"{owner}.density": {"density": term.values["rho"]}}
+    for variable in step.model.material.variables:
+        where = f"{owner}.values[{variable.name!r}]"
+        _require_finite(step.mesh, term.name, z[variable.name], where, z[variable.name], t)
+        positive[where] = dict(variable.positive(z[variable.name]))
+    for where, of_field in positive.items():
+        for name, function in of_field.items():
+            values = _require_finite(step.mesh, term.name, function, where, function, t)
+            if (least := ranks.least(values.min(initial=np.inf))) <= 0:
+                found = f"{name} = {least:.4g} somewhere on the wall at t = {t:g} s"
+                raise ParameterError(where, found, f"{name} > 0 of what flows in")
 
 
 def warn_of_normal_parts(step: Step, velocity: VectorLike | None) -> None:
