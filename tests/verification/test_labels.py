@@ -115,7 +115,7 @@ def test_cases_are_those_that_name_the_label_also_in_a_bound():
     measured = {row[0]: row[3] for row in label_table([one]).rows}
     assert measured["Euler-small-est7"] == "cases: a-case"
     assert measured["def-ED-Ch4-momentum"] == "not measured, as def-ED-Ch4"
-    assert measured["Cauchy-stress++"] == "with rem-referential"
+    assert measured["Euler-larger-polyconvex-Mandel"] == "with Euler-larger-polyconvex-stress"
 
 
 def test_report_has_the_table():
