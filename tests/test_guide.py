@@ -54,11 +54,16 @@ def copied(folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("recipe", RECIPES)
-def test_recipe_works_as_it_is_written(recipe, tmp_path):
+@pytest.mark.parametrize(
+    "recipes",
+    [list(RECIPES), *(pytest.param([name], marks=pytest.mark.long) for name in RECIPES)],
+    ids="+".join,
+)
+def test_recipes_work_as_they_are_written(recipes, tmp_path):
+    """One after the other in one copy of the sources; each by itself is `long`."""
     clone = copied(tmp_path)
     programs = []
-    for what, file, text in blocks(recipe):
+    for what, file, text in (block for recipe in recipes for block in blocks(recipe)):
         path = clone / file
         if what == "run":
             programs.append(text)
@@ -68,7 +73,7 @@ def test_recipe_works_as_it_is_written(recipe, tmp_path):
             path.write_text(text)
         else:
             path.write_text(apply(text, path.read_text()))
-    assert programs, "a recipe without a program shows nothing"
+    assert len(programs) >= len(recipes), "a recipe without a program shows nothing"
     environment = os.environ | {"PYTHONPATH": str(clone), "NGS_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     here = f"import ngvisco; assert ngvisco.__file__.startswith({str(clone)!r})\n"
     each = "".join(f"exec({program!r}, {{'__name__': '__main__'}})\n" for program in programs)
@@ -83,12 +88,12 @@ def test_recipe_works_as_it_is_written(recipe, tmp_path):
     assert result.returncode == 0, result.stderr
 
 
-@pytest.mark.parametrize("recipe", RECIPES)
-def test_recipes_code_has_the_projects_style(recipe, tmp_path):
+def test_recipes_code_has_the_projects_style(tmp_path):
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    for i, (what, _, text) in enumerate(blocks(recipe)):
-        if what != "change" and not text.startswith("title"):  # a case file
-            (tmp_path / f"block_{i}.py").write_text(text)
+    for recipe in RECIPES:
+        for i, (what, _, text) in enumerate(blocks(recipe)):
+            if what != "change" and not text.startswith("title"):  # a case file
+                (tmp_path / f"{recipe}_{i}.py").write_text(text)
     for command in (("check", "--ignore=RUF001,RUF002,RUF003,SIM115,E402"), ("format", "--diff")):
         result = subprocess.run(
             [sys.executable, "-m", "ruff", *command, "."], cwd=tmp_path, capture_output=True, text=True

@@ -13,7 +13,9 @@ needs_petsc = pytest.mark.skipif(
 
 
 @needs_petsc
-@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=[pytest.mark.long, pytest.mark.ci])])
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize("ranks", [1, 2])
 def test_self_test_passes_where_all_is_there(ranks):
     """Alone it starts three ranks of its own, under mpirun it tries those."""
     found = run("-m", "ngvisco", "info", "--parallel", ranks=ranks)

@@ -12,20 +12,12 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def assert_same_whoever_is_late(*names):
-    result = run("-m", "mpi4py", HERE / "order.py", *names, ranks=4)
+@pytest.mark.long
+@pytest.mark.ci
+def test_a_step_in_space_and_interpolation_are_the_same_to_the_bit(monkeypatch):
+    """The ledger, and the states before and after it, where MUMPS is not over ranks; whoever is late."""
+    monkeypatch.setenv("PETSC_OPTIONS", "-ngvisco_on_one_rank_up_to 100000")
+    result = run("-m", "mpi4py", HERE / "order.py", "interpolated", "coupled", "split", ranks=4)
     assert result.returncode == 0, result.stderr[-2000:]
     for one, other in json.loads(result.stdout.splitlines()[-1]).values():
         assert len(one) == 4 and one == other
-
-
-def test_interpolation_is_the_same_to_the_bit():
-    assert_same_whoever_is_late("interpolated")
-
-
-@pytest.mark.long
-@pytest.mark.ci
-def test_a_step_in_space_is_the_same_to_the_bit(monkeypatch):
-    """Its ledger, and the states before and after it, where MUMPS is not over ranks."""
-    monkeypatch.setenv("PETSC_OPTIONS", "-ngvisco_on_one_rank_up_to 100000")
-    assert_same_whoever_is_late("coupled", "split")

@@ -504,6 +504,8 @@ method = "split"
 """
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_run_that_fails_says_what_it_says_on_one_process(tmp_path):
     """Where, in which cell and next to which wall; the warning of corners that walls deform; its fields."""
     case, said, reports = tmp_path / "lid.toml", {}, {}
@@ -622,7 +624,9 @@ def test_an_error_is_that_of_all_ranks(tmp_path):
             assert re.match(f"rank {rank} of 3 {message}", line), line
 
 
-@pytest.mark.parametrize("where", [pytest.param("start", marks=[pytest.mark.long, pytest.mark.ci]), "step"])
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize("where", ["start", "step"])
 def test_a_fault_of_one_rank_ends_all(tmp_path, where):
     """The others wait for it in a computation: no rank is left behind."""
     (tmp_path / "failing.py").write_text(FAILING)
