@@ -29,6 +29,7 @@ from ngvisco.forms.start.given import function_field, grid_field
 from ngvisco.forms.start.initial import Initial
 from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.notices import print_own
+from ngvisco.physics.activation import Activated, ActivatedViscosity
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
 from ngvisco.physics.flow_rules import (
@@ -67,8 +68,9 @@ from ngvisco.physics.materials import (
 from ngvisco.physics.model import BodyForce, CentralGravity, Gravity, Model
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import HyperViscosity, LinearViscosity, StokesViscosity
+from ngvisco.physics.rheology import HyperViscosity, LinearViscosity, StokesViscosity, Viscosity
 from ngvisco.physics.signals import pulse, step, table
+from ngvisco.physics.viscosities import Carreau, Cross, PowerLaw
 from ngvisco.physics.walls import Inflow, NavierFriction, NoSlip, Open, PrescribedTangential, Slip, Traction
 from ngvisco.run.bodies import Bodies
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
@@ -122,6 +124,8 @@ from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # 
 __all__ = [
     "FENEP",
     "SCHEMES",
+    "Activated",
+    "ActivatedViscosity",
     "AdaptiveSteps",
     "Ball",
     "BarotropicFluid",
@@ -129,6 +133,7 @@ __all__ = [
     "Bodies",
     "Body",
     "BodyForce",
+    "Carreau",
     "Case",
     "CaseError",
     "CentralGravity",
@@ -140,6 +145,7 @@ __all__ = [
     "ConvexityReport",
     "ConvexityWarning",
     "Creep",
+    "Cross",
     "CustomMaterial",
     "DefectWarning",
     "Discretisation",
@@ -191,6 +197,7 @@ __all__ = [
     "Perzyna",
     "PointTerm",
     "Polygon",
+    "PowerLaw",
     "PrescribedTangential",
     "Probes",
     "Progress",
@@ -212,6 +219,7 @@ __all__ = [
     "Transfer",
     "UnknownNameError",
     "VTKSeries",
+    "Viscosity",
     "WallForces",
     "WallHeat",
     "WithQuadratic",

@@ -219,11 +219,9 @@ class Case:
         for name in type(self.sections.rheology).model_fields:
             part = getattr(self.sections.rheology, name)
             if part is not None:
-                kind = catalogue.FLOW_RULES[part.kind] if name == "creep" else catalogue.MECHANISMS[name]
                 with self.blame.located("rheology", name):
-                    mechanisms[_MODEL_NAMES.get(name, name)] = kind(
-                        **self._values(part, ("rheology", name), dim)
-                    )
+                    values = self._values(part, ("rheology", name), dim)
+                    mechanisms[name] = owner_of(type(part))(**values)
         loads = [
             self._made(load, catalogue.LOADS, ("loads", str(i)), dim)
             for i, load in enumerate(self.sections.loads)
@@ -245,11 +243,11 @@ class Case:
     def _body(self, number: int) -> Body:
         part, path = self.sections.bodies[number], ("bodies", str(number))
         values: dict[str, Any] = {}
-        for name in ("material", "viscosity", "linear_viscosity", "creep"):
+        for name in ("material", "viscosity", "creep"):
             section: Any = getattr(part, name)
             if section is not None:
                 with self.blame.located(*path, name):
-                    values[_MODEL_NAMES.get(name, name)] = made(section)
+                    values[name] = made(section)
         values["where"] = united([shape for _, shape in self._places(number)])
         with self.blame.located(*path):
             return Body(name=part.name, density=part.density, order=part.order, **values)
@@ -370,7 +368,3 @@ class Case:
             raise self.blame.error(
                 path, f"{value!r:.60}: expected an array of {dim} components, not {len(value)}"
             )
-
-
-_MODEL_NAMES = {"linear_viscosity": "viscosity"}
-"""Parameters of ``Model`` that have another name than the mechanism's table."""

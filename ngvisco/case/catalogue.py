@@ -12,7 +12,8 @@ from typing import Any
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
-from ngvisco.physics.flow_rules import Creep, DruckerPrager, Eyring, Norton, Perzyna
+from ngvisco.physics.activation import Activated, ActivatedViscosity
+from ngvisco.physics.flow_rules import Composite, Creep, DruckerPrager, Eyring, Norton, Perzyna
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.materials import (
     FENEP,
@@ -35,6 +36,7 @@ from ngvisco.physics.materials import (
 from ngvisco.physics.model import BodyForce, CentralGravity, Gravity
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import HyperViscosity, LinearViscosity, StokesViscosity
+from ngvisco.physics.viscosities import Carreau, Cross, PowerLaw
 from ngvisco.physics.walls import Inflow, NavierFriction, NoSlip, Open, PrescribedTangential, Slip, Traction
 from ngvisco.run.time_steps import TimeSteps
 from ngvisco.shapes.image import Image
@@ -93,8 +95,6 @@ WRAPPERS: dict[str, Callable[..., Any]] = {
 ALL_MATERIALS = {**MATERIALS, **WRAPPERS}
 
 MECHANISMS: dict[str, type] = {
-    "viscosity": StokesViscosity,
-    "linear_viscosity": LinearViscosity,
     "hyperviscosity": HyperViscosity,
     "heat": Heat,
     "regularisation": Regularisation,
@@ -108,6 +108,25 @@ FLOW_RULES: dict[str, type] = {
     "Perzyna": Perzyna,
 }
 """What [rheology.creep] can be; the first where its kind is not said."""
+
+FLOW_RULE_WRAPPERS: dict[str, type] = {
+    "Activated": Activated,
+    "Composite": Composite,
+}
+"""Rules of other ones: of those above, and of wrappers before them here."""
+
+VISCOSITIES: dict[str, type] = {
+    "StokesViscosity": StokesViscosity,
+    "Carreau": Carreau,
+    "Cross": Cross,
+    "LinearViscosity": LinearViscosity,
+    "PowerLaw": PowerLaw,
+}
+"""What [rheology.viscosity] can be; the first where its kind is not said."""
+
+VISCOSITY_WRAPPERS: dict[str, type] = {"ActivatedViscosity": ActivatedViscosity}
+
+CREEPS, ALL_VISCOSITIES = {**FLOW_RULES, **FLOW_RULE_WRAPPERS}, {**VISCOSITIES, **VISCOSITY_WRAPPERS}
 
 LOADS: dict[str, type] = {
     "BodyForce": BodyForce,
@@ -148,7 +167,8 @@ TABLES: tuple[Mapping[str, Callable[..., Any]], ...] = (
     GEOMETRIES,
     ALL_MATERIALS,
     MECHANISMS,
-    FLOW_RULES,
+    CREEPS,
+    ALL_VISCOSITIES,
     LOADS,
     WALLS,
     SHAPES,

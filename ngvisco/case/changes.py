@@ -60,7 +60,7 @@ def _value(case: Case, key: str) -> Any:
 
 def _kinds(body: dict[str, Any]) -> dict[str, Any]:
     """What a body is made of, without numbers."""
-    mechanisms = ("viscosity", "linear_viscosity", "creep")
+    mechanisms = ("viscosity", "creep")
     return {"kind": body["material"]["kind"], **{name: body[name] is not None for name in mechanisms}}
 
 

@@ -96,8 +96,10 @@ _SAME_KEYS = {
     ("material", "material"): ("material",),
     ("bodies", "N", "material"): ("material",),
     ("bodies", "N", "viscosity"): ("rheology", "viscosity"),
-    ("bodies", "N", "linear_viscosity"): ("rheology", "linear_viscosity"),
     ("bodies", "N", "creep"): ("rheology", "creep"),
+    ("rheology", "viscosity", "viscosity"): ("rheology", "viscosity"),
+    ("rheology", "creep", "rule"): ("rheology", "creep"),
+    ("rheology", "creep", "rules", "N"): ("rheology", "creep"),
 }
 """Tables that have the keys of another one, which are listed there."""
 
@@ -122,8 +124,9 @@ def _walk(model: type[BaseModel], path: tuple[str, ...], kinds: tuple[str, ...])
             meaning(model, name),
             None if inner else example,
         )
-        if inner and here not in _SAME_KEYS:
-            yield from _walk_kinds(inner, (*here, *_place(field.annotation)), name)
+        below = (*here, *_place(field.annotation))
+        if inner and below not in _SAME_KEYS:
+            yield from _walk_kinds(inner, below, name)
 
 
 def _walk_kinds(models: list[type[BaseModel]], path: tuple[str, ...], name: str) -> Iterator[Entry]:

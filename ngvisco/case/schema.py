@@ -10,9 +10,12 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
 
 from ngvisco.case import catalogue
-from ngvisco.case.section import Section, materials, section, tagged
+from ngvisco.case.section import Section, laws, section, tagged
 from ngvisco.case.values import RegionText
 from ngvisco.errors import ParameterError, Quantity
+from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.physics.material import Material as MaterialObject
+from ngvisco.physics.rheology import Viscosity as ViscosityObject
 
 _MAX_OUTPUT_TIMES = 100_000
 _MAX_STEPS = 100_000_000
@@ -29,12 +32,14 @@ Names = Annotated[list[str], Field(min_length=1), AfterValidator(_check_once)]
 """Some of what there is; all of it where the key is left out."""
 
 Domain = tagged("geometry", catalogue.GEOMETRIES)
-Material = materials()
+Material = laws(MaterialObject, catalogue.MATERIALS, catalogue.WRAPPERS, has_default=False)
 Load = tagged("kind", catalogue.LOADS)
 Wall = tagged("kind", catalogue.WALLS)
 Shape = tagged("kind", catalogue.SHAPES)
-Creep = tagged("kind", catalogue.FLOW_RULES, has_default=True)
-_MECHANISMS = {name: section(target) for name, target in catalogue.MECHANISMS.items()} | {"creep": Creep}
+Creep = laws(FlowRule, catalogue.FLOW_RULES, catalogue.FLOW_RULE_WRAPPERS)
+Viscosity = laws(ViscosityObject, catalogue.VISCOSITIES, catalogue.VISCOSITY_WRAPPERS)
+_MECHANISMS: dict[str, Any] = {"viscosity": Viscosity}
+_MECHANISMS |= {name: section(target) for name, target in catalogue.MECHANISMS.items()} | {"creep": Creep}
 Rheology: Any = create_model(
     "Rheology",
     __base__=Section,
@@ -268,9 +273,6 @@ class Output(Section):
         return self
 
 
-Viscosity, LinearViscosity = _MECHANISMS["viscosity"], _MECHANISMS["linear_viscosity"]
-
-
 def _form_of_place(value: Any) -> str:
     return "<text>" if isinstance(value, str) else "<shapes>" if isinstance(value, list) else "<shape>"
 
@@ -297,9 +299,7 @@ class Body(Section):
     material
         Its material, with the keys of [material].
     viscosity
-        Its Stokes viscosity, with the keys of [rheology.viscosity].
-    linear_viscosity
-        Any linear viscosity instead, as [rheology.linear_viscosity].
+        Its viscosity, with the keys of [rheology.viscosity].
     creep
         Its creep, with the keys of [rheology.creep].
     density
@@ -312,7 +312,6 @@ class Body(Section):
     where: Where | None = None
     material: Material  # type: ignore[valid-type]
     viscosity: Viscosity | None = None  # type: ignore[valid-type]
-    linear_viscosity: LinearViscosity | None = None  # type: ignore[valid-type]
     creep: Creep | None = None  # type: ignore[valid-type]
     density: Annotated[float | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
     order: int = 0
@@ -325,8 +324,6 @@ class Body(Section):
             raise ParameterError("Body.density", self.density, "a finite number > 0: a body has mass")
         if self.where == []:
             raise ParameterError("Body.where", [], "at least one shape")
-        if self.viscosity is not None and self.linear_viscosity is not None:
-            raise ParameterError("Body.linear_viscosity", "D", "no viscosity beside it: D is the whole")
         return self
 
 
@@ -409,7 +406,6 @@ class CaseSections(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> CaseSections:
-        rheology: Any = self.rheology
         if self.material is None and not self.bodies:
             raise ParameterError("material", None, "a table [material], or bodies, [[bodies]]")
         self._check_bodies()
@@ -421,9 +417,6 @@ class CaseSections(Section):
             if name in names[:i]:
                 expected = f"a name that no other load has, which is that of its power, power_{name}"
                 raise ParameterError(f"loads.{i}.name", name, expected)
-        if rheology.viscosity is not None and rheology.linear_viscosity is not None:
-            expected = "no table [rheology.viscosity] beside it: D is the whole of the viscosity"
-            raise ParameterError("rheology.linear_viscosity", "D", expected)
         interval = self.output.vtk.interval
         if interval is not None and self.time.until / interval > _MAX_OUTPUT_TIMES:
             raise ParameterError("output.vtk.interval", interval, f"at most {_MAX_OUTPUT_TIMES} output times")
@@ -440,7 +433,7 @@ class CaseSections(Section):
         if self.material is not None:
             expected = "no table [material] beside [[bodies]]: each of them has a material of its own"
             raise ParameterError("material.kind", self.material.kind, expected)
-        for name in ("viscosity", "linear_viscosity", "creep"):
+        for name in ("viscosity", "creep"):
             if getattr(self.rheology, name) is not None:
                 expected = f"no such table beside [[bodies]]: each has {name} of its own, [bodies.{name}]"
                 raise ParameterError(f"rheology.{name}", "a table", expected)

@@ -14,22 +14,25 @@ import inspect
 import operator
 import os
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from ngsolve import CoefficientFunction
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model, model_validator
 
-from ngvisco.case import catalogue
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.values import FIELDS, ModulusValue, NumberValues, ScalarValue, TensorValue, VectorValue
 from ngvisco.errors import UnknownNameError
 from ngvisco.expressions import parse
+from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.heat import WallHeat
 from ngvisco.physics.material import Material as MaterialObject
 from ngvisco.physics.parameters import Modulus
+from ngvisco.physics.rheology import Viscosity
 from ngvisco.run.stepping import AdaptiveSteps
+
+_LAWS: tuple[type, ...] = (MaterialObject, FlowRule, Viscosity)
 
 
 class Section(BaseModel):
@@ -79,6 +82,15 @@ def _annotation(hint: Any) -> Any:
     return None
 
 
+def _law(hint: Any, wrapped: Mapping[Any, Any] | None) -> Any:
+    """The schema's type of a law, of one or None, or of several; None for another parameter."""
+    for law, choice in ({law: Section for law in _LAWS} if wrapped is None else wrapped).items():
+        found = {law: choice, law | None: choice | None, tuple[law, ...]: list[choice]}  # type: ignore[valid-type]
+        if hint in found:
+            return found[hint]
+    return None
+
+
 def _mentions_function(hint: Any) -> bool:
     if hint is CoefficientFunction:
         return True
@@ -88,7 +100,7 @@ def _mentions_function(hint: Any) -> bool:
 def section(
     target: Callable[..., Any],
     tag: tuple[str, str] | None = None,
-    wrapped: Any = Section,
+    wrapped: Mapping[Any, Any] | None = None,
     is_default: bool = False,
 ) -> type[Section]:
     """The section that holds a dataclass's (or function's) parameters.
@@ -98,8 +110,8 @@ def section(
     target : class or function
     tag : (key, name), optional
         A key whose value chooses this section, e.g. ``("kind", "NeoHookean")``.
-    wrapped : type
-        The schema's type of a parameter that is a material.
+    wrapped : mapping
+        The schema's types of parameters that are laws, by their class; default any section.
     is_default : bool
         Whether the section is this one where the tag's key is left out.
     """
@@ -110,9 +122,7 @@ def section(
         fields[tag[0]] = (Literal[tag[1]], tag[1] if is_default else ...)
     for name, parameter in inspect.signature(target).parameters.items():
         hint = hints.get(name)
-        annotation = wrapped if hint is MaterialObject else _annotation(hint)
-        if hint == MaterialObject | None:
-            annotation = wrapped | None
+        annotation = _law(hint, wrapped) or _annotation(hint)
         required = parameter.default is inspect.Parameter.empty
         if annotation is None:
             if required:
@@ -197,6 +207,8 @@ def parameters(part: Section) -> dict[str, Any]:
         value = getattr(part, name)
         if isinstance(value, Section) and not field_names(value):
             value = made(value)
+        elif isinstance(value, list) and value and isinstance(value[0], Section):
+            value = [made(each) for each in value]
         elif isinstance(value, str) and name in moduli(type(part)):
             value = parse(value).coefficient()
         if value is not None:
@@ -215,29 +227,32 @@ def moduli(model: type[BaseModel]) -> set[str]:
     return {name for name, annotation in found if annotation in (ModulusValue, ModulusValue | None)}
 
 
-def tagged(key: str, table: dict[str, Any], has_default: bool = False) -> Any:
-    """One of the sections of a table, by ``key``; where ``has_default`` the first one without it."""
+def tagged(key: str, table: Mapping[str, Any]) -> Any:
+    """One of the sections of a table, by ``key``."""
+    return _choice(key, tuple(section(table[name], (key, name)) for name in table))
+
+
+def laws(base: type, table: Mapping[str, Any], wrappers: Mapping[str, Any], has_default: bool = True) -> Any:
+    """One of the laws of a class, by ``kind``, and the wrappers of those before them.
+
+    Where ``has_default`` it is the first one of the table where no kind is said.
+    """
     first = next(iter(table)) if has_default else None
-    found = tuple(section(table[name], (key, name), is_default=name == first) for name in table)
-    choice = _choice(key, found)
-    if first is None:
-        return choice
 
-    def with_key(value: Any) -> Any:
-        return {key: first, **value} if isinstance(value, dict) else value
+    def with_kind(value: Any) -> Any:
+        return {"kind": first, **value} if isinstance(value, dict) else value
 
-    return Annotated[choice, BeforeValidator(with_key)]
+    def choice() -> Any:
+        found = _choice("kind", models)
+        return found if first is None else Annotated[found, BeforeValidator(with_kind)]
+
+    models = tuple(section(table[name], ("kind", name), is_default=name == first) for name in table)
+    for name, target in wrappers.items():
+        models = (*models, section(target, ("kind", name), {base: choice()}))
+    return choice()
 
 
 def _choice(key: str, models: tuple[type[Section], ...]) -> Any:
     if len(models) == 1:
         return models[0]
     return Annotated[Union[models], Field(discriminator=key)]  # noqa: UP007 (made at run time)
-
-
-def materials() -> Any:
-    """The materials, and the wrappers of those before them."""
-    models = tuple(section(target, ("kind", name)) for name, target in catalogue.MATERIALS.items())
-    for name, target in catalogue.WRAPPERS.items():
-        models = (*models, section(target, ("kind", name), _choice("kind", models)))
-    return _choice("kind", models)

@@ -48,7 +48,8 @@ def listing(options: argparse.Namespace) -> int:
         ("materials: [material] kind =", "kind", catalogue.MATERIALS),
         ("materials of another one, [material.material]: [material] kind =", "kind", catalogue.WRAPPERS),
         ("mechanisms: [rheology.NAME]", None, catalogue.MECHANISMS),
-        ("flow rules: [rheology.creep] kind =", "kind", catalogue.FLOW_RULES),
+        ("flow rules: [rheology.creep] kind =", "kind", catalogue.CREEPS),
+        ("viscosities: [rheology.viscosity] kind =", "kind", catalogue.ALL_VISCOSITIES),
         ("loads: [[loads]] kind =", "kind", catalogue.LOADS),
         ("walls: [walls.NAME] kind =", "kind", catalogue.WALLS),
     )

@@ -13,11 +13,13 @@ from typing import Literal, TypeAlias
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.physics.flow_rules.rule import PRESSURE, FlowRule
+from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import mandel_stress, rate_power
+from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.model import Model
+from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import identity_like, inner, square, trace_free_tensors
-from ngvisco.physics.variables import Values
+from ngvisco.physics.variables import PRESSURE, TEMPERATURE, Values
 
 Conjugate: TypeAlias = Literal["z", "zeta"]
 """Whether a rate is taken with tests of z or with conjugates."""
@@ -81,9 +83,16 @@ class Rates:
         conformation = self.material.conformation
         return None if conformation is None else u.zeta_tensors[conformation]
 
-    def read_values(self, rule: FlowRule, u: Fields) -> Values:
-        """The values z that a rule may read."""
-        return {**u.z_tensors, PRESSURE: self.pressure(u)} if rule.reads_pressure else u.z_tensors
+    def read_values(self, law: FlowRule | Viscosity, u: Fields) -> Values:
+        """The values z that a law may read, with pressure and temperature where it asks for them."""
+        if not law.reads:
+            return u.z_tensors
+        made = {PRESSURE: self.pressure, TEMPERATURE: self.temperature}
+        return {**u.z_tensors, **{name: made[name](u) for name in sorted(law.reads)}}
+
+    def temperature(self, u: Fields) -> CoefficientFunction:
+        """theta by the projected conjugates, K, of a material with heat."""
+        return temperature(self.material, u.zeta_tensors)
 
     def pressure(self, u: Fields) -> CoefficientFunction:
         """-tr T/3 by the projected conjugates, Pa."""
@@ -101,7 +110,7 @@ class Rates:
         if self.rule is None or Pi is None:
             return None
         if not self.rule.is_local:
-            return inner(self.rule.force(Pi, u.z_tensors), Pi)
+            return inner(self.rule.force(Pi, self.read_values(self.rule, u)), Pi)
         if not self.rule.has_trace:
             return inner(Pi, self.mandel(u))
         return -rate_power(self.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi)

@@ -23,7 +23,7 @@ from ngvisco.errors import ParameterError
 from ngvisco.physics.bodies import Amount, Body
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, substituted, typical_value
+from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, substituted
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
 from ngvisco.physics.variables import Values, Variable
 
@@ -150,14 +150,12 @@ class MixedViscosity(Viscosity):
     fractions: Fractions
 
     @property
-    def K_v(self) -> float:  # type: ignore[override]
-        """The largest of the bodies' numbers, Pa s."""
-        return max(_number(part.K_v) for _, part in self.parts)
+    def reads(self) -> frozenset[str]:  # type: ignore[override]
+        return _read(self.parts)
 
     @property
-    def G_v(self) -> float:  # type: ignore[override]
-        """The largest of the bodies' numbers, Pa s."""
-        return max(_number(part.G_v) for _, part in self.parts)
+    def is_linear(self) -> bool:  # type: ignore[override]
+        return all(part.is_linear for _, part in self.parts)
 
     def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
         theta = self.fractions.at(z)
@@ -197,8 +195,8 @@ class MixedCreep(FlowRule):
         return any(part.has_trace for _, part in self.parts)
 
     @property
-    def reads_pressure(self) -> bool:  # type: ignore[override]
-        return any(part.reads_pressure for _, part in self.parts)
+    def reads(self) -> frozenset[str]:  # type: ignore[override]
+        return _read(self.parts)
 
     @property
     def is_linear(self) -> bool:
@@ -245,8 +243,9 @@ def _fractions(bodies: Sequence[Body]) -> Fractions:
     return Fractions(tuple(body.name for body in bodies))
 
 
-def _number(modulus: Any) -> float:
-    return typical_value(modulus)
+def _read(parts: Sequence[tuple[str, FlowRule | Viscosity]]) -> frozenset[str]:
+    """What any of the bodies' laws reads beside the variables."""
+    return frozenset[str]().union(*(part.reads for _, part in parts))
 
 
 def _with_own_names(body: Body) -> Body:

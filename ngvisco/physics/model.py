@@ -13,7 +13,7 @@ from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 from ngvisco.errors import ParameterError, Quantity, _is_number, as_number, require_number, require_positive
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.flow_rules import FlowRule
-from ngvisco.physics.flow_rules.check import check_rule
+from ngvisco.physics.flow_rules.check import check_rule, check_viscosity
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import ElasticState, Material, check_material
 from ngvisco.physics.materials.heterogeneous import carrying
@@ -117,7 +117,9 @@ class Model:
         parameters (``Parameter``); these are then among the variables of ``model.material``.  Isotropic ones
         at finite strain that leave ``elastic_state`` open are by B = F F^T where there is creep, by F where
         there is none.
-    viscosity : StokesViscosity or LinearViscosity, optional
+    viscosity : Viscosity, optional
+        Any of ``StokesViscosity``, ``LinearViscosity``, ``PowerLaw``, ``Carreau``, ``Cross``,
+        ``ActivatedViscosity``.
     hyperviscosity : HyperViscosity, optional
     creep : FlowRule, optional
         None (default) is the Kelvin-Voigt rheology, otherwise Jeffreys in the deviatoric part.
@@ -134,8 +136,8 @@ class Model:
     Raises
     ------
     ParameterError
-        If a part is of the wrong type, a flow rule gives energy (``check_rule``),
-        two loads or two bodies share a name, bodies have variables of one
+        If a part is of the wrong type, a flow rule or a viscosity gives energy (``check_rule``,
+        ``check_viscosity``), two loads or two bodies share a name, bodies have variables of one
         name that differ, the material's list of variables makes no sense, or the law of creep needs a
         conformation tensor that the material does not have.
     UnknownNameError
@@ -190,6 +192,8 @@ class Model:
         self._check_heat(material)
         if self.creep is not None and self.creep.flows:
             check_rule(self.creep, material)
+        if self.viscosity is not None:
+            check_viscosity(self.viscosity, material)
 
     def _check_heat(self, material: Material) -> None:
         if self.heat is not None and entropy_in(material) is None:
@@ -262,7 +266,7 @@ _MIXED = (Mixture, MixedViscosity, MixedCreep)
 """What a model with bodies has already, where it is made of another one."""
 
 _EXPECTED = {
-    "viscosity": "a StokesViscosity or a LinearViscosity",
+    "viscosity": "a StokesViscosity or another viscosity",
     "creep": "a Creep or another FlowRule",
 }
 

@@ -258,8 +258,8 @@ def require_nonnegative_moduli(owner: object, **values: Any) -> None:
 def require_ranges(owner: Any) -> None:
     """Raise ParameterError unless every parameter of a dataclass is in the range that its annotation says.
 
-    Ranges are ``">= 0"`` and those such as ``"> 0"``.  Moduli may be functions of the place and expressions
-    too; what may be None, by its annotation, may be left out.
+    Ranges are ``">= 0"`` and those such as ``"> 0"``; others are the owner's to check.  Moduli may be
+    functions of the place and expressions too; what may be None, by its annotation, may be left out.
     """
     for name, (sign, end), is_modulus, may_lack in _declared(type(owner)):  # type: ignore[arg-type]
         value = getattr(owner, name)
@@ -283,8 +283,8 @@ def _declared(kind: type) -> list[tuple[str, list[str], bool, bool]]:
     for each in reversed(inspect.getmro(kind)):
         for name, hint in get_type_hints(each, include_extras=True).items():
             said = [part for part in getattr(hint, "__metadata__", ()) if isinstance(part, Quantity)]
-            if said and said[0].range:
-                ranges[name] = said[0].range.split()
+            if said and len(words := said[0].range.split()) == 2:
+                ranges[name] = words
     parts = {name: get_args(hint) for name, hint in get_type_hints(kind).items()}
     return [(n, r, Expression in parts[n], type(None) in parts[n]) for n, r in ranges.items()]
 

@@ -1,4 +1,8 @@
-"""Dissipative mechanisms of the velocity: Stokes-type viscosity and hyperviscosity."""
+"""Dissipative mechanisms of the velocity: Stokes-type viscosity and hyperviscosity.
+
+A viscosity is a stress D(eps; z), the derivative by eps of a convex potential (paper: dissipation-pot).
+Those linear in eps are here; those that change with the strain rate in ``viscosities``.
+"""
 
 from __future__ import annotations
 
@@ -43,35 +47,72 @@ ValueOfModulus: TypeAlias = float | CoefficientFunction
 
 
 class Viscosity(ABC):
-    """A viscous stress D eps, linear in the strain rate, with D symmetric and positive semidefinite."""
+    """A viscous stress D(eps), the derivative of a convex potential of the strain rate, with D(0) = 0.
 
-    K_v: Modulus
-    G_v: Modulus
-    """Bulk and shear viscosity, Pa s, of the isotropic part of D."""
+    ``Model`` refuses one whose power is negative or which is not monotone, by samples.
+
+    Attributes
+    ----------
+    reads : frozenset of str
+        Which of ``PRESSURE`` and ``TEMPERATURE`` it finds among the values ``z``.
+    is_linear : bool
+        Whether D is linear in eps.
+    """
+
+    reads: frozenset[str] = frozenset()
+    is_linear: bool = False
 
     @abstractmethod
     def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
-        """D eps, 3x3, Pa, for the strain rate eps(v), 3x3, 1/s, at a point with the values ``z``."""
+        """D(eps), 3x3, Pa, for the strain rate eps(v), 3x3, 1/s, at a point with the values ``z``."""
 
     def bulk_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
-        """D eps : sph eps, W/m^3: the power of the viscous pressure."""
+        """D(eps) : sph eps, W/m^3: the power of the viscous pressure."""
         return inner(self.stress(eps, z), sph(eps))
 
     def shear_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
-        """D eps : dev eps, W/m^3; with ``bulk_dissipation`` this is D eps : eps >= 0."""
+        """D(eps) : dev eps, W/m^3; with ``bulk_dissipation`` this is D(eps) : eps >= 0."""
         return inner(self.stress(eps, z), dev(eps))
 
+    @abstractmethod
     def shear_viscosity(self, z: Values) -> ValueOfModulus:
-        """G_v, Pa s, at a point with the values ``z``."""
-        return value_at(self.G_v, z)
+        """G_v, Pa s, at eps = 0 and a point with the values ``z``."""
 
     def require_dimension(self, dim: int) -> None:
         """Raise ParameterError where the stress of plane flows is none of plane strain."""
         return None
 
 
+class IsotropicViscosity(Viscosity):
+    """D(eps) = K_v (tr eps) I + 2 G_v(s) dev eps, s = 2 |dev eps|^2, the square of the shear rate.
+
+    Its potential K_v (tr eps)^2/2 + int_0^s G_v/2 ds is convex where G_v(s) sqrt(s) rises.
+    """
+
+    @abstractmethod
+    def moduli(self, s: Any, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
+        """K_v and G_v, Pa s, at the squared shear rate s, 1/s^2, and a point with the values ``z``."""
+
+    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+        shear = dev(eps)
+        K_v, G_v = self.moduli(2 * square(shear), z)
+        return (K_v * tr(eps)) * identity_like(eps) + (2 * G_v) * shear
+
+    def bulk_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """K_v (tr eps)^2, W/m^3."""
+        return self.moduli(2 * square(dev(eps)), z)[0] * tr(eps) * tr(eps)
+
+    def shear_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """2 G_v |dev eps|^2, W/m^3."""
+        s = 2 * square(dev(eps))
+        return self.moduli(s, z)[1] * s
+
+    def shear_viscosity(self, z: Values) -> ValueOfModulus:
+        return self.moduli(0.0, z)[1]
+
+
 @dataclass(frozen=True, kw_only=True)
-class StokesViscosity(Viscosity):
+class StokesViscosity(IsotropicViscosity):
     """Stokes viscosity D eps = K_v (tr eps) I + 2 G_v dev eps (paper: dissipation-pot, Euler-small-ass-D).
 
     Parameters
@@ -85,25 +126,13 @@ class StokesViscosity(Viscosity):
     K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
     G_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
 
+    is_linear = True
+
     def __post_init__(self) -> None:
         require_ranges(self)
 
-    def moduli(self, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
-        """K_v and G_v, Pa s, where the variables have the values ``z``."""
+    def moduli(self, s: Any, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
         return value_at(self.K_v, z), value_at(self.G_v, z)
-
-    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
-        """D eps, 3x3, Pa, for the strain rate eps(v), 3x3, 1/s, at a point with the values ``z``."""
-        K_v, G_v = self.moduli(z)
-        return (K_v * tr(eps)) * identity_like(eps) + (2 * G_v) * dev(eps)
-
-    def bulk_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
-        """K_v (tr eps)^2, W/m^3."""
-        return self.moduli(z)[0] * tr(eps) * tr(eps)
-
-    def shear_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
-        """2 G_v |dev eps|^2, W/m^3."""
-        return 2 * self.moduli(z)[1] * square(dev(eps))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +172,8 @@ class LinearViscosity(Viscosity):
     D: Annotated[ArrayLike, Quantity("Pa s", example=np.eye(6).tolist())]
     notation: Annotated[Notation, Quantity(example="mandel")]
 
+    is_linear = True
+
     def __post_init__(self) -> None:
         require_choice(self, ("mandel", "voigt", "tensor"), notation=self.notation)
         mandel = mandel_matrix("LinearViscosity.D", self.D, self.notation)
@@ -155,14 +186,17 @@ class LinearViscosity(Viscosity):
         return mandel_matrix("LinearViscosity.D", self.D, self.notation)
 
     @property
-    def K_v(self) -> float:  # type: ignore[override]
+    def K_v(self) -> float:
         """Bulk viscosity of the isotropic part: the mean pressure of eps = I over tr eps, Pa s."""
         return float(self.mandel[:3, :3].sum()) / 9
 
     @property
-    def G_v(self) -> float:  # type: ignore[override]
+    def G_v(self) -> float:
         """Shear viscosity of the isotropic part: half the mean of D over deviatoric eps of size 1, Pa s."""
         return (float(np.trace(self.mandel)) - 3 * self.K_v) / 10
+
+    def shear_viscosity(self, z: Values) -> ValueOfModulus:
+        return self.G_v
 
     def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
         return linear_map(full_tensor(self.mandel).reshape(9, 9), eps, (3, 3))

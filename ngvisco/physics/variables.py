@@ -40,6 +40,9 @@ from ngvisco.physics.tensors import IDENTITY, skw, sym, tr
 
 Values = Mapping[str, CoefficientFunction]
 
+PRESSURE, TEMPERATURE = "pressure", "temperature"
+"""Under which names ``Values`` have -tr T/3, Pa, and theta, K, for the laws that read them."""
+
 
 @dataclass(frozen=True)
 class Variable(ABC):

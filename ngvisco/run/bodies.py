@@ -106,9 +106,9 @@ def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
     place, v = (x, y, z)[: step.mesh.dim], u.v
     loss = CF(0.0)
     if body.viscosity is not None:
-        eps = sym(u.L)
-        loss = loss + theta * body.viscosity.bulk_dissipation(eps, values)
-        loss = loss + theta * body.viscosity.shear_dissipation(eps, values)
+        eps, read = sym(u.L), step.context.rates.read_values(body.viscosity, u)
+        loss = loss + theta * body.viscosity.bulk_dissipation(eps, read)
+        loss = loss + theta * body.viscosity.shear_dissipation(eps, read)
     if body.creep is not None and body.creep.flows:
         Pi = theta * step.context.rates.local_creep(body.creep, u)
         loss = loss - rate_power(material, values, u.zeta_tensors, 0 * Pi, Pi)

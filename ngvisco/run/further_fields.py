@@ -49,7 +49,9 @@ def further_fields(step: Step, cauchy: CoefficientFunction) -> dict[str, Coeffic
     if any(variable.creeps for variable in model.material.variables):
         found["mandel_stress"] = mandel_stress(model.material, u.z_tensors, u.zeta_tensors, dim)
     if model.viscosity is not None:
-        found["viscous_stress"] = model.viscosity.stress(sym(u.L), u.z_tensors)
+        found["viscous_stress"] = model.viscosity.stress(
+            sym(u.L), step.context.rates.read_values(model.viscosity, u)
+        )
     if model.hyperviscosity is not None:
         found |= {f"hyperstress_{i + 1}": _hyperstress(u, i) for i in range(dim)}
     found["principal_stresses"] = eigenvalues(cauchy)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, Integrate, Mesh
@@ -16,6 +16,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.terms.momentum import Loading
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
+from ngvisco.physics.arrays import Array
 from ngvisco.physics.flow_rules.check import values_at_rest
 from ngvisco.physics.material import Material, cauchy_stress
 from ngvisco.physics.mixture import AMOUNT, Mixture
@@ -193,14 +194,16 @@ class Place:
     def scales(self, dim: int) -> LocalScales:
         """Those of the laws at rest, F = I."""
         viscosity, creep, z = self.laws.viscosity, self.laws.creep, self.parameters
+        rest = values_at_rest(self.laws.material, z)
+        thickness: Any = 0.0 if viscosity is None else viscosity.shear_viscosity(rest)
         longitudinal, shear = moduli(self.laws.material, dim, z)
         maxwell = math.inf
         if creep is not None and creep.flows and shear > 0:
-            maxwell = creep.relaxation_time(shear, values_at_rest(self.laws.material, z))
+            maxwell = creep.relaxation_time(shear, rest)
         return LocalScales(
             math.sqrt(max(longitudinal, 0.0) / self.density),
             math.sqrt(max(shear, 0.0) / self.density),
-            0.0 if viscosity is None else float(viscosity.shear_viscosity(z)) / self.density,
+            float(np.max(thickness.value if isinstance(thickness, Array) else thickness)) / self.density,
             maxwell,
         )
 

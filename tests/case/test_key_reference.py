@@ -84,6 +84,14 @@ def test_no_description_is_cut_off():
     assert compared > 180
 
 
+WITHIN = {
+    "Activated": {"rule": {"G_m": 1.0}},
+    "Composite": {"rules": [{"G_m": 1.0}]},
+    "ActivatedViscosity": {"viscosity": {"K_v": 1.0, "G_v": 1.0}},
+}
+"""Laws of laws: what they require within."""
+
+
 def placed(entry, kind):
     """A case in which the key has its example, in a section of this kind with what else it requires."""
     data = tomllib.loads(BASE)
@@ -103,6 +111,7 @@ def placed(entry, kind):
         needed["geometry" if section == ("domain",) else "kind"] = kind
     if kind in WRAPPERS:
         needed["material"] = data["material"]
+    needed |= WITHIN.get(kind, {})
     node = data
     for depth, part in enumerate(section):
         last = depth == len(section) - 1

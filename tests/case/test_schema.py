@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ngvisco as nv
-from ngvisco.case import CaseError
+from ngvisco.case import CaseError, catalogue
 from ngvisco.case.build import parse_case
-from ngvisco.case.catalogue import GEOMETRIES, LOADS, MATERIALS, MECHANISMS, SECTIONS, WALLS, WRAPPERS
 from ngvisco.case.toml import key_lines, override, parse_override, write
 
 DEMOS = Path(__file__).resolve().parents[2] / "demos"
@@ -319,7 +318,7 @@ def test_faults_of_wrapped_materials_have_their_place(override, message):
 def test_every_dataclass_of_the_catalogue_makes_a_section():
     from ngvisco.case.section import section
 
-    for table in (GEOMETRIES, MATERIALS, WRAPPERS, MECHANISMS, LOADS, WALLS, SECTIONS):
+    for table in catalogue.TABLES:
         for name, target in table.items():
             assert section(target, ("kind", name)).model_fields["kind"].is_required()
 

@@ -84,7 +84,6 @@ NEEDED = {
     "Yosida": {"eps": 1e-3, "material": {"kind": "LinearElastic", "K_e": 10.0, "G_e": 5.0}},
     "WithQuadratic": {"delta": 1e-3, "material": {"kind": "LinearElastic", "K_e": 10.0, "G_e": 5.0}},
     "viscosity": {"K_v": 0.1, "G_v": 0.1},
-    "linear_viscosity": {"D": [[float(i == j) for j in range(6)] for i in range(6)], "notation": "mandel"},
     "hyperviscosity": {"mu": 1e-3},
     "creep": {"G_m": 5.0},
     "heat": {"conductivity": 1.0},

@@ -12,8 +12,8 @@ from scipy.integrate import quad
 import ngvisco as nv
 from ngvisco.errors import ParameterError
 from ngvisco.physics.arrays import Array
-from ngvisco.physics.flow_rules.rule import PRESSURE
 from ngvisco.physics.increments import TINY
+from ngvisco.physics.variables import PRESSURE
 
 UNIAXIAL = np.diag([2.0, -1.0, -1.0]) / 3
 SHEAR = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])

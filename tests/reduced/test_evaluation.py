@@ -149,7 +149,7 @@ class Thinning(nv.StokesViscosity):
 class OfTheState(nv.StokesViscosity):
     """Differs only where the material is stretched twice."""
 
-    def moduli(self, z):
+    def moduli(self, s, z):
         factor = if_positive(z["J"] - 2.0, 2.0, 1.0)
         return self.K_v * factor, self.G_v * factor
 

@@ -131,7 +131,8 @@ kind = "IsentropicFluid"
 a = 3.0
 gamma = 1.7
 rho_R = 2.5
-[rheology.linear_viscosity]
+[rheology.viscosity]
+kind = "LinearViscosity"
 D = [[3, 1, 1, 0, 0, 0], [1, 3, 1, 0, 0, 0], [1, 1, 3, 0, 0, 0],
      [0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]]
 notation = "voigt"
@@ -180,10 +181,9 @@ def test_hash_of_a_case_without_a_density_is_that_of_the_default():
         ("material.a=-1", ["material.a", "> 0"]),
         ("material.rho_R=0", ["material.rho_R", "> 0"]),
         ("material.gamma=900", ["material.a", "finite"]),
-        ("rheology.viscosity={K_v=1, G_v=1}", ["rheology.linear_viscosity", "no table [rheology.viscosity]"]),
-        ("rheology.linear_viscosity.D=[[1, 2], [3, 4]]", ["rheology.linear_viscosity.D", "6x6"]),
-        ("rheology.linear_viscosity.D=[[1, 'a']]", ["rheology.linear_viscosity.D", "not of 'a'"]),
-        ("rheology.linear_viscosity.notation='kelvin'", ["rheology.linear_viscosity.notation"]),
+        ("rheology.viscosity.D=[[1, 2], [3, 4]]", ["rheology.viscosity.D", "6x6"]),
+        ("rheology.viscosity.D=[[1, 'a']]", ["rheology.viscosity.D", "not of 'a'"]),
+        ("rheology.viscosity.notation='kelvin'", ["rheology.viscosity.notation"]),
     ],
 )
 def test_faults_are_those_of_their_keys(setting, words):

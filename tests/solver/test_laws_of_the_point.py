@@ -19,7 +19,7 @@ from ngvisco.physics.tensors import square
 class Stiffening(nv.StokesViscosity):
     """Viscosities that grow where the material is compressed."""
 
-    def moduli(self, z):
+    def moduli(self, s, z):
         factor = 1.0 / (z["J"] * z["J"] * z["J"])
         return self.K_v * factor, self.G_v * factor
 

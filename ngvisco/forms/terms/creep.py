@@ -37,7 +37,8 @@ class CreepRate(PointTerm):
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         gradient = self.rule.gradient_coefficient(square(u.grad_Pi))
-        force = trace_free_tensors(u.dim).components(self.rule.force(u.Pi, u.z_tensors))
+        z = u.context.rates.read_values(self.rule, u)
+        force = trace_free_tensors(u.dim).components(self.rule.force(u.Pi, z))
         return [
             inner(force, w.parts["Pi"]),
             gradient * inner(u.grad_Pi, w.grad_Pi),

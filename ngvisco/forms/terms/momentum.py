@@ -27,6 +27,7 @@ from ngvisco.physics.model import CentralGravity, Gravity, Load, force_of
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import inner, square, sym
+from ngvisco.physics.variables import Values
 
 
 @dataclass(frozen=True)
@@ -121,19 +122,23 @@ def carried_density(u: Fields, regularisation: Regularisation | None) -> Coeffic
 
 @dataclass(frozen=True)
 class Stokes(PointTerm):
-    """int D eps(v) : eps(w) (paper: dissipation-pot)."""
+    """int D(eps(v)) : eps(w) (paper: dissipation-pot)."""
 
     viscosity: Viscosity
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return [inner(self.viscosity.stress(sym(u.L), u.z_tensors), w.L)]
+        return [inner(self.viscosity.stress(sym(u.L), self._values(u)), w.L)]
 
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
-        eps = sym(u.L)
+        eps, z = sym(u.L), self._values(u)
         return {
-            "dissipation_stokes_bulk": self.viscosity.bulk_dissipation(eps, u.z_tensors),
-            "dissipation_stokes_shear": self.viscosity.shear_dissipation(eps, u.z_tensors),
+            "dissipation_stokes_bulk": self.viscosity.bulk_dissipation(eps, z),
+            "dissipation_stokes_shear": self.viscosity.shear_dissipation(eps, z),
         }
+
+    def _values(self, u: Fields) -> Values:
+        law = self.viscosity
+        return u.context.rates.read_values(law, u) if law.reads else u.z_tensors
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A sampling check of flow rules: power, symmetry, and that the potential belongs to the rate."""
+"""Sampling checks of flow rules and viscosities: power, symmetry, monotony, the potential of the rate."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from ngsolve import CF, Id
 
 from ngvisco.errors import ParameterError
 from ngvisco.physics.arrays import Array
-from ngvisco.physics.flow_rules.rule import PRESSURE, FlowRule
+from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import Material
+from ngvisco.physics.materials.thermal import thermal_part
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.pointwise import squares
+from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import trace_free_tensors
-from ngvisco.physics.variables import Values
+from ngvisco.physics.variables import PRESSURE, TEMPERATURE, Values
 
 _SIZES = 10.0 ** np.arange(-9, 13)
 """|M|, Pa, of the samples; rules do not tell their scale."""
@@ -24,12 +27,59 @@ _INVERSE = 1e-3
 
 
 def values_at_rest(material: Material, parameters: Mapping[str, float] | None = None) -> Values:
-    """Values of a material's variables at F = I as arrays of one point, with those of ``parameters``."""
+    """Values of a material's variables at F = I as arrays of one point, with those of ``parameters``.
+
+    With a pressure of zero and, of a material with heat, its reference temperature.
+    """
     states = material.states(3)
     values = {v.name: v.from_distortion(Id(3)) for v in material.variables}
     values |= {name: CF(value) for name, value in (parameters or {}).items() if name in values}
     components = np.asarray(CF(states.components(values))(squares(1)[1])).reshape(-1, 1)
-    return {name: states.tensor(name, Array(components, None)) for name in values}
+    found = {name: states.tensor(name, Array(components, None)) for name in values}
+    found[PRESSURE] = Array(np.zeros(1), None)
+    thermal = thermal_part(material.bodies[0].material if isinstance(material, Mixture) else material)
+    if thermal is not None:
+        found[TEMPERATURE] = found[PRESSURE].like(float(thermal.theta_R))
+    return found
+
+
+def _readable(name: str, law: FlowRule | Viscosity, material: Material) -> dict[str, Any]:
+    """``values_at_rest`` for a law; raises ParameterError where it reads a temperature that there is not."""
+    z = dict(values_at_rest(material))
+    if TEMPERATURE in law.reads and TEMPERATURE not in z:
+        expected = (
+            "a number, a function of the initial place or an expression: the material has no temperature; "
+            "nv.Thermal(material=...) gives it one"
+        )
+        raise ParameterError(f"{name}.temperature", None, expected)
+    return z
+
+
+def check_viscosity(law: Viscosity, material: Material) -> None:
+    """Raise ParameterError for a viscosity whose stress has a negative power, or falls with the strain rate.
+
+    By samples of eps of 22 sizes, each with one that is a thousandth larger, in 8 directions, at rest.
+    """
+    name = type(law).__name__
+    z = _readable(name, law, material)
+    directions = np.random.default_rng(1).standard_normal((3, 3, 8))
+    directions = directions + directions.swapaxes(0, 1)
+    directions /= np.sqrt((directions**2).sum(axis=(0, 1)))
+    eps = (directions[..., None] * _SIZES).reshape(3, 3, -1)
+    sizes = np.tile(_SIZES, 8)
+    with np.errstate(all="ignore"):
+        try:
+            made = [law.stress(Array(e, None), z).value for e in (eps, 1.001 * eps)]
+            found = [np.broadcast_to(stress, eps.shape) for stress in made]
+        except Exception as error:
+            expected = f"a function of tensors by ngvisco.physics.tensors: {type(error).__name__}: {error}"
+            raise ParameterError(f"{name}.stress", law, expected) from error
+        power, risen = (((stress * eps).sum(axis=(0, 1)) / sizes) for stress in found)
+        asked, large = np.isfinite(power) & np.isfinite(risen), np.sqrt((found[0] ** 2).sum(axis=(0, 1)))
+        _refuse(f"{name}.stress", power < -_ROUNDING * large, asked, power, sizes, "D(eps) : eps >= 0", "eps")
+        falls = risen - power < -_ROUNDING * large
+        expected = "a stress that rises with eps, of a convex potential"
+        _refuse(f"{name}.stress", falls, asked, risen - power, sizes, expected, "eps")
 
 
 def check_rule(rule: FlowRule, material: Material) -> None:
@@ -37,11 +87,12 @@ def check_rule(rule: FlowRule, material: Material) -> None:
 
     By samples of M of 22 sizes in 8 directions, at rest; where a rule overflows it is not asked.
     """
-    name, z = f"{type(rule).__name__}", dict(values_at_rest(material))
+    name = type(rule).__name__
+    z = _readable(name, rule, material)
     directions = np.random.default_rng(0).standard_normal((8, 5))
     components = directions.T[:, :, None] / np.linalg.norm(directions, axis=1)[None, :, None] * _SIZES
     sizes = np.tile(_SIZES, len(directions))
-    if rule.reads_pressure:
+    if PRESSURE in rule.reads:
         z[PRESSURE] = Array(np.resize([0.0, 1.0, -1.0], sizes.size) * sizes, None)
     M = trace_free_tensors(3).tensor(Array(components.reshape(5, -1), None))
     with np.errstate(all="ignore"):
@@ -74,8 +125,14 @@ def check_rule(rule: FlowRule, material: Material) -> None:
 
 
 def _refuse(
-    field: str, wrong: np.ndarray, asked: np.ndarray, value: np.ndarray, sizes: np.ndarray, expected: str
+    field: str,
+    wrong: np.ndarray,
+    asked: np.ndarray,
+    value: np.ndarray,
+    sizes: np.ndarray,
+    expected: str,
+    of: str = "M",
 ) -> None:
     if (at := np.flatnonzero(wrong & asked)).size:
-        where = f"{expected}, here at |M| = {sizes[at[0]]:g} Pa"
+        where = f"{expected}, here at |{of}| = {sizes[at[0]]:g} {'Pa' if of == 'M' else '1/s'}"
         raise ParameterError(field, float(value[at[0]]), where)

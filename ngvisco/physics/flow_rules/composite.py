@@ -51,8 +51,8 @@ class Composite(FlowRule):
         return any(rule.reads_conjugate for rule in self.rules)
 
     @property
-    def reads_pressure(self) -> bool:  # type: ignore[override]
-        return any(rule.reads_pressure for rule in self.rules)
+    def reads(self) -> frozenset[str]:  # type: ignore[override]
+        return frozenset[str]().union(*(rule.reads for rule in self.rules))
 
     @property
     def has_trace(self) -> bool:  # type: ignore[override]

@@ -10,7 +10,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, as_number
 from ngvisco.physics.flow_rules.power import require_exponent
-from ngvisco.physics.flow_rules.rule import PRESSURE, TINY_STRESS, FlowRule
+from ngvisco.physics.flow_rules.rule import TINY_STRESS, FlowRule
 from ngvisco.physics.parameters import (
     Modulus,
     require_nonnegative_moduli,
@@ -18,7 +18,7 @@ from ngvisco.physics.parameters import (
     value_at,
 )
 from ngvisco.physics.tensors import if_positive, power_of_square, sqrt, square
-from ngvisco.physics.variables import Values
+from ngvisco.physics.variables import PRESSURE, Values
 
 
 def norm(A: CoefficientFunction) -> CoefficientFunction:
@@ -107,7 +107,7 @@ class DruckerPrager(FlowRule):
     friction_angle: Annotated[float, Quantity("1", "in [0, 90)", 30.0)]
     G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 0.1)]
 
-    reads_pressure = True
+    reads = frozenset({PRESSURE})
 
     def __post_init__(self) -> None:
         require_nonnegative_moduli(self, cohesion=self.cohesion)

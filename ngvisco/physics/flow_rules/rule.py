@@ -30,9 +30,6 @@ from ngvisco.physics.variables import Values
 TINY_STRESS = 1e-100
 """|M|, Pa, below which powers of it are smoothed at zero, where they have no derivative."""
 
-PRESSURE = "pressure"
-"""Under which name ``z`` has the pressure -tr T/3, Pa, for rules that read it."""
-
 SMALL_STRAIN = 1e-2
 """Elastic shear strain at which a rule is asked for its relaxation time."""
 
@@ -56,8 +53,8 @@ class FlowRule(ABC):
         |Pi| below which ``psi`` is smoothed at zero where it is no even power, 1/s, > 0.
     reads_conjugate : bool
         Whether ``rate`` reads zeta: the material then needs a conformation tensor, and the rule is local.
-    reads_pressure : bool
-        Whether ``rate`` reads the pressure, z["pressure"], Pa; the rule is local.
+    reads : frozenset of str
+        Which of ``PRESSURE`` and ``TEMPERATURE`` (``ngvisco.physics.variables``) it reads in ``z``.
     has_trace : bool
         Whether tr Pi is not zero: the determinant of B is then not that of a distortion.
     """
@@ -67,7 +64,7 @@ class FlowRule(ABC):
     floor: float = 1e-10
     rate_floor: float = 1e-9
     reads_conjugate: bool = False
-    reads_pressure: bool = False
+    reads: frozenset[str] = frozenset()
     has_trace: bool = False
 
     @abstractmethod
@@ -119,12 +116,12 @@ class FlowRule(ABC):
     def relaxation_time(self, shear: float, z: Values) -> float:
         """Elastic strain over its rate, s, in shear by ``SMALL_STRAIN``; ``inf`` where it does not flow.
 
-        ``shear`` is the modulus G of shear, Pa.
+        ``shear`` is the modulus G of shear, Pa; ``z`` are arrays of one point.
         """
         strain = np.zeros((3, 3, 1))
         strain[0, 1] = strain[1, 0] = SMALL_STRAIN
         M = Array(2 * shear * strain, None)
-        Pi = self.rate(M, 0.5 * M, {**z, PRESSURE: M.like(0.0)})
+        Pi = self.rate(M, 0.5 * M, z)
         fastest = float(np.linalg.norm(Pi.value.real))
         return float(np.linalg.norm(strain)) / fastest if fastest > 0 else math.inf
 

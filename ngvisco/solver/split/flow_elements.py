@@ -22,6 +22,7 @@ import scipy.sparse as sp
 
 from ngvisco.algebra import precision
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import PointTerm
 from ngvisco.physics.increments import TINY
 from ngvisco.reduced.evaluation import CellTerms, with_values
 from ngvisco.reduced.operators import Operators
@@ -37,6 +38,8 @@ class PointTangent:
         self.residual, self.op, self.components = residual, operators, residual.step.layout.states.size
         self.terms = CellTerms(residual.step, operators, residual.rates)
         self.others = residual.claims.of_fields()
+        self._stresses: list[PointTerm] | None = None
+        """Terms with rows of grad w that read z or zeta, such as a viscosity of the temperature."""
         self.slope = PointwiseSlope(residual.step, operators.points)
 
     def update(self, at: Evaluation) -> None:
@@ -55,26 +58,42 @@ class PointTangent:
         # -(w . grad z) : zeta with its share of the facets is  phi'(z) : dz div w  to leading order
         for i in range(step.mesh.dim):
             force[:, i * (step.mesh.dim + 1)] += self.zeta.T
-        self._add_point_terms(K, u, slopes)
+        self._add_point_terms(K, force, u, slopes)
         self.rate_slope = K
         self.resolvent = np.linalg.inv(np.eye(self.components)[None] - self.tau * K)
         self.force, self.columns = force, columns
         self.dz = u.grad_z.value
 
-    def _add_point_terms(self, K: np.ndarray, u: Fields, slopes: np.ndarray) -> None:
-        """Add what local creep and terms of z at points change by z, by complex increments."""
+    def _add_point_terms(self, K: np.ndarray, force: np.ndarray, u: Fields, slopes: np.ndarray) -> None:
+        """Add what local creep, terms of z and stresses at points change by z, by complex increments."""
         rates = self.residual.rates
         creeps = rates.rule is not None and rates.rule.is_local
-        for m in range(self.components if creeps or self.others else 0):
+        for m in range(self.components):
             z, zeta = self.z.astype(complex), self.zeta.astype(complex)
             z[m] += 1j * TINY
             zeta += 1j * TINY * slopes[:, :, m].T
             changed = with_values(u, z=z, zeta=zeta)
+            if self._stresses is None:
+                self._stresses = [
+                    term for term in self.residual.claims.of_gradients() if self._reads(term, changed)
+                ]
+            if not (creeps or self.others or self._stresses):
+                return
+            if self._stresses:
+                slope = self.terms.slots(self._stresses, changed)["grad v"].imag / TINY
+                g = rates.tensors.gradients
+                force[:, :g, m] += np.broadcast_to(slope, (*slope.shape[:-1], len(force))).reshape(g, -1).T
             if creeps:
                 Pi = rates.creep_components(changed)
                 K[:, :, m] += rates.tensors.rate(z, Pi, first=rates.tensors.gradients).imag.T / TINY
             if self.others:
                 K[:, :, m] -= self.terms.slots(self.others, changed)["z"].imag.T / TINY
+
+    def _reads(self, term: PointTerm, changed: Fields) -> bool:
+        """Whether a stress is another one where z and its conjugates are complex."""
+        if self.terms.constant_matrix(term) is not None:
+            return False
+        return np.iscomplexobj(self.terms.slots([term], changed)["grad v"])
 
     def stiffness(self) -> np.ndarray:
         """C of the module's docstring, (points, X, X)."""

@@ -104,8 +104,10 @@ class Preconditioner:
         k, m = step.discretisation.k, step.discretisation.m
         rule = residual.rates.rule
         steep = rule is not None and rule.is_local and not rule.is_linear
+        thick = step.model.viscosity
+        bends = thick is not None and not thick.is_linear
         # a coarse rule knows a linear law; of another one it misses where it is steep
-        self.op = residual.op if steep else Operators(step, max(k - 1, m))
+        self.op = residual.op if steep or bends else Operators(step, max(k - 1, m))
         self.sweep = TransportSweeps(residual, options.inverse, self.options.sweeps)
         derivative = (
             None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)

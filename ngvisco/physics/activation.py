@@ -1,0 +1,153 @@
+"""Laws that temperature and pressure speed up: the factor of Arrhenius, of flow rules and of viscosities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import ParameterError, Quantity, require_number, require_positive
+from ngvisco.physics.flow_rules.rule import FlowRule
+from ngvisco.physics.parameters import Modulus, require_positive_moduli, value_at
+from ngvisco.physics.rheology import ValueOfModulus, Viscosity
+from ngvisco.physics.tensors import exp
+from ngvisco.physics.variables import PRESSURE, TEMPERATURE, Values
+
+GAS_CONSTANT = 8.31446261815324
+"""J/(mol K)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Activation:
+    """a = exp(E/(R theta_R) - (E + p V)/(R theta)): how many times faster than at theta_R and p = 0."""
+
+    E: Annotated[float, Quantity("J/mol", example=2e5)]
+    theta_R: Annotated[float, Quantity("K", "> 0", 300.0)]
+    V: Annotated[float, Quantity("m^3/mol")] = 0.0
+    temperature: Annotated[Modulus | None, Quantity("K", "> 0", 300.0)] = None
+
+    def __post_init__(self) -> None:
+        require_number(self, E=self.E, V=self.V)
+        require_positive(self, theta_R=self.theta_R)
+        if self.temperature is not None:
+            require_positive_moduli(self, temperature=self.temperature)
+
+    @property
+    def law(self) -> FlowRule | Viscosity:
+        """What is activated."""
+        raise NotImplementedError
+
+    @property
+    def reads(self) -> frozenset[str]:
+        """Temperature and pressure, as far as they are asked for, and what the law reads."""
+        own = {TEMPERATURE} if self.temperature is None else set()
+        return self.law.reads | own | ({PRESSURE} if self.V else set())
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the law is linear."""
+        return self.law.is_linear
+
+    def factor(self, z: Values) -> Any:
+        """a at a point with the values ``z``."""
+        theta = z[TEMPERATURE] if self.temperature is None else value_at(self.temperature, z)
+        barrier = self.E + self.V * z[PRESSURE] if self.V else self.E
+        return exp(self.E / (GAS_CONSTANT * self.theta_R) - barrier / (GAS_CONSTANT * theta))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Activated(_Activation, FlowRule):  # type: ignore[override]
+    """A flow rule whose rate is a = exp(E/(R theta_R) - (E + p V)/(R theta)) times as large (Arrhenius 1889).
+
+    Example::
+
+        import ngvisco as nv
+
+        dislocation = nv.Activated(rule=nv.Norton(A=1e-16, n=3.5), E=5.3e5, theta_R=1600.0, V=1.4e-5)
+        diffusion = nv.Activated(rule=nv.Creep(G_m=1e21), E=3.75e5, theta_R=1600.0)
+        rule = nv.Composite(rules=(dislocation, diffusion))
+        print(sorted(rule.reads))
+
+    Parameters
+    ----------
+    rule : FlowRule
+        The rule at theta_R and p = 0.
+    E : float
+        Activation energy.
+    theta_R : float
+        Temperature at which the rule is as given.
+    V : float
+        Activation volume: how pressure slows it down.
+    temperature : float, optional
+        A number, a function of the initial place, which is carried, or an expression of parameters; None is
+        that of the material, which then has heat.
+    """
+
+    rule: FlowRule
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.rule, FlowRule):
+            raise ParameterError("Activated.rule", self.rule, "a flow rule")
+        for name in ("nu", "q", "floor", "rate_floor", "reads_conjugate", "has_trace"):
+            object.__setattr__(self, name, getattr(self.rule, name))
+
+    @property
+    def law(self) -> FlowRule:
+        return self.rule
+
+    @property
+    def flows(self) -> bool:
+        return self.rule.flows
+
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        return self.factor(z) * self.rule.rate(M, zeta, z)
+
+    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """a psi_rule(Pi/a), W/m^3."""
+        a = self.factor(z)
+        return a * self.rule.psi((1 / a) * Pi, z)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActivatedViscosity(_Activation, Viscosity):  # type: ignore[override]
+    """A viscosity that is a = exp(E/(R theta_R) - (E + p V)/(R theta)) times thinner (Arrhenius, Andrade).
+
+    With V it grows with the pressure like exp(V p/(R theta)), which is the law of Barus, 1893.
+
+    Parameters
+    ----------
+    viscosity : Viscosity
+        The viscosity at theta_R and p = 0.
+    E : float
+        Activation energy.
+    theta_R : float
+        Temperature at which the viscosity is as given.
+    V : float
+        Activation volume.
+    temperature : float, optional
+        As for ``Activated``.
+    """
+
+    viscosity: Viscosity
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.viscosity, Viscosity):
+            raise ParameterError("ActivatedViscosity.viscosity", self.viscosity, "a viscosity")
+
+    @property
+    def law(self) -> Viscosity:
+        return self.viscosity
+
+    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+        return (1 / self.factor(z)) * self.viscosity.stress(eps, z)
+
+    def shear_viscosity(self, z: Values) -> ValueOfModulus:
+        return (1 / self.factor(z)) * self.viscosity.shear_viscosity(z)
+
+    def require_dimension(self, dim: int) -> None:
+        self.viscosity.require_dimension(dim)
