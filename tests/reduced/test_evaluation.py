@@ -137,11 +137,11 @@ def test_complex_increments_are_the_form_s_linearisation(mesh):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Thinning(nv.StokesViscosity):
-    """Thinner where the shear rate is large."""
+class Thickening(nv.StokesViscosity):
+    """Thicker where the shear rate is large."""
 
     def stress(self, eps, z):
-        factor = if_positive(square(eps) - 1e4, 0.5, 1.0)
+        factor = if_positive(square(eps) - 1e4, 2.0, 1.0)
         return factor * super().stress(eps, z)
 
 
@@ -155,7 +155,7 @@ class OfTheState(nv.StokesViscosity):
 
 
 @pytest.mark.parametrize(
-    ("law", "is_constant"), [(nv.StokesViscosity, True), (Thinning, False), (OfTheState, False)]
+    ("law", "is_constant"), [(nv.StokesViscosity, True), (Thickening, False), (OfTheState, False)]
 )
 def test_only_what_has_constant_coefficients_is_tabulated(law, is_constant):
     residual = step_of(MESHES["2D"](), viscosity=law(K_v=0.1, G_v=0.2))
