@@ -29,6 +29,7 @@ from ngvisco.expressions import (
     shifted,
     syntax_tree,
 )
+from ngvisco.physics.materials.thermal import Entropy
 from ngvisco.physics.tensors import (
     IDENTITY,
     cof,
@@ -44,6 +45,7 @@ from ngvisco.physics.tensors import (
 from ngvisco.physics.variables import Variable
 
 UNIT = "I"
+TEMPERATURE = "theta"
 RESERVED = (*CONSTANTS, UNIT)
 """Names that a parameter cannot have."""
 
@@ -72,8 +74,17 @@ class EnergyExpression:
         return _EnergyEvaluator(self.text, symbols).value(self._tree)
 
 
+def parse_law(text: str) -> Callable[[Any], Any]:
+    """Check the text of a law theta -> value; raises ExpressionError as ``parse_energy``."""
+    law = parse_energy(text, (Entropy(name=TEMPERATURE),), what="a law of the temperature")
+    return lambda theta: law(**{TEMPERATURE: theta})
+
+
 def parse_energy(
-    text: str, variables: Sequence[Variable], parameters: Mapping[str, float] | None = None
+    text: str,
+    variables: Sequence[Variable],
+    parameters: Mapping[str, float] | None = None,
+    what: str = "an energy",
 ) -> EnergyExpression:
     """Check an energy's text completely.
 
@@ -83,6 +94,8 @@ def parse_energy(
     variables : sequence of Variable
         Their names are scalars or tensors by their kinds.
     parameters : mapping of names to numbers, optional
+    what : str
+        What errors call it.
 
     Raises
     ------
@@ -97,11 +110,11 @@ def parse_energy(
     evaluator = _EnergyEvaluator(text, {**kinds, **constants, **CONSTANTS, UNIT: IDENTITY}, lead)
     if _is_tensor(evaluator.value(tree)):
         raise ExpressionError(
-            text, lead + tree.col_offset, "an energy is a scalar, this is a tensor (tr, det, norm2, dot)"
+            text, lead + tree.col_offset, f"{what} is a scalar, this is a tensor (tr, det, norm2, dot)"
         )
     if not evaluator.seen & set(kinds):
         raise ExpressionError(
-            text, lead + tree.col_offset, f"an energy reads at least one of {', '.join(kinds)}"
+            text, lead + tree.col_offset, f"{what} reads at least one of {', '.join(kinds)}"
         )
     return EnergyExpression(text, constants, shifted(tree, lead))
 

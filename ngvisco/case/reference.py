@@ -22,6 +22,7 @@ from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import _TARGETS, annotation_of, owner_of
 from ngvisco.case.values import (
+    LawValue,
     ModulusValue,
     NumberValues,
     RegionText,
@@ -172,6 +173,7 @@ def type_text(annotation: Any) -> str:
         str: "text",
         EnergyText: "expression of the variables",
         ModulusValue: "number or expression",
+        LawValue: "number, expression of theta, or three rows of three numbers",
         ScalarValue: "number or expression",
         VectorValue: "array of numbers or expressions",
         TensorValue: "number, expression, or three rows of three of them",

@@ -21,12 +21,21 @@ from ngsolve import CoefficientFunction
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model, model_validator
 
+from ngvisco.case.energies import parse_law
 from ngvisco.case.laws import EnergyText
-from ngvisco.case.values import FIELDS, ModulusValue, NumberValues, ScalarValue, TensorValue, VectorValue
+from ngvisco.case.values import (
+    FIELDS,
+    LawValue,
+    ModulusValue,
+    NumberValues,
+    ScalarValue,
+    TensorValue,
+    VectorValue,
+)
 from ngvisco.errors import UnknownNameError
 from ngvisco.expressions import parse
 from ngvisco.physics.flow_rules import FlowRule
-from ngvisco.physics.heat import WallHeat
+from ngvisco.physics.heat import Conductivity, WallHeat
 from ngvisco.physics.material import Material as MaterialObject
 from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.rheology import Viscosity
@@ -51,6 +60,8 @@ def _annotation(hint: Any) -> Any:
         return ModulusValue
     if hint == Modulus | None:
         return ModulusValue | None
+    if hint == Conductivity:
+        return LawValue
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         if _mentions_function(hint):
@@ -200,7 +211,7 @@ def parameters(part: Section) -> dict[str, Any]:
     """The parameters that a section holds, by name, without its other keys; None is left to the default.
 
     A section within it becomes the object that it describes, but for one of functions of space and time; a
-    modulus' text a function of the place.
+    modulus' text a function of the place, a law's one of the temperature.
     """
     values: dict[str, Any] = {}
     for name in inspect.signature(owner_of(type(part))).parameters.keys() & type(part).model_fields:
@@ -211,6 +222,8 @@ def parameters(part: Section) -> dict[str, Any]:
             value = [made(each) for each in value]
         elif isinstance(value, str) and name in moduli(type(part)):
             value = parse(value).coefficient()
+        elif isinstance(value, str) and annotation_of(type(part), name) == LawValue:
+            value = parse_law(value)
         if value is not None:
             values[name] = value
     return {name: values[name] for name in type(part).model_fields if name in values}

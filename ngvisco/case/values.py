@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from ngsolve import CF, CoefficientFunction
 from pydantic import AfterValidator, WithJsonSchema
 
+from ngvisco.case.energies import parse_law
 from ngvisco.errors import as_number
 from ngvisco.expressions import parse, parse_region
 from ngvisco.physics.signals import table
@@ -110,6 +111,18 @@ def _check_region(value: str) -> str:
 
 RegionText = Annotated[str, AfterValidator(_check_region)]
 """A condition on x, y, z."""
+
+
+def _check_law(value: Any) -> Any:
+    """A number, three rows of three, or an expression of theta; raises ValueError."""
+    if isinstance(value, str):
+        parse_law(value)
+        return value
+    return _check_numbers(value) if isinstance(value, list) else _check_scalar(value)
+
+
+LawValue = Annotated[Any, AfterValidator(_check_law), WithJsonSchema({"type": ["number", "string", "array"]})]
+"""A function of the temperature theta, K."""
 
 
 def as_function(value: Any) -> Any:

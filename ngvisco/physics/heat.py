@@ -69,7 +69,8 @@ class Heat:
     ----------
     conductivity : float
         Thermal conductivity kappa: a number, a 3x3 matrix, symmetric and positive semidefinite, or a function
-        of the temperature, theta -> kappa, written with the functions of ``ngvisco.physics.tensors``.
+        of the temperature, theta -> kappa, written with the functions of ``ngvisco.physics.tensors``; in case
+        files an expression of theta.
     source : float, optional
         Heat that is produced; a function of the place and the run's time.
     numerical_heating : bool
@@ -82,7 +83,7 @@ class Heat:
         If a parameter is out of its range.
     """
 
-    conductivity: Annotated[Conductivity, Quantity("W/(m K)", example=50.0)] = 0.0
+    conductivity: Annotated[Conductivity, Quantity("W/(m K)", example="0.5*(theta/300)**0.7")] = 0.0
     source: Annotated[Function | None, Quantity("W/m^3", example=100.0)] = None
     numerical_heating: bool = False
 

@@ -135,7 +135,8 @@ class RotheSolver:
             if self.method == "coupled" and self._grows(interval, attempts):
                 self.extrapolation.keep(interval.end)
                 return attempts
-            raise StepError(attempts[-1].solution.reason, attempts)
+            failed = [attempt.solution for attempt in attempts if not attempt.solution.converged]
+            raise StepError(failed[-1].reason, attempts)  # shorter steps may have been solved
         except BaseException:  # also an interrupt: never leave an iterate behind
             self.return_to(self._start)
             raise

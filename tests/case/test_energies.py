@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ngsolve import x
 
 import ngvisco as nv
 from ngvisco.case.build import parse_case
@@ -19,6 +21,7 @@ from ngvisco.physics.array_slope import array_slope
 from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.physics.materials import NeoHookean
 from ngvisco.physics.pointwise import ExpressionResponse
+from ngvisco.physics.tensors import exp
 from ngvisco.physics.variables import Distortion, Jacobian
 
 F_AND_J = (Distortion(), Jacobian())
@@ -243,6 +246,61 @@ def test_energy_of_a_case_is_in_its_units():
     assert energies[1] == pytest.approx(1000 * energies[0], rel=1e-14)
     again = parse_case(scaled.resolved, "case", Path("."))
     assert again.hash == scaled.hash != plain.hash
+
+
+WARM = """
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 0.7
+[material]
+kind = "Thermal"
+c = 3
+theta_R = 300
+[material.material]
+kind = "LinearElastic"
+K_e = 10
+G_e = 10
+[rheology.heat]
+conductivity = "0.1*(theta/300)**1.5 + 0.2*exp(-theta/300)"
+[initial]
+density = 1
+temperature = "300 + 100*x"
+[time]
+dt = 0.02
+until = 0.02
+"""
+
+
+@pytest.mark.parametrize("method", ["coupled", "split"])
+def test_a_conductivity_by_text_is_the_function_of_the_temperature(method):
+    case = parse_case(WARM, "case", Path("."), [f"solver.method={method}"])
+    ledger = case.simulation(case.mesh()).run(case.until)
+    start = nv.Initial(density=1.0, temperature=300 + 100 * x)
+
+    def law(theta):
+        return 0.1 * (theta / 300) ** 1.5 + 0.2 * exp(-theta / 300)
+
+    by_function = replace(case.model(2), heat=nv.Heat(conductivity=law))
+    expected = nv.Simulation(case.mesh(), by_function, dt=0.02, initial=start, solver=method).run(0.02)
+    name = "entropy_production_conduction"
+    assert ledger.column(name)[-1] == pytest.approx(expected.column(name)[-1], rel=1e-9) != 0
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ('"0.1*T"', ["unknown name 'T' (known: theta, pi, I), at character 5"]),
+        ('"2*3"', ["a law of the temperature reads at least one of theta"]),
+        ('"1 - theta"', ["'1 - theta': expected a function of the temperature, finite and >= 0"]),
+        ("[[1, 0], [0, 1]]", ["[[1, 0], [0, 1]]: expected a number >= 0", "a 3x3 matrix"]),
+        ("-1", ["-1: expected a finite number >= 0"]),
+    ],
+)
+def test_a_conductivity_of_a_case_names_what_is_wrong(value, words):
+    with pytest.raises(nv.CaseError) as caught:
+        parse_case(WARM, "case", Path("."), [f"rheology.heat.conductivity={value}"]).model(2)
+    assert all(word in str(caught.value) for word in ["rheology.heat.conductivity", *words])
 
 
 @pytest.mark.parametrize(

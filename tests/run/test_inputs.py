@@ -13,6 +13,7 @@ from ngvisco.geometries import bar, box, channel, disc, load, refine_walls
 SQUARE = box((1, 1), 2.0)
 PAIR = CF((x, x))
 LINEAR = nv.LinearElastic(K_e=10.0, G_e=5.0)
+WARM = nv.Thermal(material=LINEAR, c=1.0, theta_R=1.0)
 FINITE = nv.Model(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1))
 
 
@@ -105,6 +106,15 @@ WRONG = {
             nv.Traction(f=1),
             nv.Traction(f=(1, "a")),
             nv.Traction(f=(sqrt(x - 0.5), 0)),
+        )
+    ],
+    "heat": [
+        lambda v=v: simulation(nv.Model(material=WARM, heat=nv.Heat(source=v.pop("source", None))), **v)
+        for v in (
+            {"source": sqrt(x - 0.5)},
+            {"walls": {"top": nv.Slip(heat=nv.WallHeat(temperature=x - 0.5, coefficient=1.0))}},
+            {"walls": {"top": nv.Slip(heat=nv.WallHeat(temperature=1.0, coefficient=x - 0.5))}},
+            {"walls": {"top": nv.Slip(heat=nv.WallHeat(flux=sqrt(x - 0.5)))}},
         )
     ],
     "friction": [lambda v=v: nv.NavierFriction(v) for v in (None, "a", -1, [1], math.nan)],

@@ -43,8 +43,13 @@ _DEGREE = 6  # of the rule whose points are looked at on walls
 
 
 def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
-    """Raise ParameterError for a load that is not finite at a sampling point at one of the times (s)."""
+    """Raise ParameterError for a load or source of heat not finite at a sampling point at a time (s)."""
     dim, times = step.mesh.dim, list(times)
+    source = step.model.heat.source if step.model.heat is not None else None
+    for t in _at(times if source is not None else ()):
+        if not sampler.ranks.all(np.isfinite(sampler.values(CF(source))).all()):
+            expected = f"finite values; at t = {t:g} s it is not finite somewhere"
+            raise ParameterError("Heat.source", source, expected)
     for load in step.model.loads:
         name, value = ("force", load.force) if isinstance(load, BodyForce) else ("g", load.g)
         vector = force_of(load, dim)
@@ -63,8 +68,9 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
     Raises
     ------
     ParameterError
-        For what is not finite, for a friction that is negative somewhere, for a prescribed velocity with a
-        normal part, and for what flows in where density, J, ... are not positive.
+        For what is not finite, for a friction, a heat transfer coefficient or a temperature (0 too) that is
+        negative somewhere, for a prescribed velocity with a normal part, and for what flows in where density,
+        J, ... are not positive.
     """
     dim, times = step.mesh.dim, list(times)
     for name, wall in step.walls.conditions.items():
@@ -78,14 +84,19 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
             f = as_vector(wall.f, dim, f"{owner}.f")
             for t in _at(times):
                 _require_finite(step.mesh, name, f, f"{owner}.f", wall.f, t)
+        scalars = {}
         if isinstance(wall, NavierFriction):
-            friction = CF(wall.coefficient)
-            for t in _at(times):
-                where = f"{owner}.coefficient"
-                values = _require_finite(step.mesh, name, friction, where, wall.coefficient, t)
-                if (least := Communicator.of(step.mesh).least(values.min(initial=0.0))) < 0:
-                    expected = f"a function >= 0; at t = {t:g} s it is {least:.3g} somewhere on the wall"
-                    raise ParameterError(where, wall.coefficient, expected)
+            scalars["coefficient"] = (wall.coefficient, ">= 0")
+        if wall.heat is not None:
+            ranges = {"temperature": "> 0", "coefficient": ">= 0", "flux": ""}
+            scalars |= {f"heat.{key}": (getattr(wall.heat, key), sign) for key, sign in ranges.items()}
+        for key, (value, sign) in scalars.items():
+            for t in _at(times if isinstance(value, CoefficientFunction) else ()):
+                values = _require_finite(step.mesh, name, value, f"{owner}.{key}", value, t)
+                least = Communicator.of(step.mesh).least(values.min(initial=np.inf))
+                if sign and (least < 0 or (least == 0 and sign == "> 0")):
+                    expected = f"a function {sign}; at t = {t:g} s it is {least:.3g} somewhere on the wall"
+                    raise ParameterError(f"{owner}.{key}", value, expected)
     for term in step.terms:
         if isinstance(term, GivenStress):
             for field, stress in (("pressure", term.pressure), ("traction", term.f)):
