@@ -225,6 +225,7 @@ def test_a_wrong_value_is_refused_under_its_key_or_runs(name, monkeypatch, tmp_p
 
 
 @pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("name", NAMES)
 def test_every_wrong_value_and_both_extremes_of_every_number(name, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)

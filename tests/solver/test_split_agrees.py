@@ -235,7 +235,7 @@ def test_with_two_levels_and_unknowns_beside_the_velocity(beside):
     [
         (2, 1, "neo-hookean"),
         (2, 0, "linear"),
-        pytest.param(2, 2, "neo-hookean", marks=pytest.mark.long),
+        pytest.param(2, 2, "neo-hookean", marks=[pytest.mark.long, pytest.mark.ci]),
         pytest.param(3, 1, "neo-hookean", marks=pytest.mark.long),
     ],
 )
