@@ -40,11 +40,6 @@ RESTARTED = {
         "solver": "split",
         "walls": {"top": nv.PrescribedTangential((10 * nv.time * sin(pi * x), 0))},
     },
-    "adaptive": {
-        "scheme": "midpoint",
-        "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-3),
-        "solver": "split",
-    },
     "relaxed": {
         "scheme": "midpoint",
         "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02),
