@@ -72,11 +72,19 @@ class Claims:
         Raises
         ------
         ParameterError
-            For a term that no part takes, or a variable whose rate is not linear in the variables.
+            For a term that no part takes, a variable whose rate is not linear in the variables, or heat that
+            the diffusion of the fields makes.
         """
         if bent := step.tabulated_rates.tensors.bent:
             expected = f"the rate of {bent[0]!r} is not linear in the variables, as the split solver needs it"
             raise ParameterError("Variable.rate", bent[0], expected)
+        if any(isinstance(term, Heating) for term in step.terms):
+            for term in step.terms:
+                if isinstance(term, FieldDiffusion):
+                    expected = (
+                        "Regularisation.delta_fields with heat: what it dissipates is made of phi'' by forms"
+                    )
+                    raise ParameterError("Regularisation.delta_fields", term.law.delta_fields, expected)
         claims = cls()
         for term in step.terms:
             claims._claim(step, term)

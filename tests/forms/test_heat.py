@@ -11,6 +11,7 @@ from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.forms.terms.heat import PRODUCTION
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, square
+from ngvisco.run.ledger import EntropyWarning
 
 SOLID = nv.Thermal(
     material=nv.IsochoricNeoHookean(K_e=20.0, G_e=1.0, elastic_state="B"), c=3.0, expansion=0.1, theta_R=1.0
@@ -27,8 +28,8 @@ ALL = {
 STEPS = nv.AdaptiveSteps(dt_min=1e-3, dt_max=0.05)
 
 
-def run_of(solver, heat=None, steps=2, laws=ALL, **options):
-    model = nv.Model(material=SOLID, heat=heat, **laws)
+def run_of(solver, heat=None, steps=2, laws=ALL, material=SOLID, **options):
+    model = nv.Model(material=material, heat=heat, **laws)
     start = nv.Initial(density=1.0, velocity=SWIRL, temperature=options.pop("temperature", 1 + 0.2 * x))
     options |= {} if "time" in options else {"dt": 0.05}
     run = nv.Simulation(box((1, 1), maxh=0.7), model, initial=start, solver=solver, **options)
@@ -136,6 +137,33 @@ def test_what_further_terms_dissipate_is_heat_or_refused(solver):
     assert energy(ledger) == pytest.approx(energy(ledger)[0], rel=1e-3)
     with pytest.raises(nv.NgviscoError, match=r"Hidden.*dissipated"):
         run_of(solver, laws=laws, terms=[Hidden()], steps=0)
+
+
+class Feeding(Drag):
+    """What gives energy to the motion, and takes it from the heat."""
+
+    def cells(self, u, w):
+        return [-0.1 * inner(u.v, w.v)]
+
+    def dissipated(self, u):
+        return {"dissipation_feeding": -0.1 * square(u.v)}
+
+
+def test_a_mechanism_that_takes_entropy_away_is_warned_of_by_name():
+    with pytest.warns(EntropyWarning, match=r"entropy_production_feeding is -.* a law gives energy"):
+        ledger = run_of("coupled", laws={"viscosity": VISCOSITY}, terms=[Feeding()]).ledger
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10  # it closes: nothing else would tell
+
+
+def test_what_the_diffusion_of_fields_dissipates_is_heat_in_the_coupled_solver():
+    gas = nv.Thermal(c=3.0, gruneisen=0.4, theta_R=1.0)
+    options = {"material": gas, "laws": {"regularisation": nv.Regularisation(delta_fields=1e-2)}}
+    ledger = run_of("coupled", nv.Heat(numerical_heating=True), **options).ledger
+    heated = 0.05 * ledger.column("power_heat_dissipated").sum()
+    assert abs(energy(ledger) - energy(ledger)[0]).max() <= 1e-9 * heated
+    assert ledger.column(PRODUCTION + "delta_fields")[-1] > 0.01
+    with pytest.raises(nv.NgviscoError, match=r"'coupled': Regularisation\.delta_fields with heat"):
+        run_of("split", steps=0, **options)
 
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])

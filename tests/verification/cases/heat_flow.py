@@ -1,0 +1,130 @@
+"""Heat of flows against theory: shear that heats and weakens, by ordinary differential equations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from ngsolve import y
+from scipy.integrate import solve_ivp
+
+import ngvisco as nv
+from ngvisco.geometries import structured_box
+from tests.verification.case import Bound, Case, Outcome, Table
+from tests.verification.cases.heat import THEME
+from tests.verification.setups import CLOSURE, closure
+
+C, THETA_R, RATE, ENERGY = 2.0, 300.0, 2.0, 2e4
+"""Heat capacity, J/(m^3 K), start, K, shear rate, 1/s, activation energy, J/mol."""
+K, N = 40.0, 0.6
+"""A fluid's consistency, Pa s^n, and exponent."""
+G, A, M = 20.0, 1e-4, 3.0
+"""A body's G_e, Pa, and Norton's law's rate at 1 Pa, 1/s, and exponent."""
+
+
+def _faster(theta: float) -> float:
+    """Arrhenius's factor."""
+    return float(np.exp(ENERGY / 8.31446261815324 * (1 / THETA_R - 1 / theta)))
+
+
+def _fluid(_t: float, u: np.ndarray) -> np.ndarray:
+    """c theta' = K rate^(n+1)/a."""
+    return np.array([K * RATE ** (N + 1) / _faster(u[0]) / C])
+
+
+def _body(_t: float, u: np.ndarray) -> np.ndarray:
+    """F' = L F - F Pi, Pi = a A |M|^(n-1) M, c theta' = M : Pi, of the elastic distortion in simple shear.
+
+    M = F^T T F^-T, T = 2 G dev F F^T, since J = 1.
+    """
+    F, theta = u[:9].reshape(3, 3), u[9]
+    L = np.zeros((3, 3))
+    L[0, 1] = RATE
+    B = F @ F.T
+    mandel = F.T @ (2 * G * (B - np.trace(B) / 3 * np.eye(3))) @ np.linalg.inv(F.T)
+    Pi = _faster(theta) * A * np.sum(mandel * mandel) ** ((M - 1) / 2) * mandel
+    return np.append((L @ F - F @ Pi).ravel(), np.sum(mandel * Pi) / C)
+
+
+def _run(dt: float, solver: str, material: nv.Material, **laws: Any) -> nv.Simulation:
+    warm = nv.Thermal(material=material, c=C, theta_R=THETA_R)
+    walls: Any = {"top": nv.PrescribedTangential((RATE, 0.0)), "bottom": nv.NoSlip()}
+    run = nv.Simulation(
+        structured_box((1, 1), (1, 1), periodic=("x",)),
+        nv.Model(material=warm, **laws),
+        dt=dt,
+        walls=walls,
+        initial=nv.Initial(density=1e-6, velocity=(RATE * y, 0.0)),
+        scheme="midpoint",
+        solver=solver,
+        newton=nv.NewtonOptions(tolerance=1e-12),  # the energy is zero at the start
+    )
+    run.run(1.0)
+    return run
+
+
+def _shear_heating() -> Outcome:
+    gel = nv.IsochoricNeoHookean(K_e=200.0, G_e=G, elastic_state="B")
+    thinning = nv.PowerLaw(K_v=1.0, consistency=K, n=N, floor=1e-6)
+    kinds: dict[str, tuple[Any, np.ndarray, Any, dict[str, Any]]] = {
+        "power-law fluid": (
+            _fluid,
+            np.array([THETA_R]),
+            nv.ReferentialNeoHookean(K_e=200.0, G_e=1e-9),
+            {"viscosity": nv.ActivatedViscosity(viscosity=thinning, E=ENERGY, theta_R=THETA_R)},
+        ),
+        "Norton's body": (
+            _body,
+            np.append(np.eye(3).ravel(), THETA_R),
+            gel,
+            {
+                "creep": nv.Activated(rule=nv.Norton(A=A, n=M), E=ENERGY, theta_R=THETA_R),
+                "viscosity": nv.StokesViscosity(K_v=1e-9, G_v=1e-9),
+            },
+        ),
+    }
+    rows, rates, differences, runs = [], [], [], []
+    for name, (slope, start, material, laws) in kinds.items():
+        exact = solve_ivp(slope, (0, 1), start, method="LSODA", rtol=1e-11, atol=1e-11).y[-1, -1]
+        errors = []
+        for dt, solver in ((0.1, "coupled"), (0.05, "coupled"), (0.05, "split")):
+            run = _run(dt, solver, material, **laws)
+            theta = run.fields["temperature"](run.mesh(0.4, 0.4))
+            errors.append(abs(theta - exact) / (exact - THETA_R))
+            rows.append([name, solver, dt, theta, exact, errors[-1]])
+            runs.append(run)
+        rates.append(float(np.log2(errors[0] / errors[1])))
+        differences.append(abs(errors[2] - errors[1]))
+    return Outcome(
+        values={
+            "largest relative error of the warming, 0.05 s": max(row[-1] for row in rows if row[2] < 0.1),
+            "least order in time": min(rates),
+            "difference of the solvers, of the warming": max(differences),
+            "largest |closure|": closure(*runs),
+        },
+        tables=[
+            Table(
+                f"temperature after a shear of {RATE:g} in 1 s, adiabatic",
+                ["body", "solver", "dt, s", "theta, K", "reference, K", "error of the warming"],
+                rows,
+            )
+        ],
+    )
+
+
+CASES = (
+    Case(
+        name="heat-shear",
+        theme=THEME,
+        statement="Adiabatic shear of a power-law fluid and of a body that creeps: heat weakens both.",
+        label="heat-entropy; c theta' = tau rate with Arrhenius's factor, by SciPy's LSODA",
+        setting="Homogeneous shear at 2/s for 1 s from 300 K, E = 20 kJ/mol; two cells, midpoint rule.",
+        bounds=(
+            Bound("largest relative error of the warming, 0.05 s", "<=", 2e-3, "(rate dt)^2/12 = 8e-4"),
+            Bound("least order in time", ">=", 1.8, "2"),
+            Bound("difference of the solvers, of the warming", "<=", 1e-8, "the same equations"),
+            CLOSURE,
+        ),
+        run=_shear_heating,
+    ),
+)
