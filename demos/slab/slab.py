@@ -23,7 +23,7 @@ def simulation(cells: tuple[int, int] = (15, 20), dt: float = KYR, **options) ->
     slab = nv.Body(
         name="slab",
         where=nv.Block((0.0, 2250.0), (4500.0, 2750.0)),
-        material=nv.OldroydB(K_e=1e11, G_e=5e9),  # half the shear modulus, 1e10 Pa
+        material=nv.ReferentialNeoHookean(K_e=1e11, G_e=5e9),  # half the shear modulus, 1e10 Pa
         creep=nv.Creep(G_m=2e24),  # twice the viscosity, 1e24 Pa s
         density=3300.0,
     )

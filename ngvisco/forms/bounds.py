@@ -12,8 +12,8 @@ for that rule:
 
     int_K phi(z_K + s (z - z_K)) <= s int_K phi(z) + (1 - s) |K| phi(z_K) <= int_K phi(z).
 
-Bodies' amounts and parameters have bounds of their own (``ngvisco.forms.amounts``, ``ngvisco.forms.ranges``)
-and are limited first.
+Of bodies rho = sum rho_i n_i is a function of z: both have one s, so that it stays theirs.  Parameters have
+bounds of their own (``ngvisco.forms.ranges``) and are limited first.
 
 Only a mean out of bounds is beyond mending; it ends a step.  Two bounds do not count: those of variables for
 which the material's energy is continued (``Material.continued``: a Yosida approximation, J_min), and in a
@@ -32,7 +32,6 @@ from functools import cached_property
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.forms.amounts import Amounts
 from ngvisco.forms.cell_means import SHARE, CellMeans
 from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.forms.mesh.sampling import Sampler
@@ -129,7 +128,7 @@ class Bounds:
         self._ranks = sampler.ranks
         material, dim, u = step.model.material, step.mesh.dim, step.now
         self._variables: list[str | None] = [None]
-        """The variable that each bound is of; None for rho."""
+        """The variable that each bound is of; None for rho, "" for several."""
         present: dict[str, CoefficientFunction] = {"rho": u.rho}
         law = step.model.regularisation
         self._densest: float | None = None
@@ -140,11 +139,9 @@ class Bounds:
                 self._densest = bound
                 present[OF_CUT_OFF] = bound - u.rho
                 self._variables.append(None)
-        for variable in material.variables:
-            if variable.name not in material.continued:
-                bounds = variable.positive(u.z_tensors[variable.name])
-                present |= bounds
-                self._variables += [variable.name] * len(bounds)
+        for name, bounds in material.bounds(u.z_tensors).items():
+            present |= bounds
+            self._variables += [name] * len(bounds)
         self.names = tuple(present)
         self._present = CF(tuple(present.values()))
         self._slices, self._size = material.states(dim).slices, material.states(dim).size
@@ -159,20 +156,14 @@ class Bounds:
         return Ranges(self.step, self.sampler, self._means)
 
     @cached_property
-    def amounts(self) -> Amounts:
-        """Those of the bodies."""
-        return Amounts(self.step, self.sampler, self._means)
-
-    @cached_property
     def _bounds_of_means(self) -> CoefficientFunction:
         material, means = self.step.model.material, self._means
         z = material.states(self.step.mesh.dim).tensors(lambda: means.z)
         values = [means.rho]
         if self._densest is not None:
             values.append(self._densest - means.rho)
-        for variable in material.variables:
-            if variable.name not in material.continued:
-                values += variable.positive(z[variable.name]).values()
+        for bounds in material.bounds(z).values():
+            values += bounds.values()
         return CF(tuple(values))
 
     @cached_property
@@ -203,46 +194,63 @@ class Bounds:
 
         Only rho and z change, and only in cells that are out of bounds at a point.
         """
-        out_of_range = np.union1d(self.amounts.limit(), self.ranges.limit())
+        out_of_range = self.ranges.limit()
         found = self._outside()
         if found is None:
             return int(self._ranks.total(len(out_of_range)))
         target, _ = SHARE * found.means, self._means.owner  # which all ranks make together
         of_density = np.array([variable is None for variable in self._variables])
-        for name, group in (("rho", of_density), ("z", ~of_density)):
+        groups: list[tuple[tuple[str, ...], np.ndarray]] = [(("rho",), of_density), (("z",), ~of_density)]
+        if self.step.model.bodies:
+            groups = [(("rho", "z"), of_density | True)]
+        for names, group in groups:
             outside = (found.broken & group).any(axis=1)
             if outside.any():
-                self._scale(name, found, outside, found.required & group, target)
+                self._scale(names, found, outside, found.required & group, target)
         return int(self._ranks.total(len(np.union1d(out_of_range, found.cells))))
 
     def is_exceeded(self) -> bool:
         """Whether ``limit`` would change the present state."""
-        return self.amounts.is_exceeded() or self.ranges.is_exceeded() or self._outside() is not None
+        return self.ranges.is_exceeded() or self._outside() is not None
 
     def _scale(
-        self, name: str, found: _Outside, outside: np.ndarray, required: np.ndarray, target: np.ndarray
+        self,
+        names: tuple[str, ...],
+        found: _Outside,
+        outside: np.ndarray,
+        required: np.ndarray,
+        target: np.ndarray,
     ) -> None:
-        """Scale rho or z in the cells ``outside`` so that what is ``required`` reaches its target."""
-        state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges[name]]
-        values = state.reshape(self._size if name == "z" else 1, -1)
-        mean = self._means.array(name)
-        strains = np.ones(1, dtype=bool) if name == "rho" else self.step.layout.states.strains
+        """Scale rho, z or both in the cells ``outside`` so that what is ``required`` reaches its target."""
         place = np.full(self.step.mesh.ne, -1)
         place[found.cells[outside]] = np.flatnonzero(outside)
-        one, owner = self._means.one, self._means.owner
-        dofs = np.flatnonzero(place[owner] >= 0)
-        cells = place[owner[dofs]]
-        centre = mean[:, found.cells[cells]] * one[dofs]
-        rest = values[:, dofs] - centre
-        kept = np.where(strains, 0.0, 1.0)[:, None] * rest  # of parameters, which have ranges of their own
-        centre, rest = centre + kept, rest - kept
+        dofs = np.flatnonzero(place[self._means.owner] >= 0)
+        cells = place[self._means.owner[dofs]]
+        parts = [self._parts_of(name, dofs, found.cells[cells]) for name in names]
+
+        def put(share: np.ndarray) -> None:
+            for values, centre, rest in parts:
+                values[:, dofs] = centre + share[cells] * rest
+
         low, high = np.zeros(len(found.cells)), np.ones(len(found.cells))
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
-            values[:, dofs] = centre + middle[cells] * rest
+            put(middle)
             holds = (~required | (self._at(found) >= target)).all(axis=1)
             low, high = np.where(holds, middle, low), np.where(holds, high, middle)
-        values[:, dofs] = centre + low[cells] * rest
+        put(low)
+
+    def _parts_of(
+        self, name: str, dofs: np.ndarray, cells: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Coefficients of rho or z, and of their functions ``dofs`` the mean and what is beside it."""
+        state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges[name]]
+        values = state.reshape(self._size if name == "z" else 1, -1)
+        strains = np.ones(1, dtype=bool) if name == "rho" else self.step.layout.states.strains
+        centre = self._means.array(name)[:, cells] * self._means.one[dofs]
+        rest = values[:, dofs] - centre
+        kept = np.where(strains, 0.0, 1.0)[:, None] * rest  # of parameters, which have ranges of their own
+        return values, centre + kept, rest - kept
 
     def _outside(self) -> _Outside | None:
         """The cells that are out of bounds at one of the sampler's points; NaN is so."""
@@ -281,7 +289,7 @@ class Bounds:
         every = np.concatenate(self._ranks.gathered(sizes.max(axis=1, initial=0.0)))
         unread = _UNREAD * float(np.median(every))
         for i, name in enumerate(self._variables):
-            if name is not None:
+            if name:
                 largest = np.zeros(count)
                 np.maximum.at(largest, owner, sizes[points][:, self._slices[name]].max(axis=1))
                 required[:, i] = largest > unread

@@ -8,17 +8,19 @@ the same methods for arrays of values, with the constant tensors that the rates 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Literal, TypeAlias
 
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.physics.flow_rules.rule import FlowRule
+from ngvisco.physics.flows import Flow
 from ngvisco.physics.material import mandel_stress, rate_power
 from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.model import Model
 from ngvisco.physics.rheology import Viscosity
-from ngvisco.physics.tensors import identity_like, inner, square, trace_free_tensors
+from ngvisco.physics.tensors import identity_like, inner, square, tr, trace_free_tensors
 from ngvisco.physics.variables import PRESSURE, TEMPERATURE, Values
 
 Conjugate: TypeAlias = Literal["z", "zeta"]
@@ -34,49 +36,63 @@ class Rates:
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[CoefficientFunction]:
         """rate(z; grad w, 0) : G in summands, w the velocity of ``along``, G the part ``name`` of ``G``.
 
-        Without conserved variables: theirs is within their flux.
+        Of densities their production alone: the rest is within their flux.
         """
-        zero, tensors = 0 * along.L, _tensors(G, name)
-        return [
-            inner(variable.rate(z.z_tensors, along.L, zero), tensors[variable.name])
-            for variable in self.material.variables
-            if not variable.is_conserved
-        ]
-
-    def creep_power(
-        self, z: Fields, Pi: CoefficientFunction, G: Fields, name: Conjugate
-    ) -> Sequence[CoefficientFunction]:
-        """rate(z; 0, Pi) : G in summands, Pi 3x3; the affine parts of a rate vanish at L = 0."""
-        tensors = _tensors(G, name)
-        return [
-            inner(variable.rate(z.z_tensors, 0 * Pi, Pi), tensors[variable.name])
-            for variable in self.material.variables
-            if variable.creeps
-        ]
-
-    def mandel(self, u: Fields) -> CoefficientFunction:
-        """Mandel stress of the projected conjugates, 3x3, Pa."""
-        return mandel_stress(self.material, u.z_tensors, u.zeta_tensors, self.dim)
-
-    def mandel_components(self, u: Fields) -> CoefficientFunction:
-        """The same in the components that a creep rate field has."""
-        return trace_free_tensors(self.dim).components(self.mandel(u))
+        zero, tensors, values = 0 * along.L, _tensors(G, name), z.z_tensors
+        parts = []
+        for variable in self.material.variables:
+            if not variable.is_conserved:
+                rate = variable.rate(values, along.L, zero)
+                rate = rate + tr(along.L) * values[variable.name] if variable.by_flux else rate
+                parts.append(inner(rate, tensors[variable.name]))
+        return parts
 
     @property
-    def rule(self) -> FlowRule | None:
-        """The model's flow rule; None where nothing creeps."""
-        rule = self.model.creep
-        return None if rule is None or not rule.flows else rule
+    def flows(self) -> tuple[Flow, ...]:
+        """What creeps."""
+        return self.model.flows
 
-    def creep(self, u: Fields) -> CoefficientFunction | None:
-        """Pi, 3x3, 1/s: of a local rule, or the field of its own; None without creep."""
-        if self.rule is None:
-            return None
-        return self.local_creep(self.rule, u) if self.rule.is_local else u.Pi
+    @cached_property
+    def is_local(self) -> bool:
+        """Whether all that creeps has its rate at the point."""
+        return all(flow.rule.is_local for flow in self.flows)
 
-    def local_creep(self, rule: FlowRule, u: Fields) -> CoefficientFunction:
-        """Pi by a rule at the values at the point, 3x3, 1/s."""
-        return rule.rate(self.mandel(u), self.read_conjugate(u), self.read_values(rule, u))
+    def creep_power(
+        self, z: Fields, Pi: Sequence[CoefficientFunction], G: Fields, name: Conjugate
+    ) -> Sequence[CoefficientFunction]:
+        """rate(z; 0, Pi) : G in summands, Pi 3x3, one a flow; the affine parts of a rate vanish at L = 0."""
+        tensors = _tensors(G, name)
+        return [
+            inner(variable.rate(z.z_tensors, 0 * rate, rate), tensors[variable.name])
+            for flow, rate in zip(self.flows, Pi, strict=True)
+            for variable in self.material.variables
+            if variable.name in flow.names
+        ]
+
+    def mandel(self, u: Fields, flow: Flow | None = None) -> CoefficientFunction:
+        """Mandel stress of the projected conjugates, 3x3, Pa; what drives a flow, or of all variables."""
+        names = None if flow is None else flow.names
+        return mandel_stress(self.material, u.z_tensors, u.zeta_tensors, self.dim, names)
+
+    def mandel_components(self, u: Fields) -> CoefficientFunction:
+        """The same of all variables in the components that a creep rate field has."""
+        return trace_free_tensors(self.dim).components(self.mandel(u))
+
+    def creep(self, u: Fields) -> list[CoefficientFunction]:
+        """Pi of every flow, 3x3, 1/s: of a local rule, or the field of its own."""
+        return [self.local_creep(flow, u) if flow.rule.is_local else u.Pi for flow in self.flows]
+
+    def mean_creep(self, u: Fields) -> CoefficientFunction | None:
+        """sum theta_i Pi_i over the bodies, 3x3, 1/s; Pi of a material; None without creep."""
+        parts = [f.share(u.z_tensors) * Pi for f, Pi in zip(self.flows, self.creep(u), strict=True)]
+        return sum(parts[1:], parts[0]) if parts else None
+
+    def local_creep(self, flow: Flow, u: Fields) -> CoefficientFunction:
+        """Pi of a flow at the values at the point, 3x3, 1/s: by the Mandel stress per its own volume."""
+        M = self.mandel(u, flow)
+        if flow.body is not None:
+            M = (1 / flow.share(u.z_tensors)) * M
+        return flow.rule.rate(M, self.read_conjugate(u), self.read_values(flow.rule, u))
 
     def read_conjugate(self, u: Fields) -> CoefficientFunction | None:
         """The zeta that a rule may read; None where the material has no conformation tensor."""
@@ -106,21 +122,23 @@ class Rates:
 
     def dissipation(self, u: Fields) -> CoefficientFunction | None:
         """The power of creep, W/m^3, without that of its gradient term; None without creep."""
-        Pi = self.creep(u)
-        if self.rule is None or Pi is None:
-            return None
-        if not self.rule.is_local:
-            return inner(self.rule.force(Pi, self.read_values(self.rule, u)), Pi)
-        if not self.rule.has_trace:
-            return inner(Pi, self.mandel(u))
+        parts = [self.power_of_creep(flow, Pi, u) for flow, Pi in zip(self.flows, self.creep(u), strict=True)]
+        return sum(parts[1:], parts[0]) if parts else None
+
+    def power_of_creep(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
+        """That of one flow with the rate Pi, W/m^3."""
+        if not flow.rule.is_local:
+            return inner(flow.rule.force(Pi, self.read_values(flow.rule, u)), Pi)
+        if not flow.rule.has_trace:
+            return inner(Pi, self.mandel(u, flow))
         return -rate_power(self.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi)
 
     def gradient_dissipation(self, u: Fields) -> CoefficientFunction | None:
         """nu |grad Pi|^q, W/m^3; None where creep has no gradient term."""
-        if self.rule is None or self.rule.is_local:
+        if self.is_local:
             return None
         size = square(u.grad_Pi)
-        return self.rule.gradient_coefficient(size) * size
+        return self.flows[0].rule.gradient_coefficient(size) * size
 
 
 def _tensors(G: Fields, name: Conjugate) -> Values:

@@ -34,13 +34,13 @@ from ngvisco.forms.boundary.walls import Conditions, Walls
 from ngvisco.forms.context import Context
 from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
-from ngvisco.forms.fading import fading_terms
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Discretisation, Layout
 from ngvisco.forms.tabulated_rates import TabulatedRates
 from ngvisco.forms.term import Entry, Integrand, Term
 from ngvisco.forms.terms.creep import CreepRate
+from ngvisco.forms.terms.dilution import dilution_terms
 from ngvisco.forms.terms.heat import heat_terms
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Continuity, Convection, Inertia, Loading, Stokes
@@ -67,7 +67,7 @@ def equations(model: Model, dim: int) -> tuple[Term, ...]:
     if model.hyperviscosity is not None:
         terms.append(Hyperviscosity(model.hyperviscosity))
     terms += [Loading(load, dim) for load in model.loads]
-    terms += [Kinematics(model), Conjugates(model), UpwindTrace(), *fading_terms(model.material)]
+    terms += [Kinematics(model), Conjugates(model), UpwindTrace(), *dilution_terms(model.material)]
     if model.creep is not None and not model.creep.is_local:
         terms.append(CreepRate(model.creep))
     return (*terms, *regularising_terms(model, dim))

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate, Rates
 from ngvisco.physics.arrays import Array, Linear
-from ngvisco.physics.material import creep_tensors
+from ngvisco.physics.flows import Flow
 from ngvisco.physics.model import Model
 from ngvisco.physics.rate_tensors import RateTensors
-from ngvisco.physics.tensors import dev, trace_free_tensors
+from ngvisco.physics.state_space import StateSpace
+from ngvisco.physics.tensors import dev, symmetric_tensors, trace_free_tensors
 
 
 class TabulatedRates(Rates):
@@ -20,17 +22,23 @@ class TabulatedRates(Rates):
 
     def __init__(self, model: Model, dim: int) -> None:
         super().__init__(model, dim)
-        self.creep_space = creep_tensors(self.rule, dim)
-        """The tensors among which Pi is, and the forces that drive it."""
-        trace = self.rule is not None and self.rule.has_trace
-        self.tensors = RateTensors.of(tuple(model.material.variables), dim, trace)
+        trace = any(flow.rule.has_trace for flow in self.flows)
+        self.creep_space = symmetric_tensors(dim) if trace else trace_free_tensors(dim)
+        """The tensors among which each Pi is, and the forces that drive it."""
+        variables = tuple(model.material.variables)
+        self.tensors = RateTensors.of(variables, dim, trace)
+        if len(self.flows) > 1 or any(flow.body is not None for flow in self.flows):
+            names = (flow.names for flow in self.flows)
+            self.tensors = self.tensors.by_groups(tuple(names), StateSpace.of(variables, dim))
         states = model.material.states(dim)
-        kept = ~states.conserved
         self._without_flux = self.tensors
-        """Those of what is not conserved: theirs is within their flux."""
-        if not kept.all():
-            of_kept = self.tensors.constant * kept, self.tensors.linear * kept[:, None]
-            self._without_flux = RateTensors(*of_kept, self.tensors.gradients)
+        """Of densities their production alone: the rest is within their flux."""
+        if states.by_flux.any():
+            linear, of_flux = self.tensors.linear.copy(), np.flatnonzero(states.by_flux)
+            for i in range(dim):
+                linear[i * (dim + 1), of_flux, of_flux] += 1.0
+            linear[abs(linear) < 1e-12] = 0.0
+            self._without_flux = replace(self.tensors, linear=linear)
 
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[Linear]:
         """rate(z; grad w, 0) : G with either w or G a test."""
@@ -43,27 +51,26 @@ class TabulatedRates(Rates):
         shape = (*along.grad_v.shape, -1)
         return [along.grad_v.InnerProduct(Array(stress.reshape(shape), None))]
 
-    def creep_power(self, z: Fields, Pi: Array, G: Fields, name: Conjugate) -> Sequence[Linear]:
-        """rate(z; 0, Pi) : G, with G a test."""
-        components = self.creep_space.components(Pi).value
-        rate = self.tensors.rate(z.z.value, components, first=self.tensors.gradients)
+    def creep_power(self, z: Fields, Pi: Sequence[Array], G: Fields, name: Conjugate) -> Sequence[Linear]:
+        """rate(z; 0, Pi) : G, with G a test, Pi one a flow."""
+        rate = self.tensors.rate(z.z.value, self._components(Pi), first=self.tensors.gradients)
         return [G.parts[name].InnerProduct(Array(rate, None))]
 
-    def mandel(self, u: Fields) -> Array:
-        """Mandel stress of the projected conjugates, 3x3, Pa."""
-        t = self.tensors
-        M = Array(t.stress(u.z.value, u.zeta.value, t.gradients, len(t.constant)), None)
+    def mandel(self, u: Fields, flow: Flow | None = None) -> Array:
+        """Mandel stress of the projected conjugates, 3x3, Pa, that drives a flow, by default the first."""
+        t, size = self.tensors, self.creep_space.size
+        first = t.gradients + size * (0 if flow is None else self.flows.index(flow))
+        M = Array(t.stress(u.z.value, u.zeta.value, first, first + size), None)
         tensor = -self.creep_space.tensor(M)
-        return dev(tensor) if self.rule is not None and self.rule.has_trace else tensor
-
-    def mandel_components(self, u: Fields) -> Array:
-        """The same in the components that a creep rate field has."""
-        return trace_free_tensors(self.dim).components(self.mandel(u))
+        return dev(tensor) if flow is not None and flow.rule.has_trace else tensor
 
     def stored(self, u: Fields) -> Array:
         """phi(z), Pa."""
         return self.material.energy(u.z_tensors)
 
     def creep_components(self, u: Fields) -> np.ndarray:
-        """Pi of a local rule in components, (p, points)."""
-        return self.creep_space.components(self.creep(u)).value
+        """Pi of all local rules in components, (flows p, points)."""
+        return self._components(self.creep(u))
+
+    def _components(self, Pi: Sequence[Array]) -> np.ndarray:
+        return np.concatenate([self.creep_space.components(each).value for each in Pi])

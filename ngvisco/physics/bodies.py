@@ -1,13 +1,13 @@
-"""Bodies of different material in one domain: what each of them is, and where it is at the start.
+"""Bodies of different material in one domain: what each of them is and carries, and where it is at the start.
 
-The bodies of a ``Model`` travel with the flow.  Each has a volume fraction theta_i in [0, 1], and
-sum theta_i = 1 at every point.
+The bodies of a ``Model`` travel with the flow.  Body i carries densities per actual volume: its amount n_i
+and, where it has tensors, X_i = n_i B, of its own, by their flux.  theta_i = n_i/sum n_j are fractions.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 from ngsolve import CoefficientFunction, Det
 
@@ -17,6 +17,9 @@ from ngvisco.physics.material import Material
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import tr
 from ngvisco.physics.variables import Values, Variable
+
+AMOUNT = "n_"
+"""What the name of a body's amount begins with."""
 
 
 @runtime_checkable
@@ -38,23 +41,21 @@ Where: TypeAlias = CoefficientFunction | Region
 class Amount(Variable):
     """n_i, the volume that body i has in its reference state per actual volume: dt n_i + div(n_i v) = 0.
 
-    It is conserved, transported by its own flux through facets (``ngvisco.forms.terms.transport``), and with
-    it the mass of the body, int rho_i n_i.  It is no strain: theta_i = n_i/sum n_j.
+    It is conserved, and with it the mass of the body, int rho_i n_i.  It is no function of a strain.
 
     Parameters
     ----------
     name : str
     density : float
         rho_i of the reference state, kg/m^3.
+    share : float
+        Of the body at a point that stands for all states, where there is as much of each.
     """
 
     name: str
     kind: str = "scalar"
     density: float = 1.0
-
-    @property
-    def is_strain(self) -> bool:
-        return False
+    share: float = field(default=0.5, compare=False)
 
     @property
     def is_conserved(self) -> bool:
@@ -64,8 +65,51 @@ class Amount(Variable):
         return -tr(L) * z[self.name]
 
     def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
-        """That of a point half of which is of this body."""
-        return 0.5 / Det(F)
+        return self.share / Det(F)
+
+    def positive(self, value: CoefficientFunction) -> Values:
+        return {self.name: value}
+
+
+@dataclass(frozen=True)
+class Content(Variable):
+    """X_i = n_i B of body i, B a tensor J^a F, J^a Cof F, J^a F F^T or J^a Cof(F F^T) of its distortion.
+
+    Its rate is that of ``tensor``, which has the exponent a - 1 and the name of this variable: n_i = 1/J
+    where there is nothing but the body, and the rate is linear.
+
+    Parameters
+    ----------
+    name, kind : str
+    tensor : Variable
+    share : float
+        As for ``Amount``.
+    """
+
+    name: str
+    kind: str
+    tensor: Variable
+    share: float = field(default=0.5, compare=False)
+
+    @property
+    def by_flux(self) -> bool:
+        return True
+
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+        return self.tensor.rate(z, L, Pi)
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        return self.share * self.tensor.from_distortion(F)
+
+    def positive(self, value: CoefficientFunction) -> Values:
+        return self.tensor.positive(value)
+
+    @property
+    def frame(self) -> Literal["relaxed", "actual"] | None:
+        return self.tensor.frame
+
+    def turned(self, value: CoefficientFunction, Q: CoefficientFunction) -> CoefficientFunction:
+        return self.tensor.turned(value, Q)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,6 @@ from ngsolve import CoefficientFunction, Cof, log, sqrt
 
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.material import Material
-from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import (
     Cofactor,
@@ -46,13 +45,12 @@ def relative_defects(
         if variable == volume or ratio is None or (free and variable.name == material.conformation):
             continue
         det, n = ratio
-        weight = _where_read(material, variable, z)
         if abs(n) < 1e-12:
-            found[f"det {variable.name} and 1"] = weight * (det - 1)
+            found[f"det {variable.name} and 1"] = det - 1
         elif volume is not None:
             J = z[volume.name] if isinstance(volume, Jacobian) else 1 / z[volume.name]
             name = f"det {variable.name}" if variable.creeps else variable.name
-            found[f"{name} and {volume.name}"] = weight * (det * J ** float(-n) - 1)
+            found[f"{name} and {volume.name}"] = det * J ** float(-n) - 1
     for name, variable in variables.items():
         if isinstance(variable, LogJacobian):
             A = z[variable.reciprocal]
@@ -63,22 +61,8 @@ def relative_defects(
             # J^b Cof F of z = J^a F, as a multiple of Cof z; its size is free where J is not known
             scale = sqrt(square(z[name]) / square(cofactor))
             gap = sqrt(square(z[name] - scale * cofactor) / square(z[name]))
-            found[f"{name} and Cof {partner.name}"] = _where_read(material, variable, z) * gap
+            found[f"{name} and Cof {partner.name}"] = gap
     return found
-
-
-def _where_read(material: Material, variable: Variable, z: Values) -> CoefficientFunction | float:
-    """1; of bodies some of which do not read the variable, r^8 with the share r of those that do.
-
-    A tensor fades where it is not read (``ngvisco.forms.fading``), and belongs to no distortion there.
-    """
-    if not isinstance(material, Mixture):
-        return 1.0
-    readers = material.readers(variable.name)
-    if len(readers) == len(material.bodies):
-        return 1.0
-    share = sum(value for name, value in material.fractions.at(z).items() if name in readers)
-    return share**8
 
 
 def _partner(variable: Variable, material: Material) -> Variable | None:

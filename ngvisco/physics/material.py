@@ -16,21 +16,19 @@ the variables z; this is the "generalised polyconvexity" of the paper's Section 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError
-from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.parameters import Modulus, require_ranges
 from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import (
     IDENTITY,
-    TensorSpace,
     constant,
     inner,
-    symmetric_tensors,
     trace_free_tensors,
 )
 from ngvisco.physics.variables import Values, Variable
@@ -94,6 +92,15 @@ class Material(ABC):
         """
         return frozenset()
 
+    def bounds(self, z: Values) -> dict[str, Values]:
+        """What must be > 0 of a state: of each variable that is not ``continued``, by its name."""
+        kept = (v for v in self.variables if v.name not in self.continued)
+        return {v.name: v.positive(z[v.name]) for v in kept}
+
+    def at_rest(self, z: Values) -> Values:
+        """The state of F = I with what is no strain of ``z``."""
+        return {v.name: v.from_distortion(IDENTITY) if v.is_strain else z[v.name] for v in self.variables}
+
     def states(self, dim: int) -> StateSpace:
         """The space of the states, all components of the variables side by side, on meshes of ``dim``."""
         return StateSpace.of(tuple(self.variables), dim)
@@ -124,7 +131,7 @@ def check_material(material: Material) -> None:
                     f"{owner}.variables", names, f"{other!r} too: the rate of {variable.name!r} reads it"
                 )
     frames = {v.frame: v.name for v in material.variables if v.frame is not None}
-    if len(frames) > 1:
+    if len(frames) > 1 and not hasattr(material, "bodies"):  # which creep each by itself
         raise ParameterError(
             f"{owner}.variables",
             names,
@@ -179,8 +186,12 @@ def cauchy_stress(
     return CF(tuple(entries), dims=(3, 3)) + phi * IDENTITY
 
 
-def mandel_stress(material: Material, z: Values, zeta: Values, dim: int) -> CoefficientFunction:
+def mandel_stress(
+    material: Material, z: Values, zeta: Values, dim: int, names: Sequence[str] | None = None
+) -> CoefficientFunction:
     """Mandel stress M in R^{3x3}_dev (symmetric, trace-free), Pa; of the given conjugates.
+
+    Of the variables ``names`` alone, where they are given.
 
     M is minus the derivative of sum_i zeta_i : rate_i(z; 0, Pi) in Pi, restricted to symmetric
     trace-free Pi; for F it is sym dev(F^T S_F), paper: Mandel-stress-polyconvex.
@@ -192,15 +203,10 @@ def mandel_stress(material: Material, z: Values, zeta: Values, dim: int) -> Coef
         powers = [
             inner(zeta[v.name], v.rate(z, zero, constant(np.array(P))))
             for v in material.variables
-            if v.creeps
+            if v.creeps and (names is None or v.name in names)
         ]
         entries.append(-sum(powers[1:], powers[0]) if powers else CF(0.0))
     return space.tensor(CF(tuple(entries)))
-
-
-def creep_tensors(creep: FlowRule | None, dim: int) -> TensorSpace:
-    """The tensors among which Pi is: trace-free ones but for a flow rule with a trace."""
-    return symmetric_tensors(dim) if creep is not None and creep.has_trace else trace_free_tensors(dim)
 
 
 def volume_ratio(material: Material, z: Values) -> CoefficientFunction:

@@ -1,34 +1,45 @@
-"""One material, one viscosity and one creep of several bodies, by their volume fractions.
+"""One material and one viscosity of several bodies that share a point.
 
-The amounts n_i (``Amount``) are carried, and with theta_i = n_i/sum n_j
+Body i has an energy psi_i(B, J) = f_i(B) + U_i(J) per reference volume (``ReferenceEnergy``) and carries the
+densities n_i and X_i = n_i B of its own.  With volume fractions alpha_i in equilibrium of pressure
 
-    phi = sum theta_i phi_i(z),     D = sum theta_i D_i,     R = sum theta_i R_i
+    phi(n, X) = min over alpha_i of sum n_i psi_i(X_i/n_i, alpha_i/n_i) = sum n_i f_i(X_i/n_i) + V(n):
 
-over the union of the bodies' variables.  Variables of one name are one variable, of all bodies whose energy
-reads it; a body whose energy does not read a variable lets it be.  sum n_i zeta_{n_i} = 0, since phi is of
-degree zero in the amounts: they have no pressure of their own.
+n psi(X/n, alpha/n) is the perspective of a convex function, jointly convex, and a least value over alpha of
+such a sum is convex: phi is so in everything that is carried.  V = sum n_i U_i(1/N), N = sum n_j, where all
+U_i' are one function, else ``ngvisco.physics.equilibrium``.  N f(X/n) is linear, C : (X - n I), where f is.
+Any other f is that of (n + eta N, X + eta N I)/(1 + eta bodies), an affine map that leaves phi convex: a
+body that is absent is a trace of matter at rest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, reduce
 from operator import add
 from typing import Any
 
+import numpy as np
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError
-from ngvisco.physics.bodies import Amount, Body
-from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.errors import NgviscoError, ParameterError
+from ngvisco.physics.bodies import AMOUNT, Amount, Body, Content
+from ngvisco.physics.equilibrium import Volumetric as VolumetricEnergy
+from ngvisco.physics.equilibrium import equilibrium
 from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, substituted
+from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed
+from ngvisco.physics.pointwise import Respond, Response, respond
+from ngvisco.physics.reference_energy import ReferenceEnergy, Volumetric
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
-from ngvisco.physics.variables import Values, Variable
+from ngvisco.physics.tensors import IDENTITY, identity_like, if_positive, sqrt
+from ngvisco.physics.variables import PRESSURE, Values, Variable
 
-AMOUNT = "n_"
-"""What the name of a body's amount begins with."""
+TRACE = 1e-3
+"""eta of the module's docstring, and the fraction below which a body does not creep any slower."""
+
+_SAME = 1e-9
+"""Relative difference of volumetric energies that are one function."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +48,23 @@ class Fractions:
 
     bodies: tuple[str, ...]
 
+    def total(self, z: Values) -> Any:
+        """N = sum n_i, the inverse of the volume of the matter at a point."""
+        return reduce(add, (z[AMOUNT + name] for name in self.bodies))
+
     def at(self, z: Values) -> dict[str, Any]:
         """theta_i at a point with the values ``z``, by the bodies' names; their sum is one."""
-        amounts = [z[AMOUNT + name] for name in self.bodies]
-        inverse = 1 / reduce(add, amounts)
-        return {name: amount * inverse for name, amount in zip(self.bodies, amounts, strict=True)}
+        inverse = 1 / self.total(z)
+        return {name: z[AMOUNT + name] * inverse for name in self.bodies}
+
+    def not_negative(self, z: Values) -> dict[str, Any]:
+        """The same with zero where theta_i < 0, as polynomials beside a jump are."""
+        return {name: if_positive(value, value, 0.0 * value) for name, value in self.at(z).items()}
+
+    def positive(self, z: Values, body: str) -> Any:
+        """theta_i of one body, smooth and > 0: of what is less than ``TRACE`` about that."""
+        value = z[AMOUNT + body] / self.total(z)
+        return 0.5 * (value + sqrt(value * value + 4 * TRACE**2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,39 +75,43 @@ class Mixture(Material):
     ----------
     bodies : tuple of Body
         Parameters that moduli became by themselves have the body's name before theirs.
+    carried : tuple of Parameter
+        Parameters of the model's other laws.
 
     Raises
     ------
     ParameterError
-        For two variables or parameters of one name that are not the same, and energies without an expression.
+        For two parameters of one name that are not the same, and materials whose energy is none per reference
+        volume (``ReferenceEnergy``).
     """
 
     bodies: tuple[Body, ...]
     carried: tuple[Parameter, ...] = ()
-    """Parameters of the model's other laws."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "bodies", tuple(_with_own_names(body) for body in self.bodies))
-        for body in self.bodies:
-            if body.material.response(3) is not None:
-                expected = "a material whose energy is an expression; a Yosida approximation has none"
-                raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
-        self._united()
         self._parameters()
 
-    def _united(self) -> dict[str, Variable]:
-        found: dict[str, Variable] = {}
-        for body in self.bodies:
-            for variable in body.material.variables:
-                known = found.setdefault(variable.name, variable)
-                if known != variable:
-                    expected = (
-                        f"the same {variable.name!r} in all bodies: here {_defined(variable)}, before it "
-                        f"was {_defined(known)}; ReferentialNeoHookean, ReferentialMooneyRivlin and "
-                        "IsochoricNeoHookean go together, and NeoHookean, MooneyRivlin and OldroydB do"
-                    )
-                    raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
-        return found
+    @cached_property
+    def energies(self) -> tuple[ReferenceEnergy, ...]:
+        """psi_i of the bodies."""
+        return tuple(
+            ReferenceEnergy(material=body.material, owner=f"bodies[{body.name!r}].material")
+            for body in self.bodies
+        )
+
+    def require(self) -> None:
+        """Raise ParameterError for an energy that is not convex per reference volume."""
+        for body, psi in zip(self.bodies, self.energies, strict=True):
+            psi.require()
+            if psi.reads_parameters_in_volume and not self.has_one_volume:
+                expected = "a bulk modulus that is a number, or bodies with one volumetric energy"
+                raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
+            for name in ("creep", "viscosity"):
+                law = getattr(body, name)
+                if law is not None and PRESSURE in law.reads and not self.has_one_volume:
+                    expected = "a law that reads no pressure, or bodies with one volumetric energy"
+                    raise ParameterError(f"bodies[{body.name!r}].{name}", law, expected)
 
     def _parameters(self) -> tuple[Parameter, ...]:
         """Those of moduli, of the bodies' own variables and of the model's other laws."""
@@ -96,29 +123,27 @@ class Mixture(Material):
         """theta_i of the amounts."""
         return Fractions(tuple(body.name for body in self.bodies))
 
-    @property
+    def contents(self, body: str) -> tuple[Content, ...]:
+        """X_i of a body, in the order of its energy's tensors."""
+        number = self.fractions.bodies.index(body)
+        found = []
+        for v in self.energies[number].tensors:
+            name = f"{v.name}_{body}"
+            tensor = replace(v, name=name, exponent=v.exponent - 1)
+            found.append(Content(name, v.kind, tensor, 1 / len(self.bodies)))
+        return tuple(found)
+
+    def densities(self, body: str) -> tuple[Variable, ...]:
+        """What a body carries: X_i and n_i."""
+        amount = next(v for v in self.variables if v.name == AMOUNT + body)
+        return (*self.contents(body), amount)
+
+    @cached_property
     def variables(self) -> tuple[Variable, ...]:
-        united = self._united()
-        strains = tuple(v for v in united.values() if v.is_strain)
-        amounts = tuple(Amount(AMOUNT + b.name, density=b.density or 0.0) for b in self.bodies)
-        return (*strains, *amounts, *self._parameters())
-
-    def readers(self, variable: str) -> tuple[str, ...]:
-        """Names of the bodies whose energy reads a variable."""
-        return tuple(b.name for b in self.bodies if variable in {v.name for v in b.material.variables})
-
-    @property
-    def conformation(self) -> str | None:
-        names = {body.material.conformation for body in self.bodies} - {None}
-        return names.pop() if len(names) == 1 else None
-
-    @property
-    def continued(self) -> frozenset[str]:
-        """Where every body that reads a variable goes on beyond its bounds."""
-        found = {v.name for v in self.variables if v.is_strain}
-        for body in self.bodies:
-            found -= {v.name for v in body.material.variables} - body.material.continued
-        return frozenset(found)
+        contents = (content for body in self.bodies for content in self.contents(body.name))
+        share = 1 / len(self.bodies)
+        amounts = (Amount(AMOUNT + b.name, density=b.density or 0.0, share=share) for b in self.bodies)
+        return (*contents, *amounts, *self._parameters())
 
     def with_elastic_state(self, state: ElasticState) -> Mixture:
         bodies = (replace(body, material=body.material.with_elastic_state(state)) for body in self.bodies)
@@ -130,15 +155,125 @@ class Mixture(Material):
         more = distinct((*own, *parameters))[len(own) :]
         return replace(self, carried=(*self.carried, *more)) if more else self
 
+    @cached_property
+    def has_one_volume(self) -> bool:
+        """Whether U_i' is one function for all bodies, of J alone: V has an expression."""
+        first, *others = self.energies
+        size = _SAME * abs(first.volumetric).max()
+        same = all(abs(psi.volumetric - first.volumetric).max() <= size for psi in others)
+        return same and (not others or not any(psi.reads_parameters_in_volume for psi in self.energies))
+
+    def bounds(self, z: Values) -> dict[str, Values]:
+        """What must be > 0: N; sum n_i/U_i'' at rest, less a tenth of its least value, where these differ, or
+        there is no common pressure; and n_i, but for half of what f_i adds to it, where one is not linear."""
+        total = self.fractions.total(z)
+        found = {"the sum of the amounts": total}
+        if not self.has_one_volume:
+            soft = [1 / psi.stiffness for psi in self.energies]
+            parts = (c * z[AMOUNT + name] for c, name in zip(soft, self.fractions.bodies, strict=True))
+            found["the compliance of the bodies"] = (1 / min(soft)) * reduce(add, parts) - 0.1 * total
+        if not all(psi.is_linear for psi in self.energies):
+            for name in self.fractions.bodies:
+                found[f"{AMOUNT}{name} + {TRACE / 2:g} N"] = z[AMOUNT + name] + (0.5 * TRACE) * total
+        return {"": found}
+
+    def at_rest(self, z: Values) -> Values:
+        theta = self.fractions.at(z)
+        rest = {**z, **{AMOUNT + name: value for name, value in theta.items()}}
+        for name, value in theta.items():
+            rest |= {X.name: value * IDENTITY for X in self.contents(name)}
+        return rest
+
+    def shears(self, z: Values) -> dict[str, Any]:
+        """n_i f_i(X_i/n_i) by the bodies' names, Pa."""
+        total, found = self.fractions.total(z), {}
+        own = {v.name: z[v.name] for v in self._parameters()}
+        for body, psi in zip(self.bodies, self.energies, strict=True):
+            n = z[AMOUNT + body.name]
+            one = 1 + 0 * n
+            X = {v.name: z[f"{v.name}_{body.name}"] for v in psi.tensors}
+            if not X:
+                continue
+            unit = {name: identity_like(value) for name, value in X.items()}
+            if psi.is_linear:
+                at, rest = X, {name: n * each for name, each in unit.items()}
+                weight: Any = 1
+            else:
+                scale = 1 / (1 + TRACE * len(self.bodies))
+                inverse = 1 / (n + TRACE * total)
+                at = {name: inverse * (value + TRACE * (total * unit[name])) for name, value in X.items()}
+                rest = {name: one * each for name, each in unit.items()}
+                weight = scale * (n + TRACE * total)
+            shear = psi.energy({**own, **at, "J": one}) - psi.energy({**own, **rest, "J": one})
+            found[body.name] = weight * shear
+        return found
+
     def energy(self, z: Values) -> CoefficientFunction:
-        fractions = self.fractions.at(z)
-        return reduce(add, (fractions[b.name] * energy_of(b, z) for b in self.bodies))
+        if not self.has_one_volume:
+            raise NgviscoError(
+                "bodies of different volumetric energies have no expression for theirs: use "
+                "ngvisco.physics.pointwise.respond(material, dim)"
+            )
+        J = 1 / self.fractions.total(z)
+        parts = [
+            z[AMOUNT + body.name] * Volumetric(psi=psi).energy({**z, "J": J})
+            for body, psi in zip(self.bodies, self.energies, strict=True)
+        ]
+        return reduce(add, [*parts, *self.shears(z).values()])
+
+    def response(self, dim: int) -> Respond | None:
+        return None if self.has_one_volume else _InEquilibrium(self, dim)
 
 
-def energy_of(body: Body, z: Values) -> CoefficientFunction:
-    """phi_i(z), Pa, at a point with the values ``z`` of all variables."""
-    material = substituted(body.material, lambda expression: expression.at(z))
-    return material.energy({v.name: z[v.name] for v in body.material.variables})
+@dataclass(frozen=True, kw_only=True)
+class _Shears(Material):
+    """sum n_i f_i(X_i/n_i) of a mixture."""
+
+    mixture: Mixture
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return self.mixture.variables
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        nothing = 0.0 * self.mixture.fractions.total(z)
+        return reduce(add, self.mixture.shears(z).values(), nothing)
+
+
+class _InEquilibrium:
+    """The energy of bodies with different U_i and its derivatives, for arrays of states."""
+
+    def __init__(self, mixture: Mixture, dim: int) -> None:
+        slices = mixture.states(dim).slices
+        self.amounts = [slices[AMOUNT + body.name].start for body in mixture.bodies]
+        self.shears = respond(_Shears(mixture=mixture), dim)
+        self.volumes = []
+        for psi in mixture.energies:
+            material = Volumetric(psi=psi)
+            parameters = [slices[v.name].start for v in material.variables[1:]]
+            self.volumes.append((respond(material, dim), parameters))
+
+    def __call__(self, states: np.ndarray) -> Response:
+        def volumetric(number: int) -> VolumetricEnergy:
+            response, parameters = self.volumes[number]
+
+            def at(J: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+                found = response(np.column_stack([J, states[np.ix_(points, parameters)]]))
+                return found.energy, found.slope[:, 0], found.hessian[:, 0, 0]
+
+            return at
+
+        n = np.ascontiguousarray(states[:, self.amounts])
+        value, slope, hessian = equilibrium([volumetric(i) for i in range(len(self.volumes))], n)
+        result = self.shears(states)
+        result.slope[:, self.amounts] += slope
+        result.hessian[np.ix_(range(len(n)), self.amounts, self.amounts)] += hessian
+        bad = ~np.isfinite(value)
+        failure = None
+        if bad.any():
+            at = ", ".join(f"{amount:.3g}" for amount in n[bad][0])
+            failure = f"bodies have no common pressure at {int(bad.sum())} points, e.g. for the amounts {at}"
+        return Response(result.energy + value, result.slope, result.hessian, failure)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,26 +286,26 @@ class MixedViscosity(Viscosity):
 
     @property
     def reads(self) -> frozenset[str]:  # type: ignore[override]
-        return _read(self.parts)
+        return frozenset[str]().union(*(part.reads for _, part in self.parts))
 
     @property
     def is_linear(self) -> bool:  # type: ignore[override]
         return all(part.is_linear for _, part in self.parts)
 
     def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
-        theta = self.fractions.at(z)
+        theta = self.fractions.not_negative(z)
         return reduce(add, (theta[name] * part.stress(eps, z) for name, part in self.parts))
 
     def bulk_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
-        theta = self.fractions.at(z)
+        theta = self.fractions.not_negative(z)
         return reduce(add, (theta[name] * part.bulk_dissipation(eps, z) for name, part in self.parts))
 
     def shear_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
-        theta = self.fractions.at(z)
+        theta = self.fractions.not_negative(z)
         return reduce(add, (theta[name] * part.shear_dissipation(eps, z) for name, part in self.parts))
 
     def shear_viscosity(self, z: Values) -> ValueOfModulus:
-        theta = self.fractions.at(z)
+        theta = self.fractions.not_negative(z)
         return reduce(add, (theta[name] * part.shear_viscosity(z) for name, part in self.parts))
 
     def require_dimension(self, dim: int) -> None:
@@ -178,74 +313,10 @@ class MixedViscosity(Viscosity):
             part.require_dimension(dim)
 
 
-@dataclass(frozen=True, kw_only=True)
-class MixedCreep(FlowRule):
-    """sum theta_i Pi_i of the bodies' local rules."""
-
-    parts: tuple[tuple[str, FlowRule], ...]
-    """Names of the bodies that creep, and their rules."""
-    fractions: Fractions
-
-    @property
-    def reads_conjugate(self) -> bool:  # type: ignore[override]
-        return any(part.reads_conjugate for _, part in self.parts)
-
-    @property
-    def has_trace(self) -> bool:  # type: ignore[override]
-        return any(part.has_trace for _, part in self.parts)
-
-    @property
-    def reads(self) -> frozenset[str]:  # type: ignore[override]
-        return _read(self.parts)
-
-    @property
-    def is_linear(self) -> bool:
-        return all(part.is_linear for _, part in self.parts)
-
-    def rate(
-        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
-    ) -> CoefficientFunction:
-        theta = self.fractions.at(z)
-        return reduce(add, (theta[name] * part.rate(M, zeta, z) for name, part in self.parts))
-
-
 def mixed_viscosity(bodies: Sequence[Body]) -> Viscosity | None:
     """That of the bodies; None without any."""
     parts = tuple((b.name, b.viscosity) for b in bodies if b.viscosity is not None)
-    return MixedViscosity(parts=parts, fractions=_fractions(bodies)) if parts else None
-
-
-def mixed_creep(bodies: Sequence[Body]) -> FlowRule | None:
-    """That of the bodies; None without any.
-
-    Raises
-    ------
-    ParameterError
-        For a gradient term.
-    """
-    parts = tuple((b.name, b.creep) for b in bodies if b.creep is not None and b.creep.flows)
-    for name, part in parts:
-        if part.nu:
-            expected = "nu = 0: the creep of several bodies is local"
-            raise ParameterError(f"bodies[{name!r}].creep", part, expected)
-    return MixedCreep(parts=parts, fractions=_fractions(bodies)) if parts else None
-
-
-def _defined(variable: Variable) -> str:
-    """What a variable is, in words."""
-    exponent = getattr(variable, "exponent", None)
-    return (
-        type(variable).__name__ if exponent is None else f"{type(variable).__name__} with J**({exponent:.3g})"
-    )
-
-
-def _fractions(bodies: Sequence[Body]) -> Fractions:
-    return Fractions(tuple(body.name for body in bodies))
-
-
-def _read(parts: Sequence[tuple[str, FlowRule | Viscosity]]) -> frozenset[str]:
-    """What any of the bodies' laws reads beside the variables."""
-    return frozenset[str]().union(*(part.reads for _, part in parts))
+    return MixedViscosity(parts=parts, fractions=Fractions(tuple(b.name for b in bodies))) if parts else None
 
 
 def _with_own_names(body: Body) -> Body:

@@ -14,11 +14,12 @@ from ngvisco.errors import ParameterError, Quantity, _is_number, as_number, requ
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.flow_rules.check import check_rule, check_viscosity
+from ngvisco.physics.flows import Flow
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import ElasticState, Material, check_material
 from ngvisco.physics.materials.heterogeneous import carrying
 from ngvisco.physics.materials.thermal import entropy_in
-from ngvisco.physics.mixture import MixedCreep, MixedViscosity, Mixture, mixed_creep, mixed_viscosity
+from ngvisco.physics.mixture import MixedViscosity, Mixture, mixed_viscosity
 from ngvisco.physics.parameters import parameters_in
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import HyperViscosity, Viscosity
@@ -130,8 +131,9 @@ class Model:
         How heat is conducted and exchanged, of a material with a temperature (``Thermal``); None (default) is
         adiabatic: its dissipation heats it, and nothing is conducted.
     bodies : sequence of Body
-        In place of ``material``, ``viscosity`` and ``creep``, which are then those of the bodies' mixture
-        (``ngvisco.physics.mixture``).  Isotropic materials that leave ``elastic_state`` open are by B.
+        In place of ``material`` and ``viscosity``, which are then those of the bodies' mixture
+        (``ngvisco.physics.mixture``), and of ``creep``, which each body has by itself.  Isotropic materials
+        that leave ``elastic_state`` open are by B.
 
     Raises
     ------
@@ -188,22 +190,37 @@ class Model:
         object.__setattr__(self, "material", material)
         if isinstance(material, Mixture):
             object.__setattr__(self, "bodies", material.bodies)
-        check_energy(material)
+            for body in material.bodies:
+                check_material(body.material)
+                check_energy(carrying(body.material, parameters_in((body.material,))))
+            material.require()
+        else:
+            check_energy(material)
         self._check_heat(material)
-        if self.creep is not None and self.creep.flows:
-            check_rule(self.creep, material)
+        for flow in self.flows:
+            check_rule(flow.rule, material)
         if self.viscosity is not None:
             check_viscosity(self.viscosity, material)
+
+    @property
+    def flows(self) -> tuple[Flow, ...]:
+        """What creeps: the material, or each of the bodies by its own tensors."""
+        if isinstance(self.material, Mixture):
+            of = self.material
+            creeping = ((b.name, b.creep) for b in self.bodies if b.creep is not None and b.creep.flows)
+            return tuple(
+                Flow(rule, tuple(X.name for X in of.contents(name)), name, of.fractions)
+                for name, rule in creeping
+                if of.contents(name)
+            )
+        if self.creep is None or not self.creep.flows:
+            return ()
+        return (Flow(self.creep, tuple(v.name for v in self.material.variables if v.creeps)),)
 
     def _check_heat(self, material: Material) -> None:
         if self.heat is not None and entropy_in(material) is None:
             expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
             raise ParameterError("Model.heat", self.heat, expected)
-        if isinstance(material, Mixture) and entropy_in(material) is not None:
-            for body in material.bodies:
-                if entropy_in(body.material) is None:
-                    expected = "a material with heat, as others have: one without it has no temperature"
-                    raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
         if self.heat is not None and self.heat.numerical_heating and material.response(3) is not None:
             expected = "False for an energy without an expression, as that of a Yosida approximation"
             raise ParameterError("Heat.numerical_heating", True, expected)
@@ -229,10 +246,30 @@ class Model:
             without = [body.name for body in self.bodies if body.where is None]
             raise ParameterError("Model.bodies", without, "one body at most without a place, the rest")
         self._require_mass_of_bodies()
+        self._require_local_laws_of_bodies()
         mixture = Mixture(bodies=self.bodies)
         object.__setattr__(self, "material", mixture)
         object.__setattr__(self, "viscosity", mixed_viscosity(mixture.bodies))
-        object.__setattr__(self, "creep", mixed_creep(mixture.bodies))
+
+    def _require_local_laws_of_bodies(self) -> None:
+        """Raise ParameterError for a law that bodies cannot have beside others."""
+        for body in self.bodies:
+            if entropy_in(body.material) is not None:
+                expected = "a material without heat: bodies at one point have no entropy in common"
+                raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
+            if getattr(body.material, "J_min", None) is not None:
+                expected = "J_min = None: continued below it, the energy is not convex per reference volume"
+                raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
+            law = body.creep
+            if law is None or not law.flows:
+                continue
+            expected = ""
+            if law.nu:
+                expected = "nu = 0: the creep of several bodies is local"
+            elif law.reads_conjugate or law.has_trace:
+                expected = "a flow rule that reads no conformation tensor, which no body has"
+            if expected:
+                raise ParameterError(f"bodies[{body.name!r}].creep", law, expected)
 
     def _require_mass_of_bodies(self) -> None:
         """Raise ParameterError where rho moves by other fluxes than the bodies' amounts, whose sum it is, and
@@ -262,7 +299,7 @@ MOST_DENSER = 1e10
 """Ratio of bodies' densities above which the momentum of the lighter one is below the tolerance, 1e-10, of a
 solver that sees both in one cell."""
 
-_MIXED = (Mixture, MixedViscosity, MixedCreep)
+_MIXED = (Mixture, MixedViscosity)
 """What a model with bodies has already, where it is made of another one."""
 
 _EXPECTED = {

@@ -97,7 +97,12 @@ class ExpressionResponse:
         z = {name: value.MakeVariable() for name, value in variables.items()}
         phi = material.energy(z)
         slopes = [phi.Diff(value) for value in z.values()]
-        hessians = [slope.Diff(value) for slope in slopes for value in z.values()]
+        # of a tensor and a scalar the tensor's first: NGSolve 6.2.2608 gives d/dB of d/da tr(a B) wrongly
+        hessians = [
+            slope.Diff(value) if slope.dim > 1 or value.dim == 1 else other.Diff(scalar)
+            for slope, scalar in zip(slopes, z.values(), strict=True)
+            for other, value in zip(slopes, z.values(), strict=True)
+        ]
         self.outputs = CF((phi, *slopes, *hessians)).Compile()
         self.bases = [_columns(v.kind, dim) for v in material.variables]
 

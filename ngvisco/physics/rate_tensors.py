@@ -11,7 +11,8 @@ law of creep with a trace).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -82,6 +83,17 @@ class RateTensors:
             if _differ(affine[own], of_mixed[own, others]):
                 bent.append(v.name)
         return RateTensors(result.constant, result.linear, g, tuple(bent))
+
+    def by_groups(self, groups: Sequence[Sequence[str]], states: StateSpace) -> RateTensors:
+        """The same with a Pi for each group of variables, which are named, in which these alone creep."""
+        g, size = self.gradients, len(self.constant) - self.gradients
+        masks = np.zeros((len(groups), states.size))
+        for mask, names in zip(masks, groups, strict=True):
+            for name in names:
+                mask[states.slices[name]] = 1.0
+        constant = [self.constant[:g], *(self.constant[g : g + size] * mask for mask in masks)]
+        linear = [self.linear[:g], *(self.linear[g : g + size] * mask[:, None] for mask in masks)]
+        return replace(self, constant=np.concatenate(constant), linear=np.concatenate(linear))
 
     def columns(self, z: np.ndarray) -> np.ndarray:
         """d rate/dX at values z (n, points): (points, n, X)."""

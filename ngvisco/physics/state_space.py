@@ -25,8 +25,8 @@ class StateSpace:
         The space of tensors that a variable's values are in, by its name.
     strains : (size,) array of bool
         Which components are those of strains, and not of parameters.
-    conserved : (size,) array of bool
-        Which components are conserved.
+    by_flux : (size,) array of bool
+        Which components are densities, transported by their flux.
     """
 
     def __init__(self, variables: tuple[Variable, ...], dim: int) -> None:
@@ -38,10 +38,10 @@ class StateSpace:
             self.slices[name] = slice(start, start + space.size)
             start += space.size
         self.size = start
-        self.strains, self.conserved = np.ones(start, dtype=bool), np.zeros(start, dtype=bool)
+        self.strains, self.by_flux = np.ones(start, dtype=bool), np.zeros(start, dtype=bool)
         for variable in variables:
             self.strains[self.slices[variable.name]] = variable.is_strain
-            self.conserved[self.slices[variable.name]] = variable.is_conserved
+            self.by_flux[self.slices[variable.name]] = variable.by_flux
 
     @staticmethod
     @cache

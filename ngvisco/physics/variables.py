@@ -93,8 +93,13 @@ class Variable(ABC):
 
     @property
     def is_conserved(self) -> bool:
-        """Whether rate(z; L, Pi) = -(tr L) z, so that int z is kept: it is transported by its flux."""
+        """Whether rate(z; L, Pi) = -(tr L) z, without a production, so that int z is kept."""
         return False
+
+    @property
+    def by_flux(self) -> bool:
+        """Whether it is a density, rate = -(tr L) z and a production: -(tr L) z is part of its flux."""
+        return self.is_conserved
 
     @property
     def creeps(self) -> bool:

@@ -9,8 +9,9 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, x, y, z
 
 from ngvisco.errors import ParameterError
-from ngvisco.physics.material import rate_power
-from ngvisco.physics.mixture import AMOUNT, Mixture, energy_of
+from ngvisco.forms.terms.dilution import Dilution
+from ngvisco.physics.bodies import AMOUNT
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import inner, sym
 from ngvisco.run.series import Series
 
@@ -43,8 +44,8 @@ class Bodies(Series):
     | ``NAME_volume`` | int theta, m^d |
     | ``NAME_x``, ``_y``, ``_z`` | centroid int theta x over the volume, m |
     | ``NAME_momentum_x``, ... | int rho_R n v, kg m/s |
-    | ``NAME_kinetic``, ``NAME_stored`` | 1/2 int rho_R n v^2, int theta phi, J; their sums are the ledger's |
-    | ``NAME_dissipation`` | of viscosity and local creep, of the present (limited) state, W |
+    | ``NAME_kinetic``, ``NAME_stored`` | 1/2 int rho_R n v^2, its shear and int theta V, J |
+    | ``NAME_dissipation`` | of viscosity, creep and dilution, of the present (limited) state, W |
     | ``NAME_x_min``, ``NAME_x_max``, ... | where theta >= 1/2 at points of cells, m; NaN without any |
 
     In a run's HDF5 file (``Checkpoints``) they are the group ``bodies``.
@@ -107,18 +108,25 @@ def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
     loss = CF(0.0)
     if body.viscosity is not None:
         eps, read = sym(u.L), step.context.rates.read_values(body.viscosity, u)
-        loss = loss + theta * body.viscosity.bulk_dissipation(eps, read)
-        loss = loss + theta * body.viscosity.shear_dissipation(eps, read)
-    if body.creep is not None and body.creep.flows:
-        Pi = theta * step.context.rates.local_creep(body.creep, u)
-        loss = loss - rate_power(material, values, u.zeta_tensors, 0 * Pi, Pi)
+        share = material.fractions.not_negative(values)[name]
+        loss = loss + share * body.viscosity.bulk_dissipation(eps, read)
+        loss = loss + share * body.viscosity.shear_dissipation(eps, read)
+    rates = step.context.rates
+    for flow in rates.flows:
+        if flow.body == name:
+            loss = loss + rates.power_of_creep(flow, rates.local_creep(flow, u), u)
+    for term in step.terms:
+        if isinstance(term, Dilution) and term.body == name:
+            loss = loss + sum(term.dissipated(u).values(), CF(0.0))
+    shears = material.shears(values)
+    of_volume = rates.stored(u) - sum(shears.values(), CF(0.0))
     return [
         mass,
         theta,
         *(theta * coordinate for coordinate in place),
         *(mass * v[i] for i in range(step.mesh.dim)),
         0.5 * mass * inner(v, v),
-        theta * energy_of(body, values),
+        shears.get(name, CF(0.0)) + theta * of_volume,
         loss,
     ]
 

@@ -43,7 +43,7 @@ def further_fields(step: Step, cauchy: CoefficientFunction) -> dict[str, Coeffic
     """The fields above, as far as the model has them, at the new state; ``cauchy`` is its Cauchy stress."""
     u, model, dim = step.now, step.model, step.mesh.dim
     found: dict[str, CoefficientFunction] = {}
-    Pi = step.context.rates.creep(u)
+    Pi = step.context.rates.mean_creep(u)
     if Pi is not None:
         found["creep_rate"] = Pi
     if any(variable.creeps for variable in model.material.variables):

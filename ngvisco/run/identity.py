@@ -11,9 +11,8 @@ import numpy as np
 from ngsolve import Mesh
 
 from ngvisco.forms.mesh.mesh_arrays import coordinates, vertices
-from ngvisco.physics.bodies import Body
+from ngvisco.physics.bodies import AMOUNT, Amount, Body
 from ngvisco.physics.material import Material
-from ngvisco.physics.mixture import AMOUNT, Amount
 from ngvisco.physics.pointwise import sampled_energies
 
 if TYPE_CHECKING:

@@ -20,7 +20,6 @@ from ngvisco.physics.convexity import check_convexity
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, Thermal, WithQuadratic, Yosida
 from ngvisco.physics.materials.heterogeneous import Heterogeneous
-from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Model
 from ngvisco.physics.walls import Wall
 from ngvisco.timestepping.scheme import TimeScheme
@@ -47,12 +46,7 @@ def check_arguments(
 def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
     """Warn where a user's own energy is not convex, and how far from these states, (points, .), that is."""
     material, ranks, dim = step.model.material, Communicator.of(step.mesh), step.mesh.dim
-    if isinstance(material, Mixture):  # each body's energy at states of its own variables
-        for body in material.bodies:
-            if _is_own(body.material):
-                name = f"body {body.name!r}, {type(body.material).__name__}"
-                ranks.on_first(partial(check_convexity, body.material, dim=dim, name=name))
-    elif _is_own(material):
+    if _is_own(material):
         near = None
         if states is not None:
             size = math.prod(states.shape[1:])  # not -1: the first of several ranks has no points

@@ -28,6 +28,7 @@ from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry, Integrand, Kind
 from ngvisco.forms.terms.heat import PRODUCTION
+from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.defects import relative_defects
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.thermal import entropy_in, temperature
@@ -327,9 +328,15 @@ class Ledger:
                 J = 1 / value
             elif isinstance(variable, Distortion) and variable.exponent == 0:
                 F = value
+        material = self.step.model.material
+        if isinstance(material, Mixture):
+            J = 1 / material.fractions.total(z)
         has_both = F is not None and J is not nan
         self._defect = ((J - Det(F)) * (J - Det(F))).Compile() if has_both else None
-        defects = relative_defects(self.step.model.material, z, self.step.model.creep)
+        defects = relative_defects(material, z, self.step.model.creep)
+        if isinstance(material, Mixture):
+            rho = [(body.density or 0.0) * z[AMOUNT + body.name] for body in material.bodies]
+            defects["sum of rho_i n_i and rho"] = sum(rho, CF(0.0)) / u.rho - 1
         self._defects = CF(tuple(defects.values())).Compile() if defects else None
         self._defect_squares = CF((1.0, *(d * d for d in defects.values()))).Compile()
         self._defect_names = list(defects)

@@ -106,7 +106,7 @@ class PassiveFields:
                 self._sources[f"displacement_{i + 1}"] = step.now.v[i]
         if "creep_strain" in self.names:
             self._add_group("creep_strain", 1, flow)
-            Pi = step.context.rates.creep(step.now)
+            Pi = step.context.rates.mean_creep(step.now)
             if Pi is None:
                 raise ParameterError("passive", "creep_strain", "a model with creep, whose strain it is")
             self._sources["creep_strain_1"] = sqrt(2 / 3 * square(Pi))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Id, Integrate, Mesh
+from ngsolve import CF, CoefficientFunction, Integrate, Mesh
 
 from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.forms.mesh.sampling import Sampler
@@ -17,9 +17,10 @@ from ngvisco.forms.terms.momentum import Loading
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.arrays import Array
+from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.flow_rules.check import values_at_rest
 from ngvisco.physics.material import Material, cauchy_stress
-from ngvisco.physics.mixture import AMOUNT, Mixture
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter, parameters_in
 from ngvisco.physics.pointwise import squares
@@ -185,7 +186,6 @@ class Place:
 
     laws: Model
     parameters: dict[str, float]
-    """And the bodies' amounts, of which one is not zero."""
     density: float
     """kg/m^3."""
     state: np.ndarray
@@ -231,13 +231,18 @@ def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
     values = {name: everywhere(u.z_tensors[name]) for name in carried}
     rho = everywhere(u.rho)
     states = everywhere(u.z).reshape(len(rho), -1)
-    if not bodies:
+    if not isinstance(material, Mixture):
         at = _ends(values, carried, np.arange(len(rho)))
         places = (Place(model, _picked(values, i), float(rho[i]), states[i]) for i in at)
         return _distinct(places)
     column = [step.layout.states.slices[AMOUNT + body.name].start for body in bodies]
     amounts = states[:, column]
     total, most = amounts.sum(axis=1), amounts.argmax(axis=1)
+    alone, slices = np.zeros((len(bodies), states.shape[1])), step.layout.states.slices
+    for number, body in enumerate(bodies):
+        for variable in material.densities(body.name):
+            alone[number, slices[variable.name]] = 1.0
+    kept = ~step.layout.states.by_flux
     found: list[Place] = []
     for number, body in enumerate(bodies):
         own = [p.name for p in parameters_in((body,))]
@@ -245,14 +250,14 @@ def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
         among = np.flatnonzero(most == number)
         if not len(among):  # it is smaller than a cell
             among = amounts[:, [number]].argmax(axis=0)
+        laws = Model(material=body.material, viscosity=body.viscosity, creep=body.creep)
+        of_body: list[Place] = []
         for i in _ends(values, own, among) or [int(among[amounts[among, number].argmax()])]:
-            alone = np.eye(len(bodies))[number] * total[i]
-            state = states[i].copy()
-            state[column] = alone
-            shares = {AMOUNT + b.name: float(n) for b, n in zip(bodies, alone, strict=True)}
-            here = _picked(values, i) | shares
-            found.append(Place(model, here, (body.density or 0.0) * float(total[i]), state))
-    return _distinct(found)
+            state = states[i] * alone[number] * (total[i] / amounts[i, number])
+            state[kept] = states[i, kept]
+            of_body.append(Place(laws, _picked(values, i), (body.density or 0.0) * float(total[i]), state))
+        found += _distinct(of_body)
+    return found
 
 
 def _ends(values: dict[str, np.ndarray], names: Sequence[str], among: np.ndarray) -> list[int]:
@@ -385,10 +390,7 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
         acceleration = square(Loading(load, step.mesh.dim).force(u) / u.rho)
         largest = math.sqrt(sampler.extrema(acceleration)[1])
         fall = max(fall, math.sqrt(largest * length))
-    rest = {
-        v.name: v.from_distortion(Id(3)) if v.is_strain else u.z_tensors[v.name]
-        for v in model.material.variables
-    }
+    rest = model.material.at_rest(u.z_tensors)
     least = sampler.extrema(u.rho)[0]
     places = extreme_places(step, sampler)
     strains = [abs(sampler.values(u.z_tensors[name] - value)).max(initial=0) for name, value in rest.items()]

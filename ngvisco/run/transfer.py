@@ -27,8 +27,7 @@ from ngvisco.forms.start.given import QuadraturePoints
 from ngvisco.forms.start.initial import complete
 from ngvisco.forms.start.projections import project_in_cells
 from ngvisco.forms.velocity import project_velocity
-from ngvisco.physics.bodies import Amount
-from ngvisco.physics.mixture import AMOUNT
+from ngvisco.physics.bodies import AMOUNT, Amount
 from ngvisco.physics.variables import Variable
 from ngvisco.run import checkpoint
 from ngvisco.run.identity import identity

@@ -38,7 +38,7 @@ BODIES = """
 [[bodies]]
 name = "fluid"
 density = 1.0
-material = { kind = "NeoHookean", K_e = 10, G_e = 0.1, epsilon = 0.1 }
+material = { kind = "ReferentialNeoHookean", K_e = 10, G_e = 0.1, epsilon = 0.1 }
 viscosity = { K_v = 0.0, G_v = 0.01 }
 creep = { G_m = 0.01 }
 [[bodies]]
@@ -48,7 +48,7 @@ density = 2.0
 order = 1
 viscosity = { K_v = 0.0, G_v = 0.01 }
 [bodies.material]
-kind = "NeoHookean"
+kind = "ReferentialNeoHookean"
 K_e = 10
 G_e = 5
 epsilon = 0.1
@@ -133,7 +133,10 @@ def test_body_that_is_none_is_refused_with_its_key(old, new, message):
 @pytest.mark.parametrize(
     ("extra", "message"),
     [
-        ('[material]\nkind = "NeoHookean"\nK_e = 1\nG_e = 1\nepsilon = 1\n', "no table [material] beside"),
+        (
+            '[material]\nkind = "ReferentialNeoHookean"\nK_e = 1\nG_e = 1\nepsilon = 1\n',
+            "no table [material] beside",
+        ),
         ("[rheology.creep]\nG_m = 1\n", "no such table beside [[bodies]]"),
         ("[rheology.viscosity]\nK_v = 1\nG_v = 1\n", "no such table beside [[bodies]]"),
     ],
@@ -161,7 +164,7 @@ def test_a_case_without_material_and_bodies_is_refused():
     ],
 )
 def test_modulus_that_is_none_is_refused(value, message):
-    material = f'[material]\nkind = "NeoHookean"\nK_e = {value}\nG_e = 1\nepsilon = 1\n'
+    material = f'[material]\nkind = "ReferentialNeoHookean"\nK_e = {value}\nG_e = 1\nepsilon = 1\n'
     with pytest.raises(CaseError) as caught:
         case(HEAD + material)
     assert "material.K_e" in str(caught.value)
@@ -169,7 +172,7 @@ def test_modulus_that_is_none_is_refused(value, message):
 
 
 def test_modulus_of_the_initial_place_is_carried_and_the_ledger_closes():
-    material = '[material]\nkind = "NeoHookean"\nK_e = "10 + 5*x"\nG_e = 1\nepsilon = 1\n'
+    material = '[material]\nkind = "ReferentialNeoHookean"\nK_e = "10 + 5*x"\nG_e = 1\nepsilon = 1\n'
     loaded = case(HEAD + material + '[units]\npressure = "kPa"\n[[loads]]\nkind = "Gravity"\ng = [0, -1]\n')
     mesh = loaded.mesh()
     run = loaded.simulation(mesh)
@@ -180,7 +183,7 @@ def test_modulus_of_the_initial_place_is_carried_and_the_ledger_closes():
 
 
 def test_modulus_in_z_is_refused_in_two_dimensions():
-    material = '[material]\nkind = "NeoHookean"\nK_e = "10 + 5*z"\nG_e = 1\nepsilon = 1\n'
+    material = '[material]\nkind = "ReferentialNeoHookean"\nK_e = "10 + 5*z"\nG_e = 1\nepsilon = 1\n'
     with pytest.raises(CaseError, match=r"material.K_e: '10 \+ 5\*z': there is no z"):
         case(HEAD + material).model(2)
     with pytest.raises(CaseError, match=r"bodies.1.where: 'z < 1': there is no z"):
@@ -296,7 +299,9 @@ def test_line_of_a_fault_is_that_of_its_shape_among_several_tables():
         f'\n[[bodies.where]]\nkind = "Subdomain"\nnames = "{n}"' for n in ("default", "inclusion")
     )
     disc = HEAD + f'[[bodies]]\nname = "disc"\ndensity = 1.0{where}\n'
-    loaded = case(disc + '[bodies.material]\nkind = "NeoHookean"\nK_e = 1\nG_e = 1\nepsilon = 0.1\n')
+    loaded = case(
+        disc + '[bodies.material]\nkind = "ReferentialNeoHookean"\nK_e = 1\nG_e = 1\nepsilon = 0.1\n'
+    )
     line = 1 + disc.splitlines().index('names = "inclusion"')
     with pytest.raises(CaseError, match=rf"toml:{line}: bodies.0.where.1.names: unknown subdomain"):
         loaded.simulation(loaded.mesh())
@@ -304,7 +309,7 @@ def test_line_of_a_fault_is_that_of_its_shape_among_several_tables():
 
 def test_bodies_that_overlap_without_order_are_refused():
     third = '[[bodies]]\nname = "block"\nwhere = { kind = "Block", low = [0.5, 0.5], high = [0.9, 0.9] }\n'
-    third += 'density = 1.0\norder = 1\nmaterial = { kind = "NeoHookean", K_e = 9, G_e = 1, epsilon = 0.1 }\n'
+    third += 'density = 1.0\norder = 1\nmaterial = { kind = "ReferentialNeoHookean", K_e = 9, G_e = 1 }\n'
     loaded = case(HEAD + BODIES + third)
     with pytest.raises(CaseError, match=r"bodies.2.order: 1: expected an order other than 1"):
         loaded.simulation(loaded.mesh())

@@ -166,31 +166,6 @@ def test_what_the_diffusion_of_fields_dissipates_is_heat_in_the_coupled_solver()
         run_of("split", steps=0, **options)
 
 
-@pytest.mark.parametrize("solver", ["coupled", "split"])
-def test_bodies_have_heat_together_or_none(solver):
-    """With other heat capacities, and an entropy that counts in one unit; the limiter makes no heat."""
-    cold = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
-    places = {"left": 0.5 - x, "rest": None}
-    bodies = [
-        nv.Body(name=name, where=where, material=material, viscosity=VISCOSITY, density=1.0)
-        for (name, where), material in zip(
-            places.items(),
-            (nv.Thermal(material=cold, c=c, theta_R=1.0, entropy_unit=1.0) for c in (3.0, 1.0)),
-            strict=True,
-        )
-    ]
-    model = nv.Model(bodies=bodies, heat=nv.Heat(conductivity=0.02, numerical_heating=True))
-    start = nv.Initial(velocity=SWIRL, temperature=1.2)
-    run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=start, solver=solver)
-    assert run.fields["temperature"](run.mesh(0.1, 0.1)) == pytest.approx(1.2, rel=1e-12)
-    ledger = run.run(until=0.04)
-    lost = np.diff(energy(ledger)) + (ledger.column("limiter") + ledger.column("limiter_walls"))[1:]
-    assert abs(lost).max() <= 1e-10 * energy(ledger)[0]
-    assert (np.diff(ledger.column("entropy")) > 0).all()
-    with pytest.raises(nv.NgviscoError, match=r"bodies\['rest'\]\.material.*temperature"):
-        nv.Model(bodies=[bodies[0], nv.Body(name="rest", material=cold, density=1.0)])
-
-
 def test_heat_is_refused_where_it_makes_no_sense():
     cold = nv.LinearElastic(K_e=1.0, G_e=1.0)
     with pytest.raises(nv.NgviscoError, match=r"Model\.heat"):

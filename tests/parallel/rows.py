@@ -14,7 +14,6 @@ from runs import bodies
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import SweepOptions
 from ngvisco.solver.split.transport import TransportSweeps
@@ -55,27 +54,8 @@ def carried() -> nv.Simulation:
     return nv.Simulation(box((1, 1), maxh=0.4), model, dt=0.02, initial=initial, solver="coupled")
 
 
-def swapped(run: nv.Simulation) -> dict[str, np.ndarray]:
-    """z after a limiting that takes amounts, below zero in the mean of some cells, from near and far."""
-    step, numbering = run.rothe_step, run.numbering
-    values = step.state.vec.FV().NumPy()
-    where, (first, second) = step.layout.ranges["z"], run.bounds.amounts.components[:2]
-    mine, other = (values[where].reshape(step.layout.states.size, -1)[i] for i in (first, second))
-    one = run.bounds._means.one
-    mine -= np.where(mine < 0.3, 0.05, 0.0) * one
-    # in the body too, so that neighbours of other ranks give
-    missing = np.repeat(cell_numbers(run.mesh) % 3 == 0, len(mine) // max(run.mesh.ne, 1))
-    mine[missing], other[missing] = -0.05 * one[missing], 1.05 * one[missing]
-    cells = len(run.bounds.amounts.limit())
-    total = run.ranks.total(cells)
-    after, lengths = numbering.whole(values), numbering.layout
-    if lengths is None:
-        return {}
-    return {"z": after[lengths.ranges["z"]], "cells": np.array([total])}
-
-
 CASES = {
-    "swaps": lambda: bodies("coupled", 0.3),
+    "bodies": lambda: bodies("coupled", 0.3),
     "creep and walls with slip": lambda: simulation(walls=SLIP, **CREEP),
     "a creep rate field": lambda: simulation(p=2.0, **CREEP_FIELD),
     "k = 3": lambda: simulation(k=3, maxh=0.6),
@@ -135,7 +115,6 @@ if __name__ == "__main__":
     result = {}
     for name in names:
         run = CASES[name]()
-        found = (swapped if name == "swaps" else rows)(run)
-        result |= {f"{name}: {key}": value for key, value in found.items()}
+        result |= {f"{name}: {key}": value for key, value in rows(run).items()}
     if run.ranks.is_first:
         np.savez(path, **result)

@@ -151,7 +151,7 @@ def limited() -> nv.Simulation:
 
 
 STIFF = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
-FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J - 1) * (J - 1))
+FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 4 * (J - 2 + 1 / J))
 WEAK = nv.StokesViscosity(K_v=0.05, G_v=0.05)
 
 

@@ -51,12 +51,17 @@ def test_a_body_at_rest_closes(material):
 def test_bodies_at_rest_close(solver):
     disc = nv.Body(
         name="disc",
-        material=nv.LinearElastic(**MODULI),
+        material=nv.ReferentialNeoHookean(**MODULI),
         density=1.7,
         viscosity=VISCOSITY,
         where=nv.Ball(centre=(0.5, 0.35), radius=0.2),
     )
-    rest = nv.Body(name="rest", material=nv.OldroydB(K_e=3.3, G_e=0.1), density=1.1, viscosity=VISCOSITY)
+    rest = nv.Body(
+        name="rest",
+        material=nv.ReferentialMooneyRivlin(K_e=3.3, G_e=0.1, G_mr=0.1),
+        density=1.1,
+        viscosity=VISCOSITY,
+    )
     require_rest(run_of(nv.Model(bodies=[disc, rest]), solver=solver))
 
 

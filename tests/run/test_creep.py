@@ -322,7 +322,7 @@ def test_total_distortion_is_elastic_times_inelastic():
     remainders = []
     for until in (0.02, 0.01):
         run = with_F_tot(nv.Creep(G_m=1.0), 2, 0.3, until / 4, 0.0)
-        Pi = run.rothe_step.context.rates.creep(run.rothe_step.now)
+        Pi = run.rothe_step.context.rates.mean_creep(run.rothe_step.now)
         integral = 0.0
         for _ in range(4):
             run.advance()

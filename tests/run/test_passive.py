@@ -96,7 +96,7 @@ def test_creep_strain_is_the_time_integral_of_the_rate():
     """In a swirl that hardly moves matter, kappa ends as the sum of sqrt(2/3 Pi:Pi) tau, in the mean."""
     run = simulation(dt=0.02)
     total = 0.0
-    Pi = run.rothe_step.context.rates.creep(run.rothe_step.now)
+    Pi = run.rothe_step.context.rates.mean_creep(run.rothe_step.now)
     rate = sqrt(2 / 3 * InnerProduct(Pi, Pi))
     for _ in range(4):
         run.advance()

@@ -13,13 +13,13 @@ GRAVITY, UNTIL = 2e-3, 3.0
 def drop(modulus):
     """Mean deflection after 3 s of a bar of 1 m x 0.2 m, G = 1 Pa, in a medium of this shear modulus, m."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 0.1 * (J + 1 / J - 2))
-    medium = nv.OldroydB(K_e=0.2, G_e=modulus / 2) if modulus else fluid
+    medium = nv.ReferentialNeoHookean(K_e=0.2, G_e=modulus / 2) if modulus else fluid
     thin = nv.StokesViscosity(K_v=5e-5, G_v=5e-5)
     bodies = [
         nv.Body(
             name="bar",
             where=nv.Block((0.0, 0.3), (1.0, 0.5)),
-            material=nv.OldroydB(K_e=2.0, G_e=0.5),
+            material=nv.ReferentialNeoHookean(K_e=2.0, G_e=0.5),
             density=1.0,
         ),
         nv.Body(name="medium", material=medium, viscosity=thin, density=0.02),

@@ -27,7 +27,7 @@ def test_creep_takes_energy_at_every_point(name, solver):
     run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.1, initial=start, walls=LID, solver=solver)
     step = run.rothe_step
     u, rates = step.now, step.context.rates
-    M, Pi = rates.mandel(u), rates.creep(u)
+    M, (Pi,) = rates.mandel(u), rates.creep(u)
     for end in (0.1, 0.2, 0.3):
         ledger = run.run(end)
         power, sizes = (run.sampler.values(f) for f in (inner(M, Pi), square(M) * square(Pi)))

@@ -17,7 +17,7 @@ from ngsolve import (
 )
 
 from ngvisco.errors import InitialDataError, ParameterError, Quantity
-from ngvisco.forms.amounts import Amounts
+from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.cell_means import CellMeans
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.fields import Fields
@@ -118,14 +118,11 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     sampler.require(Det(F), "det F_0", minimum=0.0)
     referential = step.model.material.referential_density
     parameters = parameter_values(step.model.material, initial.values)
-    amounts = _fractions(step, initial)
+    of_bodies = _of_bodies(step, initial, F)
     rho_R = None if referential is None else CF(value_at(referential, parameters))
     _check_moduli(step, parameters, sampler)
-    if amounts:
-        values = starting_values(step.model.material, initial.values, F, step.layout.further)
-        J = volume_ratio(step.model.material, values)
-        sampler.require(J, "material variables: J_0", minimum=0.0)
-        values |= {AMOUNT + name: part / J for name, part in amounts.items()}
+    if of_bodies:
+        values = starting_values(step.model.material, initial.values, F, step.layout.further) | of_bodies
         density = _sum(body.density * values[AMOUNT + body.name] for body in step.model.bodies)
     elif initial.density is None:
         values = starting_values(step.model.material, initial.values, F, step.layout.further)
@@ -151,8 +148,9 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         for name, value in further.items():
             project_in_cells(step.layout.unknowns[name], parts[name], step.quadrature, value)
         step.ranges = {name: sampler.extrema(value) for name, value in parameters.items()}
-        for limited in (Amounts, Ranges):
-            limited(step, sampler, CellMeans(step)).limit()
+        Ranges(step, sampler, CellMeans(step)).limit()
+        if step.model.bodies:
+            Bounds(step, sampler).limit()
         if initial.velocity is not None:
             v_0 = as_vector(initial.velocity, dim, "Initial.velocity")
             sampler.require(inner(v_0, v_0), "|v_0|^2")
@@ -160,9 +158,11 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
             _impose_walls(step, v_0)
         sampler.require(inner(step.now.z, step.now.z), "material variables")
         sampler.require(step.now.rho, "projected density rho_0", minimum=0.0)
-        for variable in step.model.material.variables:
-            for name, value in variable.positive(step.now.z_tensors[variable.name]).items():
-                sampler.require(value, f"projected {name}_0", minimum=0.0)
+        bounds = [v.positive(step.now.z_tensors[v.name]) for v in step.model.material.variables]
+        if step.model.bodies:  # whose variables vanish where they are not
+            bounds = list(step.model.material.bounds(step.now.z_tensors).values())
+        for name, value in ((name, value) for each in bounds for name, value in each.items()):
+            sampler.require(value, f"projected {name}_0", minimum=0.0)
         if not np.isfinite(step.energy.samples(step.now.z_tensors, sampler)).all():
             raise InitialDataError("stored energy", "not finite somewhere", "finite values")
         complete(step)
@@ -176,17 +176,22 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     return F if known is None else known
 
 
-def _fractions(step: Step, initial: Initial) -> dict[str, CoefficientFunction]:
-    """Those of the model's bodies at the start."""
-    bodies = step.model.bodies
-    if not bodies:
+def _of_bodies(step: Step, initial: Initial, F: CoefficientFunction) -> dict[str, CoefficientFunction]:
+    """Amounts and tensors of the model's bodies at the start, but for what ``initial.values`` has."""
+    material = step.model.material
+    if not isinstance(material, Mixture):
         return {}
     if initial.density is not None:
         raise ParameterError("Initial.density", initial.density, "None with bodies, which have theirs")
-    for body in bodies:
-        if AMOUNT + body.name in initial.values:
-            raise ParameterError("Initial.values", AMOUNT + body.name, "places of the bodies, not amounts")
-    return starting_fractions(step.mesh, bodies, step.discretisation.m)
+    values = {}
+    for name, part in starting_fractions(step.mesh, material.bodies, step.discretisation.m).items():
+        if AMOUNT + name in initial.values:
+            raise ParameterError("Initial.values", AMOUNT + name, "places of the bodies, not amounts")
+        values[AMOUNT + name] = part / Det(F)
+        for X in material.contents(name):
+            if X.name not in initial.values:
+                values[X.name] = part * X.tensor.from_distortion(F)
+    return values
 
 
 def _sum(parts: Iterable[CoefficientFunction]) -> CoefficientFunction:
@@ -243,19 +248,12 @@ def _entropy(
         if initial.temperature is not None:
             raise ParameterError("Initial.temperature", initial.temperature, "None beside a start entropy")
         return {}
-    parts = {"": (material, 1.0)}
-    if isinstance(material, Mixture):
-        shares = material.fractions.at(values)
-        parts = {body.name: (body.material, shares[body.name]) for body in material.bodies}
-    starts = []
-    for part, share in parts.values():
-        thermal = thermal_part(part)
-        assert thermal is not None  # as a model asks it of all bodies
-        given = thermal.theta_R if initial.temperature is None else initial.temperature
-        theta = as_shape("Initial.temperature", given, ())
-        sampler.require(theta, "temperature theta_0", minimum=0.0)
-        starts.append(share * thermal.start(theta, values["A"]))
-    return {entropy.name: _sum(starts)}
+    thermal = thermal_part(material)
+    assert thermal is not None  # it has the entropy
+    given = thermal.theta_R if initial.temperature is None else initial.temperature
+    theta = as_shape("Initial.temperature", given, ())
+    sampler.require(theta, "temperature theta_0", minimum=0.0)
+    return {entropy.name: thermal.start(theta, values["A"])}
 
 
 def _check_density_range(density: CoefficientFunction, sampler: Sampler) -> None:
@@ -270,7 +268,7 @@ def _check_continuation(
     material: Material, values: Mapping[str, CoefficientFunction], sampler: Sampler
 ) -> None:
     """Raise ParameterError for a ``J_min``, below which an energy is continued, that the start is below."""
-    for part in _materials_in(material):
+    for part in () if isinstance(material, Mixture) else _materials_in(material):
         J_min = getattr(part, "J_min", None)
         if J_min is None:
             continue
@@ -366,9 +364,9 @@ def complete(step: Step) -> None:
         step.eliminate.refresh()
         step.eliminate.projections["zeta"]()
     rates = step.context.rates
-    if rates.rule is not None and "Pi" in parts:
+    if "Pi" in parts:
         # the local rate, as psi' may be infinitely steep at zero
-        rate = trace_free_tensors(dim).components(rates.local_creep(rates.rule, u))
+        rate = trace_free_tensors(dim).components(rates.local_creep(rates.flows[0], u))
         Interpolation(step.layout.blocks["Pi"])(parts["Pi"], rate)
     set_traces(step.layout, step.state, step.context, step.quadrature)
     law = step.model.hyperviscosity

@@ -5,13 +5,15 @@
 
 with the upwind trace z_hat = (1 - n^-_1) z_1 + (1 - n^-_2) z_2 of both sides' values, n^- by a velocity v*
 that is known before the step is solved (``ngvisco.forms.upwinding``).  The two sides weigh their conjugates
-by n^-_1 and n^-_2, which sum up to one whatever v*: the force of a jump is whole.  For a variable that is
-conserved, rate = -(div w) z, it is
+by n^-_1 and n^-_2, which sum up to one whatever v*: the force of a jump is whole.  For a density,
+rate = -(div w) z + production, it is
 
-    B_h(w; z, G) = sum_K int_K z w . grad G - sum_K int_{dK} (w . n) z_hat G,
+    B_h(w; z, G) = sum_K int_K z : (w . grad) G + production(grad w; z) : G
+                 - sum_K int_{dK} (w . n) z_hat : G,
 
 (w . n) zero on walls that nothing crosses: the flux through a facet is single-valued, so that G = 1 keeps
-int z to rounding.
+int z to rounding where there is no production, and constant conjugates make no force at a jump, whatever its
+side is.
 
 The kinematic equations use B_h(v; z, G), the momentum equation the adjoint B_h(w; z, zeta), zeta the
 projected conjugates.  At w = v, G = zeta the two cancel identically, facets included: the elastic power of
@@ -38,23 +40,23 @@ from ngvisco.physics.tensors import inner, masked
 
 def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> list[CoefficientFunction]:
     """The cells' part of B_h(w; z, G), w the velocity of ``along``, G the part ``name`` of ``G``."""
-    rates, conserved = u.context.rates.power(u, along, G, name), u.layout.states.conserved
-    if not conserved.any():
+    rates, by_flux = u.context.rates.power(u, along, G, name), u.layout.states.by_flux
+    if not by_flux.any():
         return [-inner(u.grad_z * along.v, G.parts[name]), *rates]
     grad_G = G.grad_z if name == "z" else G.grad_zeta
     return [
-        -inner(masked(u.grad_z, ~conserved) * along.v, G.parts[name]),
-        inner(grad_G * along.v, masked(u.z, conserved)),
+        -inner(masked(u.grad_z, ~by_flux) * along.v, G.parts[name]),
+        inner(grad_G * along.v, masked(u.z, by_flux)),
         *rates,
     ]
 
 
 def transport_through_facets(along: Fields, u: Fields, G: Fields, name: Conjugate) -> CoefficientFunction:
     """The facets' part of B_h(w; z, G), of both sides."""
-    c, conserved = u.context, u.layout.states.conserved
+    c, by_flux = u.context, u.layout.states.by_flux
     carried = c.crossed * u.z_jump
-    if conserved.any():
-        carried = masked(carried, ~conserved) + c.crossed * masked(u.z_hat, conserved)
+    if by_flux.any():
+        carried = masked(carried, ~by_flux) + c.crossed * masked(u.z_hat, by_flux)
     return -((along.v * c.normal) * inner(carried, G.parts[name]))
 
 
@@ -76,9 +78,8 @@ class Kinematics(PointTerm):
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
         parts = [-part for part in transport_in_cells(u, u, w, "z")]
-        Pi = c.rates.creep(u)
-        if Pi is not None:
-            parts += [-part for part in c.rates.creep_power(u, Pi, w, "z")]
+        if c.rates.flows:
+            parts += [-part for part in c.rates.creep_power(u, c.rates.creep(u), w, "z")]
         return [c.rate(inner(u.z - c.old.z, w.z)), *parts]
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -87,7 +88,7 @@ class Kinematics(PointTerm):
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         """Creep's, where it has no equation of its own."""
         rates = u.context.rates
-        if rates.rule is None or not rates.rule.is_local:
+        if not (rates.flows and rates.is_local):
             return {}
         return {"dissipation_creep": rates.dissipation(u)}
 

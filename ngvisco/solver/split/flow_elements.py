@@ -67,7 +67,7 @@ class PointTangent:
     def _add_point_terms(self, K: np.ndarray, force: np.ndarray, u: Fields, slopes: np.ndarray) -> None:
         """Add what local creep, terms of z and stresses at points change by z, by complex increments."""
         rates = self.residual.rates
-        creeps = rates.rule is not None and rates.rule.is_local
+        creeps = bool(rates.flows) and rates.is_local
         for m in range(self.components):
             z, zeta = self.z.astype(complex), self.zeta.astype(complex)
             z[m] += 1j * TINY

@@ -20,7 +20,7 @@ import numpy as np
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.sparse import mass_matrix
 from ngvisco.physics.arrays import Array
-from ngvisco.physics.flow_rules.rule import FlowRule
+from ngvisco.physics.flows import Flow
 from ngvisco.physics.increments import TINY
 from ngvisco.reduced.evaluation import with_values
 from ngvisco.solver.split.flow_elements import PointTangent
@@ -36,9 +36,12 @@ _EXACT = 1e-8
 class LocalCreep:
     """Corrections of z's increments at the points of a tangent."""
 
-    def __init__(self, tangent: PointTangent, rule: FlowRule) -> None:
-        self.tangent, self.rule, self.rates = tangent, rule, tangent.residual.rates
+    def __init__(self, tangent: PointTangent, flow: Flow) -> None:
+        self.tangent, self.flow, self.rates = tangent, flow, tangent.residual.rates
         self.space = self.rates.creep_space
+        first = self.rates.tensors.gradients + self.space.size * self.rates.flows.index(flow)
+        self.own = slice(first, first + self.space.size)
+        """The flow's Pi among what rates are linear in."""
         self.shapes = np.asarray(tangent.op.z.blocks)
         """Values of the cells' functions, (cells, points of a cell, functions)."""
         mass = mass_matrix(tangent.op.z.matrix, tangent.op.weights)
@@ -47,10 +50,10 @@ class LocalCreep:
 
     def __call__(self, dz: np.ndarray) -> np.ndarray:
         """What is to be added to increments of z from the tangent's state; both coefficients (n, .)."""
-        t, first = self.tangent, self.rates.tensors.gradients
-        columns, force = t.columns[:, :, first:], t.force[:, first:]
+        t = self.tangent
+        columns, force = t.columns[:, :, self.own], t.force[:, self.own]
         kappa, change = t.tau * force @ columns, t.op.z(dz)
-        M = self.space.components(self.rates.mandel(t.values)).value.T
+        M = self.space.components(self.rates.mandel(t.values, self.flow)).value.T
         tangent = -np.einsum("pij,pjm,mp->ip", self._slope(M), force, change, optimize=True)
         held, z, added = self._projected(self._rate(M).T + tangent), t.z + change, np.zeros_like(dz)
         for _ in range(_STRESSES):
@@ -75,13 +78,15 @@ class LocalCreep:
         """Mandel stress of the projected conjugates of z, (p, points)."""
         t = self.tangent
         zeta = self._projected(t.slope(z))
-        return self.space.components(self.rates.mandel(with_values(t.values, z=z, zeta=zeta))).value
+        u = with_values(t.values, z=z, zeta=zeta)
+        return self.space.components(self.rates.mandel(u, self.flow)).value
 
     def _rate(self, M: np.ndarray) -> np.ndarray:
         """The rate, (points, p), at stresses (points, p)."""
         u = self.tangent.values
-        tensor = self.space.tensor(Array(M.T, None))
-        Pi = self.rule.rate(tensor, None, self.rates.read_values(self.rule, u))
+        rule = self.flow.rule
+        tensor = (1 / self.flow.share(u.z_tensors)) * self.space.tensor(Array(M.T, None))
+        Pi = rule.rate(tensor, None, self.rates.read_values(rule, u))
         return np.broadcast_to(self.space.components(Pi).value, M.T.shape).T
 
     def _slope(self, M: np.ndarray) -> np.ndarray:

@@ -102,8 +102,8 @@ class Preconditioner:
         self.without_multigrid: str | None = None
         """Why vertices are factorised where the options have a multigrid for them."""
         k, m = step.discretisation.k, step.discretisation.m
-        rule = residual.rates.rule
-        steep = rule is not None and rule.is_local and not rule.is_linear
+        rates = residual.rates
+        steep = [flow for flow in rates.flows if flow.rule.is_local and not flow.rule.is_linear]
         thick = step.model.viscosity
         bends = thick is not None and not thick.is_linear
         # a coarse rule knows a linear law; of another one it misses where it is steep
@@ -113,9 +113,7 @@ class Preconditioner:
             None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
         )
         tangent = PointTangent(residual, self.op)
-        self.local_creep: LocalCreep | None = None
-        if steep and rule is not None and not rule.reads_conjugate:
-            self.local_creep = LocalCreep(tangent, rule)
+        self.local_creep = [LocalCreep(tangent, flow) for flow in steep if not flow.rule.reads_conjugate]
         self.operator = FlowSchurComplement(residual, tangent, self.sweep, derivative)
         self.ranks, self.exchange = residual.ranks, residual.shared_rows
         places, kept = np.arange(unknowns.flow_slice.stop), np.zeros(0, dtype=np.int64)

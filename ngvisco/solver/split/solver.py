@@ -127,10 +127,9 @@ class Split:
 
     def _follow_creep(self, f: np.ndarray) -> None:
         """Let an increment from where the tangent is keep the stress on the flow rule's graph."""
-        if self.preconditioner.local_creep is not None:
-            z = self.unknowns.slices["z"]
-            dz = -f[z].reshape(self.unknowns.components["z"], -1)
-            f[z] -= self.preconditioner.local_creep(dz).ravel()
+        z = self.unknowns.slices["z"]
+        for creep in self.preconditioner.local_creep:  # each of variables of its own
+            f[z] -= creep(-f[z].reshape(self.unknowns.components["z"], -1)).ravel()
 
     def has_converged(self, f: np.ndarray, size: float, last: float) -> bool:
         """Whether x - f solves the equations: by the size of f, and of the smallest increment before."""

@@ -56,13 +56,13 @@ def _swing(modulus: float, bent: float) -> tuple[nv.Simulation, np.ndarray, np.n
     weight = bent * 8 * FLEXURE / LENGTH**4  # of the bar in the medium, N/m
     gravity = weight / (HEIGHT * (1 - LIGHT))
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: SOFT / 2 * (J + 1 / J - 2))
-    medium = nv.OldroydB(K_e=SOFT, G_e=modulus * SHEAR / 2) if modulus else fluid
+    medium = nv.ReferentialNeoHookean(K_e=SOFT, G_e=modulus * SHEAR / 2) if modulus else fluid
     middle, table = SIZE[1] / 2, nv.Bodies()
     bodies = [
         nv.Body(
             name="bar",
             where=nv.Block((-LENGTH, middle - HEIGHT / 2), (LENGTH, middle + HEIGHT / 2)),
-            material=nv.OldroydB(K_e=BULK, G_e=SHEAR / 2),
+            material=nv.ReferentialNeoHookean(K_e=BULK, G_e=SHEAR / 2),
             density=1.0,
         ),
         nv.Body(

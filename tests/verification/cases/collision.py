@@ -52,7 +52,7 @@ def discs() -> tuple[nv.Simulation, nv.Bodies]:
             nv.Body(
                 name=name,
                 where=nv.Ball((X, SIZE[1] / 2), RADIUS),
-                material=nv.OldroydB(K_e=BULK, G_e=SHEAR / 2),
+                material=nv.ReferentialNeoHookean(K_e=BULK, G_e=SHEAR / 2),
                 viscosity=nv.StokesViscosity(K_v=DAMPING, G_v=DAMPING),
                 density=1.0,
             )

@@ -56,7 +56,7 @@ def layer(ratio: float) -> nv.Simulation:
         nv.Body(
             name="layer",
             where=height,
-            material=nv.OldroydB(K_e=STIFF, G_e=ratio * CRITICAL / 2),
+            material=nv.ReferentialNeoHookean(K_e=STIFF, G_e=ratio * CRITICAL / 2),
             density=1.0,
         ),
         nv.Body(

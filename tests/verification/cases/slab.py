@@ -53,7 +53,7 @@ def _slab() -> tuple[nv.Simulation, nv.Bodies]:
     slab = nv.Body(
         name="slab",
         where=nv.Block((-SIZE[0], MIDDLE - THICKNESS / 2), (LENGTH, MIDDLE + THICKNESS / 2)),
-        material=nv.OldroydB(K_e=BULK, G_e=SHEAR / 2),
+        material=nv.ReferentialNeoHookean(K_e=BULK, G_e=SHEAR / 2),
         creep=nv.Creep(G_m=2 * OF_SLAB),
         density=HEAVY,
     )
