@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -285,6 +287,28 @@ def assert_closed(run: Simulation, until: float, bound: float = 1e-12) -> Ledger
     assert np.abs(ledger.column("closure_relative")).max() <= bound
     assert np.abs(ledger.column("mass_drift")).max() <= min(bound, 1e-11)
     return ledger
+
+
+def by_both_solvers(
+    make: Callable[[str], Simulation], until: float, bound: float = 1e-12
+) -> list[Simulation]:
+    """Runs of ``make(solver)`` to a time: their ledgers close, mass is kept, and they agree."""
+    runs = []
+    for solver in ("split", "coupled"):
+        time.Set(0.0)
+        runs.append(make(solver))
+        assert_closed(runs[-1], until, bound)
+    assert_same(*runs)
+    return runs
+
+
+def demo(name: str) -> Any:
+    """The module of a demo's script."""
+    script = Path(__file__).resolve().parents[1] / "demos" / name / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(f"demo_{name}", script)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def assert_sound(ledger: Ledger, material: Material) -> None:

@@ -1,22 +1,15 @@
 """Every demo runs as its README says, and keeps what the paper proves at each of its steps."""
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support import demo as load
 
 import ngvisco as nv
 import ngvisco.case
 
 DEMOS = Path(__file__).resolve().parents[1] / "demos"
-
-
-def load(name):
-    spec = importlib.util.spec_from_file_location(f"demo_{name}", DEMOS / name / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 CLEAN = pytest.mark.filterwarnings("error::ngvisco.run.ledger.DefectWarning")

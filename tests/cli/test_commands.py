@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-import subprocess
 import sys
 import time
 import tomllib
@@ -124,11 +123,6 @@ def test_the_estimate_of_time_is_right_within_a_factor(case_file, capsys, tmp_pa
     assert 1 / 1.5 < 100 * each / taken < 1.5, f"{100 * each:.1f} s said, {taken:.1f} s taken"
 
 
-def test_the_package_is_a_command():
-    told = subprocess.run([sys.executable, "-m", "ngvisco", "--version"], capture_output=True, text=True)
-    assert (told.returncode, told.stdout) == (0, f"ngvisco {nv.__version__}\n")
-
-
 def test_version_and_help(capsys):
     assert ended("--version") == 0
     assert capsys.readouterr().out == f"ngvisco {nv.__version__}\n"
@@ -142,7 +136,6 @@ def test_version_and_help(capsys):
 
 
 def test_progress_bar_shows_time_energy_closure_and_what_is_left(capsys, case_file, tmp_path, monkeypatch):
-    import sys
 
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     assert ended("run", case_file, "-o", tmp_path / "out", "--set", "time.until=0.04") == 0

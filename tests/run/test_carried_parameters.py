@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from ngsolve import CF, IfPos, cos, pi, sin, x, y
 from scipy.optimize import brentq
+from support import SWIRL, by_both_solvers
 
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian
 
-SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 theta = nv.Parameter("theta", start=0.5 + 0.4 * sin(3 * x) * cos(2 * y))
 
 
@@ -29,11 +29,6 @@ def heterogeneous(**options):
     )
 
 
-def states(run):
-    state, ranges = run.rothe_step.state.vec.FV().NumPy(), run.rothe_step.layout.ranges
-    return {name: state[ranges[name]].copy() for name in ("v", "rho", "z")}
-
-
 DIFFUSING = nv.Regularisation(delta_fields=1e-3)
 
 
@@ -47,17 +42,9 @@ DIFFUSING = nv.Regularisation(delta_fields=1e-3)
     ],
 )
 def test_ledger_closes_to_rounding_and_both_solvers_agree(scheme, regularisation):
-    found = []
-    for solver in ("split", "coupled"):
-        initial = nv.Initial(velocity=SWIRL)
-        model = heterogeneous(regularisation=regularisation)
-        mesh = box((1, 1), maxh=0.4)
-        run = nv.Simulation(mesh, model, dt=0.01, solver=solver, initial=initial, scheme=scheme)
-        run.run(0.03)
-        assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-12
-        found.append(states(run))
-    for name, values in found[0].items():
-        assert np.abs(values - found[1][name]).max() <= 1e-9 * np.abs(values).max()
+    options = {"dt": 0.01, "initial": nv.Initial(velocity=SWIRL), "scheme": scheme}
+    mesh, model = box((1, 1), maxh=0.5), heterogeneous(regularisation=regularisation)
+    by_both_solvers(lambda solver: nv.Simulation(mesh, model, solver=solver, **options), 0.03)
 
 
 def test_parameters_do_not_diffuse():
@@ -83,17 +70,9 @@ def test_three_dimensions():
     """The same in space, one step."""
     G_e = nv.Parameter("theta", start=1 + x * y)
     material = nv.NeoHookean(K_e=10.0, G_e=G_e, epsilon=0.1)
-    found = []
-    for solver in ("split", "coupled"):
-        model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1 * G_e))
-        velocity = (SWIRL[0], SWIRL[1], 0.0)
-        mesh = box((1, 1, 1), maxh=1.0)
-        run = nv.Simulation(mesh, model, dt=0.02, solver=solver, initial=nv.Initial(velocity=velocity))
-        run.run(0.02)
-        assert abs(run.ledger.rows[-1]["closure_relative"]) <= 1e-12
-        found.append(states(run))
-    for name, values in found[0].items():
-        assert np.abs(values - found[1][name]).max() <= 1e-9 * np.abs(values).max()
+    model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1 * G_e))
+    mesh, start = box((1, 1, 1), maxh=1.0), nv.Initial(velocity=(*SWIRL, 0.0))
+    by_both_solvers(lambda solver: nv.Simulation(mesh, model, dt=0.02, solver=solver, initial=start), 0.02)
 
 
 def in_uniform_flow(speed):

@@ -1,19 +1,10 @@
 """The demos of walls, periodic cells and curved domains meet their closed forms, energy and mass."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
+from support import demo as load
 
-DEMOS = Path(__file__).resolve().parents[2] / "demos"
-
-
-def load(name):
-    spec = importlib.util.spec_from_file_location(f"demo_{name}", DEMOS / name / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+LONG = (pytest.mark.long, pytest.mark.ci)
 
 
 def assert_exact_balance(run):
@@ -67,8 +58,14 @@ def test_shear_is_the_scheme_applied_to_its_two_equations(scheme, theta):
         assert demo.stress(run) == pytest.approx(tau, rel=1e-6)
 
 
-@pytest.mark.parametrize("mu", [0.0, 0.02])
-@pytest.mark.parametrize("scheme", ["midpoint", "backward-euler"])
+@pytest.mark.parametrize(
+    ("scheme", "mu"),
+    [
+        ("midpoint", 0.02),
+        ("backward-euler", 0.0),
+        *(pytest.param(*case, marks=LONG) for case in (("midpoint", 0.0), ("backward-euler", 0.02))),
+    ],
+)
 def test_wave_has_the_speed_and_decay_of_the_dispersion_relation(mu, scheme):
     """Without the factor of the scheme, (1 + s dt/2)/(1 - s dt/2) or 1/(1 - s dt), instead of exp(s dt)."""
     demo = load("wave")
@@ -80,7 +77,7 @@ def test_wave_has_the_speed_and_decay_of_the_dispersion_relation(mu, scheme):
     assert_exact_balance(run)
 
 
-@pytest.mark.parametrize("mu", [0.0, 0.02])
+@pytest.mark.parametrize("mu", [pytest.param(0.0, marks=LONG), 0.02])
 def test_wave_decays_in_the_run_as_the_model_says(mu):
     """With the scheme's own error: Euler adds omega^2 dt/2 = 0.08 1/s to the decay."""
     demo = load("wave")

@@ -201,7 +201,10 @@ def test_jeffreys_start_up_by_B_follows_its_ode():
     assert errors[1] < 0.1 and np.log2(errors[0] / errors[1]) > 0.8
 
 
-@pytest.mark.parametrize("name", FLUIDS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.long, pytest.mark.ci] if n == "fene-p" else []) for n in FLUIDS],
+)
 def test_conformation_fluids_have_their_steady_shear_stresses(name):
     material, law, exact, _ = FLUIDS[name]
     _, rows = sheared(material, 1.0, 25.0, rate=2.0, G_m=G_M, law=law)

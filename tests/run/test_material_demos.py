@@ -1,23 +1,16 @@
 """The demos of materials and creep, and the documented material of one's own."""
 
-import importlib.util
 import inspect
 import textwrap
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support import demo as load
 
 import ngvisco as nv
 
 DEMOS = Path(__file__).resolve().parents[2] / "demos"
-
-
-def load(name):
-    spec = importlib.util.spec_from_file_location(f"demo_{name}", DEMOS / name / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def readme(name):

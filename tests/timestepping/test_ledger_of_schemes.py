@@ -88,16 +88,17 @@ WALLS = {
 }
 
 
-WALLS_BY_DEFAULT = [(name, "midpoint", "coupled") for name in WALLS] + [
-    ("accelerated lid", "sdirk2", "split")
-]
-"""The other scheme where a wall moves: its means over a step are of other times."""
+WALLS_BY_DEFAULT = (
+    *((name, "midpoint", "coupled") for name in ("accelerated rotating wall", "traction with friction")),
+    ("accelerated lid", "sdirk2", "split"),
+)
+"""Walls and tractions that change in time, of which schemes take other means; CI has all."""
 
 
 @pytest.mark.parametrize(
     ("name", "scheme", "solver"),
     [
-        pytest.param(*case, marks=() if case in WALLS_BY_DEFAULT else pytest.mark.long)
+        pytest.param(*case, marks=() if case in WALLS_BY_DEFAULT else [pytest.mark.long, pytest.mark.ci])
         for case in product(WALLS, SECOND_ORDER, ("split", "coupled"))
     ],
 )
