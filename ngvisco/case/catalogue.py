@@ -18,6 +18,7 @@ from ngvisco.physics.heat import Heat
 from ngvisco.physics.materials import (
     FENEP,
     BarotropicFluid,
+    Damaged,
     HardeningElastic,
     IsochoricNeoHookean,
     LinearElastic,
@@ -86,6 +87,7 @@ MATERIALS: dict[str, Callable[..., Any]] = {
 
 WRAPPERS: dict[str, Callable[..., Any]] = {
     "PerReferentialVolume": PerReferentialVolume,
+    "Damaged": Damaged,
     "Thermal": Thermal,
     "Yosida": Yosida,
     "WithQuadratic": WithQuadratic,

@@ -70,6 +70,8 @@ class Context:
         self.mesh, self.old = mesh, old
         self.energy = energy or StoredEnergy(model.material, mesh.dim)
         self.rates = Rates(model, mesh.dim)
+        self.lagged: Fields = old
+        """z at the step's start, for what the material says is lagged."""
         self.terms: Sequence[Term] = ()
         """Those of the step."""
         self._momentum_old = momentum_old

@@ -54,11 +54,21 @@ class StoredEnergy:
 
     def slope(self, u: Fields) -> CoefficientFunction:
         """Components of phi'(z), Pa, for the same."""
-        return self.material.states(self.dim).components(conjugates(self.material, u.z_tensors))
+        return self.material.states(self.dim).components(self._conjugates(u))
+
+    def _conjugates(self, u: Fields) -> Values:
+        """phi'(z), of lagged variables' values those of the step's start but in their own conjugates."""
+        z, lagged = u.z_tensors, self.material.lagged
+        if not lagged:
+            return conjugates(self.material, z)
+        before = u.context.lagged.z_tensors
+        seen = {name: before[name] if name in lagged else value for name, value in z.items()}
+        of_others, own = conjugates(self.material, seen), conjugates(self.material, z)
+        return {name: own[name] if name in lagged else of_others[name] for name in z}
 
     def tested_slope(self, u: Fields, w: Fields) -> list[CoefficientFunction]:
         """phi'(z) : X in summands, X the test function of zeta; with its derivative by z."""
-        slope = conjugates(self.material, u.z_tensors)
+        slope = self._conjugates(u)
         return [inner(S, w.zeta_tensors[name]) for name, S in slope.items()]
 
     def curved(self, u: Fields, slope: CoefficientFunction) -> list[CoefficientFunction]:

@@ -32,6 +32,7 @@ from ngvisco.forms.boundary.passages import Carried, passage_terms
 from ngvisco.forms.boundary.wall_terms import Impenetrability, wall_terms
 from ngvisco.forms.boundary.walls import Conditions, Walls
 from ngvisco.forms.context import Context
+from ngvisco.forms.damage import DamageGrowth, damage_growth
 from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
 from ngvisco.forms.fields import Fields
@@ -163,12 +164,19 @@ class Step:
             [term for term in self.terms if isinstance(term, Carried)],
         )
         self.context.terms = self.terms
+        self.lagged: GridFunction | None = None
+        """z of ``freeze``, as which conjugates see lagged variables of others; None without such."""
+        if model.material.lagged:
+            self.lagged = GridFunction(self.layout.blocks["z"], name="lagged")
+            self.context.lagged = Fields(self.layout, {"z": self.lagged})
         self.tabulated_rates = TabulatedRates(model, mesh.dim)
         """The rates of the variables for arrays of values."""
         self.ranges: dict[str, tuple[float, float]] = {}
         """Least and largest start values of the material's parameters, by name."""
         self.residual = self._residual()
         self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms)
+        self.damage: DamageGrowth | None = damage_growth(self)
+        """What lets the damage grow after a step; None where nothing breaks."""
 
     def _residual(self) -> BilinearForm:
         """R(u; w) as one nonlinear form with element-local unknowns to be condensed."""
@@ -191,6 +199,12 @@ class Step:
         state, ranges = self.state.vec.FV().NumPy(), self.layout.ranges
         values = {name: state[ranges[name]].copy() for name in self.layout.evolving}
         return Evolved(values, self._momentum.vec.FV().NumPy().copy())
+
+    def freeze(self) -> None:
+        """Let the other variables' conjugates see the lagged ones at the present state."""
+        if self.lagged is not None:
+            values = self.state.vec.FV().NumPy()[self.layout.ranges["z"]]
+            self.lagged.vec.FV().NumPy()[:] = values
 
     def start_from(self, parts: Sequence[tuple[float, Evolved]]) -> None:
         """Let the step start from the sum of weight times state, linear in (rho, m, z) and what else evolves.

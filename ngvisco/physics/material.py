@@ -101,6 +101,14 @@ class Material(ABC):
         """The state of F = I with what is no strain of ``z``."""
         return {v.name: v.from_distortion(IDENTITY) if v.is_strain else z[v.name] for v in self.variables}
 
+    @property
+    def lagged(self) -> frozenset[str]:
+        """Names of variables that the conjugates of the others see at their values of a step's start.
+
+        An energy that is convex in these and in the others, but not jointly, so has a Bregman distance >= 0.
+        """
+        return frozenset()
+
     def states(self, dim: int) -> StateSpace:
         """The space of the states, all components of the variables side by side, on meshes of ``dim``."""
         return StateSpace.of(tuple(self.variables), dim)

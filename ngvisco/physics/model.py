@@ -17,6 +17,7 @@ from ngvisco.physics.flow_rules.check import check_rule, check_viscosity
 from ngvisco.physics.flows import Flow
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import ElasticState, Material, check_material
+from ngvisco.physics.materials.damaged import damage_in
 from ngvisco.physics.materials.heterogeneous import carrying
 from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.mixture import MixedViscosity, Mixture, mixed_viscosity
@@ -197,6 +198,7 @@ class Model:
         else:
             check_energy(material)
         self._check_heat(material)
+        self._check_damage(material)
         for flow in self.flows:
             check_rule(flow.rule, material)
         if self.viscosity is not None:
@@ -225,6 +227,13 @@ class Model:
             expected = "False for an energy without an expression, as that of a Yosida approximation"
             raise ParameterError("Heat.numerical_heating", True, expected)
 
+    def _check_damage(self, material: Material) -> None:
+        if damage_in(material) is not None and not material.lagged:
+            expected = (
+                "nv.Damaged(...), or that in nv.Thermal(material=...): no other material knows of damage"
+            )
+            raise ParameterError("Model.material", self.material, expected)
+
     def _take_bodies(self) -> None:
         """Make material, viscosity and creep those of the bodies, where there are such."""
         if not isinstance(self.bodies, (tuple, list)) or not all(isinstance(b, Body) for b in self.bodies):
@@ -242,6 +251,10 @@ class Model:
             if (other := name.removesuffix("_momentum")) != name and other in names:
                 expected = f"distinct columns of bodies; those of {name!r} would be the momentum of {other!r}"
                 raise ParameterError("Model.bodies", names, expected)
+        for body in self.bodies:
+            if damage_in(body.material) is not None:
+                expected = "a material without damage: that of one body would be the damage of all"
+                raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
         if sum(body.where is None for body in self.bodies) > 1:
             without = [body.name for body in self.bodies if body.where is None]
             raise ParameterError("Model.bodies", without, "one body at most without a place, the rest")

@@ -22,7 +22,7 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cache
 from operator import add, mul, neg, sub, truediv
-from typing import Any, TypeAlias, TypeVar, get_args, get_type_hints
+from typing import Any, ClassVar, TypeAlias, TypeVar, get_args, get_type_hints
 
 from ngsolve import CF, CoefficientFunction
 
@@ -190,6 +190,8 @@ class Parameter(Variable, Expression):
     kind: str = "scalar"
     start: float | CoefficientFunction | None = field(default=None, compare=False, repr=False)
     typical: float = math.nan
+    limits: ClassVar[tuple[float, float] | None] = None
+    """Within which it stays; None for the range of its start values."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -251,6 +251,11 @@ def symmetric_tensors(dim: int) -> TensorSpace:
     return _space("symmetric", basis, [f"{i + 1}{j + 1}" for i, j in pairs])
 
 
+def vectors(dim: int) -> TensorSpace:
+    """Vectors of the mesh's dimension, each the first column of a tensor."""
+    return _space("vector", [_unit(i, 0) for i in range(dim)], [str(i + 1) for i in range(dim)])
+
+
 def trace_free_tensors(dim: int) -> TensorSpace:
     """R^{3x3}_dev: symmetric and trace-free; 5 components, 3 in plane strain."""
     off = [(i, j) for i, j in _pairs(dim) if i < j]
@@ -262,7 +267,7 @@ def trace_free_tensors(dim: int) -> TensorSpace:
 
 
 def tensor_space(kind: str, dim: int) -> TensorSpace:
-    """The space of a kind ("scalar", "full", "symmetric") on a mesh of dimension ``dim``."""
+    """The space of a kind ("scalar", "vector", "full", "symmetric") on a mesh of dimension ``dim``."""
     if kind == "scalar":
         return SCALAR
-    return {"full": full_tensors, "symmetric": symmetric_tensors}[kind](dim)
+    return {"vector": vectors, "full": full_tensors, "symmetric": symmetric_tensors}[kind](dim)

@@ -53,7 +53,7 @@ class Variable(ABC):
     name : str
         Key under which energies find it, e.g. ``"F"``.
     kind : str
-        ``"scalar"``, ``"symmetric"`` or ``"full"`` (3x3); dimensionless.
+        ``"scalar"``, ``"symmetric"`` or ``"full"`` (3x3), or ``"vector"``, the first column of a tensor.
     """
 
     name: str
@@ -62,8 +62,8 @@ class Variable(ABC):
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and self.name.isidentifier()):
             raise ParameterError("Variable.name", self.name, "a Python identifier")
-        if self.kind not in ("scalar", "symmetric", "full"):
-            raise ParameterError("Variable.kind", self.kind, "'scalar', 'symmetric' or 'full'")
+        if self.kind not in ("scalar", "vector", "symmetric", "full"):
+            raise ParameterError("Variable.kind", self.kind, "'scalar', 'vector', 'symmetric' or 'full'")
 
     @abstractmethod
     def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:

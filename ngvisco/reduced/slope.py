@@ -21,7 +21,12 @@ class PointwiseSlope:
     def __init__(self, step: Step, points: CellPoints) -> None:
         self.material, self.dim = material, dim = step.model.material, step.mesh.dim
         states = step.layout.states
-        self.components, self.points = states.size, points
+        self.components, self.points, self._step = states.size, points, step
+        self.lagged = np.zeros((states.size, 1), dtype=bool)
+        """Components of lagged variables."""
+        for name in material.lagged:
+            self.lagged[states.slices[name]] = True
+        self._frozen: tuple[np.ndarray, np.ndarray] | None = None
         self.response = self._curvature = material.response(dim)
         if self.response is not None:
             return
@@ -34,9 +39,26 @@ class PointwiseSlope:
 
     def __call__(self, z_values: np.ndarray) -> np.ndarray:
         """phi'(z), (n, points), for z at the points, (n, points), real or with a tiny imaginary part."""
+        if not self.lagged.any():
+            return self._whole(z_values)
+        return np.where(self.lagged, self._whole(z_values), self._whole(self._seen(z_values)))
+
+    def _seen(self, z_values: np.ndarray) -> np.ndarray:
+        """z as the conjugates of what does not lag see it."""
+        lagged = self._step.lagged
+        assert lagged is not None
+        values = lagged.vec.FV().NumPy()
+        if self._frozen is None or not np.array_equal(self._frozen[0], values):
+            at_points = self.points.function(self.components)
+            at_points.Interpolate(lagged)
+            self._frozen = values.copy(), self.points.read(at_points, self.components).copy()
+        return np.where(self.lagged, self._frozen[1], z_values)
+
+    def _whole(self, z_values: np.ndarray) -> np.ndarray:
+        """phi'(z) of all variables at one z."""
         if np.iscomplexobj(z_values):
             z, dz = np.ascontiguousarray(z_values.real), np.ascontiguousarray(z_values.imag)
-            return self(z) + 1j * self.derivative(z)(dz)
+            return self._whole(z) + 1j * self._whole_derivative(z)(dz)
         if self.response is not None:
             return np.ascontiguousarray(self.response(z_values.T).slope.T)
         if self.arrays is None:
@@ -61,6 +83,13 @@ class PointwiseSlope:
 
     def derivative(self, z_values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """The map dz -> phi''(z) dz at the points, both (n, points), for z as above."""
+        own = self._whole_derivative(z_values)
+        if not self.lagged.any():
+            return own
+        of_others = self._whole_derivative(self._seen(z_values))
+        return lambda dz: np.where(self.lagged, own(dz), of_others(np.where(self.lagged, 0.0, dz)))
+
+    def _whole_derivative(self, z_values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         arrays = self.arrays if self.response is None else None
         if arrays is not None:
             return lambda dz: slope_along(arrays, z_values, dz)

@@ -49,7 +49,7 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
     return {
         "velocity": u.v,
         "density": u.rho,
-        **u.z_tensors,
+        **_variables(step),
         "cauchy_stress": T,
         "pressure": (-1 / 3) * tr(T),
         "pressure_from_rest": (-1 / 3) * tr(T) - rest_pressure(material, step.mesh.dim),
@@ -59,6 +59,13 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
         **_body_fields(step),
         **further_fields(step, T),
     }
+
+
+def _variables(step: Step) -> dict[str, CoefficientFunction]:
+    """The material's, vectors as such."""
+    z, dim = step.now.z_tensors, step.mesh.dim
+    vectors = [v.name for v in step.model.material.variables if v.kind == "vector"]
+    return {**z, **{name: CF(tuple(z[name][i, 0] for i in range(dim))) for name in vectors}}
 
 
 def _temperature(step: Step) -> dict[str, CoefficientFunction]:

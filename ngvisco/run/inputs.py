@@ -18,7 +18,14 @@ from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.convexity import check_convexity
 from ngvisco.physics.material import Material
-from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, Thermal, WithQuadratic, Yosida
+from ngvisco.physics.materials import (
+    CustomMaterial,
+    Damaged,
+    IsotropicStrainEnergy,
+    Thermal,
+    WithQuadratic,
+    Yosida,
+)
 from ngvisco.physics.materials.heterogeneous import Heterogeneous
 from ngvisco.physics.model import Model
 from ngvisco.physics.walls import Wall
@@ -57,7 +64,7 @@ def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
 def _is_own(material: Material) -> bool:
     """Whether what the regularising wrappers hold in the end is a user's energy."""
     held: Material | None = material
-    while isinstance(held, (WithQuadratic, Yosida, Heterogeneous, Thermal)):
+    while isinstance(held, (WithQuadratic, Yosida, Heterogeneous, Damaged, Thermal)):
         held = held.material
     return isinstance(held, (CustomMaterial, IsotropicStrainEnergy))
 

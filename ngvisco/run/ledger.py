@@ -127,7 +127,8 @@ class Ledger:
     def __init__(self, step: Step, sampler: Sampler) -> None:
         self.step, self.sampler = step, sampler
         own = (Entry(name, "numerical", Integrand()) for name in (*NUMERICAL, LIMITER, LIMITER_WALLS))
-        self.entries = [*step.entries(), *own]
+        of_damage = () if step.damage is None else step.damage.entries
+        self.entries = [*step.entries(), *own, *of_damage]
         _check_names(self.entries)
         self._state = _Integrals(step, self._state_integrands())
         self._rates = _Integrals(step, {e.name: e for e in self.entries if e.kind in RATES})

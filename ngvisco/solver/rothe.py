@@ -27,7 +27,8 @@ from ngvisco.solver.split.solver import Split
 
 _PARAMETERS = ("tau", "end", "loads_from", "loads_over")
 
-_FACTORISED_AT = ("state", "state_old", "wind")
+_FACTORISED_AT = {"state": None, "state_old": None, "wind": "v", "lagged": "z"}
+"""What a factorisation depends on, and the unknown that it is of; a checkpoint numbers whole states."""
 
 _TOO_FAST = 0.8
 """Courant number down to which the split solver slows a start value: where tau grad v is above one the
@@ -72,7 +73,7 @@ class RotheSolver:
         self.method = chosen_method(step, options)
         """``"coupled"`` or ``"split"``."""
         self._last_tau: float | None = None
-        self._factorised = {name: step.state.vec.CreateVector() for name in _FACTORISED_AT}
+        self._factorised = {name: step.state.vec.CreateVector() for name in self._vectors()}
         self._factorised_at = dict.fromkeys(_PARAMETERS, 0.0)
         self._start = step.state.vec.CreateVector()
         self.extrapolation = Extrapolation(step)
@@ -218,9 +219,8 @@ class RotheSolver:
         if "last_tau" not in numbers:
             return
         now, kept = time.Get(), {name: vector.copy() for name, vector in self._vectors().items()}
-        v = self.step.layout.ranges["v"]
         for name, vector in self._vectors().items():
-            vector[:] = arrays[name][v] if name == "wind" else arrays[name]
+            vector[:] = arrays[name][self._part(name)]
         parameters = {name: numbers[name] for name in _PARAMETERS}
         self.newton.factorise(self.problem(Interval(begin=now, **parameters)))
         self._last_tau = numbers["last_tau"]
@@ -230,15 +230,18 @@ class RotheSolver:
 
     def _vectors(self) -> dict[str, np.ndarray]:
         """What a factorisation depends on, for reading and writing."""
-        return {name: getattr(self.step, name).vec.FV().NumPy() for name in _FACTORISED_AT}
+        given = {name: getattr(self.step, name) for name in _FACTORISED_AT}
+        return {name: each.vec.FV().NumPy() for name, each in given.items() if each is not None}
+
+    def _part(self, name: str) -> slice:
+        """Where such a vector's numbers stand in a state's."""
+        unknown = _FACTORISED_AT[name]
+        return slice(None) if unknown is None else self.step.layout.ranges[unknown]
 
     def _remember(self, problem: RotheProblem) -> None:
         self._factorised_at = {name: getattr(problem.interval, name) for name in _PARAMETERS}
-        v = self.step.layout.ranges["v"]
         for name, values in self._vectors().items():
-            # v* as a state's v: a checkpoint numbers states
-            where = v if name == "wind" else slice(None)
-            self._factorised[name].FV().NumPy()[where] = values
+            self._factorised[name].FV().NumPy()[self._part(name)] = values
 
     def _judged(self, solution: Solution) -> Solution:
         """The solution, which has failed too where its energy is no number or rho or J is not positive."""

@@ -182,9 +182,12 @@ class Integrator:
         history: list[Attempt] = []
         try:
             scheme = self.scheme_of(number)
-            if not (self.relaxed and scheme is self.scheme):
-                return self._taken(scheme, t, tau, history)
-            return self._relaxed(scheme, t, tau, history, meets)
+            self.step.freeze()
+            if self.relaxed and scheme is self.scheme:
+                taken = self._relaxed(scheme, t, tau, history, meets)
+            else:
+                taken = self._taken(scheme, t, tau, history)
+            return taken if self.step.damage is None else self._damaged(taken)
         except BaseException as error:  # also an interrupt: never leave half a step behind
             self.undo()
             if isinstance(error, StepError):
@@ -227,6 +230,13 @@ class Integrator:
             return StepTaken(tau, history, rates, numerical | {LIMITER: 0.0, LIMITER_WALLS: 0.0})
         self._complete()
         return StepTaken(tau, history, rates, numerical | end.by_limiter, end.limited)
+
+    def _damaged(self, taken: StepTaken) -> StepTaken:
+        """The step with the growth of damage after it, over its whole length, z kept."""
+        assert self.step.damage is not None
+        rates, numerical = self.step.damage(taken.tau)
+        self._complete()
+        return replace(taken, rates=taken.rates | rates, numerical=taken.numerical | numerical)
 
     def _stages(
         self,

@@ -147,10 +147,13 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         parts["z"].Set(step.model.material.states(dim).components(values))
         for name, value in further.items():
             project_in_cells(step.layout.unknowns[name], parts[name], step.quadrature, value)
-        step.ranges = {name: sampler.extrema(value) for name, value in parameters.items()}
+        step.ranges = _ranges(step, parameters, sampler)
         Ranges(step, sampler, CellMeans(step)).limit()
         if step.model.bodies:
             Bounds(step, sampler).limit()
+        if step.damage is not None:
+            step.damage.start()  # its slope too
+        step.freeze()
         if initial.velocity is not None:
             v_0 = as_vector(initial.velocity, dim, "Initial.velocity")
             sampler.require(inner(v_0, v_0), "|v_0|^2")
@@ -174,6 +177,27 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     step.start_from_old()
     known = distortion_of(step.model.material, values)
     return F if known is None else known
+
+
+def _ranges(
+    step: Step, parameters: Mapping[str, CoefficientFunction], sampler: Sampler
+) -> dict[str, tuple[float, float]]:
+    """Within which the material's parameters stay, by name: the range of their start values, or their limits.
+
+    Raises
+    ------
+    InitialDataError
+        For a start out of its limits.
+    """
+    ranges = {name: sampler.extrema(value) for name, value in parameters.items()}
+    for variable in step.model.material.variables:
+        if isinstance(variable, Parameter) and variable.limits is not None:
+            (least, most), (low, high) = ranges[variable.name], variable.limits
+            if not low <= least <= most <= high:
+                found, expected = f"from {least:.6g} to {most:.6g}", f"from {low:g} to {high:g}"
+                raise InitialDataError(f"parameter {variable.name}", found, expected)
+            ranges[variable.name] = variable.limits
+    return ranges
 
 
 def _of_bodies(step: Step, initial: Initial, F: CoefficientFunction) -> dict[str, CoefficientFunction]:

@@ -8,6 +8,7 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
 from ngvisco.physics.material import Material
+from ngvisco.physics.materials.damaged import DamageSlope
 from ngvisco.physics.model import as_tensor
 from ngvisco.physics.parameters import Parameter
 
@@ -40,7 +41,7 @@ def starting_values(
 
     Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
     """
-    names = [variable.name for variable in material.variables]
+    names = [v.name for v in material.variables if not isinstance(v, DamageSlope)]  # it follows from the damage
     for name in given:
         if name not in (*names, *further):
             raise UnknownNameError("material variable", name, [*names, *further])

@@ -4,6 +4,7 @@ from ngvisco.physics.materials.barotropic import BarotropicFluid
 from ngvisco.physics.materials.catalogue import examples, table
 from ngvisco.physics.materials.conformation import FENEP, OldroydB
 from ngvisco.physics.materials.custom import CustomMaterial
+from ngvisco.physics.materials.damaged import Damaged
 from ngvisco.physics.materials.linearised import HardeningElastic, IsotropicStrainEnergy, LinearElastic
 from ngvisco.physics.materials.mooney_rivlin import (
     LogarithmicMooneyRivlin,
@@ -25,6 +26,7 @@ __all__ = [
     "FENEP",
     "BarotropicFluid",
     "CustomMaterial",
+    "Damaged",
     "HardeningElastic",
     "IsochoricNeoHookean",
     "IsotropicStrainEnergy",

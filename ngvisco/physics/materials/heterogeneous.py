@@ -49,6 +49,10 @@ class Heterogeneous(Material):
     def continued(self) -> frozenset[str]:
         return self.material.continued
 
+    @property
+    def lagged(self) -> frozenset[str]:
+        return self.material.lagged
+
     def with_elastic_state(self, state: ElasticState) -> Heterogeneous:
         return replace(self, material=self.material.with_elastic_state(state))
 

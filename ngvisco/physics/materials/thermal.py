@@ -162,6 +162,10 @@ class Thermal(Material):
     def continued(self) -> frozenset[str]:
         return frozenset() if self.material is None else self.material.continued
 
+    @property
+    def lagged(self) -> frozenset[str]:
+        return frozenset() if self.material is None else self.material.lagged
+
     def energy(self, z: Values) -> CoefficientFunction:
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         unit = self.entropy.unit / self.c

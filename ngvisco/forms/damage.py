@@ -1,0 +1,282 @@
+"""The growth of damage after a step, z kept: the second half of a staggered step.
+
+In the step (rho, v, z)_old -> (rho, v, z) the damage d and its slope q are carried, to d* and q*.  Then they
+change by a continuous, piecewise linear delta, d = d* + delta and q = q* + grad delta, the minimum of
+
+    int phi(z, d* + delta, q* + grad delta) + sum_i m_i eta delta_i^2/(2 tau)      for low <= delta <= high,
+
+m_i lumped masses.  low = 0, so that damage never falls, or -d* with a healing (eta is that of healing where
+delta_i < 0); high = 1 - d*, the least of a vertex' cells, so that d <= 1 at all points.  phi is quadratic in
+(d, q).  With its second derivative H, and r the slope at the minimum with that of the viscosity,
+
+    E* - E = sum_i m_i eta delta_i^2/tau + delta.H delta/2 - r.delta
+
+exactly: ``dissipation_damage``, a Bregman distance, and the work of what holds delta at d = 1 or d = 0.
+r_i delta_i <= 0 by the signs at the bounds, and 0 where low = 0 holds it: ``bregman_damage`` >= 0 is the sum
+of the two.
+
+In the step itself the conjugates of z are phi'_z(z; d_old, q_old), those of (d, q) phi'_(d,q)(z; d, q)
+(``StoredEnergy``).  So its ``bregman`` is the sum of two distances
+
+    phi(z_old; d_old) - phi(z; d_old) - phi'_z(z; d_old):(z_old - z)   and the same of (d, q) at z,
+
+both >= 0, although phi is not jointly convex.
+
+With heat, what the viscosity of damage dissipates, xi, raises the entropy of each cell by c_K xi tau/theta
+with the c_K by which its energy rises by tau int_K xi, to rounding.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from ngsolve import (
+    ET,
+    H1,
+    L2,
+    VOL,
+    BilinearForm,
+    CoefficientFunction,
+    GridFunction,
+    Integrate,
+    IntegrationRule,
+    LinearForm,
+    Periodic,
+    grad,
+)
+
+from ngvisco.algebra.box import minimise_in_box
+from ngvisco.errors import InputWarning, ParameterError, StepError
+from ngvisco.forms.mesh.mesh_arrays import is_simplicial
+from ngvisco.forms.mesh.points import csr
+from ngvisco.forms.term import Entry, Integrand
+from ngvisco.forms.terms.heat import PRODUCTION
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.physics.material import conjugates
+from ngvisco.physics.materials.damaged import DAMAGE, SLOPE, Damaged, damage_in
+from ngvisco.physics.materials.thermal import Entropy, entropy_in
+from ngvisco.physics.parameters import substituted
+
+if TYPE_CHECKING:
+    from ngvisco.forms.system import Step
+
+DISSIPATION, BREGMAN = "dissipation_damage", "bregman_damage"
+"""Ledger columns of what growing damage dissipates, W, and of what its half of the step does, J a step."""
+
+
+_POWER, _PRODUCTION = "power_heat_damage", PRODUCTION + "damage"
+"""And of the heat that it makes, W, and the entropy, W/K."""
+
+_NEWTON, _ROUNDING = 10, 1e-15
+"""Steps for the share of entropy in each cell, and what of the energy it may leave open."""
+
+
+class DamageGrowth:
+    """Lets the damage of a step's present state grow.
+
+    Parameters
+    ----------
+    step : Step
+    law : Damaged
+
+    Raises
+    ------
+    ParameterError
+        For fields that are not linear in a cell, cells that are no straight simplices, several processes, or
+        a regularisation that diffuses the material's variables.
+    """
+
+    def __init__(self, step: Step, law: Damaged) -> None:
+        self.step, self.law = step, law
+        self._check()
+        mesh, z = step.mesh, step.now.z_tensors
+        space: Any = H1(mesh, order=1)
+        if step.layout.periodic:
+            space = Periodic(space)
+        self._delta = GridFunction(space)
+        rule = IntegrationRule([(*e,) for e in np.eye(mesh.dim + 1)[:, : mesh.dim]], [0.0] * (mesh.dim + 1))
+        self._vertices = mesh.MapToAllElements({ET.TRIG if mesh.dim == 2 else ET.TET: rule}, VOL)
+        self._delta.vec.FV().NumPy()[:] = np.arange(space.ndof)
+        self._dofs = np.rint(self._at_vertices(self._delta)).astype(int)
+        """The unknown of delta at every vertex of every cell."""
+        self.damage = z[DAMAGE.name]
+        self._hessian, self._slope = self._forms(space)
+        masses = LinearForm(space)
+        masses += space.TestFunction() * step.quadrature.cells
+        self._masses = masses.Assemble().vec.FV().NumPy().copy()
+        self._part = GridFunction(step.layout.blocks["rho"])
+        entropy = entropy_in(step.model.material)
+        self._heat = None if entropy is None else _Heat(step, entropy)
+        self.entries = (
+            Entry(DISSIPATION, "dissipation", Integrand()),
+            Entry(BREGMAN, "numerical", Integrand()),
+            Entry("stored_surface", "monitor", Integrand(law.surface_energy(z))),
+            *(() if self._heat is None else self._heat.entries),
+        )
+
+    def _check(self) -> None:
+        step, law = self.step, self.law
+        ranks = Communicator.of(step.mesh)
+        if ranks.size > 1:
+            raise ParameterError("Model.material", law, "a material without damage, or one process")
+        if step.discretisation.m != 1:
+            expected = "1 with damage: its bounds are those at the vertices of cells"
+            raise ParameterError("Discretisation.m", step.discretisation.m, expected)
+        if not is_simplicial(step.mesh) or step.mesh.GetCurveOrder() > 1:
+            expected = "a mesh of straight triangles or tetrahedra with damage, whose slope is linear there"
+            raise ParameterError("Simulation.mesh", step.mesh, expected)
+        regularisation = step.model.regularisation
+        if regularisation is not None and regularisation.delta_fields:
+            expected = "0 with damage, which it would diffuse"
+            raise ParameterError("Regularisation.delta_fields", regularisation.delta_fields, expected)
+        size = float(step.context.h.vec.FV().NumPy().min())
+        if law.length < size:
+            message = (
+                f"Damaged.length = {law.length:g} m is below the size of the smallest cell, {size:.3g} m: "
+                "what breaks is a row of cells and costs more than G_c; take cells of half of it or less"
+            )
+            ranks.warn(message, InputWarning, stacklevel=6)
+
+    def _forms(self, space: Any) -> tuple[BilinearForm, LinearForm]:
+        """H, and the slope at delta = 0."""
+        law, step = self.law, self.step
+        z = step.now.z_tensors
+        taken, _ = substituted(law, lambda expression: expression.at(z)).parts(z)
+        (d, test), weight = space.TnT(), law.weight(z)
+        of_damage, of_slope = law.surface
+        is_quadratic = law.kind == "AT2"
+        stiff = 1 - law.floor
+        q = step.now.z_tensors[SLOPE.name][:, 0]
+        hessian, slope = BilinearForm(space, symmetric=True), LinearForm(space)
+        curvature = 2 * stiff * taken + (2 * of_damage if is_quadratic else 0.0) * weight
+        hessian += (
+            curvature * d * test + 2 * of_slope * weight * (grad(d) * grad(test))
+        ) * step.quadrature.cells
+        force = -2 * stiff * (1 - self.damage) * taken
+        force += of_damage * weight * (2 * self.damage if is_quadratic else 1.0)
+        along = sum(q[i] * grad(test)[i] for i in range(step.mesh.dim))
+        slope += (force * test + 2 * of_slope * weight * along) * step.quadrature.cells
+        return hessian, slope
+
+    def _at_vertices(self, function: Any) -> np.ndarray:
+        return np.asarray(function(self._vertices)).reshape(-1)
+
+    def start(self) -> None:
+        """Make the present damage continuous, by the mean of each vertex' cells, and its slope that of it."""
+        values, dofs = self._at_vertices(self.damage), self._dofs
+        size = len(self._masses)
+        sums, counts = np.bincount(dofs, values, size), np.bincount(dofs, minlength=size)
+        z = self._z()
+        z[self._rows] = 0.0
+        self._add(np.clip(sums / np.maximum(counts, 1), 0.0, 1.0))
+
+    def __call__(self, tau: float) -> tuple[dict[str, float], dict[str, float]]:
+        """Let the damage grow over ``tau``, s; dissipations, W, and numerical ones, J, by columns.
+
+        Raises
+        ------
+        StepError
+            Where there is no minimum: the energy is not convex in the damage.
+        """
+        law, step = self.law, self.step
+        H = csr(self._hessian.Assemble().mat)
+        f = self._slope.Assemble().vec.FV().NumPy().copy()
+        low, high = self._bounds()
+        rising = self._masses * law.viscosity / tau
+        falling = rising
+        if law.healing_viscosity is not None:
+            falling = self._masses * law.healing_viscosity / tau
+        try:
+            found = minimise_in_box(H, f, (rising, falling), low, high)
+        except StepError as error:
+            raise StepError(f"damage: {error}; the material's energy is negative somewhere") from error
+        delta = found.x
+        self._add(delta)
+        dissipated = np.where(delta < 0, falling, rising) * delta * delta
+        rates = {DISSIPATION: float(dissipated.sum()) / tau}
+        if self._heat is not None:
+            self._delta.vec.FV().NumPy()[:] = dissipated / np.where(self._masses > 0, self._masses, 1.0)
+            rates |= self._heat(self._delta, tau)
+        step.freeze()
+        distance = float(0.5 * delta @ (H @ delta) - found.slope @ delta)
+        return rates, {BREGMAN: distance}
+
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Between which delta is at every vertex."""
+        values, dofs, size = self._at_vertices(self.damage), self._dofs, len(self._masses)
+        low, high = np.full(size, -np.inf), np.full(size, np.inf)
+        np.minimum.at(high, dofs, 1 - values)
+        np.maximum.at(low, dofs, -values)
+        unused = ~np.isfinite(high)
+        low[unused] = high[unused] = 0.0
+        if self.law.healing_viscosity is None:
+            low[:] = 0.0
+        return np.minimum(low, 0.0), np.maximum(high, 0.0)
+
+    @property
+    def _rows(self) -> list[int]:
+        """Components of the damage and its slope."""
+        slices = self.step.layout.states.slices
+        return [slices[DAMAGE.name].start, *range(slices[SLOPE.name].start, slices[SLOPE.name].stop)]
+
+    def _z(self) -> np.ndarray:
+        """The present coefficients, (components, functions), as a view."""
+        values = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]]
+        return values.reshape(self.step.layout.states.size, -1)
+
+    def _add(self, delta: np.ndarray) -> None:
+        """Add delta and its slope to the present damage."""
+        self._delta.vec.FV().NumPy()[:] = delta
+        z, slope = self._z(), grad(self._delta)
+        values = (self._delta, *(slope[j] for j in range(self.step.mesh.dim)))
+        for row, value in zip(self._rows, values, strict=True):
+            self._part.Set(value)
+            z[row] += self._part.vec.FV().NumPy()
+
+
+class _Heat:
+    """The heat that the viscosity of damage makes, as entropy of each cell."""
+
+    def __init__(self, step: Step, entropy: Entropy) -> None:
+        self.step, self.entropy, self._place = step, entropy, step.layout.states.slices[entropy.name].start
+        self._share, self._added = (
+            GridFunction(L2(step.mesh, order=0)),
+            GridFunction(step.layout.blocks["rho"]),
+        )
+        self._heat = step.energy.density(step.now).Compile()
+        theta = conjugates(step.model.material, step.now.z_tensors)[entropy.name]
+        self._theta = (1 / entropy.unit * theta).Compile()
+        self.entries = (Entry(_POWER, "power", Integrand()), Entry(_PRODUCTION, "production", Integrand()))
+
+    def __call__(self, xi: GridFunction, tau: float) -> dict[str, float]:
+        """Add the heat ``xi``, J/m^3, to the present state; by columns, W and W/K."""
+        state, ranges, unit = self.step.state.vec.FV().NumPy(), self.step.layout.ranges, self.entropy.unit
+        s = state[ranges["z"]].reshape(self.step.layout.states.size, -1)[self._place]
+        before, wanted, energy = s.copy(), self._integrals(xi), self._integrals(self._heat)
+        self._added.Set((1 / unit) * xi / self._theta)
+        direction = GridFunction(self._added.space)
+        direction.vec.data = self._added.vec
+        share = self._share.vec.FV().NumPy()
+        share[:] = wanted > 0
+        for _ in range(_NEWTON):
+            self._added.Set(self._share * direction)
+            s[:] = before + self._added.vec.FV().NumPy()
+            missing = wanted - (self._integrals(self._heat) - energy)
+            slope = unit * self._integrals(self._theta * direction)
+            share += np.where(wanted > 0, missing / np.where(slope > 0, slope, 1.0), 0.0)
+            if abs(missing).sum() <= _ROUNDING * abs(energy).sum():
+                break
+        made = unit * self._integrals(self._added).sum()
+        return {_POWER: float(wanted.sum()) / tau, _PRODUCTION: float(made) / tau}
+
+    def _integrals(self, f: CoefficientFunction) -> np.ndarray:
+        """Over each cell, by the rule of the forms."""
+        degree = self.step.quadrature.volume_degree
+        return np.asarray(Integrate(f, self.step.mesh, order=degree, element_wise=True).NumPy()).copy()
+
+
+def damage_growth(step: Step) -> DamageGrowth | None:
+    """That of a step whose material breaks."""
+    law = damage_in(step.model.material)
+    return None if law is None else DamageGrowth(step, law)

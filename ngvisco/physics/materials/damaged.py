@@ -1,0 +1,282 @@
+"""Materials that break: a damage d, 0 where they are intact and 1 where they are broken, degrades the energy.
+
+Per actual volume, with A = 1/J of a material at finite strain and 1 of a linearised one,
+
+    phi = g(d) a(z) + c(z) + A G_c (w(d) + l^2 |q|^2) / (c_w l),     g(d) = (1 - k)(1 - d)^2 + k,
+
+q = grad d, a the part of the energy that damage takes (all of it, or what is no volumetric compression, c).
+``AT2`` has w = d^2, c_w = 2 (Ambrosio and Tortorelli), ``AT1`` w = d, c_w = 8/3, which is elastic up to a
+threshold: the density of a crack's surface times G_c (Pham et al., Int. J. Damage Mech. 20, 2011).
+
+d is carried by the matter, its slope with it: from dd/dt + v . grad d = 0 follows
+
+    dq/dt + (v . grad) q = -L^T q,
+
+a variable like the others, whose conjugate gives the stress of the gradient term with nothing more.  phi is
+convex in z for given (d, q) and in (d, q) for given z, but not jointly: the conjugates of z are those at the
+damage of the step's start (``Material.lagged``), and damage itself grows after the step, z kept
+(``ngvisco.forms.damage``; the staggered scheme of Roubicek, arXiv:2510.10355).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction
+
+from ngvisco.errors import ParameterError, Quantity, require_choice
+from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.parameters import Modulus, Parameter, expressions_in, parameters_in, require_ranges
+from ngvisco.physics.tensors import identity_like, if_positive, log, square, tr
+from ngvisco.physics.time import sampled
+from ngvisco.physics.variables import (
+    Jacobian,
+    LogJacobian,
+    ReciprocalJacobian,
+    SmallStrain,
+    Values,
+    Variable,
+)
+
+
+@dataclass(frozen=True)
+class DamageVariable(Parameter):
+    """d in [0, 1], carried by the matter: 0 intact, 1 broken.  Moduli may be expressions of it."""
+
+    name: str = "damage"
+    start: float = 0.0
+    limits: ClassVar[tuple[float, float] | None] = (0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class DamageSlope(Variable):
+    """q = grad d, 1/m, as the first column of a tensor: dq/dt = -L^T q."""
+
+    name: str = "grad_damage"
+    kind: str = "vector"
+
+    @property
+    def is_strain(self) -> bool:
+        return False
+
+    @property
+    def creeps(self) -> bool:
+        return False
+
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+        return -L.trans * z[self.name]
+
+    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+        """Zero: that of the start's damage is made of it."""
+        return 0 * F
+
+    def turned(self, value: CoefficientFunction, Q: CoefficientFunction) -> CoefficientFunction:
+        return Q * value
+
+
+DAMAGE, SLOPE = DamageVariable(), DamageSlope()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Damaged(Material):
+    """A material that breaks, by a phase field of its damage d in [0, 1] (module's docstring).
+
+    The energy of the material without damage is counted from that at rest, where its stress has to vanish.  A
+    crack that has fully formed costs G_c for its area, with d = exp(-|x|/l) (AT2) or (1 - |x|/2l)^2 (AT1)
+    across it.  Without a healing d never falls at the matter's point.
+
+    Example::
+
+        import ngvisco as nv
+
+        rubber = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
+        material = nv.Damaged(material=rubber, G_c=0.1, length=0.05)
+        print([variable.name for variable in material.variables])
+
+    Parameters
+    ----------
+    material : Material
+        The material without damage; at finite strain A = 1/J is carried beside its variables.
+    G_c : float
+        Energy of a crack for its area.
+    length : float
+        The length l that a crack is smeared over; cells of half of it or less resolve it.
+    kind : str
+        ``"AT2"``, damage from the first load on, or ``"AT1"``, from a threshold on.
+    part : str
+        ``"all"`` of the energy is degraded, or ``"tensile"``: not that of volumetric compression.
+    viscosity : float
+        eta of the dissipation eta (dd/dt)^2 of growing damage.
+    healing_viscosity : float, optional
+        That of falling damage; None (default) where nothing heals.
+    floor : float
+        k, the share of the degraded energy that a broken material keeps.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range, or the material has stress at rest, an energy without an
+        expression, or no volume of its own to tell compression by.
+    """
+
+    material: Material
+    G_c: Annotated[float, Quantity("J/m^2", "> 0", 0.1)]
+    length: Annotated[float, Quantity("m", "> 0", 0.05)]
+    kind: Annotated[Literal["AT1", "AT2"], Quantity(example="AT2")] = "AT2"
+    part: Annotated[Literal["all", "tensile"], Quantity(example="tensile")] = "tensile"
+    viscosity: Annotated[float, Quantity("Pa s", ">= 0", 0.01)] = 0.0
+    healing_viscosity: Annotated[float | None, Quantity("Pa s", "> 0", 1.0)] = None
+    floor: Annotated[float, Quantity("1", "> 0", 1e-6)] = 1e-6
+    _rest: float | None = field(init=False, repr=False, default=None)
+    """phi at rest without damage, Pa; None where moduli differ from place to place."""
+
+    def __post_init__(self) -> None:
+        require_ranges(self)
+        require_choice(self, ("AT1", "AT2"), kind=self.kind)
+        require_choice(self, ("all", "tensile"), part=self.part)
+        owner = type(self).__name__
+        if not self.floor < 1:
+            raise ParameterError(f"{owner}.floor", self.floor, "a finite number > 0 and < 1")
+        if not isinstance(self.material, Material):
+            raise ParameterError(f"{owner}.material", self.material, "a Material")
+        if damage_in(self.material) is not None:
+            raise ParameterError(f"{owner}.material", self.material, "a material without damage")
+        if self.material.response(3) is not None:
+            expected = "a material whose energy is an expression, not that of a Yosida approximation"
+            raise ParameterError(f"{owner}.material", self.material, expected)
+        if any(parameter.name == DAMAGE.name for parameter in parameters_in((self.material,))):
+            expected = "moduli that do not read the damage, which degrades the energy by g(d)"
+            raise ParameterError(f"{owner}.material", self.material, expected)
+        self._check_rest()
+
+    def _check_rest(self) -> None:
+        """Raise ParameterError where the material's variables have no spherical states, or stress at rest."""
+        own = self.material.variables
+        for v in own:
+            known = isinstance(v, (SmallStrain, Jacobian, ReciprocalJacobian, LogJacobian, Parameter))
+            if not known and v.volume_ratio(CF((1, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))) is None:
+                expected = f"a material without {v.name!r}, of which no spherical state is known"
+                raise ParameterError("Damaged.material", self.material, expected)
+        if any(True for _ in expressions_in(self.material)):
+            return
+        if self.is_linearised:
+            s = CF(0.0).MakeVariable()
+            phi = self.material.energy({own[0].name: (1 / 3) * s * identity_like(s)})
+        else:
+            s = CF(1.0).MakeVariable()
+            z = {v.name: CF(1.0).Reshape(()) if v.kind == "scalar" else identity_like(s) for v in own}
+            phi = s * self.material.energy(_spherical(own, z, s))
+        rest, slope, stiffness = (float(np.mean(sampled(f))) for f in (phi, phi.Diff(s), phi.Diff(s).Diff(s)))
+        if not abs(slope) <= 1e-9 * max(abs(stiffness), abs(rest)):
+            expected = (
+                f"one without stress at rest, where d phi/dJ is {slope:.4g} Pa; a Referential one has none"
+            )
+            raise ParameterError("Damaged.material", self.material, expected)
+        object.__setattr__(self, "_rest", rest)
+
+    @property
+    def is_linearised(self) -> bool:
+        """Whether the material is one of small strains, whose volume does not change."""
+        return all(isinstance(v, SmallStrain) for v in self.material.variables)
+
+    def with_elastic_state(self, state: ElasticState) -> Self:
+        return replace(self, material=self.material.with_elastic_state(state))
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        own = self.material.variables
+        volume = () if self.is_linearised or ReciprocalJacobian() in own else (ReciprocalJacobian(),)
+        return (*own, *volume, DAMAGE, SLOPE)
+
+    @property
+    def lagged(self) -> frozenset[str]:
+        return frozenset((DAMAGE.name, SLOPE.name))
+
+    @property
+    def referential_density(self) -> Modulus | None:
+        return self.material.referential_density
+
+    @property
+    def continued(self) -> frozenset[str]:
+        return self.material.continued
+
+    def degradation(self, d: Any) -> Any:
+        """g(d)."""
+        return (1 - self.floor) * (1 - d) * (1 - d) + self.floor
+
+    @property
+    def surface(self) -> tuple[float, float]:
+        """G_c/(c_w l) and G_c l/c_w, which multiply w(d) and |q|^2, Pa and Pa m^2."""
+        weight = self.G_c / (2 if self.kind == "AT2" else 8 / 3)
+        return weight / self.length, weight * self.length
+
+    def weight(self, z: Values) -> Any:
+        """Reference volume per actual volume, A; 1 of a linearised material."""
+        return 1.0 if self.is_linearised else z["A"]
+
+    def parts(self, z: Values) -> tuple[CoefficientFunction, CoefficientFunction | None]:
+        """a(z), what damage takes of the energy, and c(z), what it leaves (None: nothing), Pa."""
+        own = self.material.variables
+        inner = {v.name: z[v.name] for v in own}
+        whole = self.material.energy(inner)
+        if not self.is_linearised:
+            whole = whole - self._at_rest(z) * z["A"]
+        if self.part == "all":
+            return whole, None
+        if self.is_linearised:
+            (name,) = inner
+            E = inner[name]
+            compressed = self.material.energy({name: (1 / 3) * tr(E) * identity_like(E)})
+            kept = if_positive(-tr(E), compressed, 0 * compressed)
+        else:
+            J = z["J"] if "J" in inner else 1 / z["A"]
+            compressed = self.material.energy(_spherical(own, inner, J)) - self._at_rest(z) / J
+            kept = if_positive(1 - J, compressed, 0 * compressed)
+        return whole - kept, kept
+
+    def _at_rest(self, z: Values) -> Any:
+        """phi at rest without damage, Pa."""
+        if self._rest is not None:
+            return self._rest
+        own = self.material.variables
+        one = 1 + 0 * z["A"]
+        return self.material.energy(_spherical(own, {v.name: z[v.name] for v in own}, one))
+
+    def surface_energy(self, z: Values) -> CoefficientFunction:
+        """That of cracks, per actual volume, Pa."""
+        d, q = z[DAMAGE.name], z[SLOPE.name]
+        of_damage, of_slope = self.surface
+        w = d * d if self.kind == "AT2" else d
+        return self.weight(z) * (of_damage * w + of_slope * square(q))
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        taken, kept = self.parts(z)
+        phi = self.degradation(z[DAMAGE.name]) * taken + self.surface_energy(z)
+        return phi if kept is None else phi + kept
+
+
+def _spherical(variables: tuple[Variable, ...], z: Values, J: Any) -> dict[str, Any]:
+    """The values that belong to F = J^{1/3} I; ``z`` tells arrays from coefficient functions."""
+    found: dict[str, Any] = {}
+    for v in variables:
+        if isinstance(v, Parameter):
+            found[v.name] = z[v.name]
+        elif isinstance(v, LogJacobian):
+            found[v.name] = log(J) / J
+        else:
+            identity = identity_like(z[v.name]) if v.kind != "scalar" else CF(1.0)
+            ratio = v.volume_ratio(identity)
+            assert ratio is not None  # as checked when the material was made
+            power = ratio[1] if v.kind == "scalar" else ratio[1] / 3
+            size = J if power == 1 else J ** float(power)
+            found[v.name] = size if v.kind == "scalar" else size * identity
+    return found
+
+
+def damage_in(material: object) -> Damaged | None:
+    """The damaged material that a material is, or that it holds; None without damage."""
+    while isinstance(material, Material) and not isinstance(material, Damaged):
+        material = getattr(material, "material", None)
+    return material if isinstance(material, Damaged) else None

@@ -1,0 +1,200 @@
+"""Damage: the ledger of both halves of a step, exact curves of stress, bounds, heat, restart, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ngsolve import CF, cos, exp, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.errors import InitialDataError, InputWarning, ParameterError, UnknownNameError
+from ngvisco.forms.damage import DamageGrowth
+from ngvisco.forms.system import Step
+from ngvisco.geometries import box, channel, disc
+from ngvisco.run.simulation import Simulation
+from tests.support import assert_same
+
+RUBBER = nv.ReferentialNeoHookean(K_e=20.0, G_e=5.0)
+SEED = 0.3 * exp(-20 * ((x - 0.5) ** 2 + (y - 0.5) ** 2))
+VORTEX = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+
+
+def damaged(**parameters):
+    given = {"material": RUBBER, "G_c": 0.1, "length": 0.6, "viscosity": 0.01}
+    return nv.Damaged(**{**given, **parameters})
+
+
+def swirl(material, dim=2, seed=SEED, **options):
+    model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1))
+    initial = nv.Initial(velocity=CF((*VORTEX, 0)[:dim]), values={"damage": seed})
+    return Simulation(box((1,) * dim, maxh=0.5), model, dt=0.02, initial=initial, **options)
+
+
+def assert_signs(run, until=0.04, is_euler=True):
+    """The ledger closes; every entry has its sign in every step; damage is within [0, 1] to its slack."""
+    ledger = run.run(until)
+    assert abs(ledger.column("closure_relative")).max() < 1e-11
+    names = ["dissipation_damage", "bregman_damage", *(["bregman"] if is_euler else [])]
+    for name in names:
+        assert ledger.column(name)[1:].min() > 0, name
+    values = run.sampler.values(run.fields["damage"])
+    assert values.min() > -1e-9 and values.max() < 1 + 1e-9
+    return ledger
+
+
+@pytest.mark.parametrize("kind", ["AT2", pytest.param("AT1", marks=pytest.mark.long)])
+def test_both_halves_of_a_step_dissipate_and_both_solvers_agree(kind):
+    material = damaged(kind=kind, G_c=0.1 if kind == "AT2" else 0.01)
+    runs = [swirl(material, solver=solver) for solver in ("coupled", "split")]
+    for run in runs:
+        assert_signs(run)
+    assert_same(*runs)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("parameters", "dim", "scheme"),
+    [
+        ({"part": "all", "material": nv.LinearElastic(K_e=20.0, G_e=5.0)}, 2, "backward-euler"),
+        ({"material": nv.LinearElastic(K_e=20.0, G_e=5.0)}, 2, "backward-euler"),
+        ({"material": nv.LogarithmicNeoHookean(K_e=20.0, G_e=5.0, epsilon=1.0)}, 2, "backward-euler"),
+        ({"material": nv.ReferentialNeoHookean(K_e=20.0, G_e=5.0 + x, elastic_state="B")}, 2, "sdirk2"),
+        ({}, 2, "midpoint"),
+        pytest.param({}, 3, "backward-euler", marks=pytest.mark.ci),
+    ],
+)
+def test_ledger_closes_for_materials_dimensions_and_schemes(parameters, dim, scheme):
+    is_euler = scheme == "backward-euler"
+    assert_signs(swirl(damaged(**parameters), dim, solver="split", scheme=scheme), is_euler=is_euler)
+
+
+RATE, FLOOR = 0.5, 1e-3
+
+
+def exact(kind, gamma, G_c, length, G=5.0):
+    """d and T_12 of a homogeneous simple shear gamma: phi'_d = 0 with a = G gamma^2."""
+    psi = (1 - FLOOR) * G * gamma**2
+    d = 2 * psi / (2 * psi + G_c / length) if kind == "AT2" else max(0, 1 - 3 * G_c / (16 * length * psi))
+    return d, ((1 - FLOOR) * (1 - d) ** 2 + FLOOR) * 2 * G * gamma
+
+
+def sheared(kind, part="tensile", G_c=0.1):
+    law = damaged(kind=kind, part=part, G_c=G_c, length=1.0, viscosity=0.0, floor=FLOOR)
+    walls = {"top": nv.PrescribedTangential((RATE / 2, 0)), "bottom": nv.PrescribedTangential((-RATE / 2, 0))}
+    initial = nv.Initial(velocity=(RATE * (y - 0.5), 0))
+    mesh, model = channel(1, 1, maxh=0.9), nv.Model(material=law)
+    return Simulation(mesh, model, dt=0.1, walls=walls, initial=initial, solver="coupled")
+
+
+@pytest.mark.parametrize(("kind", "part"), [("AT1", "tensile"), ("AT2", "all")])
+def test_homogeneous_bar_follows_its_exact_curve(kind, part):
+    """To rounding, at every step, below the threshold of AT1 and above it; with no slope of the damage."""
+    run = sheared(kind, part)
+    for _ in range(4):
+        row = run.advance()
+        d, stress = exact(kind, RATE * row["time"], 0.1, 1.0)
+        found = run.sampler.values(CF((run.fields["damage"], run.fields["cauchy_stress"][0, 1])))
+        assert np.allclose(found, [d, stress], rtol=1e-11, atol=1e-13)
+    assert 0.1 < d < 0.99
+    assert abs(run.sampler.values(run.fields["grad_damage"])).max() < 1e-12
+
+
+def test_conjugates_that_do_not_see_the_growth_are_found_out(monkeypatch):
+    """Negative control: with those of an intact body for ever the stress is wrong."""
+    monkeypatch.setattr(Step, "freeze", lambda self: None)
+    run = sheared("AT2")
+    run.run(0.4)
+    found = run.sampler.values(run.fields["cauchy_stress"][0, 1])
+    assert abs(found / exact("AT2", RATE * 0.4, 0.1, 1.0)[1] - 1).min() > 0.5
+
+
+def test_slope_that_does_not_follow_opens_the_ledger(monkeypatch):
+    """Negative control: damage grows, its slope stays."""
+    add = DamageGrowth._add
+
+    def without_slope(self, delta):
+        z, rows = self._z(), self._rows[1:]
+        kept = z[rows].copy()
+        add(self, delta)
+        z[rows] = kept
+
+    run = swirl(damaged(), solver="split")
+    monkeypatch.setattr(DamageGrowth, "_add", without_slope)
+    with pytest.warns(nv.ClosureWarning):
+        run.run(0.02)
+    assert abs(run.ledger.column("closure_relative")[-1]) > 1e-6
+
+
+def test_damage_stays_or_heals_at_its_rate():
+    """At rest, undegraded: w'(d) pulls d down where it may heal, d' = -G_c d/(l eta) (AT2), else d stays."""
+    for healing in (None, 2.0):
+        law = damaged(length=1.0, healing_viscosity=healing)
+        model = nv.Model(material=law)
+        initial = nv.Initial(values={"damage": 0.5})
+        run = Simulation(box((1, 1), maxh=0.9), model, dt=0.1, initial=initial, solver="coupled")
+        run.run(0.3)
+        expected = 0.5 if healing is None else 0.5 / (1 + 0.1 * 0.1 / healing) ** 3
+        assert np.allclose(run.sampler.values(run.fields["damage"]), expected, rtol=1e-12)
+        assert (run.ledger.column("dissipation_damage")[1:] > 0).all() == (healing is not None)
+
+
+def test_heat_of_growing_damage_arrives():
+    inner = damaged(material=nv.LogarithmicNeoHookean(K_e=20.0, G_e=5.0, epsilon=1.0))
+    material = nv.Thermal(material=inner, c=1.0, theta_R=300.0, expansion=1e-3)
+    ledger = assert_signs(swirl(material, solver="split"))
+    heat, damage = ledger.column("power_heat_damage"), ledger.column("dissipation_damage")
+    assert np.allclose(heat, damage, rtol=1e-12)
+    assert ledger.column("entropy_production_damage")[1:].min() > 0
+    entropy, tau = ledger.column("entropy"), ledger.column("dt")
+    made = sum(ledger.column(name) for name in ledger.columns if name.startswith("entropy_production"))
+    assert np.allclose(np.diff(entropy), (tau * made)[1:], rtol=1e-9)
+
+
+def test_restart_is_bitwise(tmp_path):
+    path = tmp_path / "run.h5"
+    run = swirl(damaged(), solver="split", observers=[nv.Checkpoints(path, every=1, keep=9)])
+    run.run(0.06)
+    again = swirl(damaged(), solver="split")
+    again.restore(path, step=2)
+    again.run(0.06)
+    state, same = (one.rothe_step.state.vec.FV().NumPy() for one in (run, again))
+    assert state.tobytes() == same.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"G_c": 0.0}, r"Damaged\.G_c = 0\.0: expected a finite number > 0"),
+        ({"length": -1.0}, r"Damaged\.length = -1\.0"),
+        ({"healing_viscosity": 0.0}, r"Damaged\.healing_viscosity = 0\.0: expected a finite number > 0"),
+        ({"viscosity": -1.0}, r"Damaged\.viscosity"),
+        ({"floor": 1.0}, r"Damaged\.floor = 1\.0: expected .* < 1"),
+        ({"kind": "AT3"}, r"Damaged\.kind = 'AT3': expected one of AT1, AT2"),
+        ({"material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)}, "without stress at rest"),
+        ({"material": nv.Yosida(material=RUBBER, eps=0.01)}, "not that of a Yosida approximation"),
+        ({"material": damaged()}, "a material without damage"),
+        ({"material": nv.ReferentialNeoHookean(K_e=9.0, G_e=nv.Parameter("damage") + 1)}, "do not read the"),
+    ],
+)
+def test_wrong_parameters_are_refused_by_name(parameters, message):
+    with pytest.raises(ParameterError, match=message):
+        damaged(**parameters)
+
+
+def test_models_and_meshes_that_cannot_have_damage_are_refused_by_name():
+    body = nv.Body(name="a", material=damaged(), density=1.0)
+    with pytest.raises(ParameterError, match=r"bodies\['a'\]\.material.*without damage"):
+        nv.Model(bodies=[body])
+    with pytest.raises(ParameterError, match=r"Model\.material.*no other material knows of damage"):
+        nv.Model(material=nv.WithQuadratic(material=damaged(), delta=0.1))
+    with pytest.raises(ParameterError, match=r"Discretisation\.m = 2: expected 1 with damage"):
+        swirl(damaged(), discretisation=nv.Discretisation(m=2))
+    model = nv.Model(material=damaged())
+    with pytest.raises(ParameterError, match=r"Simulation\.mesh.*straight triangles"):
+        Simulation(disc(1.0, maxh=0.9), model, dt=0.1)
+    with pytest.raises(UnknownNameError, match="grad_damage"):
+        Simulation(box((1, 1), maxh=0.9), model, dt=0.1, initial=nv.Initial(values={"grad_damage": CF(0)}))
+    with pytest.raises(InitialDataError, match=r"parameter damage: from 1\.5 to 1\.5"):
+        Simulation(box((1, 1), maxh=0.9), model, dt=0.1, initial=nv.Initial(values={"damage": CF(1.5)}))
+    with pytest.warns(InputWarning, match="below the size of the smallest cell"):
+        Simulation(box((1, 1), maxh=0.9), nv.Model(material=damaged(length=0.1)), dt=0.1)
