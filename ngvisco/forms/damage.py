@@ -50,8 +50,7 @@ from ngvisco.algebra.box import minimise_in_box
 from ngvisco.errors import InputWarning, ParameterError, StepError
 from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.points import csr
-from ngvisco.forms.term import Entry, Integrand
-from ngvisco.forms.terms.heat import PRODUCTION
+from ngvisco.forms.term import PRODUCTION, Entry, Integrand
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import conjugates
 from ngvisco.physics.materials.damaged import DAMAGE, SLOPE, Damaged, damage_in
@@ -145,7 +144,7 @@ class DamageGrowth:
         taken, _ = substituted(law, lambda expression: expression.at(z)).parts(z)
         (d, test), weight = space.TnT(), law.weight(z)
         of_damage, of_slope = law.surface
-        is_quadratic = law.kind == "AT2"
+        is_quadratic = law.law == "AT2"
         stiff = 1 - law.floor
         q = step.now.z_tensors[SLOPE.name][:, 0]
         hessian, slope = BilinearForm(space, symmetric=True), LinearForm(space)

@@ -27,6 +27,9 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.fields import Fields
 from ngvisco.physics.tensors import inner
 
+PRODUCTION = "entropy_production_"
+"""What the ledger's columns of entropy produced by a mechanism, never negative, begin with."""
+
 
 @dataclass(frozen=True)
 class Integrand:

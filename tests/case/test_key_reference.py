@@ -86,6 +86,7 @@ def test_no_description_is_cut_off():
 
 
 WITHIN = {
+    "Damaged": {"material": {"kind": "ReferentialNeoHookean", "K_e": 10, "G_e": 5}},
     "Activated": {"rule": {"G_m": 1.0}},
     "Composite": {"rules": [{"G_m": 1.0}]},
     "ActivatedViscosity": {"viscosity": {"K_v": 1.0, "G_v": 1.0}},

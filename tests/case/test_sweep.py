@@ -71,6 +71,7 @@ NEEDED = {
     "BarotropicFluid": {"B": 1.0, "gamma": 1.4},
     "Custom": {"variables": ["F", "J"], "energy": "3*norm2(F)/J**(2/3) + 4*(J + 1/J)"},
     "IsotropicStrainEnergy": {"energy": "5*tr(E)**2 + 5*norm2(dev(E))"},
+    "Damaged": {"G_c": 0.1, "length": 0.5, "material": {"kind": "LinearElastic", "K_e": 10.0, "G_e": 5.0}},
     "FENEP": {"K_e": 10.0, "G_e": 5.0, "b": 50.0},
     "OldroydB": {"K_e": 10.0, "G_e": 5.0},
     "HardeningElastic": {"K_e": 10.0, "G_e": 5.0, "K_h": 1.0, "G_h": 1.0},

@@ -7,8 +7,7 @@ import pytest
 from ngsolve import CF, Integrate, cos, pi, sin, x, y
 
 import ngvisco as nv
-from ngvisco.forms.term import Entry, Integrand, PointTerm
-from ngvisco.forms.terms.heat import PRODUCTION
+from ngvisco.forms.term import PRODUCTION, Entry, Integrand, PointTerm
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, square
 from ngvisco.run.ledger import EntropyWarning

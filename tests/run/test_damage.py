@@ -44,7 +44,7 @@ def assert_signs(run, until=0.04, is_euler=True):
 
 @pytest.mark.parametrize("kind", ["AT2", pytest.param("AT1", marks=pytest.mark.long)])
 def test_both_halves_of_a_step_dissipate_and_both_solvers_agree(kind):
-    material = damaged(kind=kind, G_c=0.1 if kind == "AT2" else 0.01)
+    material = damaged(law=kind, G_c=0.1 if kind == "AT2" else 0.01)
     runs = [swirl(material, solver=solver) for solver in ("coupled", "split")]
     for run in runs:
         assert_signs(run)
@@ -79,7 +79,7 @@ def exact(kind, gamma, G_c, length, G=5.0):
 
 
 def sheared(kind, part="tensile", G_c=0.1):
-    law = damaged(kind=kind, part=part, G_c=G_c, length=1.0, viscosity=0.0, floor=FLOOR)
+    law = damaged(law=kind, part=part, G_c=G_c, length=1.0, viscosity=0.0, floor=FLOOR)
     walls = {"top": nv.PrescribedTangential((RATE / 2, 0)), "bottom": nv.PrescribedTangential((-RATE / 2, 0))}
     initial = nv.Initial(velocity=(RATE * (y - 0.5), 0))
     mesh, model = channel(1, 1, maxh=0.9), nv.Model(material=law)
@@ -169,7 +169,7 @@ def test_restart_is_bitwise(tmp_path):
         ({"healing_viscosity": 0.0}, r"Damaged\.healing_viscosity = 0\.0: expected a finite number > 0"),
         ({"viscosity": -1.0}, r"Damaged\.viscosity"),
         ({"floor": 1.0}, r"Damaged\.floor = 1\.0: expected .* < 1"),
-        ({"kind": "AT3"}, r"Damaged\.kind = 'AT3': expected one of AT1, AT2"),
+        ({"law": "AT3"}, r"Damaged\.law = 'AT3': expected one of AT1, AT2"),
         ({"material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)}, "without stress at rest"),
         ({"material": nv.Yosida(material=RUBBER, eps=0.01)}, "not that of a Yosida approximation"),
         ({"material": damaged()}, "a material without damage"),

@@ -38,7 +38,7 @@ from ngvisco.physics.material import Material, conjugates, volume_ratio
 from ngvisco.physics.materials.thermal import entropy_in, temperature, thermal_part
 from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.model import VectorLike, as_vector
-from ngvisco.physics.parameters import moduli_in, value_at
+from ngvisco.physics.parameters import Parameter, moduli_in, value_at
 from ngvisco.physics.tensors import inner, square, tensor_space, trace_free_tensors
 from ngvisco.physics.time import reads_time
 

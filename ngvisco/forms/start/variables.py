@@ -41,7 +41,9 @@ def starting_values(
 
     Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
     """
-    names = [v.name for v in material.variables if not isinstance(v, DamageSlope)]  # it follows from the damage
+    names = [
+        v.name for v in material.variables if not isinstance(v, DamageSlope)
+    ]  # it follows from the damage
     for name in given:
         if name not in (*names, *further):
             raise UnknownNameError("material variable", name, [*names, *further])

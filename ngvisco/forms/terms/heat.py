@@ -24,16 +24,13 @@ from ngvisco.errors import ParameterError
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import Entry, Integrand, PointTerm, Term, dissipations
+from ngvisco.forms.term import PRODUCTION, Entry, Integrand, PointTerm, Term, dissipations
 from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.forms.upwinding import SideMean
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.materials.thermal import Entropy, entropy_in
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner, linear_map, square
-
-PRODUCTION = "entropy_production_"
-"""What the ledger's columns of entropy produced by a mechanism, never negative, begin with."""
 
 
 def penalty_weight(m: int) -> float:

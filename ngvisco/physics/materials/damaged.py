@@ -103,7 +103,7 @@ class Damaged(Material):
         Energy of a crack for its area.
     length : float
         The length l that a crack is smeared over; cells of half of it or less resolve it.
-    kind : str
+    law : str
         ``"AT2"``, damage from the first load on, or ``"AT1"``, from a threshold on.
     part : str
         ``"all"`` of the energy is degraded, or ``"tensile"``: not that of volumetric compression.
@@ -124,8 +124,8 @@ class Damaged(Material):
     material: Material
     G_c: Annotated[float, Quantity("J/m^2", "> 0", 0.1)]
     length: Annotated[float, Quantity("m", "> 0", 0.05)]
-    kind: Annotated[Literal["AT1", "AT2"], Quantity(example="AT2")] = "AT2"
-    part: Annotated[Literal["all", "tensile"], Quantity(example="tensile")] = "tensile"
+    law: Annotated[Literal["AT1", "AT2"], Quantity(example="AT1")] = "AT2"
+    part: Annotated[Literal["all", "tensile"], Quantity(example="all")] = "tensile"
     viscosity: Annotated[float, Quantity("Pa s", ">= 0", 0.01)] = 0.0
     healing_viscosity: Annotated[float | None, Quantity("Pa s", "> 0", 1.0)] = None
     floor: Annotated[float, Quantity("1", "> 0", 1e-6)] = 1e-6
@@ -134,7 +134,7 @@ class Damaged(Material):
 
     def __post_init__(self) -> None:
         require_ranges(self)
-        require_choice(self, ("AT1", "AT2"), kind=self.kind)
+        require_choice(self, ("AT1", "AT2"), law=self.law)
         require_choice(self, ("all", "tensile"), part=self.part)
         owner = type(self).__name__
         if not self.floor < 1:
@@ -209,7 +209,7 @@ class Damaged(Material):
     @property
     def surface(self) -> tuple[float, float]:
         """G_c/(c_w l) and G_c l/c_w, which multiply w(d) and |q|^2, Pa and Pa m^2."""
-        weight = self.G_c / (2 if self.kind == "AT2" else 8 / 3)
+        weight = self.G_c / (2 if self.law == "AT2" else 8 / 3)
         return weight / self.length, weight * self.length
 
     def weight(self, z: Values) -> Any:
@@ -248,7 +248,7 @@ class Damaged(Material):
         """That of cracks, per actual volume, Pa."""
         d, q = z[DAMAGE.name], z[SLOPE.name]
         of_damage, of_slope = self.surface
-        w = d * d if self.kind == "AT2" else d
+        w = d * d if self.law == "AT2" else d
         return self.weight(z) * (of_damage * w + of_slope * square(q))
 
     def energy(self, z: Values) -> CoefficientFunction:
