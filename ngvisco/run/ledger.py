@@ -26,7 +26,7 @@ from ngvisco.errors import NgviscoWarning, ParameterError, UnknownNameError
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
 from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import Entry, Integrand, Kind, PRODUCTION
+from ngvisco.forms.term import PRODUCTION, Entry, Integrand, Kind
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.defects import relative_defects
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
