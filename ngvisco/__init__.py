@@ -76,7 +76,7 @@ from ngvisco.physics.walls import Inflow, NavierFriction, NoSlip, Open, Prescrib
 from ngvisco.run.bodies import Bodies
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.closure import ClosureWarning
-from ngvisco.run.ledger import DefectWarning, EntropyWarning
+from ngvisco.run.ledger import CreepPowerWarning, DefectWarning, EntropyWarning
 from ngvisco.run.notebook import NotebookProgress, draw
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields, plot_schemes
@@ -146,6 +146,7 @@ __all__ = [
     "ConvexityReport",
     "ConvexityWarning",
     "Creep",
+    "CreepPowerWarning",
     "Cross",
     "CustomMaterial",
     "Damaged",

@@ -58,6 +58,7 @@ UNITS = {
     "J_min": "1",
     "entropy": "J/K",
     "temperature_min": "K",
+    "creep_power_min": "W/m^3",
     "J_defect": "m^(d/2)",
     "defect_rms": "1",
     "defect_max": "1",
@@ -101,12 +102,21 @@ class Balance:
 _NEGATIVE = 1e-9
 """Share of all entropy that is produced that may be missing of a mechanism: what an iteration leaves."""
 
+CREEP_POWER = "creep_power_min"
+"""The column of the least M : Pi at a point."""
+_ROUNDING = 1e-12
+"""Share of the largest power at a point that rounding may leave of one that is zero."""
+
 WARNING_DEFECT = 0.01
 """Relative root mean square of a defect from which on a run warns."""
 
 
 class DefectWarning(NgviscoWarning):
     """Variables that stand for one thing have parted: the solution is wrong though the ledger closes."""
+
+
+class CreepPowerWarning(NgviscoWarning):
+    """Creep gives energy at a point: the flow rule has a rate of the wrong sign there."""
 
 
 class EntropyWarning(NgviscoWarning):
@@ -132,9 +142,11 @@ class Ledger:
         self._state = _Integrals(step, self._state_integrands())
         self._rates = _Integrals(step, {e.name: e for e in self.entries if e.kind in RATES})
         theta = temperature(step.model.material, step.now.zeta_tensors)
-        self._of_heat = () if theta is None else ("temperature_min",)
-        self._monitors = self._monitor_functions(CF(0.0) if theta is None else theta)
-        self._has_warned, self._has_warned_of_entropy = False, False
+        power = step.context.rates.dissipation(step.now)
+        watched = {"temperature_min": theta, CREEP_POWER: power}
+        self._watched = {name: value for name, value in watched.items() if value is not None}
+        self._monitors = self._monitor_functions()
+        self._has_warned, self._has_warned_of_entropy, self._has_warned_of_power = False, False, False
         self._absent: dict[str, float] = {}
         self._pending: dict[str, float] = {}
         self.rows: list[dict[str, float]] = []
@@ -147,7 +159,7 @@ class Ledger:
             *("step", "time", "dt", *ENERGIES),
             *(entry.name for entry in self.entries),
             *("closure", "closure_relative", "mass", "mass_drift"),
-            *("rho_min", "rho_max", "J_min", *self._of_heat, "J_defect", "defect_rms", "defect_max"),
+            *("rho_min", "rho_max", "J_min", *self._watched, "J_defect", "defect_rms", "defect_max"),
             *("v_max", "newton_iterations", "rejections", "limited_cells"),
             *("cfl", "error_estimate"),
         ]
@@ -265,6 +277,18 @@ class Ledger:
             )
             self.sampler.ranks.warn(message, EntropyWarning, stacklevel=2)
 
+    def _check_power(self, power: np.ndarray, time: float) -> None:
+        """Warn once of creep that gives energy somewhere."""
+        ranks = self.sampler.ranks
+        least, largest = ranks.least(power), ranks.most(abs(power))
+        if least < -_ROUNDING * largest and not self._has_warned_of_power:
+            self._has_warned_of_power = True
+            message = (
+                f"at t = {time:.4g} s creep gives energy, M : Pi = {least:.3g} W/m^3, most "
+                f"{self._place_of_largest(-power)}: its flow rule is none, though the ledger closes"
+            )
+            ranks.warn(message, CreepPowerWarning, stacklevel=2)
+
     def rounding(self) -> float:
         """What rounding may leave of the stored energy at the present state, J.
 
@@ -315,8 +339,8 @@ class Ledger:
         entries = {name: Entry(name, "monitor", Integrand(value)) for name, value in named.items()}
         return entries | {e.name: e for e in self.entries if e.kind == "monitor"}
 
-    def _monitor_functions(self, theta: CoefficientFunction) -> CoefficientFunction:
-        """rho, J (NaN where the material has none), |v|, |v|/h, theta."""
+    def _monitor_functions(self) -> CoefficientFunction:
+        """rho, J (NaN where the material has none), |v|, |v|/h, and what is watched."""
         u, nan = self.step.now, CF(math.nan)
         z = u.z_tensors
         J, F = nan, None
@@ -343,10 +367,12 @@ class Ledger:
         if F is not None and J is nan:
             J = Det(F)
         speed = sqrt(square(u.v))
-        return CF((u.rho, J, speed, speed / self.step.context.h, theta))
+        return CF((u.rho, J, speed, speed / self.step.context.h, *self._watched.values())).Compile()
 
     def _extrema(self, tau: float, time: float) -> dict[str, float]:
         values, ranks = self.sampler.values(self._monitors), self.sampler.ranks
+        if CREEP_POWER in self._watched:
+            self._check_power(values[:, 4 + list(self._watched).index(CREEP_POWER)], time)
         defect = math.nan
         if self._defect is not None:
             defect = math.sqrt(self.step.quadrature.integrate_cells(self._defect))
@@ -360,7 +386,7 @@ class Ledger:
             "defect_max": largest,
             "v_max": ranks.most(values[:, 2]),
             "cfl": tau * ranks.most(values[:, 3]),
-            **{name: ranks.least(values[:, 4]) for name in self._of_heat},
+            **{name: ranks.least(values[:, 4 + i]) for i, name in enumerate(self._watched)},
         }
 
     def _relative_defects(self, time: float) -> tuple[float, float]:

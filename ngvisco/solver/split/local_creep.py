@@ -52,6 +52,7 @@ class LocalCreep:
         """What is to be added to increments of z from the tangent's state; both coefficients (n, .)."""
         t = self.tangent
         columns, force = t.columns[:, :, self.own], t.force[:, self.own]
+        self._read = self.rates.read_values(self.flow.rule, t.values)
         kappa, change = t.tau * force @ columns, t.op.z(dz)
         M = self.space.components(self.rates.mandel(t.values, self.flow)).value.T
         tangent = -np.einsum("pij,pjm,mp->ip", self._slope(M), force, change, optimize=True)
@@ -81,70 +82,76 @@ class LocalCreep:
         u = with_values(t.values, z=z, zeta=zeta)
         return self.space.components(self.rates.mandel(u, self.flow)).value
 
-    def _rate(self, M: np.ndarray) -> np.ndarray:
-        """The rate, (points, p), at stresses (points, p)."""
-        u = self.tangent.values
-        rule = self.flow.rule
-        tensor = (1 / self.flow.share(u.z_tensors)) * self.space.tensor(Array(M.T, None))
-        Pi = rule.rate(tensor, None, self.rates.read_values(rule, u))
+    def _rate(self, M: np.ndarray, cells: np.ndarray | None = None) -> np.ndarray:
+        """The rate, (points, p), at stresses (points, p), those of some cells' points or of all."""
+        z = self._read
+        if cells is not None:
+            z = {name: self._of_cells(value, cells) for name, value in z.items()}
+        tensor = (1 / self.flow.share(z)) * self.space.tensor(Array(M.T, None))
+        Pi = self.flow.rule.rate(tensor, None, z)
         return np.broadcast_to(self.space.components(Pi).value, M.T.shape).T
 
-    def _slope(self, M: np.ndarray) -> np.ndarray:
+    def _of_cells(self, value: Array, cells: np.ndarray) -> Array:
+        """Values at the points of some cells."""
+        if value.value.shape[-1] == 1:
+            return value
+        by_cells = value.value.reshape(*value.value.shape[:-1], *self.shapes.shape[:2])
+        return Array(by_cells[..., cells, :].reshape(*value.value.shape[:-1], -1), None)
+
+    def _slope(self, M: np.ndarray, cells: np.ndarray | None = None) -> np.ndarray:
         """The rate's derivative by the stress, (points, p, p)."""
         units = np.eye(M.shape[1])
-        return np.stack([self._rate(M + 1j * TINY * unit).imag / TINY for unit in units], axis=2)
+        return np.stack([self._rate(M + 1j * TINY * unit, cells).imag / TINY for unit in units], axis=2)
 
     def _solved(self, kappa: np.ndarray, Y: np.ndarray) -> np.ndarray:
         """rate(Y - kappa Pi_h) at the points, (points, p), with Pi_h its projection in every cell.
 
-        Newton's method for the cells' components, (cells, q, p), from the solutions at the points.  Along an
-        increment d the equation times kappa d grows, by the rule's monotonicity, which holds its length.
+        Newton's method for the cells' components, (cells, q, p), from the solutions at the points.  Its
+        length is held by the defect's power along kappa d, kappa the mean of the cell, which grows along an
+        increment d by the rule's monotonicity and is zero with the defect.  Solved cells are left alone.
         """
         shape, p = self.shapes.shape, Y.shape[1]
-        weighted = self.shapes * self.tangent.op.weights.reshape(shape[0], shape[1], 1)
+        weights = self.tangent.op.weights.reshape(shape[:2])
+        weighted = self.shapes * weights[:, :, None]
         kappa, Y = kappa.reshape(*shape[:2], p, p), Y.reshape(*shape[:2], p)
         mass = np.einsum("cki,ckj->cij", weighted, self.shapes)
+        mean = np.einsum("ck,ckij->cij", weights, kappa) / weights.sum(axis=1)[:, None, None]
+        c = np.linalg.solve(mass, np.einsum("cki,ckp->cip", weighted, self._at_points(kappa, Y)))
 
-        def tested(values: np.ndarray) -> np.ndarray:
-            return np.einsum("cki,ckp->cip", weighted, values)
+        def stress(c: np.ndarray, on: np.ndarray) -> np.ndarray:
+            values = self.shapes[on] @ c
+            return (Y[on] - np.einsum("ckij,ckj->cki", kappa[on], values)).reshape(-1, p)
 
-        def at(c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            values = self.shapes @ c
-            M = Y - np.einsum("ckij,ckj->cki", kappa, values)
-            return self._rate(M.reshape(-1, p)).reshape(values.shape), values
+        def defect(c: np.ndarray, on: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            Pi = self._rate(stress(c, on), on).reshape(len(on), shape[1], p)
+            tested = np.einsum("cki,ckp->cip", weighted[on], Pi)
+            return mass[on] @ c - tested, np.einsum("cki,ckp->cip", abs(weighted[on]), abs(Pi))
 
-        c = np.linalg.solve(mass, tested(self._at_points(kappa, Y)))
-        Pi, values = at(c)
+        on = np.arange(shape[0])
         for _ in range(_ITERATIONS):
-            defect = tested(values - Pi)
-            size = np.linalg.norm(tested(abs(Pi)), axis=(1, 2))
-            left = np.linalg.norm(defect, axis=(1, 2)) > _EXACT * size
-            if not left.any():
+            wrong, size = defect(c[on], on)
+            left = np.linalg.norm(wrong, axis=(1, 2)) > _EXACT * np.linalg.norm(size, axis=(1, 2))
+            on, wrong = on[left], wrong[left]
+            if not len(on):
                 break
-            M = (Y - np.einsum("ckij,ckj->cki", kappa, values)).reshape(-1, p)
-            bent = np.eye(p) + self._slope(M).reshape(kappa.shape) @ kappa
-            matrix = np.einsum("cka,ckij,ckb->caibj", weighted, bent, self.shapes, optimize=True)
+            slope = self._slope(stress(c[on], on), on).reshape(kappa[on].shape)
+            bent = np.eye(p) + slope @ kappa[on]
             n = shape[2] * p
-            d = -np.linalg.solve(matrix.reshape(-1, n, n), defect.reshape(-1, n, 1)).reshape(c.shape)
-            d *= left[:, None, None]
-            work = np.einsum("ckij,ckj->cki", kappa, self.shapes @ d)
-            before = self._power(work, values - Pi)
-            length, low, high = np.ones(len(c)), np.zeros(len(c)), np.ones(len(c))
+            matrix = np.einsum("cka,ckij,ckb->caibj", weighted[on], bent, self.shapes[on], optimize=True)
+            d = -np.linalg.solve(matrix.reshape(-1, n, n), wrong.reshape(-1, n, 1)).reshape(wrong.shape)
+            along = np.einsum("cij,caj->cai", mean[on], d)
+            before = (along * wrong).sum(axis=(1, 2))
+            length, low, high = np.ones(len(on)), np.zeros(len(on)), np.ones(len(on))
             for _ in range(_BISECTIONS):
-                Pi, values = at(c + length[:, None, None] * d)
-                power = self._power(work, values - Pi)
+                power = (along * defect(c[on] + length[:, None, None] * d, on)[0]).sum(axis=(1, 2))
                 far, near = power > 0.5 * abs(before), (power < -0.5 * abs(before)) & (high < 1)
-                if not (left & (far | near)).any():
+                if not (far | near).any():
                     break
                 low, high = np.where(near, length, low), np.where(far, length, high)
                 length = np.where(far | near, 0.5 * (low + high), length)
-            c = c + length[:, None, None] * d
-        return Pi.reshape(-1, p)
-
-    def _power(self, work: np.ndarray, defect: np.ndarray) -> np.ndarray:
-        """The integral of work . defect over each cell."""
-        weights = self.tangent.op.weights.reshape(work.shape[:2])
-        return np.einsum("ck,ckp,ckp->c", weights, work, defect)
+            c[on] += length[:, None, None] * d
+        every = np.arange(shape[0])
+        return self._rate(stress(c, every))
 
     def _at_points(self, kappa: np.ndarray, Y: np.ndarray) -> np.ndarray:
         """rate(M) of the M along Y with M + kappa rate(M) = Y: Newton's method held by a bracket."""

@@ -1,0 +1,79 @@
+"""Every rule with every elastic state, solver, dimension and scheme: the ledger closes, M : Pi >= 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import pytest
+from flow_rules import EXAMPLES
+from ngsolve import CF, x
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.physics.tensors import if_positive
+
+MATERIALS = {
+    "E": nv.LinearElastic(K_e=50.0, G_e=5.0),
+    "F": nv.ReferentialNeoHookean(K_e=50.0, G_e=5.0, elastic_state="F"),
+    "B": nv.ReferentialNeoHookean(K_e=50.0, G_e=5.0, elastic_state="B"),
+}
+EULER, MIDPOINT = "backward-euler", "midpoint"
+DEFAULT = {
+    ("Norton, n = 10", "E", "split", 2, EULER),
+    ("Drucker-Prager", "E", "coupled", 2, EULER),
+}
+CI = {
+    ("Bingham", "B", "split", 2, EULER),
+    ("Perzyna, n = 2.5", "F", "coupled", 2, MIDPOINT),
+    ("Norton, n = 3", "B", "split", 3, EULER),
+}
+VISCOSITY = nv.StokesViscosity(K_v=0.1, G_v=0.1)
+
+
+def sheared(rule, material, solver="split", dim=2, scheme=EULER, dt=0.02):
+    """A box whose lid starts at once: stresses of the first step are many times what the rule lets stand."""
+    model = nv.Model(material=material, viscosity=VISCOSITY, creep=rule)
+    lid = {"top": nv.PrescribedTangential(CF((16 * x**2 * (1 - x) ** 2, *(dim - 1) * [0])))}
+    start = {"initial": nv.Initial(density=1.0), "walls": lid, "solver": solver, "scheme": scheme}
+    return nv.Simulation(box((1,) * dim, maxh=0.5 if dim == 2 else 1.0), model, dt=dt, **start)
+
+
+def cases():
+    for case in product(EXAMPLES, MATERIALS, ("split", "coupled"), (2, 3), (EULER, MIDPOINT)):
+        marks = () if case in DEFAULT else (pytest.mark.long, *([pytest.mark.ci] if case in CI else []))
+        yield pytest.param(*case, marks=marks, id="-".join(map(str, case)))
+
+
+@pytest.mark.parametrize(("name", "material", "solver", "dim", "scheme"), list(cases()))
+def test_the_ledger_closes_and_creep_takes_energy_at_every_point(name, material, solver, dim, scheme):
+    run = sheared(EXAMPLES[name], MATERIALS[material], solver, dim, scheme)
+    ledger = run.run(0.06)
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert not ledger.column("rejections").any()
+    mean = ledger.column("dissipation_creep")
+    assert ledger.column("creep_power_min").min() >= -1e-14 * mean.max()
+    assert mean[-1] > 1e-6
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_both_solvers_agree(name):
+    runs = (sheared(EXAMPLES[name], MATERIALS["B"], solver) for solver in ("split", "coupled"))
+    assert np.allclose(*(run.run(0.06).column("dissipation_creep") for run in runs), rtol=1e-7)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wrong(nv.FlowRule):
+    """A rule that gives energy where the body is stretched, of which no sample at rest knows."""
+
+    def rate(self, M, zeta, z):
+        return if_positive(z["J"] - 1.0001, -0.1, 0.1) * M
+
+
+def test_a_rate_of_the_wrong_sign_in_a_flow_is_warned_of():
+    run = sheared(Wrong(), nv.ReferentialNeoHookean(K_e=5.0, G_e=5.0), dt=0.05, solver="coupled")
+    with pytest.warns(nv.CreepPowerWarning, match="creep gives energy"):
+        ledger = run.run(0.1)
+    assert ledger.column("creep_power_min").min() < 0
