@@ -4,12 +4,13 @@ With a = v* . n, zero on walls that nothing crosses, and the smooth modulus |a|_
 
     n^- = (1 - a/|a|_eta)/2     near 1 where v* enters a cell, near 0 where it leaves; 0 on such walls.
 
-The shares of both sides of a facet are 1 - n^- in (0, 1) and sum up to one, so that a trace weighted by them
-is a convex combination.  On a wall that matter crosses the other side's value is that of what flows in
-(``Incoming``).  The velocity v* is known before a step is solved: in the energy identity the two uses of B_h
-(``ngvisco.forms.terms.transport``) cancel for any weights, and with weights that do not depend on the step's
-own velocity the equations of the step are smooth.  With those of the step's own velocity the elastic force
-would jump by [z] : [zeta] where v . n changes its sign, and the step could fold.
+The shares of both sides of a facet are 1 - n^- in (0, 1) and sum up to one, so that a trace weighted by
+them is a convex combination. On a wall that matter crosses the other side's value is that of what flows in
+(``Incoming``), and n^- = max(-a, 0)/|a|_eta: where nothing flows the body alone says its stress. The
+velocity v* is known before a step is solved: in the energy identity the two uses of B_h
+(``ngvisco.forms.terms.transport``) cancel for any weights, and with weights that do not depend on the
+step's own velocity the equations of the step are smooth. With those of the step's own velocity the elastic
+force would jump by [z] : [zeta] where v . n changes its sign, and the step could fold.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm
-from ngvisco.physics.tensors import inner, sqrt
+from ngvisco.physics.tensors import if_positive, inner, sqrt
 
 
 def mean_share(inner: CoefficientFunction) -> CoefficientFunction:
@@ -62,7 +63,10 @@ class Upwinding:
         ``eta`` is the width of the smoothed sign, m/s.
         """
         a = crossed * through
-        self.inflow = 0.5 * (crossed - a / sqrt(a * a + eta * eta))
+        sign = a / sqrt(a * a + eta * eta)
+        self.inflow = 0.5 * (crossed - sign)
+        if incoming is not None:
+            self.inflow = self.inflow + incoming.where * (if_positive(a, 0.0 * sign, -sign) - self.inflow)
         self.incoming = incoming
 
     def trace(self, u: Fields, name: str) -> CoefficientFunction:

@@ -101,6 +101,17 @@ def lid(solver: str = "coupled", maxh: float = 0.3) -> nv.Simulation:
     return nv.Simulation(mesh, model, dt=0.05, walls=walls, scheme="midpoint", solver=solver)
 
 
+def window(solver: str = "coupled") -> nv.Simulation:
+    """What flows in and out through walls, values and stress that change in time and place among it."""
+    walls = {
+        "left": nv.Inflow(velocity=(y * (1 - y), 0.0), density=1 + 0.1 * y, values={"J": 1 + 0.1 * nv.time}),
+        "right": nv.Open(pressure=-15 + y, traction=(0.0, nv.time), impedance=(0.3, 0.1), density=0.9),
+        "bottom": nv.NoSlip(),
+    }
+    model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY)
+    return nv.Simulation(box((1, 1), maxh=0.3), model, dt=0.02, walls=walls, scheme="midpoint", solver=solver)
+
+
 def channel(solver: str = "coupled", **options) -> nv.Simulation:
     """Periodic along a force, between a sliding lid and a floor; what leaves it comes in again."""
     walls = {"top": nv.PrescribedTangential((0.5, 0.0)), "bottom": nv.NoSlip()}
@@ -255,6 +266,8 @@ CASES = {
     "disc": lambda: disc("coupled"),
     "split disc": lambda: disc("split"),
     "lid": lid,
+    "window": window,
+    "split window": lambda: window("split"),
     "channel": lambda: channel(passive=["reference_map"]),
     "split channel": lambda: channel("split"),
     "split channel, two levels": lambda: channel("split", newton=TWO_LEVELS),

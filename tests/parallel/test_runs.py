@@ -87,6 +87,7 @@ COUPLED = (
     "block",
     "disc",
     "lid",
+    "window",
     "creep",
     "limited",
 )
@@ -103,6 +104,7 @@ SPLIT = (
     "split block, two levels",
     "split disc",
     "split lid",
+    "split window",
     "split creep",
     "delta, 2D, split",
     "delta, 3D, split",
@@ -153,6 +155,7 @@ OF_CI = (
     "split block",
     "split turned",
     "split slip disc, two levels",
+    "split window",
 )
 """Every mechanism once, by one of the solvers; in space, with an oblique and with a curved wall."""
 GROUPS = {

@@ -75,11 +75,13 @@ class Carried(PointTerm):
             kinetic = c.upwinding.share * kinetic
         return [(c.given(self.indicator) * self._stored(u)) * (w.v * c.normal), kinetic * (w.v * u.v)]
 
-    def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
-        if not self.backflow:
-            return {}
+    def held_back(self, u: Fields, w: Fields) -> list[CoefficientFunction]:
+        """What ``backflow`` adds, -1/2 n^- rho_hat (v . n) v . w."""
         flux = u.context.upwinding.inflow * u.rho_hat * self._through(u)
-        return {f"dissipation_backflow_{self.name}": -0.5 * flux * (u.v * u.v)}
+        return [-0.5 * flux * (u.v * w.v)] if self.backflow else []
+
+    def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
+        return {f"dissipation_backflow_{self.name}": part for part in self.held_back(u, u)}
 
     def entries(self, u: Fields) -> list[Entry]:
         through = self._through(u)

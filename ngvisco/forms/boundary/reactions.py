@@ -25,6 +25,7 @@ from ngsolve import CF, CoefficientFunction, GridFunction, LinearForm, ds, speci
 from ngvisco.errors import UnknownNameError
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.moving_walls import MovingWalls
+from ngvisco.forms.boundary.passages import Carried, GivenStress
 from ngvisco.forms.boundary.wall_terms import TangentialStress
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.start.interpolation import Interpolation
@@ -111,14 +112,16 @@ class WallReactions:
         return load
 
     def _own_terms(self, name: str) -> list[list[CoefficientFunction]]:
-        """For each rigid motion the integrands of traction, friction and the wall's multiplier, as in R."""
+        """For each rigid motion the integrands of the stress that is given, friction and the multiplier."""
         step, u = self.step, self.step.now
         found = []
         for motion in self.motions.values():
             w, parts = Fields(step.layout, {"v": motion}), []
             for term in step.terms:
-                if isinstance(term, TangentialStress) and term.name == name:
+                if isinstance(term, (TangentialStress, GivenStress)) and term.name == name:
                     parts += [part.facets for part in term.form(u, w)]
+                if isinstance(term, Carried) and term.name == name:
+                    parts += term.held_back(u, w)
             if name in step.walls.multiplied:
                 indicator = facet_indicator(step.mesh, [name])
                 excess = u.wall_stress - step.energy.anywhere(u)

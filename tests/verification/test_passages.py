@@ -1,0 +1,124 @@
+"""Walls that matter crosses, against exact solutions: waves that leave, bodies under a given stress,
+a step of the density that is carried out, flow between plates."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ngsolve import CF, IfPos, Integrate, exp, x, y
+from scipy.optimize import brentq
+
+import ngvisco as nv
+from ngvisco.forms.boundary.reactions import WallReactions
+from ngvisco.geometries import box, structured_box
+
+K, G = 10.0, 5.0
+
+
+@pytest.mark.parametrize("kind", ["pressure", "shear"])
+def test_a_plane_wave_leaves_through_a_matched_wall(kind):
+    """At most 1e-4 of its energy, 1 % of its amplitude, comes back; with Z = rho c/2 a third of it."""
+    modulus = {"pressure": K + 4 / 3 * G, "shear": G}[kind]
+    c, z = modulus**0.5, {"pressure": (1.0, 0.0), "shear": (0.0, 1.0)}[kind]
+    pulse = 1e-5 * exp(-(((x - 0.5) / 0.18) ** 2))
+    along, across = -pulse / c * z[0], -pulse / (2 * c) * z[1]
+    strain = CF((along, across, 0, across, 0, 0, 0, 0, 0), dims=(3, 3))
+    initial = nv.Initial(velocity=(pulse * z[0], pulse * z[1]), values={"E": strain})
+    left = []
+    for share in (1.0, 0.5):
+        run = nv.Simulation(
+            structured_box((1, 0.1), (16, 1), periodic="y"),
+            nv.Model(material=nv.LinearElastic(K_e=K, G_e=G)),
+            time=nv.TimeSteps(dt=0.025 / c, scheme="midpoint"),
+            initial=initial,
+            walls={"right": nv.Open(density=1.0, impedance=(share * c, share * c))},
+        )
+        ledger = run.run(1.4 / c)
+        energy = ledger.column("kinetic") + ledger.column("stored")
+        left.append(energy[-1] / energy[0])
+        assert np.abs(ledger.column("closure")).max() <= 1e-10 * energy[0]
+        gone = ledger.column("dissipation_impedance_right")[1:].sum() * 0.025 / c
+        assert gone == pytest.approx(energy[0] - energy[-1], rel=1e-3)
+    assert left[0] <= 1e-4
+    assert left[1] == pytest.approx(1 / 9, rel=0.02)
+
+
+@pytest.mark.parametrize("sides", [1, 2])
+def test_a_body_under_a_given_stress_has_the_stretch_of_the_closed_form(sides):
+    """A bar in uniaxial strain, a block pulled on two sides: W = J phi = K/2 (J - 1)^2 + G |F|^2/J^{2/3}.
+
+    What is left is the scheme's error in time, by which J and H are not those of one F.
+    """
+
+    def stress(stretch):
+        def W(s):
+            J = s**sides
+            return K / 2 * (J - 1) ** 2 + G * (sides * s**2 + 3 - sides) / J ** (2 / 3)
+
+        return (W(stretch + 1e-5) - W(stretch - 1e-5)) / 2e-5 / sides / stretch ** (sides - 1)
+
+    wanted = brentq(lambda s: stress(s) - 8.0, 1.0, 2.0)
+    J = wanted**sides
+    F = CF((wanted, 0, 0, 0, wanted if sides == 2 else 1.0, 0, 0, 0, 1.0), dims=(3, 3))
+    # what swings back through the wall is stretched, as the body goes on beyond the window
+    beyond = nv.Open(pressure=-8.0, density=0.01 / J, values={"J": CF(J), "H": J ** (-5 / 6) * F})
+    run = nv.Simulation(
+        box((1, 1), 1.0),
+        nv.Model(
+            material=nv.ReferentialNeoHookean(K_e=K, G_e=G), viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0)
+        ),
+        time=nv.TimeSteps(dt=0.05, scheme="sdirk2"),
+        initial=nv.Initial(density=0.01),
+        walls=dict.fromkeys(("right", "top")[:sides], beyond),
+    )
+    ledger = run.run(2.0)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert ledger.column("v_max")[-1] < 1e-6
+    forces = WallReactions(run.rothe_step, ["right", "left"], (0, 0))()
+    assert [force[0] for force in forces.values()] == pytest.approx([-8.0, 8.0], rel=1e-6)
+    places = run.mesh(np.array([0.1, 0.6, 0.9]), np.array([0.2, 0.9, 0.3]))
+    assert run.fields["J"](places) == pytest.approx(J, rel=1e-2)
+    assert ledger.column("mass")[-1] == pytest.approx(0.01 / J, rel=1e-2)
+
+
+def test_a_step_of_the_density_is_carried_out_without_a_reflection():
+    """v = (1, 0) solves it; with m = k = 2 v . w is in the density's space, and sides are smoothed."""
+    run = nv.Simulation(
+        structured_box((1, 0.25), (4, 1)),
+        nv.Model(material=nv.LinearElastic(K_e=K, G_e=G)),
+        time=nv.TimeSteps(dt=0.1),
+        initial=nv.Initial(velocity=(1.0, 0.0), density=IfPos(x - 0.5, 1.5, 1.0)),
+        walls={"left": nv.Inflow(velocity=(1.0, 0.0), density=1.0), "right": nv.Open(density=7.0)},
+        discretisation=nv.Discretisation(k=2, m=2),
+    )
+    ledger = run.run(2.0)
+    v = run.fields["velocity"] - CF((1.0, 0.0))
+    assert Integrate(v * v, run.mesh) ** 0.5 < 1e-7
+    assert ledger.column("mass")[-1] == pytest.approx(0.25, rel=1e-3)
+    assert np.abs(ledger.column("mass_drift")).max() < 1e-12
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+
+
+def test_flow_between_plates_with_inlet_and_outlet_is_poiseuille_s():
+    """v = y (1 - y)/2 for mu = dp/dx = 1; the density changes by dp/K = 5e-5."""
+    profile, rest = 0.5 * y * (1 - y), 1e4  # the pressure at rest, half of K
+    run = nv.Simulation(
+        box((1, 1), 0.4),
+        nv.Model(
+            material=nv.BarotropicFluid(B=rest, gamma=2.0), viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0)
+        ),
+        dt=0.5,
+        initial=nv.Initial(density=1e-3, velocity=(profile, 0.0)),
+        walls={
+            ("top", "bottom"): nv.NoSlip(),
+            "left": nv.Inflow(velocity=(profile, 0.0), density=1e-3),
+            "right": nv.Open(pressure=rest, traction=(0.0, 0.5 - y), density=1e-3),
+        },
+    )
+    ledger = run.run(4.0)
+    v = run.fields["velocity"] - CF((profile, 0.0))
+    assert Integrate(v * v, run.mesh) ** 0.5 < 1e-3 / 120**0.5
+    pressure = 12 * ledger.column("power_wall_left")[-1]  # power over flux
+    assert pressure - rest == pytest.approx(1, rel=1e-3)
+    assert ledger.column("dissipation_stokes_shear")[-1] == pytest.approx(1 / 12, rel=1e-3)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
