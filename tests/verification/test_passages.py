@@ -15,6 +15,8 @@ from ngvisco.geometries import box, structured_box
 K, G = 10.0, 5.0
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("kind", ["pressure", "shear"])
 def test_a_plane_wave_leaves_through_a_matched_wall(kind):
     """At most 1e-4 of its energy, 1 % of its amplitude, comes back; with Z = rho c/2 a third of it."""
@@ -43,7 +45,7 @@ def test_a_plane_wave_leaves_through_a_matched_wall(kind):
     assert left[1] == pytest.approx(1 / 9, rel=0.02)
 
 
-@pytest.mark.parametrize("sides", [1, 2])
+@pytest.mark.parametrize("sides", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_body_under_a_given_stress_has_the_stretch_of_the_closed_form(sides):
     """A bar in uniaxial strain, a block pulled on two sides: W = J phi = K/2 (J - 1)^2 + G |F|^2/J^{2/3}.
 
