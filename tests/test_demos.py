@@ -107,6 +107,7 @@ SCRIPTS = {
     "cavity": lambda demo: demo.simulation(maxh=0.35),
     "collision": lambda demo: demo.simulation(cells=(7, 4)),
     "creep_finite": lambda demo: demo.simulation(maxh=0.6),
+    "cylinder": lambda demo: demo.simulation(maxh=2.0),
     "heat": lambda demo: demo.simulation(maxh=0.6),
     "mooney_rivlin": lambda demo: demo.simulation(maxh=0.6),
     "couette": lambda demo: demo.simulation(maxh=0.7),
@@ -125,6 +126,7 @@ MAXH = {
     "couette": 0.7,
     "creep": 0.6,
     "creep_finite": 0.6,
+    "cylinder": 2.0,
     "heat": 0.6,
     "mooney_rivlin": 0.6,
     "shear": 1.0,
@@ -137,7 +139,7 @@ MAXH = {
 """Of each demo's script the run that its case file describes, on a mesh that is soon computed."""
 CELLS = {"collision": [7, 4], "slab": [3, 4]}
 """The same of boxes of rows of cells."""
-DEAR = ("cavity", "collision", "shell", "slab", "soft_disc", "swirl3d")
+DEAR = ("cavity", "collision", "cylinder", "shell", "slab", "soft_disc", "swirl3d")
 """More than a second of processor time each."""
 
 
