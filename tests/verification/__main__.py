@@ -21,7 +21,8 @@ examples:
   python -m tests.verification -o report/
   python -m tests.verification --reduced -o report/
   python -m tests.verification limit-tau dispersion -o limits/
-  python -m tests.verification -o report/ --resume"""
+  python -m tests.verification -o report/ --resume
+  python -m tests.verification limit-tau -o limits/ --into tests/verification/kept"""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -37,6 +38,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--list", action="store_true", help="name the cases and what they claim, run nothing")
     top.add_argument("--reduced", action="store_true", help="only the reduced set, of a few minutes")
     top.add_argument("--resume", action="store_true", help="go on with the report in DIR")
+    top.add_argument("--into", metavar="DIR", help="then put these cases into the kept report in DIR")
     return top
 
 
@@ -48,6 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from ngvisco.errors import UnknownNameError
     from tests.verification.case import VerificationError
     from tests.verification.directory import ReportDirectory
+    from tests.verification.keeping import put_into
     from tests.verification.registry import all_cases, select
     from tests.verification.report import headline, write_report
     from tests.verification.runner import run_cases
@@ -65,6 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             cases, __version__, directory.save, lambda case: directory.saved(case, __version__)
         )
         path = write_report(directory.path, cases, results, __version__)
+        if options.into:
+            path = put_into(Path(options.into), directory.path, all_cases())
     except (UnknownNameError, VerificationError) as error:
         return _say(str(error), BAD_INPUT)
     except OSError as error:

@@ -73,12 +73,12 @@ def coupled_rates(
     table = RateTable(f"coupled, {kind}, {dim}D, p = {p}, k = {k}, m = {m}{terms}")
     for h, mesh in (balls if curved else refinements)(dim, maxh, levels):
         time.Set(0.0)
-        exact = Exact(system, dim, time, curved)
+        exact, start = Exact(system, dim, time, curved), Exact(system, dim, 0.0, curved)
         simulation = nv.Simulation(
             mesh,
             system,
             dt=tau,
-            initial=nv.Initial(density=exact.rho, velocity=exact.v, values=exact.values),
+            initial=nv.Initial(density=start.rho, velocity=start.v, values=start.values),
             discretisation=nv.Discretisation(k=k, m=m),
             sources=Sources(system, dim, tau, curved),
         )

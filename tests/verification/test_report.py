@@ -69,6 +69,26 @@ def test_case_that_fails_is_reported_with_its_number_its_bound_and_its_explanati
         assert "7.25" in page and "≤ 1" in page and "a reason" in page and "It is known." in page
 
 
+def test_cases_that_were_run_again_take_their_places_in_the_kept_report(cases, tmp_path, monkeypatch, capsys):
+    kept, new = tmp_path / "kept", tmp_path / "new"
+    cases += [case("one", 0.5), case("gone", 0.5), case("two", 0.25)]
+    assert main(["-o", str(kept)]) == DONE
+    cases[:] = [case("two", 7.5), case("later", 0.5), case("one", 0.5)]
+    for name in ("aaa", "bbb"):  # the second time by the rows' own commits
+        monkeypatch.setattr("tests.verification.keeping.commit", lambda name=name: name)
+        assert main(["two", "-o", str(new / name), "--into", str(kept)]) == FAILED
+    text = (kept / "report.md").read_text()
+    assert "2 cases: 1 hold, 1 do not" in text and "Missing: later." in text and "gone" not in text
+    assert re.search(
+        r"DOES NOT HOLD \| \[two\]\(#two\) .* s \| bbb \|\n\| holds \| \[one\].* s \| e85ab32 \|\n", text
+    )
+    assert text.index("### two") < text.index("### one") and "| 7.5 | ✗ |" in text
+    assert text.count("## T\n") == 1 and text.count("## The labels of the paper") == 1
+    cases[:] = [case("two", lambda: 1 / 0)]
+    assert main(["-o", str(new / "c"), "--into", str(kept)]) == BAD_INPUT
+    assert "two" in capsys.readouterr().err and (kept / "report.md").read_text() == text
+
+
 def test_error_of_one_case_does_not_kill_the_report(cases, tmp_path):
     cases += [case("broken", lambda: 1 / 0), case("fine", 0.5)]
     assert main(["-o", str(tmp_path / "r")]) == FAILED
