@@ -7,7 +7,8 @@ A trace of a body, smeared into another one, is sheared without end, and an impl
 
 with c = 3: faster than any L stretches, so that |X/n| stays bounded whatever the shear, a step keeps the sign
 of X, and steps tau -> 0 have a limit.  w is one half at theta = 1/5 and 4e-3 at 1/2.  The power is a column
-of the ledger; with zeta = G I it is G w c |L| (tr X - 3 n), a dissipation where tr B >= 3.
+of the ledger, >= 0: f(B) is least at B = I where it is not linear, and with zeta = G I the power is
+G c |L| w (tr X - 3 n), of which the trace is left out where it is negative, as it may be beside a jump.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm
 from ngvisco.physics.bodies import AMOUNT, Content
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.tensors import identity_like, inner, sqrt, square
+from ngvisco.physics.tensors import identity_like, if_positive, inner, sqrt, square, tr
 
 RATE = 3.0
 """c: the largest stretching of X is 2 |L|."""
@@ -44,6 +45,8 @@ class Dilution(PointTerm):
     material: Mixture
     body: str
     variable: Content
+    is_linear: bool
+    """Whether zeta is a multiple of I."""
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [inner(self.rate(u), w.z_tensors[self.variable.name])]
@@ -58,7 +61,11 @@ class Dilution(PointTerm):
         still = u.context.rate(_STILL + 0.0 * n)
         speed = square(u.L)
         speed = speed / sqrt(speed + still * still)
-        return (RATE * speed * self.weight(u)) * (X - n * identity_like(X))
+        beside = X - n * identity_like(X)
+        if self.is_linear:
+            excess = tr(beside)
+            beside = beside + if_positive(excess, 0.0 * excess, (-1 / 3) * excess) * identity_like(X)
+        return (RATE * speed * self.weight(u)) * beside
 
     def weight(self, u: Fields) -> CoefficientFunction:
         """w(theta) at a point."""
@@ -77,4 +84,8 @@ def dilution_terms(material: object) -> list[Dilution]:
     """Those of a model's material: of every body's tensors, where it is not alone."""
     if not isinstance(material, Mixture) or len(material.bodies) == 1:
         return []
-    return [Dilution(material, b.name, X) for b in material.bodies for X in material.contents(b.name)]
+    return [
+        Dilution(material, body.name, X, psi.is_linear)
+        for body, psi in zip(material.bodies, material.energies, strict=True)
+        for X in material.contents(body.name)
+    ]

@@ -106,8 +106,10 @@ class Preconditioner:
         steep = [flow for flow in rates.flows if flow.rule.is_local and not flow.rule.is_linear]
         thick = step.model.viscosity
         bends = thick is not None and not thick.is_linear
-        # a coarse rule knows a linear law; of another one it misses where it is steep
-        self.op = residual.op if steep or bends else Operators(step, max(k - 1, m))
+        # a coarse rule knows a linear law; of another one it misses where it is steep, and of bodies how
+        # their moduli vary within a cell: of a slab in a medium increments then shrink by 0.99 only
+        varies = len(step.model.bodies) > 1
+        self.op = residual.op if steep or bends or varies else Operators(step, max(k - 1, m))
         self.sweep = TransportSweeps(residual, options.inverse, self.options.sweeps)
         derivative = (
             None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
