@@ -245,6 +245,8 @@ def test_an_address_without_a_port_is_refused_before_a_client_is_made(monkeypatc
     assert not made
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_another_scheduler_does_the_runs(case_file, tmp_path):
     from distributed import LocalCluster
 
