@@ -140,9 +140,9 @@ class Model:
     ------
     ParameterError
         If a part is of the wrong type, a flow rule or a viscosity gives energy (``check_rule``,
-        ``check_viscosity``), two loads or two bodies share a name, bodies have variables of one
-        name that differ, the material's list of variables makes no sense, or the law of creep needs a
-        conformation tensor that the material does not have.
+        ``check_viscosity``), two loads or two bodies share a name, the energy of a body is none
+        that is convex per reference volume (``ReferenceEnergy``), the material's list of variables makes no
+        sense, or the law of creep needs a conformation tensor that the material does not have.
     UnknownNameError
         If a ``WithQuadratic`` names variables that its material does not have in the form for this model.
     """

@@ -93,7 +93,7 @@ class Thermal(Material):
     rho_R : float, optional
         Density where J = 1; with it the initial density and J follow from one another.
     entropy_unit : float, optional
-        What the carried entropy counts in; default c.  Bodies of a model have one in common.
+        What the carried entropy counts in; default c.
 
     Raises
     ------
