@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ngsolve import CF, cos, exp, pi, sin, x, y
+from ngsolve import CF, GridFunction, IfPos, Integrate, cos, exp, pi, sin, sqrt, x, y
 
 import ngvisco as nv
 from ngvisco.errors import InitialDataError, InputWarning, ParameterError, UnknownNameError
 from ngvisco.forms.damage import DamageGrowth
 from ngvisco.forms.system import Step
-from ngvisco.geometries import box, channel, disc
+from ngvisco.geometries import box, channel, disc, structured_box
 from ngvisco.run.simulation import Simulation
 from tests.support import assert_same
 
@@ -123,6 +123,56 @@ def test_slope_that_does_not_follow_opens_the_ledger(monkeypatch):
     with pytest.warns(nv.ClosureWarning):
         run.run(0.02)
     assert abs(run.ledger.column("closure_relative")[-1]) > 1e-6
+
+
+G, G_C, LENGTH = 5.0, 0.02, 0.1
+
+
+def band(law, n):
+    """Cost over G_c, the integral of d over l, and largest stress, Pa, of a strip that is sheared and breaks.
+
+    n rows of cells, of 1 m in all.  The shear gamma of each row is that of equilibrium, one stress in all, of
+    a given mean; it and the growth of damage, which may heal at once, take turns until nothing changes.
+    """
+    mesh = structured_box((1 / n, 1.0), (1, n), periodic="x")
+    rubber = nv.ReferentialNeoHookean(K_e=20.0, G_e=G, elastic_state="F")
+    material = nv.Damaged(material=rubber, G_c=G_C, length=LENGTH, law=law, healing_viscosity=1e-9)
+    seed = 0.9 * IfPos(0.5 / n - sqrt((y - 0.5) ** 2), 1.0, 0.0)
+    initial = nv.Initial(values={"damage": seed})
+    run = Simulation(mesh, nv.Model(material=material), dt=0.1, initial=initial, solver="coupled")
+    step, grow = run.rothe_step, run.rothe_step.damage
+    H_12, d = grow._z()[step.layout.states.slices["H"].start + 1], step.now.z_tensors["damage"]
+    one = GridFunction(step.layout.blocks["rho"])
+    one.Set(1.0)
+    volume = Integrate(CF(1.0), mesh, element_wise=True).NumPy().copy()
+    found, before = 0.0, -1.0
+    for mean in np.array([1.0, 4.0, 16.0]) * np.sqrt(3 * G_C / (16 * LENGTH * G)):
+        while abs(found - before) > 1e-9:
+            g = Integrate(material.degradation(d), mesh, element_wise=True).NumPy() / volume
+            gamma = mean / n / (g * (volume / g).sum())
+            H_12[:] = one.vec.FV().NumPy() * np.repeat(gamma, len(H_12) // mesh.ne)
+            grow(1e-3)
+            before, found = found, n * Integrate(d, mesh)
+        before = -1.0
+    cost = n * Integrate(material.surface_energy(step.now.z_tensors), mesh)
+    return cost / G_C, found / LENGTH, 2 * G * (gamma * g).max()
+
+
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize(("law", "of_row", "width"), [("AT1", 3 / 8, 4 / 3), ("AT2", 1 / 2, 2.0)])
+def test_strip_localises_to_a_band_of_the_width_of_its_length(law, of_row, width):
+    """Across a crack d = (1 - |x|/2l)^2 or exp(-|x|/l) beside the broken row of cells, whose height h adds
+    of_row h/l to its cost (Bourdin, Francfort and Marigo, J. Elasticity 91, 2008) and h to the integral of d.
+
+    The bounds go like h/l, as the linear profile between vertices does: 3 % where l = 2 h.
+    """
+    for n in (11, 21, 41):
+        row = 1 / (n * LENGTH)
+        cost, integral, stress = band(law, n)
+        assert cost == pytest.approx(1 + of_row * row, rel=0.06 * row)
+        assert integral == pytest.approx(width + row, rel=0.06 * row)
+        assert stress < 1e-2
 
 
 def test_damage_stays_or_heals_at_its_rate():
