@@ -29,8 +29,9 @@ _BISECTIONS, _ITERATIONS = 25, 40
 _STRESSES, _SETTLED = 3, 1e-2
 """Stresses of corrected z, which the tangent's stiffness knows to first order, and the correction that is
 small beside an increment."""
-_EXACT = 1e-8
-"""Relative defect at which the iteration ends: what is left is for Newton's method of the step."""
+_NEAR, _EXACT = 1e-2, 1e-8
+"""Relative defects at which iterations end: at single points, where the cells' begin, and of these, whose
+rest is for Newton's method of the step."""
 
 
 class LocalCreep:
@@ -163,7 +164,7 @@ class LocalCreep:
         for _ in range(_BISECTIONS):
             value = (self._rate((s + 1j * TINY)[:, None] * along) * along).sum(axis=1)
             defect = s + stiffness * value.real - size
-            if (abs(defect) <= _EXACT * size).all():
+            if (abs(defect) <= _NEAR * size).all():
                 break
             low, high = np.where(defect < 0, s, low), np.where(defect < 0, high, s)
             newton = s - defect / (1 + stiffness * value.imag / TINY)
