@@ -425,7 +425,7 @@ def test_parameter_out_of_range_raises(make, field):
     assert error.value.field == field
 
 
-WRAPPERS = {"PerMass", "PerReferentialVolume", "Thermal", "WithQuadratic", "Yosida"}
+WRAPPERS = {"Damaged", "PerMass", "PerReferentialVolume", "Thermal", "WithQuadratic", "Yosida"}
 """Materials of another one."""
 
 
