@@ -165,6 +165,19 @@ def test_what_the_diffusion_of_fields_dissipates_is_heat_in_the_coupled_solver()
         run_of("split", steps=0, **options)
 
 
+@pytest.mark.parametrize(
+    ("curvature", "said"),
+    [(0.0, r"Initial\.values.*the start of 's'"), (-3.0, r"Model\.material.*convex in the entropy")],
+)
+def test_an_energy_of_the_user_s_own_has_a_temperature_that_rises(curvature, said):
+    good = nv.Thermal(material=nv.LinearElastic(K_e=10.0, G_e=5.0), c=3.0, theta_R=1.0)
+    own = nv.CustomMaterial(
+        transported=good.variables, stored_energy=lambda **z: good.energy(z) + curvature * z["s"] * z["s"]
+    )
+    with pytest.raises(nv.NgviscoError, match=said):
+        run_of("coupled", material=own, laws={}, temperature=None, steps=0)
+
+
 def test_heat_is_refused_where_it_makes_no_sense():
     cold = nv.LinearElastic(K_e=1.0, G_e=1.0)
     with pytest.raises(nv.NgviscoError, match=r"Model\.heat"):

@@ -273,7 +273,9 @@ def _entropy(
             raise ParameterError("Initial.temperature", initial.temperature, "None beside a start entropy")
         return {}
     thermal = thermal_part(material)
-    assert thermal is not None  # it has the entropy
+    if thermal is None:
+        expected = f"the start of {entropy.name!r}: by a temperature only nv.Thermal knows it"
+        raise ParameterError("Initial.values", initial.values, expected)
     given = thermal.theta_R if initial.temperature is None else initial.temperature
     theta = as_shape("Initial.temperature", given, ())
     sampler.require(theta, "temperature theta_0", minimum=0.0)

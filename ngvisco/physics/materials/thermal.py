@@ -205,6 +205,14 @@ def bulk_modulus(material: Material) -> float:
     return float(np.mean(sampled((J * typical.energy(z)).Diff(J).Diff(J))))
 
 
+def warming(material: Material, entropy: Entropy) -> float:
+    """d theta/d s close to rest, K, where parameters have their typical values."""
+    typical = substituted(material, lambda expression: expression.typical)
+    s = CF(1e-6).MakeVariable()  # a zero would be taken for a constant
+    z = {v.name: v.from_distortion(Id(3)) for v in material.variables} | {entropy.name: s}
+    return float(np.mean(sampled(typical.energy(z).Diff(s).Diff(s)))) / entropy.unit
+
+
 def thermal_part(part: object) -> Thermal | None:
     """The material with heat that a material is, or that it regularises; None without one."""
     while isinstance(part, Material) and not isinstance(part, Thermal):
