@@ -17,10 +17,9 @@ from ngvisco.physics.flow_rules.check import check_rule, check_viscosity
 from ngvisco.physics.flows import Flow
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import ElasticState, Material, check_material
-from ngvisco.physics.materials.custom import CustomMaterial
 from ngvisco.physics.materials.damaged import damage_in
 from ngvisco.physics.materials.heterogeneous import carrying
-from ngvisco.physics.materials.thermal import entropy_in, warming
+from ngvisco.physics.materials.thermal import entropy_in, thermal_part, warming
 from ngvisco.physics.mixture import MixedViscosity, Mixture, mixed_viscosity
 from ngvisco.physics.parameters import parameters_in
 from ngvisco.physics.regularisation import Regularisation
@@ -224,7 +223,8 @@ class Model:
         if self.heat is not None and entropy_in(material) is None:
             expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
             raise ParameterError("Model.heat", self.heat, expected)
-        entropy, own = entropy_in(material), isinstance(material, CustomMaterial)
+        entropy = entropy_in(material)
+        own = thermal_part(material) is None and not isinstance(material, Mixture)
         if entropy is not None and own and not (slope := warming(material, entropy)) > 0:
             expected = f"an energy convex in the entropy: at rest d theta/d s is {slope:.4g} K, not > 0"
             raise ParameterError("Model.material", material, expected)
