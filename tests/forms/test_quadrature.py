@@ -11,6 +11,7 @@ from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.side_points import SidePoints
 from ngvisco.geometries import box
 
 MESHES: dict[str, Callable[[], Mesh]] = {
@@ -89,3 +90,14 @@ def test_sampler_sees_vertices_and_interior(name: str) -> None:
     top = max(v.point[0] + v.point[1] for v in mesh.vertices)
     assert sampler.extrema(x + y)[1] == pytest.approx(top)
     assert sampler.values(x).shape == sampler.values(y).shape
+
+
+@pytest.mark.parametrize(("k", "m"), [(2, 1), (2, 2), (3, 2)])
+def test_both_sides_of_a_face_see_the_same_points(k: int, m: int) -> None:
+    """NGSolve's rules of triangles from degree 8 on have no symmetry, and cells number faces differently."""
+    mesh = box((1, 0.7, 0.8), 1.0)
+    points = SidePoints(mesh, Quadrature.for_orders(mesh, k, m).facet_degree)
+    places = np.stack([points.sample(c) for c in (x, y, z)], axis=1).reshape(-1, points.per_side, 3)
+    order = [side[np.lexsort(np.round(side, 9).T)] for side in places]
+    found = np.unique(np.round(np.stack(order).reshape(len(places), -1), 9), axis=0)
+    assert len(found) == mesh.nface

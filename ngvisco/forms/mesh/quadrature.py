@@ -25,6 +25,10 @@ from ngvisco.forms.mesh.compilation import compiled
 if TYPE_CHECKING:
     from ngvisco.forms.term import Integrand
 
+SYMMETRIC_DEGREE = 6
+"""Up to it NGSolve's rules of triangles have all symmetries of the triangle.  The two sides of a face number
+its vertices each in their own way: by another rule they would not see the same points, and what the one gives
+would not be what the other takes."""
 _FACET_BASE_ORDER = 5  # order of NGSolve's Integrate on element boundaries without a bonus
 
 
@@ -54,7 +58,8 @@ class Quadrature:
         """
         degree = max(2 * k + m + 1, 2 * m + k) + bonus
         degree += degree % 2
-        return cls(mesh, degree, degree)
+        # a transport's facets want 2m + 1 for its order; see SYMMETRIC_DEGREE
+        return cls(mesh, degree, degree if mesh.dim == 2 else min(degree, SYMMETRIC_DEGREE))
 
     @cached_property
     def cell_rules(self) -> dict[Any, IntegrationRule]:
