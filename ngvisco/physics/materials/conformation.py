@@ -75,7 +75,7 @@ class OldroydB(Material):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FENEP(Material):
+class FENEP(OldroydB):
     """phi(B, J) = K_e/2 (J - 2 + 1/J) - G_e [(b - 3) ln((b - tr B)/(b - 3)) + ln det B], B = J^{-2/3} F F^T.
 
     Dumbbells of a finite length (FENE-P, with Peterlin's closure): zeta_B = G_e (f I - B^-1) with
@@ -87,8 +87,6 @@ class FENEP(Material):
     ----------
     b : float
         Square of the chains' largest extension, tr B < b.
-    K_e, G_e, J_min
-        As for ``OldroydB``.
 
     Raises
     ------
@@ -96,22 +94,7 @@ class FENEP(Material):
         If a parameter is out of its range.
     """
 
-    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
-    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
     b: Annotated[float, Quantity("1", "> 3", 50.0)]
-    J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        return (LeftCauchyGreen(exponent=-2 / 3), Jacobian())
-
-    @property
-    def conformation(self) -> str | None:
-        return "B"
-
-    @property
-    def continued(self) -> frozenset[str]:
-        return continued_in_J(self.J_min)
 
     def energy(self, z: Values) -> CoefficientFunction:
         B, slack = z["B"], self.b - 3

@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.material import Material
 from ngvisco.physics.materials.regularised import WithQuadratic
+from ngvisco.physics.materials.wrapper import Wrapper
 from ngvisco.physics.materials.yosida import Yosida
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.parameters import Modulus, Parameter, distinct, substituted
+from ngvisco.physics.parameters import Parameter, distinct, substituted
 from ngvisco.physics.variables import Values, Variable
 
 
 @dataclass(frozen=True, kw_only=True)
-class Heterogeneous(Material):
+class Heterogeneous(Wrapper):
     """A material and the parameters that it carries: phi(z, theta) with its moduli at theta.
 
     A ``Model`` makes it where a modulus of one of its laws is no number; its variables are those of the
@@ -30,7 +31,6 @@ class Heterogeneous(Material):
         Parameters that its own variables do not have: those of its moduli and of the model's other laws.
     """
 
-    material: Material
     carried: tuple[Parameter, ...]
 
     @property
@@ -38,23 +38,8 @@ class Heterogeneous(Material):
         return (*self.material.variables, *self.carried)
 
     @property
-    def referential_density(self) -> Modulus | None:
-        return self.material.referential_density
-
-    @property
-    def conformation(self) -> str | None:
-        return self.material.conformation
-
-    @property
-    def continued(self) -> frozenset[str]:
-        return self.material.continued
-
-    @property
     def lagged(self) -> frozenset[str]:
         return self.material.lagged
-
-    def with_elastic_state(self, state: ElasticState) -> Heterogeneous:
-        return replace(self, material=self.material.with_elastic_state(state))
 
     def energy(self, z: Values) -> CoefficientFunction:
         at_this_point = substituted(self.material, lambda expression: expression.at(z))

@@ -88,7 +88,7 @@ class IsotropicStrainEnergy(Material):
 
 
 @dataclass(frozen=True, kw_only=True)
-class HardeningElastic(Material):
+class HardeningElastic(LinearElastic):
     """phi(E) = 3/2 K_e |sph E|^2 + G_e |dev E|^2 + K_h/s |tr E|^s + 2 G_h/s |dev E|^s, s > 2.
 
     The St Venant-Kirchhoff-type energy with the growth above quadratic that the paper's analysis of
@@ -116,19 +116,16 @@ class HardeningElastic(Material):
         If a parameter is out of its range.
     """
 
-    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
-    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
     K_h: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]
     G_h: Annotated[Modulus, Quantity("Pa", ">= 0", 5.0)]
     s: Annotated[float, Quantity("1", "> 2")] = 4.0
     floor: Annotated[float, Quantity("1", "> 0")] = 1e-8
 
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        return (SmallStrain(),)
-
     def energy(self, z: Values) -> CoefficientFunction:
         E, half = z["E"], 0.5 * self.s
-        quadratic = 1.5 * self.K_e * square(sph(E)) + self.G_e * square(dev(E))
         bulk = self.K_h / self.s * power_of_square(tr(E) * tr(E), half, self.floor)
-        return quadratic + bulk + 2 * self.G_h / self.s * power_of_square(square(dev(E)), half, self.floor)
+        return (
+            super().energy(z)
+            + bulk
+            + 2 * self.G_h / self.s * power_of_square(square(dev(E)), half, self.floor)
+        )

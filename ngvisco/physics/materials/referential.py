@@ -88,7 +88,7 @@ class ReferentialNeoHookean(IsotropicElastic):
 
 
 @dataclass(frozen=True, kw_only=True)
-class IsochoricNeoHookean(IsotropicElastic):
+class IsochoricNeoHookean(ReferentialNeoHookean):
     """phi(H, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2/J, H = J^{-1/3} F (paper: exa-neo-Hookean-ref).
 
     The same material as ``ReferentialNeoHookean`` by the isochoric part of F.  Jointly convex in (H, J),
@@ -99,20 +99,12 @@ class IsochoricNeoHookean(IsotropicElastic):
     ----------
     J_min : float, optional
         The terms singular in J alone are continued linearly below it.
-    K_e, G_e, epsilon, kappa
-        As for ``ReferentialNeoHookean``.
 
     Raises
     ------
     ParameterError
         If a parameter is out of its range.
     """
-
-    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
-    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
-    epsilon: Annotated[Modulus, Quantity("Pa", ">= 0", 0.1)] = 0.0
-    kappa: Annotated[float, Quantity("1", ">= 0", 2.0)] = 1.0
-    J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
 
     @property
     def variables(self) -> tuple[Variable, ...]:

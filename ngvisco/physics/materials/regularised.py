@@ -10,16 +10,16 @@ from typing import Annotated
 import numpy as np
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_names
+from ngvisco.errors import Quantity, UnknownNameError, require_names
 from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.parameters import Modulus, require_ranges
+from ngvisco.physics.materials.wrapper import Wrapper
 from ngvisco.physics.pointwise import Respond, Response
 from ngvisco.physics.tensors import inner
-from ngvisco.physics.variables import Values, Variable
+from ngvisco.physics.variables import Values
 
 
 @dataclass(frozen=True, kw_only=True)
-class WithQuadratic(Material):
+class WithQuadratic(Wrapper):
     """phi + sqrt(delta)/2 sum_i |z_i|^2 (paper: varphi-regularized).
 
     Makes a convex energy strongly convex.  At rest it adds a stress of the order of sqrt(delta).  The
@@ -41,14 +41,11 @@ class WithQuadratic(Material):
         For a delta that is not positive, or a name that the material does not have.
     """
 
-    material: Material
     delta: Annotated[float, Quantity("Pa^2", "> 0", 1e-6)]
     only: Annotated[tuple[str, ...] | None, Quantity(example=["J"])] = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.material, Material):
-            raise ParameterError("WithQuadratic.material", self.material, "a Material")
-        require_ranges(self)
+        super().__post_init__()
         if self.only is not None:
             require_names("WithQuadratic.only", self.only)
         known = {v.name for form in self._forms() for v in form.variables if v.is_strain}
@@ -69,21 +66,13 @@ class WithQuadratic(Material):
         return replace(self, material=material)
 
     @property
-    def variables(self) -> tuple[Variable, ...]:
-        return self.material.variables
-
-    @property
     def _regularised(self) -> list[str]:
         """Names of the variables that the energy is added for."""
         return list(self.only or (v.name for v in self.variables if v.is_strain))
 
     @property
-    def referential_density(self) -> Modulus | None:
-        return self.material.referential_density
-
-    @property
-    def continued(self) -> frozenset[str]:
-        return self.material.continued
+    def conformation(self) -> str | None:
+        return None  # at rest there is a stress of the added energy
 
     def energy(self, z: Values) -> CoefficientFunction:
         return self.material.energy(z) + self.added_energy(z)

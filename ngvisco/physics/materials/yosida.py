@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id
 
-from ngvisco.errors import NgviscoError, ParameterError, Quantity
-from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.parameters import Modulus, require_ranges
+from ngvisco.errors import NgviscoError, Quantity
+from ngvisco.physics.materials.wrapper import Wrapper
 from ngvisco.physics.pointwise import Respond, Response, respond, squares
 from ngvisco.physics.variables import Values, Variable
 
@@ -25,7 +24,7 @@ _SHARE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Yosida(Material):
+class Yosida(Wrapper):
     """phi_eps(z) = min over y of phi(y) + |z - y|^2/(2 eps), over all strains jointly, at fixed parameters.
 
     Convex where phi is, phi_eps <= phi, with the slope phi_eps'(z) = (z - y)/eps = phi'(y), whose Lipschitz
@@ -50,28 +49,7 @@ class Yosida(Material):
         If eps is not a finite positive number or ``material`` is none.
     """
 
-    material: Material
     eps: Annotated[float, Quantity("1/Pa", "> 0", 1e-3)]
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.material, Material):
-            raise ParameterError("Yosida.material", self.material, "a Material")
-        require_ranges(self)
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        return self.material.variables
-
-    @property
-    def referential_density(self) -> Modulus | None:
-        return self.material.referential_density
-
-    def with_elastic_state(self, state: ElasticState) -> Yosida:
-        return replace(self, material=self.material.with_elastic_state(state))
-
-    @property
-    def conformation(self) -> str | None:
-        return self.material.conformation
 
     @property
     def continued(self) -> frozenset[str]:
