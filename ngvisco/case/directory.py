@@ -60,6 +60,16 @@ class RunDirectoryError(NgviscoError, RuntimeError):
     """A run directory that cannot be used: results in it, in use, or not one at all."""
 
 
+_RESULTS = (
+    *("case.toml", "versions.json", "mesh.vol", "ledger.csv", "run.h5", "bodies.csv"),
+    *(f"{stem}.{kind}" for stem in ("energies", "history", "fields") for kind in FORMATS),
+    *("scene.html", "movie.gif", "movie.mp4"),
+    *(f"vtk/fields*.{kind}" for kind in ("vtu", "pvtu", "pvd")),
+    *("samples/*.csv", "case.until-step-*.toml", "shapes/*.stl", "shapes/*.png", "log.txt"),
+)
+"""Patterns of the files that runs leave, but for those of failures."""
+
+
 class RunDirectory:
     """Names and files of a run directory."""
 
@@ -78,21 +88,15 @@ class RunDirectory:
     @property
     def results(self) -> list[Path]:
         """Files of an earlier run."""
-        own = [self.case_file, self.versions_file, self.mesh_file, self.ledger_file, self.run_file]
-        names = [f"{stem}.{kind}" for stem in ("energies", "history", "fields") for kind in FORMATS]
-        pictures = [self.path / name for name in (*names, "scene.html", "movie.gif", "movie.mp4")]
-        series = [path for kind in ("vtu", "pvtu", "pvd") for path in self.vtk.glob(f"fields*.{kind}")]
-        series += [*self.path.glob("samples/*.csv"), *self.path.glob("case.until-step-*.toml")]
-        own.append(self.path / "bodies.csv")
-        series += [*self.path.glob("shapes/*.stl"), *self.path.glob("shapes/*.png")]
-        own += [self.log_file, *self.failures]
-        return [path for path in [*own, *pictures, *series] if path.exists()]
+        return [*self._found(_RESULTS), *self.failures]
 
     @property
     def failures(self) -> list[Path]:
         """What an attempt that failed has left."""
-        of_ranks = [self.failed_state.with_suffix(".pvtu"), *self.path.glob("failed_p*.vtu")]
-        return [path for path in (self.failure_file, self.failed_state, *of_ranks) if path.exists()]
+        return self._found(("failed.txt", "failed.vtu", "failed.pvtu", "failed_p*.vtu"))
+
+    def _found(self, patterns: Sequence[str]) -> list[Path]:
+        return [path for pattern in patterns for path in self.path.glob(pattern)]
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:

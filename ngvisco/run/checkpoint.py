@@ -28,11 +28,12 @@ on bit for bit as that run (on one machine, over as many ranks), at whatever ste
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -190,14 +191,23 @@ def _verify(path: Path, group: h5py.Group, checksum: str) -> None:
         raise CheckpointError(f"{path}: {group.name.lstrip('/')} {what}; go on from another copy of the file")
 
 
-def _read_snapshots(path: Path) -> dict[int, Snapshot]:
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    """A run's file; raises CheckpointError where there is none, or it is damaged."""
+    if not path.exists():
+        raise CheckpointError(f"{path}: no such file")
     try:
         with h5py.File(path, "r") as file:
-            return {int(name): _load(path, group) for name, group in file["checkpoints"].items()}
+            yield file
     except CheckpointError:
         raise
     except _UNREADABLE as error:
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
+
+
+def _read_snapshots(path: Path) -> dict[int, Snapshot]:
+    with _opened(path) as file:
+        return {int(name): _load(path, group) for name, group in file["checkpoints"].items()}
 
 
 def snapshot(simulation: Simulation) -> Snapshot:
@@ -261,17 +271,53 @@ def restore(
         If the file is missing or damaged, has no such checkpoint, or belongs to another mesh,
         discretisation or material, or other ``attributes``; the message says which.
     """
+    one, rows = take_up(simulation, path, step, attributes)
+    numbers, rothe_step = one.numbers[""], simulation.rothe_step
+    rothe_step.state_old.vec.data = rothe_step.state.vec
+    rothe_step.start_from_old()
+    simulation.set_time(numbers["time"], int(numbers["step"]))
+    simulation.set_velocity_scale(numbers["velocity_scale"])
+    simulation.solver.load_state_dict(one.numbers["solver"], one.arrays["solver"])
+    simulation.stepper.load_state_dict(simulation, one.numbers["stepping"], one.arrays["stepping"])
+    simulation.ledger.resume(balance_of(one), rows)
+
+
+def take_up(
+    simulation: Simulation,
+    path: str | os.PathLike[str],
+    step: int | None = None,
+    attributes: Mapping[str, str] | None = None,
+    may_differ: Collection[str] = (),
+) -> tuple[Snapshot, list[dict[str, float]]]:
+    """Give a simulation the state and the passive fields of a checkpoint, and what its ledger has to hold.
+
+    Collective.  ``may_differ`` names parts of the ``identity``; where there are some, the rows have the
+    file's columns, and the run's otherwise.
+
+    Returns
+    -------
+    checkpoint, rows
+        The checkpoint with each rank's coefficients, and the ledger's rows up to its step.
+
+    Raises
+    ------
+    CheckpointError
+        As ``restore``.
+    """
     path = require_path("restore.path", path)
     ledger, ranks = simulation.ledger, simulation.ranks
     _ = simulation.numbering  # made by all ranks together
     read: list[Snapshot] = []
 
     def read_all() -> tuple[list[str], list[dict[str, float]]]:
-        one = read_checkpoint(path, identity(simulation) | dict(attributes or {}), step)
-        state_of(one, simulation, path)
+        own = {name: value for name, value in identity(simulation).items() if name not in may_differ}
+        one = read_checkpoint(path, own | dict(attributes or {}), step)
+        size, expected = one.arrays[""]["state"].size, simulation.unknowns
+        if size != expected:
+            raise CheckpointError(f"{path}: the state has {size} coefficients, not {expected}")
         read.append(one)
-        number = int(one.numbers[""]["step"])
-        names = [*ledger.columns, *ledger.foreign(read_ledger(path))]
+        number, found = int(one.numbers[""]["step"]), read_ledger(path)
+        names = list(found) if may_differ else [*ledger.columns, *ledger.foreign(found)]
         rows = [row for row in read_ledger_rows(path, names) if row["step"] <= number]
         if [row["step"] for row in rows] != list(range(number + 1)):
             raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
@@ -279,32 +325,15 @@ def restore(
 
     names, rows = ranks.on_first(read_all)
     one = distributed(read[0] if read else None, simulation)
-    vector, state = simulation.rothe_step.state.vec, one.arrays[""]["state"]
-    numbers = one.numbers[""]
-    number = int(numbers["step"])
     simulation.passive.load(one.arrays["passive"])
-    vector.FV().NumPy()[:] = state
-    simulation.rothe_step.state_old.vec.data = vector
-    simulation.rothe_step.start_from_old()
-    simulation.set_time(numbers["time"], number)
-    simulation.set_velocity_scale(numbers["velocity_scale"])
-    simulation.solver.load_state_dict(one.numbers["solver"], one.arrays["solver"])
-    simulation.stepper.load_state_dict(simulation, one.numbers["stepping"], one.arrays["stepping"])
+    simulation.rothe_step.state.vec.FV().NumPy()[:] = one.arrays[""]["state"]
     ledger.keep(names)
-    ledger.resume(balance_of(one), rows)
+    return one, rows
 
 
 def balance_of(one: Snapshot) -> Balance:
     """Energy and masses as a checkpoint has them."""
     return Balance(**{f.name: one.numbers[""][f.name] for f in dataclasses.fields(Balance)})
-
-
-def state_of(one: Snapshot, simulation: Simulation, path: str | os.PathLike[str]) -> np.ndarray:
-    """The coefficients of a checkpoint; raises CheckpointError if they are not as many as the run's."""
-    state, expected = one.arrays[""]["state"], simulation.unknowns
-    if state.shape != (expected,):
-        raise CheckpointError(f"{path}: the state has {state.size} coefficients, not {expected}")
-    return state
 
 
 _UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError)
@@ -314,29 +343,22 @@ _UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError)
 def read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> Snapshot:
     """One checkpoint, by default the last, of a file that has the expected attributes; raises
     CheckpointError."""
-    if not path.exists():
-        raise CheckpointError(f"{path}: no such file")
-    try:
-        with h5py.File(path, "r") as file:
-            for name, value in expected.items():
-                found = file.attrs.get(name)
-                if name != "ngvisco" and found != value:
-                    found = found.item() if isinstance(found, np.generic) else found
-                    verb = "are" if name in ("bodies", "energies") else "is"
-                    message = f"its {name} {verb} {found!r}, this run's {verb} {value!r}"
-                    raise CheckpointError(f"{path}: {message}")
-            names = sorted(file["checkpoints"])
-            if not names:
-                raise CheckpointError(f"{path}: it holds no checkpoint: start the run anew")
-            name = names[-1] if step is None else f"{step:08d}"
-            if name not in names:
-                steps = ", ".join(str(int(n)) for n in names)
-                raise CheckpointError(f"{path}: no checkpoint of step {step} (there are {steps})")
-            return _load(path, file["checkpoints"][name])
-    except CheckpointError:
-        raise
-    except _UNREADABLE as error:
-        raise CheckpointError(f"{path}: not a readable run file ({error})") from error
+    with _opened(path) as file:
+        for name, value in expected.items():
+            found = file.attrs.get(name)
+            if name != "ngvisco" and found != value:
+                found = found.item() if isinstance(found, np.generic) else found
+                verb = "are" if name in ("bodies", "energies") else "is"
+                message = f"its {name} {verb} {found!r}, this run's {verb} {value!r}"
+                raise CheckpointError(f"{path}: {message}")
+        names = sorted(file["checkpoints"])
+        if not names:
+            raise CheckpointError(f"{path}: it holds no checkpoint: start the run anew")
+        name = names[-1] if step is None else f"{step:08d}"
+        if name not in names:
+            steps = ", ".join(str(int(n)) for n in names)
+            raise CheckpointError(f"{path}: no checkpoint of step {step} (there are {steps})")
+        return _load(path, file["checkpoints"][name])
 
 
 def read_ledger(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
@@ -348,17 +370,10 @@ def read_ledger(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
         If the file cannot be read, or its ledger is not as it was written.
     """
     path = require_path("read_ledger.path", path)
-    if not path.exists():
-        raise CheckpointError(f"{path}: no such file")
-    try:
-        with h5py.File(path, "r") as file:
-            columns = {name: np.array(data) for name, data in file["ledger"].items()}
-            _verify(path, file["ledger"], _digest({}, columns))
-            return columns
-    except CheckpointError:
-        raise
-    except _UNREADABLE as error:
-        raise CheckpointError(f"{path}: not a readable run file ({error})") from error
+    with _opened(path) as file:
+        columns = {name: np.array(data) for name, data in file["ledger"].items()}
+        _verify(path, file["ledger"], _digest({}, columns))
+        return columns
 
 
 def read_ledger_rows(path: Path, columns: Sequence[str]) -> list[dict[str, float]]:

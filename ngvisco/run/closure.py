@@ -24,7 +24,7 @@ class ClosureWarning(NgviscoWarning):
 
 
 class ClosureCheck:
-    """An observer that compares every row's ``closure_relative`` with a limit.
+    """Compares every row's ``closure_relative`` with a limit.
 
     The limit is 1e-8, or 100 times the solver's tolerance where that is more.  The first row above it is a
     ClosureWarning.
@@ -43,9 +43,6 @@ class ClosureCheck:
         self.limit = closure_limit(tolerance)
         self.failures, self.worst, self.worst_step, self.worst_time = 0, 0.0, 0, 0.0
 
-    def start(self, simulation: Simulation) -> None:
-        """Nothing: rows before a restart were looked at when they were made."""
-
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
         closure = abs(row["closure_relative"])
         if closure <= self.limit or simulation.rothe_step.sources is not None:
@@ -56,9 +53,6 @@ class ClosureCheck:
             self.worst_step, self.worst_time = int(row["step"]), row["time"]
         if self.failures == 1:
             simulation.ranks.warn(self.message, ClosureWarning, stacklevel=2)
-
-    def finish(self, simulation: Simulation) -> None:
-        """Nothing: whoever made the run reads ``failures``."""
 
     @property
     def message(self) -> str:

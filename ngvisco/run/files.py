@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import csv
+import io
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 
@@ -28,6 +30,13 @@ def append(path: Path, text: str) -> None:
     """Add text to the end of a file."""
     with _named(path), path.open("a", newline="", encoding="utf-8") as file:
         file.write(text)
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Rows as lines of a CSV file."""
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows(rows)
+    return text.getvalue()
 
 
 @contextlib.contextmanager

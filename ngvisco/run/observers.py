@@ -7,8 +7,6 @@ names only when they are complete (written beside and renamed).
 from __future__ import annotations
 
 import contextlib
-import csv
-import io
 import os
 import re
 import sys
@@ -29,7 +27,7 @@ from ngvisco.errors import (
     require_some_names,
 )
 from ngvisco.run.advice import dissipation_advice
-from ngvisco.run.files import append, write_atomically
+from ngvisco.run.files import append, csv_text, write_atomically
 from ngvisco.run.further_fields import usual
 from ngvisco.run.stepping import step_under_way
 from ngvisco.run.vtk import read_pvd, shown_by, write_vtu
@@ -127,16 +125,11 @@ class LedgerCSV:
 
     def start(self, simulation: Simulation) -> None:
         columns = simulation.ledger.columns
-        text = io.StringIO(newline="")
-        writer = csv.writer(text)
-        writer.writerow(columns)
-        writer.writerows([row[name] for name in columns] for row in simulation.ledger.rows)
-        write_atomically(self.path, text.getvalue().encode())
+        rows = ([row[name] for name in columns] for row in simulation.ledger.rows)
+        write_atomically(self.path, csv_text([columns, *rows]).encode())
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        text = io.StringIO(newline="")
-        csv.writer(text).writerow([row[name] for name in simulation.ledger.columns])
-        append(self.path, text.getvalue())
+        append(self.path, csv_text([[row[name] for name in simulation.ledger.columns]]))
 
     def finish(self, simulation: Simulation) -> None:
         """Nothing is left to write."""

@@ -7,7 +7,6 @@ when it stopped, so that the file is that of an uninterrupted run.
 from __future__ import annotations
 
 import csv
-import io
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ngvisco.errors import CheckpointError, UnknownNameError, require_count, require_file
-from ngvisco.run.files import append, write_atomically
+from ngvisco.run.files import append, csv_text, write_atomically
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -77,7 +76,7 @@ class Series(ABC):
         self.rows = [row for row in earlier if row[0] <= number and self._was_due(simulation, row)]
         self._found = number, [row for row in earlier if row[0] == number]
         if path is not None:
-            ranks.on_first(lambda: write_atomically(path, _csv([self.columns, *self.rows]).encode()))
+            ranks.on_first(lambda: write_atomically(path, csv_text([self.columns, *self.rows]).encode()))
         if self.initial and not self._has(number) and simulation.is_due(self.every):
             self._note(simulation)
 
@@ -109,13 +108,7 @@ class Series(ABC):
     def _add(self, rows: list[list[float]], simulation: Simulation) -> None:
         self.rows += rows
         if (path := self.path) is not None:
-            simulation.ranks.on_first(lambda: append(path, _csv(rows)))
-
-
-def _csv(rows: Sequence[Sequence[object]]) -> str:
-    text = io.StringIO(newline="")
-    csv.writer(text).writerows(rows)
-    return text.getvalue()
+            simulation.ranks.on_first(lambda: append(path, csv_text(rows)))
 
 
 def read_series(path: Path, columns: Sequence[str]) -> list[list[float]]:

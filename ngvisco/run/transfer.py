@@ -15,7 +15,6 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,7 +29,6 @@ from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.bodies import AMOUNT, Amount
 from ngvisco.physics.variables import Variable
 from ngvisco.run import checkpoint
-from ngvisco.run.identity import identity
 from ngvisco.run.ledger import TRANSFER, energy_of
 
 if TYPE_CHECKING:
@@ -259,25 +257,10 @@ def resume_changed(
     CheckpointError
         As ``Simulation.restore``.
     """
-    _ = simulation.numbering  # made by all ranks together
-    read: list[checkpoint.Snapshot] = []
-
-    def read_all() -> tuple[list[str], list[dict[str, float]]]:
-        expected = identity(simulation) | dict(attributes or {})
-        for name in ("material", "energies", "scheme"):
-            del expected[name]
-        one = checkpoint.read_checkpoint(Path(path), expected, None)
-        checkpoint.state_of(one, simulation, path)
-        read.append(one)
-        found, number = list(checkpoint.read_ledger(path)), one.numbers[""]["step"]
-        rows = checkpoint.read_ledger_rows(Path(path), found)
-        return found, [row for row in rows if row["step"] <= number]
-
-    found, rows = simulation.ranks.on_first(read_all)
-    one = checkpoint.distributed(read[0] if read else None, simulation)
+    one, rows = checkpoint.take_up(
+        simulation, path, attributes=attributes, may_differ=("material", "energies", "scheme")
+    )
     numbers, step = one.numbers[""], simulation.rothe_step
-    step.state.vec.FV().NumPy()[:] = one.arrays[""]["state"]
-    simulation.passive.load(one.arrays["passive"])
     complete(step)
     step.state_old.vec.data = step.state.vec
     step.start_from_old()
@@ -286,7 +269,6 @@ def resume_changed(
     simulation.stepper.begin(numbers["time"], number)
     ledger, balance = simulation.ledger, checkpoint.balance_of(one)
     lost = balance.energy - ledger.energy()
-    ledger.keep(found)
     ledger.add_once(TRANSFER, lost)
     ledger.resume(balance, [{name: row.get(name, 0.0) for name in ledger.columns} for row in rows])
     return lost

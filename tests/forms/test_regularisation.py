@@ -176,7 +176,11 @@ def diffuse(quantity, maxh, dt, until, m=1):
     mesh = box((1, 1), maxh=maxh)
     discretisation = nv.Discretisation(m=m)
     run = nv.Simulation(
-        mesh, model, dt=dt, initial=initial, discretisation=discretisation, velocity_scale=1e-6
+        mesh,
+        model,
+        time=nv.TimeSteps(dt=dt, velocity_scale=1e-6),
+        initial=initial,
+        discretisation=discretisation,
     )
     run.run(until)
     steps = round(until / dt)

@@ -56,7 +56,11 @@ def test_parameters_do_not_diffuse():
     F = CF((1 + 1e-6 * sin(3 * x), 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
     for solver in ("split", "coupled"):
         run = nv.Simulation(
-            box((1, 1), 0.4), model, dt=0.1, initial=nv.Initial(F=F), solver=solver, limiter=False
+            box((1, 1), 0.4),
+            model,
+            time=nv.TimeSteps(dt=0.1, limiter=False),
+            initial=nv.Initial(F=F),
+            solver=solver,
         )
         before = run.rothe_step.state.vec.FV().NumPy()[run.rothe_step.layout.ranges["z"]].copy()
         run.run(0.1)
@@ -93,7 +97,7 @@ def in_uniform_flow(speed):
     model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1))
     initial = nv.Initial(F=F, velocity=(0.0, speed))
     mesh = box((1, 1), maxh=0.2, periodic="xy")
-    run = nv.Simulation(mesh, model, dt=0.01, initial=initial, velocity_scale=1.0)
+    run = nv.Simulation(mesh, model, time=nv.TimeSteps(dt=0.01, velocity_scale=1.0), initial=initial)
     run.run(until)
     unbalanced = until * np.pi * _energy(a, b, c)
     off = run.fields["velocity"] - CF((0.0, speed))
@@ -135,7 +139,7 @@ def test_a_parameter_stays_within_the_range_of_its_start():
             viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
         )
         mesh, initial = box((1, 1), maxh=0.25), nv.Initial(velocity=SWIRL)
-        run = nv.Simulation(mesh, model, dt=0.05, initial=initial, limiter=limiter)
+        run = nv.Simulation(mesh, model, time=nv.TimeSteps(dt=0.05, limiter=limiter), initial=initial)
         run.run(0.2)
         assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-12
         extremes[limiter] = run.sampler.extrema(run.fields["theta"])

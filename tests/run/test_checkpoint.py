@@ -144,7 +144,7 @@ def test_bodies_with_energies_of_their_own_go_on_from_a_checkpoint(tmp_path):
         solid = nv.ReferentialNeoHookean(K_e=10.0, G_e=shear_modulus / 2)
         disc = nv.Body(name="disc", where=nv.Ball((0.6, 0.5), 0.25), material=solid, density=2.0)
         model = nv.Model(bodies=[disc, nv.Body(name="rest", material=fluid, density=1.0)])
-        return nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, velocity_scale=1.0)
+        return nv.Simulation(box((1, 1), maxh=0.5), model, time=nv.TimeSteps(dt=0.02, velocity_scale=1.0))
 
     run = bodies(1.0)
     run.observers = [nv.Checkpoints(tmp_path / "run.h5")]

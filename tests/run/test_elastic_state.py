@@ -228,7 +228,9 @@ def under_a_lid(state):
     ramp = IfPos(nv.time - 0.2, 1, nv.time / 0.2)
     lid = nv.PrescribedTangential((ramp * 16 * x * x * (1 - x) * (1 - x), 0.0))
     walls = {"top": lid, ("left", "right", "bottom"): nv.NoSlip()}
-    return nv.Simulation(box((1, 1), maxh=0.3), model, dt=0.05, walls=walls, velocity_scale=1.0)
+    return nv.Simulation(
+        box((1, 1), maxh=0.3), model, time=nv.TimeSteps(dt=0.05, velocity_scale=1.0), walls=walls
+    )
 
 
 def test_run_that_winds_up_warns_once_and_names_the_remedy():

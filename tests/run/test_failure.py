@@ -11,7 +11,7 @@ from ngvisco.solver.problem import Attempt, NewtonIteration, Solution, Status
 DT = 0.05
 
 
-def cavity(**options):
+def cavity(limiter=True, **options):
     model = nv.Model(
         material=nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1),
         viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
@@ -19,7 +19,13 @@ def cavity(**options):
     )
     walls = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
     steps = nv.AdaptiveSteps(dt_min=0.9 * DT, dt_max=DT)
-    return nv.Simulation(box((1, 1), 0.25), model, dt=DT, walls=walls, stepping=steps, **options)
+    return nv.Simulation(
+        box((1, 1), 0.25),
+        model,
+        time=nv.TimeSteps(dt=DT, adaptive=steps, limiter=limiter),
+        walls=walls,
+        **options,
+    )
 
 
 @pytest.fixture(scope="module")

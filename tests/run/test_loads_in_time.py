@@ -15,7 +15,9 @@ def momentum_of(load, scheme="backward-euler", solver="coupled", steps=1):
     """Of a periodic strip of mass 1 kg along the load, after steps of 0.1 s."""
     model = nv.Model(loads=[nv.Gravity((load, 0))], viscosity=nv.StokesViscosity(K_v=1, G_v=1), **MODEL)
     mesh = box((1, 1), 0.5, periodic=("x",))
-    run = nv.Simulation(mesh, model, dt=DT, scheme=scheme, solver=solver, velocity_scale=1.0)
+    run = nv.Simulation(
+        mesh, model, time=nv.TimeSteps(dt=DT, scheme=scheme, velocity_scale=1.0), solver=solver
+    )
     ledger = run.run(steps * DT)
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-8
     return Integrate(run.rothe_step.now.rho * run.rothe_step.now.v, run.mesh)[0]
@@ -50,7 +52,7 @@ def test_a_traction_counts_by_its_mean():
         model = nv.Model(viscosity=nv.StokesViscosity(K_v=1, G_v=1), **MODEL)
         walls = {"top": nv.Traction(f=(f, 0)), "bottom": nv.Traction(f=(g, 0))}
         mesh = box((1, 1), 0.5, periodic=("x",))
-        run = nv.Simulation(mesh, model, dt=DT, walls=walls, velocity_scale=1.0)
+        run = nv.Simulation(mesh, model, time=nv.TimeSteps(dt=DT, velocity_scale=1.0), walls=walls)
         assert abs(run.advance()["closure_relative"]) <= 1e-8
         found.append(run.rothe_step.now.v(mesh(0.3, 0.8)))
     assert found[0] == pytest.approx(found[1], rel=1e-7) and found[1][0] > 1
@@ -61,7 +63,7 @@ def test_a_wall_is_displaced_by_what_it_moves_in_a_step():
     model = nv.Model(viscosity=nv.StokesViscosity(K_v=1, G_v=1), **MODEL)
     lid = nv.PrescribedTangential((5 * nv.pulse(0.03, 0.01), 0))
     mesh = box((1, 1), 0.5, periodic=("x",))
-    run = nv.Simulation(mesh, model, dt=DT, walls={"top": lid}, velocity_scale=1.0)
+    run = nv.Simulation(mesh, model, time=nv.TimeSteps(dt=DT, velocity_scale=1.0), walls={"top": lid})
     row = run.advance()
     assert abs(row["closure_relative"]) <= 1e-8 and row["power_wall_top"] > 0
     assert run.rothe_step.now.v(run.mesh(0.3, 1.0))[0] == pytest.approx(0.5, rel=1e-8)
@@ -71,7 +73,7 @@ def test_a_load_that_is_not_resolved_is_said_once():
     """A front that crosses the body breaks the load at other times at other places."""
     front = CF((IfPos(x - 10 * nv.time, 1.0, 0.0), 0))
     model = nv.Model(loads=[nv.Gravity(front)], **MODEL)
-    run = nv.Simulation(box((1, 1), 1.0), model, dt=0.04, velocity_scale=1.0)
+    run = nv.Simulation(box((1, 1), 1.0), model, time=nv.TimeSteps(dt=0.04, velocity_scale=1.0))
     with pytest.warns(
         nv.InputWarning, match="mean of a load over the step from t = 0 s is known to"
     ) as caught:

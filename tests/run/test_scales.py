@@ -41,7 +41,10 @@ def found(material=NEO_HOOKEAN, dt=0.01, maxh=0.2, G_m=math.inf, velocity_scale=
         material=material, viscosity=nv.StokesViscosity(K_v=0.3, G_v=0.2), creep=nv.Creep(G_m=G_m)
     )
     run = nv.Simulation(
-        box((2, 1), maxh), model, dt=dt, initial=nv.Initial(density=4.0), velocity_scale=velocity_scale
+        box((2, 1), maxh),
+        model,
+        time=nv.TimeSteps(dt=dt, velocity_scale=velocity_scale),
+        initial=nv.Initial(density=4.0),
     )
     return scales(run)
 

@@ -28,10 +28,8 @@ def drop(modulus):
     run = nv.Simulation(
         structured_box((1.25, 0.8), (5, 8)),
         nv.Model(bodies=bodies, loads=[nv.Gravity((0.0, -GRAVITY))]),
-        dt=0.5,
-        scheme="midpoint",
+        time=nv.TimeSteps(dt=0.5, scheme="midpoint", velocity_scale=1.0),
         walls={"left": nv.NoSlip()},
-        velocity_scale=1.0,
         observers=[table],
     )
     ledger = run.run(UNTIL)

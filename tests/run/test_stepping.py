@@ -14,7 +14,7 @@ from ngvisco.timestepping.error import ErrorEstimate
 LONG = (pytest.mark.long, pytest.mark.ci)
 
 
-def simulation(stepping=None, observers=(), dt=0.02, scale=1.0, **options):
+def simulation(stepping=None, observers=(), dt=0.02, scale=1.0, scheme="backward-euler"):
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
         viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
@@ -26,11 +26,9 @@ def simulation(stepping=None, observers=(), dt=0.02, scale=1.0, **options):
     return nv.Simulation(
         box((1, 1), maxh=0.5),
         model,
-        dt=dt,
-        stepping=stepping,
+        time=nv.TimeSteps(dt=dt, scheme=scheme, adaptive=stepping),
         initial=initial,
         observers=observers,
-        **options,
     )
 
 

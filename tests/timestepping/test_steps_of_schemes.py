@@ -345,10 +345,7 @@ def test_relaxed_steps_meet_their_ends_under_a_wall_that_speeds_up():
     run = nv.Simulation(
         box((1, 1), maxh=0.4),
         model,
-        dt=0.02,
-        scheme="midpoint",
-        relaxation=True,
-        stepping=stepping,
+        time=nv.TimeSteps(dt=0.02, scheme="midpoint", relaxation=True, adaptive=stepping),
         walls={"top": lid},
     )
     ledger = run.run(until=0.2)

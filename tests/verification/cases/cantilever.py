@@ -75,10 +75,8 @@ def _swing(modulus: float, bent: float) -> tuple[nv.Simulation, np.ndarray, np.n
     run = nv.Simulation(
         structured_box(SIZE, CELLS),
         nv.Model(bodies=tuple(bodies), loads=(nv.Gravity((0.0, -gravity)),)),
-        dt=TAU,
-        scheme="midpoint",
+        time=nv.TimeSteps(dt=TAU, scheme="midpoint", velocity_scale=bent / LARGE),
         walls={"left": nv.NoSlip()},
-        velocity_scale=bent / LARGE,
         observers=[table],
     )
     run.run(TAU * STEPS)

@@ -61,10 +61,8 @@ def discs() -> tuple[nv.Simulation, nv.Bodies]:
     run = nv.Simulation(
         structured_box(SIZE, CELLS),
         nv.Model(bodies=tuple(bodies)),
-        dt=TAU,
-        scheme="midpoint",
+        time=nv.TimeSteps(dt=TAU, scheme="midpoint", velocity_scale=5.0),
         initial=nv.Initial(velocity=thrown(PLACES["left"]) - thrown(PLACES["right"])),
-        velocity_scale=5.0,
         observers=[table],
     )
     return run, table

@@ -25,7 +25,10 @@ def cavity(scheme: str, limiter: bool) -> nv.Simulation:
     walls: Conditions = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
     steps = None if limiter else nv.AdaptiveSteps(dt_min=DT, dt_max=DT)
     return nv.Simulation(
-        box((1, 1), 0.1), model, dt=DT, walls=walls, scheme=scheme, limiter=limiter, stepping=steps
+        box((1, 1), 0.1),
+        model,
+        time=nv.TimeSteps(dt=DT, scheme=scheme, limiter=limiter, adaptive=steps),  # type: ignore[arg-type]
+        walls=walls,
     )
 
 

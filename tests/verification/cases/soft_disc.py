@@ -62,11 +62,9 @@ def cavity(maxh: float, dt: float, K_e: float, table: nv.Bodies) -> nv.Simulatio
     return nv.Simulation(
         box((1, 1), maxh, refine={"top": 0.5 * maxh}, split_corners=True),
         model_of(CAVITY, K_e),
-        dt=dt,
+        time=nv.TimeSteps(dt=dt, scheme="midpoint", startup=2),
         walls=walls,
         discretisation=nv.Discretisation(k=3),  # P_2 locks where volumes are stiff
-        scheme="midpoint",
-        startup=2,
         observers=[table],
     )
 

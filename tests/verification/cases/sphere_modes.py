@@ -79,11 +79,9 @@ def oscillation(degree: int, maxh: float, material: nv.Material) -> Oscillation:
     run = nv.Simulation(
         mesh,
         nv.Model(material=material),
-        dt=tau,
-        scheme="midpoint",
+        time=nv.TimeSteps(dt=tau, scheme="midpoint", velocity_scale=1.0),
         initial=nv.Initial(velocity=AMPLITUDE / fastest * shape),
         discretisation=nv.Discretisation(k=2, m=1),
-        velocity_scale=1.0,
     )
     values = []
     for n in range(PERIODS * PER_PERIOD + 1):

@@ -56,11 +56,9 @@ def standing_wave(
     run = nv.Simulation(
         mesh,
         model,
-        dt=dt,
+        time=nv.TimeSteps(dt=dt, velocity_scale=1.0, scheme=scheme),  # type: ignore[arg-type]
         initial=nv.Initial(velocity=CF(velocity)),
         discretisation=nv.Discretisation(k=3, m=2),
-        velocity_scale=1.0,
-        scheme=scheme,
     )
     component, values = 1 if wave == "shear" else 0, [1.0]
     for _ in range(steps):

@@ -61,7 +61,7 @@ def lid(
         ("left", "right", "bottom"): nv.NoSlip(),
     }
     time.Set(0.0)
-    return nv.Simulation(box((1, 1), maxh), model, dt=dt, walls=walls, velocity_scale=1.0)
+    return nv.Simulation(box((1, 1), maxh), model, time=nv.TimeSteps(dt=dt, velocity_scale=1.0), walls=walls)
 
 
 TABLE = (
@@ -186,7 +186,7 @@ def vortex(state: Literal["F", "B"], maxh: float, dt: float) -> nv.Simulation:
         loads=(nv.BodyForce(force),),
     )
     time.Set(0.0)
-    return nv.Simulation(box((1, 1), maxh), model, dt=dt, velocity_scale=1.0)
+    return nv.Simulation(box((1, 1), maxh), model, time=nv.TimeSteps(dt=dt, velocity_scale=1.0))
 
 
 def _vortex() -> Outcome:
