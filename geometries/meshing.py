@@ -63,12 +63,6 @@ def box_lengths(owner: str, size: Sequence[float]) -> tuple[float, ...]:
     return lengths
 
 
-def check_lengths(owner: str, **lengths: float) -> None:
-    """Raise ParameterError unless every length is a finite number > 0."""
-    for name, value in lengths.items():
-        as_length(f"{owner}.{name}", value)
-
-
 def as_length(field: str, value: object) -> float:
     """The length as a float; raises ParameterError unless it is a finite number > 0."""
     number = as_number(value)

@@ -23,7 +23,7 @@ from ngvisco.case.samples import samples
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import Section, field_names, made, owner_of, parameters
 from ngvisco.case.timetables import with_tables
-from ngvisco.case.units import to_si
+from ngvisco.case.units import SI, Converter
 from ngvisco.case.values import as_function, is_table
 from ngvisco.errors import (
     ParameterError,
@@ -98,11 +98,14 @@ def parse_case(text: str, source: str, directory: Path, settings: Sequence[str] 
     locator = Locator(toml.key_lines(text), overridden)
     try:
         data, faults = with_tables(data, directory, locator)
-        if not faults:
-            data, faults = to_si(data, CaseSections, locator)
-        if faults:
-            raise CaseError(source, faults)
-        sections = CaseSections.model_validate(data)
+        converter = Converter(data.get("units"))
+        locator.data, locator.converted = data, converter.converted
+        if faults or converter.faults:
+            raise CaseError(source, [*faults, *(locator.fault(*fault) for fault in converter.faults)])
+        if converter.scales:  # what is no unit is left to the schema
+            kept = {name: u for name, u in data["units"].items() if name not in SI or not isinstance(u, str)}
+            data = data | {"units": kept}
+        sections = CaseSections.model_validate(data, context=converter)
     except ValidationError as error:
         raise CaseError(source, faults_of(error, CaseSections, locator)) from error
     except RecursionError as error:

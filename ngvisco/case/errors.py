@@ -27,3 +27,7 @@ class CaseError(NgviscoError, ValueError):
     def _line(self, fault: Fault) -> str:
         place = f"{self.source}:{fault.line}" if fault.line else self.source
         return f"{place}: {fault.key}: {fault.message}" if fault.key else f"{place}: {fault.message}"
+
+
+class Wrong(str):
+    """Stands for a value whose unit is wrong, which no key takes, and says why."""

@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from ngvisco.case.errors import Fault
+from ngvisco.case.errors import Fault, Wrong
 from ngvisco.case.section import Section
 from ngvisco.case.toml import line_of, value_text
 from ngvisco.errors import ParameterError
@@ -42,17 +42,18 @@ class Locator:
 
     def __init__(self, lines: dict[tuple[str, ...], int], overridden: Iterable[tuple[str, ...]] = ()) -> None:
         self.lines, self.overridden = lines, list(overridden)
-        self.written: dict[tuple[str, ...], Any] = {}
-        """What the user wrote for values that were converted to SI units."""
+        self.data: Any = {}
+        """What the user wrote."""
+        self.converted: list[tuple[str, Any]] = []
+        """Of that, by their last keys, the values that were converted to SI units."""
 
     def fault(self, path: tuple[str, ...], message: str) -> Fault:
         """A fault at a key path."""
         key = ".".join(path)
-        written = next(
-            (self.written[path[:n]] for n in range(len(path), 0, -1) if path[:n] in self.written), None
-        )
-        if written is not None:
-            message = f"{message} (in SI units; written was {shown(written)})"
+        above = (path[:length] for length in range(len(path), 0, -1))
+        written = ((key[-1], given(self.data, key)) for key in above)
+        if found := next((one for one in written if one in self.converted), None):
+            message = f"{message} (in SI units; written was {shown(found[1])})"
         is_within = any(path[: len(o)] == o for o in self.overridden)
         is_made = path not in self.lines and any(o[: len(path)] == path for o in self.overridden)
         if is_within or is_made:
@@ -88,6 +89,8 @@ def _parameter_path(field: str, path: tuple[str, ...]) -> tuple[str, ...]:
 
 def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: list[str]) -> str:
     kind, value, context = one["type"], one["input"], one.get("ctx") or {}
+    if isinstance(value, Wrong):
+        return str(value)
     if isinstance(raised, ParameterError):
         return f"{shown(raised.value)}: expected {raised.expected}"
     if raised is not None:

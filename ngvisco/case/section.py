@@ -19,7 +19,15 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from ngsolve import CoefficientFunction
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    create_model,
+    model_validator,
+)
 
 from ngvisco.case.energies import parse_law
 from ngvisco.case.laws import EnergyText
@@ -45,9 +53,17 @@ _LAWS: tuple[type, ...] = (MaterialObject, FlowRule, Viscosity)
 
 
 class Section(BaseModel):
-    """A table of a case file: unknown keys and wrong types are refused."""
+    """A table of a case file: unknown keys and wrong types are refused.
+
+    The context of a validation, if there is one, converts the table's data before (``ngvisco.case.units``).
+    """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _converted(cls, data: Any, info: ValidationInfo) -> Any:
+        return info.context(cls, data) if info.context and isinstance(data, dict) else data
 
 
 def _annotation(hint: Any) -> Any:

@@ -53,7 +53,8 @@ def template(name: str) -> str:
         header, assignment = _TABLE.match(text_line), re.match(r"^([A-Za-z_]\w*)\s*=", text_line)
         if header:
             if path:
-                _pop_blank(blocks)
+                while blocks and not blocks[-1].strip():
+                    blocks.pop()
                 blocks += [*_optional(every, path, given, kinds.get(path)), ""]
             path, given = tuple(header[1].split(".")), set()
             done.add(path[0])
@@ -62,7 +63,7 @@ def template(name: str) -> str:
         elif assignment:
             given.add(assignment[1])
             found = _entry(every, (*path, assignment[1]), kinds.get(path))
-            whole = _is_whole(text_line)
+            whole = text_line.count("[") == text_line.count("]")  # it ends in its line
             if found is not None and not whole:
                 blocks.append(f"# {_note(found)}")
             blocks.append(_beside(text_line, _note(found)) if found is not None and whole else text_line)
@@ -92,14 +93,9 @@ def _tables(text: str) -> list[tuple[str, ...]]:
     return [tuple(match[1].split(".")) for match in map(_TABLE.match, text.splitlines()) if match]
 
 
-def _pop_blank(blocks: list[str]) -> None:
-    while blocks and not blocks[-1].strip():
-        blocks.pop()
-
-
-def _is_whole(text_line: str) -> bool:
-    """Whether an assignment ends in its line."""
-    return text_line.count("[") == text_line.count("]")
+def _shape(entry: Entry) -> tuple[str, ...]:
+    """Its path without indices."""
+    return tuple(part for part in entry.path if part != "N")
 
 
 def _matches(path: tuple[str, ...], real: tuple[str, ...]) -> bool:
@@ -126,32 +122,26 @@ def _beside(text_line: str, note: str) -> str:
 
 def _optional(every: list[Entry], table: tuple[str, ...], given: set[str], kind: str | None) -> list[str]:
     """The table's other keys as comments."""
-    lines = []
-    for entry in every:
-        shape = tuple(part for part in entry.path if part != "N")
-        is_member = len(shape) == len(table) + 1 and _matches(entry.path[:-1], table)
-        if is_member and entry.path[-1] not in given and (not entry.kinds or kind in entry.kinds):
-            if entry.example is None or entry.required:
-                continue
-            value = entry.example if entry.default in (None, [], {}) else entry.default
-            lines.append(_beside(f"# {entry.path[-1]} = {toml.value_text(value)}", _note(entry)))
-    return lines
+    own = [e for e in every if len(_shape(e)) == len(table) + 1 and _matches(e.path[:-1], table)]
+    fits = (e for e in own if e.path[-1] not in given and (not e.kinds or kind in e.kinds))
+    return [_commented(e) for e in fits if e.example is not None and not e.required]
 
 
 def _absent(every: list[Entry], path_names: set[tuple[str, ...]]) -> list[str]:
     """Tables that the demo has not, as comments with examples."""
     lines: list[str] = []
-    tables = dict.fromkeys(e.path[:-1] for e in every if len(e.path) > 1 and e.example is not None)
-    for path in tables:
-        shape = tuple(part for part in path if part != "N")
+    for path in dict.fromkeys(e.path[:-1] for e in every if len(e.path) > 1 and e.example is not None):
         if any(_matches(path, real) for real in path_names) or "material" in path:
             continue
         own = [e for e in every if e.path[:-1] == path and e.example is not None]
-        tag = next((e for e in own if e.path[-1] == "kind"), None)
-        own = [e for e in own if not e.kinds or (tag is not None and tag.example in e.kinds)]
-        title = ".".join(shape)
+        kind = next((e.example for e in own if e.path[-1] == "kind"), None)
+        title = ".".join(part for part in path if part != "N")
         lines += ["", f"# [[{title}]]" if path[-1:] == ("N",) else f"# [{title}]"]
-        for e in own:
-            value = e.example if e.default in (None, [], {}) else e.default
-            lines.append(_beside(f"# {e.path[-1]} = {toml.value_text(value)}", _note(e)))
+        lines += [_commented(e) for e in own if not e.kinds or kind in e.kinds]
     return lines
+
+
+def _commented(entry: Entry) -> str:
+    """A key as a comment, with its default, or with the example where that is nothing."""
+    value = entry.example if entry.default in (None, [], {}) else entry.default
+    return _beside(f"# {entry.path[-1]} = {toml.value_text(value)}", _note(entry))

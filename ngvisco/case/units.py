@@ -19,8 +19,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from ngvisco.case.errors import Fault
-from ngvisco.case.faults import Locator, models_in
+from ngvisco.case.errors import Wrong
+from ngvisco.case.faults import models_in
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.reference import quantity
 from ngvisco.case.values import FIELDS, NumberValues, is_table
@@ -97,97 +97,67 @@ def units_error() -> type[Exception]:
 
 
 class Converter:
-    """Converts a case's data to SI units, in place of the validated values.
+    """Converts the numbers of sections to SI units, before these are validated.
 
     Attributes
     ----------
     faults : list of (key path, message)
-    written : mapping of key paths to the values that were replaced
+        Of ``[units]``.
+    converted : list of (key, value)
+        What was replaced.
     """
 
-    def __init__(self, data: dict[str, Any], model: type[BaseModel]) -> None:
+    def __init__(self, chosen: Any) -> None:
+        """``chosen`` is the table ``[units]``, or what stands in its place."""
         self.faults: list[tuple[tuple[str, ...], str]] = []
-        self.written: dict[tuple[str, ...], Any] = {}
-        self.scales = self._scales(data.get("units"))
-        self.data = self._table(data, [model], ())
-        if isinstance(data.get("units"), dict) and not self.faults:
-            kept = data["units"].items()  # what is no unit is left to the schema
-            self.data["units"] = {name: u for name, u in kept if name not in SI or not isinstance(u, str)}
-
-    def _scales(self, chosen: Any) -> dict[str, float]:
-        """Factors by kind for what ``[units]`` names; other faults of it are the schema's."""
-        scales = {}
+        self.converted: list[tuple[str, Any]] = []
+        self.scales: dict[str, float] = {}
         for name, unit in chosen.items() if isinstance(chosen, dict) else ():
-            if name in SI and isinstance(unit, str):
+            if name in SI and isinstance(unit, str) and unit != SI[name]:
                 try:
-                    scales[name] = 1.0 if unit == SI[name] else factor(unit, SI[name])
+                    self.scales[name] = factor(unit, SI[name])
                 except UnitError as error:
                     self.faults.append((("units", name), f"{error}; expected a unit such as {SI[name]}"))
-        return {name: scale for name, scale in scales.items() if scale != 1.0}
 
-    def _table(self, data: Any, models: list[type[BaseModel]], path: tuple[str, ...]) -> Any:
-        if not isinstance(data, dict):
-            return data
-        model = _chosen(models, data)
-        if model is None:
-            return data
+    def __call__(self, model: type[BaseModel], data: dict[str, Any]) -> dict[str, Any]:
+        """A section's data with numbers in SI units; tables in it are sections of their own."""
         result = dict(data)
         for name, value in data.items():
-            if name in model.model_fields and not (path == () and name == "units"):
-                annotation = model.model_fields[name].annotation
-                result[name] = self._entry(value, annotation, model, name, data, (*path, name))
+            if name not in model.model_fields:
+                continue
+            try:
+                found = self._entry(value, model, name, data)
+            except UnitError as error:
+                key = error.key or name  # of an exponent of the unit, or this one
+                if key == name or not isinstance(data.get(key), (list, dict)):  # which the schema refuses
+                    result[key] = Wrong(f"{data.get(key)!r:.60}: {error}")
+                continue
+            if found is not value and found != value:
+                self.converted.append((name, value))
+                result[name] = found
         return result
 
-    def _entry(
-        self,
-        value: Any,
-        annotation: Any,
-        model: type[BaseModel],
-        name: str,
-        data: dict[str, Any],
-        path: tuple[str, ...],
-    ) -> Any:
-        inner = models_in(annotation)
-        if inner and isinstance(value, list):
-            return [self._table(part, inner, (*path, str(i))) for i, part in enumerate(value)]
-        if inner and isinstance(value, dict):
-            if _chosen(inner, value) is not None and not _is_named(annotation):
-                return self._table(value, inner, path)
-            return {key_: self._table(part, inner, (*path, key_)) for key_, part in value.items()}
-        if inner and isinstance(value, str) and name != "kind":
-            return self._region(value, path)
-        if name in ("kind", "geometry") or inner:
-            return value
+    def _entry(self, value: Any, model: type[BaseModel], name: str, data: dict[str, Any]) -> Any:
+        annotation = model.model_fields[name].annotation
+        if models_in(annotation):
+            return self._region(value) if isinstance(value, str) else value
         unit = quantity(model, name).unit
         if annotation is EnergyText:
             # [units] has none of energies per mass: these are in J/kg
-            return value if data.get("per") == "mass" else self._energy(value, unit, path)
-        is_field = any(part is Any or part in FIELDS for part in _parts(annotation))
-        is_field = is_field and NumberValues not in _parts(annotation)
+            return value if data.get("per") == "mass" else self._energy(value, unit)
+        parts = list(_parts(annotation))
+        is_field = any(part is Any or part in FIELDS for part in parts) and NumberValues not in parts
         if unit in ("", "any") or (unit == "1" and not is_field):
             return value
-        try:
-            converted = self._value(value, _with_exponents(unit, model, data), is_field)
-        except UnitError as error:
-            if error.key is None:
-                self.faults.append((path, f"{value!r:.60}: {error}"))
-            elif not isinstance(data.get(error.key), (list, dict)):  # which the schema refuses
-                self.faults.append(((*path[:-1], error.key), f"{data[error.key]!r:.60}: {error}"))
-            return value
-        if converted is not value and converted != value:
-            self.written[path] = value
-        return converted
+        return self._value(value, _with_exponents(unit, model, data), is_field)
 
-    def _region(self, value: str, path: tuple[str, ...]) -> str:
+    def _region(self, value: str) -> str:
         """The same condition on x, y, z in m."""
         try:
             parse_region(value)
         except ExpressionError:
             return value  # the schema says what is wrong with it
-        scaled = self._in_si_places(value)
-        if scaled != value:
-            self.written[path] = value
-        return scaled
+        return self._in_si_places(value)
 
     def _in_si_places(self, text: str) -> str:
         """The same function of x, y, z in m and t in s."""
@@ -196,12 +166,11 @@ class Converter:
             return text
         return ast.unparse(_Scaled(length, time).visit(ast.parse(" ".join(text.split()), mode="eval")))
 
-    def _energy(self, value: Any, unit: str, path: tuple[str, ...]) -> Any:
+    def _energy(self, value: Any, unit: str) -> Any:
         """The same energy in SI units: its value is in those of the case, its variables are pure numbers."""
         scale = self._scale(unit)
         if scale == 1.0 or not isinstance(value, str):
             return value
-        self.written[path] = value
         return f"({value})*{scale!r}"
 
     def _value(self, value: Any, unit: str, is_field: bool) -> Any:
@@ -257,24 +226,6 @@ class _Scaled(ast.NodeTransformer):
         return node if scale == 1.0 else ast.BinOp(node, ast.Div(), ast.Constant(scale))
 
 
-def _chosen(models: list[type[BaseModel]], data: dict[str, Any]) -> type[BaseModel] | None:
-    """The model of a table: the only one, or that of its kind."""
-    if len(models) == 1:
-        return models[0]
-    for model in models:
-        for tag in ("kind", "geometry"):
-            if tag not in model.model_fields:
-                continue
-            if data.get(tag, model.model_fields[tag].default) == model.__name__:
-                return model
-    return None
-
-
-def _is_named(annotation: Any) -> bool:
-    """Whether tables stand under names of the user's."""
-    return getattr(annotation, "__origin__", None) is dict
-
-
 def _parts(annotation: Any) -> Iterator[Any]:
     yield annotation
     for part in getattr(annotation, "__args__", ()):
@@ -292,15 +243,3 @@ def _with_exponents(unit: str, model: type[BaseModel], data: dict[str, Any]) -> 
         return f"^({match[1] or ''}{value!r})"
 
     return re.sub(r"\^\(?(\d-)?([a-z]+)\b\)?", exponent, unit)
-
-
-def to_si(
-    data: dict[str, Any], model: type[BaseModel], locator: Locator
-) -> tuple[dict[str, Any], list[Fault]]:
-    """A case's data with all its numbers in SI units, and the faults of its units.
-
-    The locator notes what was converted, so that later faults say what the user wrote.
-    """
-    converter = Converter(data, model)
-    locator.written |= converter.written
-    return converter.data, [locator.fault(path, message) for path, message in converter.faults]

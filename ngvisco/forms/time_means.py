@@ -243,7 +243,7 @@ class TimeMean:
         put: Callable[[np.ndarray], None],
         walls: Region | None = None,
     ) -> None:
-        self._value, self._make, self._put, self._mesh = value, make, put, mesh
+        self._value, self._make, self._put = value, make, put
         self._ranks = Communicator.of(mesh)
         self._points = _some_points(mesh, walls)
         self._conditions, self._knots = breaking(value)

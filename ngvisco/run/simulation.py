@@ -6,7 +6,6 @@ Output, checkpoints, plots and progress are observers of it (``ngvisco.run.obser
 from __future__ import annotations
 
 import math
-import time as clock
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -204,7 +203,6 @@ class Simulation:
             self.bounds if steps.limiter else None,
         )
         self._refused: tuple[Violation, np.ndarray] | None = None
-        self.wall_time = 0.0
         self.stop_requested = False
 
     def set_velocity_scale(self, scale: float) -> None:
@@ -321,7 +319,6 @@ class Simulation:
             )
         with computing(), ending_all_ranks():
             self._start_ledger()
-            began = clock.perf_counter()
             self._refused = None
             try:
                 step, number = self.stepper.advance(self, stop), self.number + 1
@@ -337,7 +334,6 @@ class Simulation:
             self.integrator.accept()
             self.set_time(step.time, number)
             self.closure_check.step(self, row)
-            self.wall_time += clock.perf_counter() - began
             return row
 
     @ending_all_ranks()
