@@ -68,11 +68,13 @@ def factor(unit: str, wanted: str) -> float:
     ------
     UnitError
     """
+    import pint
+
     _require_small_powers(unit)
     units = _registry()
     try:
         value = units.Quantity(1.0, units.parse_units(unit)).to(units.parse_units(wanted)).magnitude
-    except units_error() as error:
+    except pint.DimensionalityError as error:
         raise UnitError(f"{unit!r} has not the dimension of {wanted}") from error
     except Exception as error:  # pint's parser raises many kinds
         raise UnitError(f"{unit!r} is no unit that is known") from error
@@ -87,13 +89,6 @@ def _require_small_powers(unit: str) -> None:
     are_plain = len(powers) == len(re.findall(r"\*\*|\^", unit)) and not _CHAIN.search(unit)
     if not are_plain or math.prod(max(abs(float(power)), 1.0) for power in powers) > _LARGEST_POWER:
         raise UnitError(f"{unit!r:.60} is no unit: its exponents are numbers such as 2, -1, 0.5 or (1/2)")
-
-
-def units_error() -> type[Exception]:
-    """What pint raises for another dimension."""
-    import pint
-
-    return pint.DimensionalityError
 
 
 class Converter:
