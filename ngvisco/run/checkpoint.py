@@ -97,8 +97,7 @@ class Checkpoints:
         keep: int = 2,
         attributes: Mapping[str, str] | None = None,
     ) -> None:
-        for name, value in (("every", every), ("keep", keep)):
-            require_count("Checkpoints", **{name: value})
+        require_count("Checkpoints", every=every, keep=keep)
         self.path = require_file("Checkpoints.path", path)
         self.every, self.keep = int(every), int(keep)
         self.attributes = dict(attributes or {})
