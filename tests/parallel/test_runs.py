@@ -572,11 +572,12 @@ def failed(fault, regularised):
     run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, **options)
     if fault == "step" and run.ranks.rank == 1:
         run.ledger.rates = run.integrator.meter = broken
+    newton = run.solver.newton if fault in ("singular", "density") else None  # made by all ranks together
     if fault == "singular" and run.ranks.rank == 1:
         def singular(at): raise numpy.linalg.LinAlgError("Singular matrix")
-        run.solver.newton.preconditioner.operator.points.update = singular
+        newton.preconditioner.operator.points.update = singular
     if fault == "density" and run.ranks.rank == 1:
-        equation = run.solver.newton.residual.density
+        equation = newton.residual.density
         formed = equation.jacobian
         equation.jacobian = lambda: 0.0 * formed()
     solve = Rows.solve

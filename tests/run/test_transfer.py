@@ -79,7 +79,8 @@ def with_bodies(maxh=0.4, density=2.0, radius=0.25, reverse=False, observers=())
     ]
     mesh, initial = box((1, 1), maxh), nv.Initial(velocity=SWIRL)
     model = nv.Model(bodies=bodies[::-1] if reverse else bodies)
-    return nv.Simulation(mesh, model, dt=0.02, initial=initial, observers=observers)
+    newton = nv.NewtonOptions(tolerance=1e-12)  # what closes to rounding
+    return nv.Simulation(mesh, model, dt=0.02, initial=initial, observers=observers, newton=newton)
 
 
 def amounts(run):
