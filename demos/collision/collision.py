@@ -1,4 +1,4 @@
-"""Two elastic discs are thrown at each other in a soft light medium, meet and part again.
+"""Two elastic discs are thrown at each other in a light fluid, and come back.
 Run with ``python demos/collision/collision.py [output directory]``; needs the extra ``plots``."""
 
 import sys
@@ -24,11 +24,11 @@ def thrown(X: float) -> CF:
 
 def simulation(cells: tuple[int, int] = (14, 8), dt: float = 0.05, **options) -> nv.Simulation:
     """1.4 m x 0.8 m; discs of 1 kg/m^3 with a shear modulus of 1 Pa."""
-    damped, thin = (nv.StokesViscosity(K_v=eta, G_v=eta) for eta in (0.002, 0.0002))  # Pa s
+    damped = nv.StokesViscosity(K_v=0.002, G_v=0.002)  # Pa s
     disc = {"material": nv.ReferentialNeoHookean(K_e=2.0, G_e=0.5), "viscosity": damped, "density": 1.0}
-    soft = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 0.05 * (J + 1 / J - 2))
+    soft = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: J + 1 / J - 2)
     bodies = [
-        nv.Body(name="medium", material=soft, viscosity=thin, density=0.05),
+        nv.Body(name="medium", material=soft, viscosity=damped, density=0.1),
         nv.Body(name="left", where=nv.Ball((0.37, 0.4), 0.21), **disc),
         nv.Body(name="right", where=nv.Ball((1.03, 0.4), 0.21), **disc),
     ]
