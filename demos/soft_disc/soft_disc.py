@@ -29,7 +29,7 @@ def simulation(maxh: float = 0.1, dt: float = 0.05, K_e: float = 50.0, **options
     return nv.Simulation(mesh, model, dt=dt, **options)
 
 
-def main(directory: str = "results/soft_disc", until: float = 8.0, **options) -> nv.Simulation:
+def main(directory: str = "results/soft_disc", until: float = 5.0, **options) -> nv.Simulation:
     out = Path(directory)
     table = nv.Bodies(out / "bodies.csv")
     run = simulation(**options, observers=[table])

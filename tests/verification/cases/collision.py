@@ -25,7 +25,7 @@ PLACES = {"left": 0.37, "right": 1.03}
 SPEED, REACH = 0.2, 0.36
 BULK, SHEAR, DAMPING = 2.0, 1.0, 0.002
 """Of the discs, Pa and Pa s; their density is 1 kg/m^3."""
-SOFT, LIGHT, THIN = BULK, 0.1, DAMPING
+SOFT, LIGHT, THIN = 0.1, 0.05, 0.0002
 """Of the medium: bulk modulus, Pa, density, kg/m^3, and viscosity, Pa s."""
 TAU, END = 0.05, 2.2
 
@@ -62,6 +62,7 @@ def discs() -> tuple[nv.Simulation, nv.Bodies]:
         structured_box(SIZE, CELLS),
         nv.Model(bodies=tuple(bodies)),
         time=nv.TimeSteps(dt=TAU, scheme="midpoint", velocity_scale=5.0),
+        discretisation=nv.Discretisation(m=0),
         initial=nv.Initial(velocity=thrown(PLACES["left"]) - thrown(PLACES["right"])),
         observers=[table],
     )
