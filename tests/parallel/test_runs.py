@@ -170,7 +170,6 @@ GROUPS = {
 }
 ACTS = {
     "limited": "limited_cells",
-    "split bodies": "limited_cells",
     "split crowded": "limited_cells",
     "parameters": "limited_cells",
     "split parameters": "limited_cells",
