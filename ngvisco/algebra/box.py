@@ -40,7 +40,8 @@ def minimise_in_box(
     Raises
     ------
     StepError
-        Where the function does not fall: it is not convex.
+        Where the function does not fall: it is not convex.  A saddle that the steps fall towards is
+        not told from the minimum.
     """
     rising, falling = drag
     x = np.zeros(len(f))

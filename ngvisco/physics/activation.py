@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -19,7 +20,7 @@ GAS_CONSTANT = 8.31446261815324
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Activation:
+class _Activation(ABC):
     """a = exp(E/(R theta_R) - (E + p V)/(R theta)): how many times faster than at theta_R and p = 0."""
 
     E: Annotated[float, Quantity("J/mol", example=2e5)]
@@ -34,9 +35,9 @@ class _Activation:
             require_positive_moduli(self, temperature=self.temperature)
 
     @property
+    @abstractmethod
     def law(self) -> FlowRule | Viscosity:
         """What is activated."""
-        raise NotImplementedError
 
     @property
     def reads(self) -> frozenset[str]:

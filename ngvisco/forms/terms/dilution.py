@@ -5,10 +5,11 @@ A trace of a body, smeared into another one, is sheared without end, and an impl
 
     dt X + div(X v) = production(L; X) - c |L| w (X - n I),   w = (1 - theta)^4/((1 - theta)^4 + (4 theta)^4),
 
-with c = 3: faster than any L stretches, so that |X/n| stays bounded whatever the shear, a step keeps the sign
-of X, and steps tau -> 0 have a limit.  w is one half at theta = 1/5 and 4e-3 at 1/2.  The power is a column
+with c = 3: faster than any L stretches, so that |X/n| stays bounded whatever the shear, and steps tau -> 0
+have a limit.  w is one half at theta = 1/5 and 4e-3 at 1/2.  The power is a column
 of the ledger, >= 0: f(B) is least at B = I where it is not linear, and with zeta = G I the power is
-G c |L| w (tr X - 3 n), of which the trace is left out where it is negative, as it may be beside a jump.
+G c |L| w (tr X - 3 n), of which the trace is left out where it is negative, as it may be beside a jump: a
+trace that is too small stays so.
 """
 
 from __future__ import annotations
