@@ -10,8 +10,8 @@ from tests.verification.cases.manufactured import LABELS, NAMES, TERMS, THEME
 from tests.verification.convergence import coupled_rates
 
 V_RATES = {(2, 0): 1.0, (2, 1): 1.7, (2, 2): 1.7, (3, 0): 1.0, (3, 1): 1.7, (3, 2): 2.3}
-"""Asked of v with p = 4 in 2D: 2 for k = 2 (FORMULATION.md, Section 5), above 2 for k = 3, and no more than the
-fields it is coupled to."""
+"""Asked of v with p = 4 in 2D: 2 for k = 2 (FORMULATION.md, Section 5), above 2 for k = 3, and no more than
+the fields it is coupled to."""
 _SHARP = 1.7
 """Asked for order 2, where theory has no more: v for k = 2, and what is carried by it."""
 
@@ -19,8 +19,8 @@ _SHARP = 1.7
 def _least(dim: int, k: int, m: int) -> dict[str, float]:
     """The rates asked for.
 
-    In 2D m + 1, less 0.3.  In 3D with k = 3 or m = 2 what theory has: m + 1/2 of upwind transport on any mesh;
-    for v, whose momentum has a stress of that order, min(k, m + 1/2); and no more than order 2 with k = 2.
+    In 2D m + 1, less 0.3.  In 3D with k = 3 or m = 2 what theory has: m + 1/2 of upwind transport on any
+    mesh; for v, whose momentum has a stress of that order, min(k, m + 1/2); and no more than 2 with k = 2.
     """
     if dim == 3 and (k == 3 or m == 2):
         least = min(m + 0.5, _SHARP) if k == 2 else min(m + 0.5, k)
