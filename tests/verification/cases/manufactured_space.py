@@ -12,6 +12,7 @@ from tests.verification.convergence import coupled_rates
 V_RATES = {(2, 0): 1.0, (2, 1): 1.7, (2, 2): 1.7, (3, 0): 1.0, (3, 1): 1.7, (3, 2): 2.3}
 """Asked of v with p = 4 in 2D: 2 for k = 2 (FORMULATION.md, Section 5), above 2 for k = 3, and no more than
 the fields it is coupled to."""
+MOMENTUM = {"linear": "Euler-small-viscoelastodyn+1disc", "neo-hookean": "Euler-large-viscoelastodyn+1disc"}
 _SHARP = 1.7
 """Asked for order 2, where theory has no more: v for k = 2, and what is carried by it."""
 
@@ -96,7 +97,9 @@ def _case(kind: str, series: Series) -> Case:
                 f"rate of {what}, k = {series.k}, m = {m}",
                 ">=",
                 least,
-                "the lifted penalty with p = 4" if what == "v" else f"order {fields}, but not above v's",
+                f"the lifted penalty with p = 4; {MOMENTUM[kind]}"
+                if what == "v"
+                else f"order {fields}, but not above v's",
             )
             for m in series.degrees
             for what, least in _least(series.dim, series.k, m).items()

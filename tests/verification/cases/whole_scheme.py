@@ -169,7 +169,7 @@ OWN = {
         "‖F‖ L10/3": "Euler-large-est3-10/3",
         "‖J‖ L10/3": "Euler-large-est3-10/3",
         "sup ‖T‖ L1": "Euler-large-est3-10/3",
-        "sup ‖M‖ L1": "Euler-large-est3-10/3",
+        "sup ‖M‖ L1": "Euler-large-est3-10/3, Euler-larger-polyconvex-Mandel",
         "‖Pi‖ L2": "Euler-large-est3++",
         "‖∇Pi‖ Lq": "Euler-large-est3++",
         "sup ‖Pi‖ W1,q": "Euler-large-est-Lp",
