@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from materials import examples
 from netgen.meshing import Element2D, FaceDescriptor, MeshPoint, Pnt
 from netgen.meshing import Mesh as NetgenMesh
 from ngsolve import (
@@ -51,7 +52,6 @@ from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.geometries import box
-from ngvisco.physics.materials import examples
 from ngvisco.physics.tensors import dev, square
 from ngvisco.run.ledger import Ledger
 

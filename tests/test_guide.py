@@ -51,6 +51,7 @@ def copied(folder: Path) -> Path:
     """The sources that a program imports."""
     for name in ("ngvisco", "geometries", "tests/verification"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("pictures"))
+    shutil.copy(ROOT / "tests" / "materials.py", folder / "tests")
     return folder
 
 

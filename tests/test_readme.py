@@ -3,11 +3,11 @@
 import re
 
 from documents import ROOT, marked_blocks
+from materials import table
 
 import ngvisco as nv
 from ngvisco.case.catalogue import WALLS
 from ngvisco.geometries import box
-from ngvisco.physics.materials.catalogue import table
 
 README = ROOT / "README.md"
 LEDGER = ROOT / "ngvisco" / "run" / "LEDGER.md"

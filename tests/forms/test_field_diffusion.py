@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from materials import examples
 from ngsolve import CF, H1, VOL, ElementId, Integrate, cos, pi, x, y
 
 import ngvisco as nv
@@ -15,7 +16,6 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.convexity import StateSampling
 from ngvisco.physics.curvature import curvature_of
-from ngvisco.physics.materials.catalogue import examples
 from ngvisco.physics.pointwise import respond
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.variables import Jacobian

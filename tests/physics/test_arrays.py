@@ -5,10 +5,10 @@ from __future__ import annotations
 import ngsolve
 import numpy as np
 import pytest
+from materials import examples
 
 from ngvisco.physics.array_slope import CHUNK, array_slope
 from ngvisco.physics.arrays import Array, derivatives
-from ngvisco.physics.materials.catalogue import examples
 from ngvisco.physics.materials.custom import CustomMaterial
 from ngvisco.physics.materials.neo_hookean import NeoHookean
 from ngvisco.physics.materials.regularised import WithQuadratic

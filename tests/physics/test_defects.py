@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from materials import examples
 from support import tensor, tensors, value, values
 
 from ngvisco import Creep
 from ngvisco.physics.defects import relative_defects
-from ngvisco.physics.materials import examples
 
 EXAMPLES = {e.constructor: e.material for e in examples()}
 PAIRED = {

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from materials import examples
 from support import tensor, tensors, value
 
 import ngvisco as nv
 from ngvisco.physics.isotropy import require_isotropy
-from ngvisco.physics.materials import examples
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import Distortion, Jacobian, SmallStrain
 

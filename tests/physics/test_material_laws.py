@@ -5,12 +5,12 @@ import warnings
 
 import numpy as np
 import pytest
+from materials import examples, table
 from ngsolve import CF, Mesh, Parameter, unit_square
 from scipy.integrate import solve_ivp
 
 import ngvisco as nv
 from ngvisco.physics.material import cauchy_stress, conjugates, mandel_stress
-from ngvisco.physics.materials import examples, table
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import (
     Cofactor,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from materials import examples
 from ngsolve import Det, log
 from support import tensor, values
 
@@ -11,7 +12,6 @@ import ngvisco as nv
 from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.physics.convexity import StateSampling, check_convexity
 from ngvisco.physics.material import conjugates
-from ngvisco.physics.materials import examples
 from ngvisco.physics.pointwise import Response, respond
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian

@@ -4,12 +4,12 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from materials import examples
 from ngsolve import CF, cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.forms.terms.momentum import Stokes
 from ngvisco.geometries import box
-from ngvisco.physics.materials import examples
 from ngvisco.run.ledger import Ledger
 
 MODULI = {"K_e": 7.3, "G_e": 0.37}

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from materials import examples
 from ngsolve import CF, cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box, disc
-from ngvisco.physics.materials import examples
 
 EXAMPLES = {example.constructor: example.material for example in examples()}
 WALLS = {"top": nv.Traction(f=(1.0, 0.0), friction=0.2)}

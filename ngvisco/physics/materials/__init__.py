@@ -1,7 +1,6 @@
 """Constitutive laws, one family a file; each is a list of variables and an energy."""
 
 from ngvisco.physics.materials.barotropic import BarotropicFluid
-from ngvisco.physics.materials.catalogue import examples, table
 from ngvisco.physics.materials.conformation import FENEP, OldroydB
 from ngvisco.physics.materials.custom import CustomMaterial
 from ngvisco.physics.materials.damaged import Damaged
@@ -43,6 +42,4 @@ __all__ = [
     "Thermal",
     "WithQuadratic",
     "Yosida",
-    "examples",
-    "table",
 ]
