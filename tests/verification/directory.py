@@ -4,8 +4,7 @@
 |--------------------|-----------------------------------------------------------------------|
 | verification.json  | that this is a report's directory, and of which cases                 |
 | cases/NAME.json    | the result of a case, written when it is complete                     |
-| report.html        | the report with its pictures inside; written last, opens offline      |
-| report.md          | the same as Markdown                                                  |
+| report.md          | the report, written last                                              |
 | pictures/NAME.png  | its pictures                                                          |
 
 Every file is written beside its name and renamed.
@@ -22,7 +21,6 @@ from tests.verification.case import Case, Result, VerificationError
 
 MARKER = "verification.json"
 _KIND = "ngvisco verification report"
-REPORTS = ("report.html", "report.md")
 
 
 class ReportDirectory:
@@ -50,8 +48,7 @@ class ReportDirectory:
         if resume and not is_report:
             raise VerificationError(f"{path}: no report to go on with")
         # what an earlier report said is not what this one will say
-        for name in REPORTS:
-            (path / name).unlink(missing_ok=True)
+        (path / "report.md").unlink(missing_ok=True)
         content = {"kind": _KIND, "cases": [case.name for case in cases]}
         write_atomically(path / MARKER, json.dumps(content, indent=1).encode())
 

@@ -1,4 +1,4 @@
-"""Plots as PNG, by matplotlib (the extra ``plots``); None where that is missing."""
+"""Plots as PNG, by matplotlib."""
 
 from __future__ import annotations
 
@@ -7,17 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ngvisco.run.plots import PlotError, figure
+from ngvisco.run.plots import figure
 from tests.verification.case import Plot
-
-
-def can_draw() -> bool:
-    """Whether matplotlib is there."""
-    try:
-        figure(1, 1, (1, 1))
-    except PlotError:
-        return False
-    return True
 
 
 def draw(plot: Plot) -> bytes:

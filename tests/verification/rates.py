@@ -67,7 +67,11 @@ class RateTable:
             rows.append(row)
         return Table(self.title, columns, rows)
 
-    def plot(self, size: str = "h", error: str = "error") -> Plot:
-        """Errors over sizes, doubly logarithmic."""
+    def plot(self, size: str = "h", error: str = "error", slope: float | None = None, of: str = "") -> Plot:
+        """Errors over sizes, doubly logarithmic; with a line of a slope through a column's last point."""
         curves = [Curve(name, self.sizes, errors) for name, errors in self.errors.items()]
+        if slope is not None:
+            last = self.errors[of or next(iter(self.errors))][-1]
+            line = [last * (s / self.sizes[-1]) ** slope for s in self.sizes]
+            curves.append(Curve(f"slope {slope:g}", self.sizes, line, "k--"))
         return Plot(self.title, size, error, curves, log="xy")

@@ -10,7 +10,7 @@ from ngsolve import CF, CoefficientFunction, Integrate, Mesh, cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from tests.verification.case import Bound, Curve
+from tests.verification.case import Bound
 from tests.verification.problems import distance
 
 KINDS = {"linearised": "the linearised model", "finite": "the finite-strain model"}
@@ -101,9 +101,3 @@ def separation(one: nv.Simulation, other: nv.Simulation) -> dict[str, float]:
 def closure(*simulations: nv.Simulation) -> float:
     """The largest |closure| of all steps, relative."""
     return max(float(np.abs(run.ledger.column("closure_relative")).max()) for run in simulations)
-
-
-def slope_line(xs: list[float], ys: list[float], rate: float, label: str = "") -> Curve:
-    """A dashed line of slope ``rate`` through the last point, for doubly logarithmic plots."""
-    line = [ys[-1] * (s / xs[-1]) ** rate for s in xs]
-    return Curve(label or f"slope {rate:g}", xs, line, "k--")

@@ -8,7 +8,6 @@ from tests.verification.cases import (
     couette,
     creep_gradient,
     dependent,
-    estimates,
     flows,
     fronts,
     heat,
@@ -42,7 +41,6 @@ from tests.verification.cases import (
 
 MODULES = (
     stability,
-    estimates,
     limits,
     whole_scheme,
     sequence,

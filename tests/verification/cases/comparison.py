@@ -16,7 +16,6 @@ from tests.verification.setups import (
     block,
     closure,
     separation,
-    slope_line,
     square_mesh,
 )
 
@@ -51,8 +50,6 @@ def small_strain() -> Outcome:
             stress=distance(S, T, mesh) / distance(S, zero, mesh),
         )
         strains.append(distance(linear["E"], zero, mesh))
-    plot = table.plot("initial speed, m/s", "relative difference")
-    line = slope_line(table.sizes, table.errors["v"], 1.0)
     return Outcome(
         values={
             "last rate of v": table.last("v"),
@@ -61,7 +58,7 @@ def small_strain() -> Outcome:
             "largest |closure|": closure(*runs),
         },
         tables=[table.table("speed, m/s")],
-        plots=[Plot(plot.title, plot.xlabel, plot.ylabel, [*plot.curves, line], log="xy")],
+        plots=[table.plot("initial speed, m/s", "relative difference", 1.0, "v")],
         remarks=[
             f"Strains |E| in L2 from {strains[0]:.2g} down to {strains[-1]:.2g}.",
             "On one mesh the difference stops at that of the two models' errors in space: with k = 2, m "
@@ -100,8 +97,6 @@ def kelvin_voigt(kind: str) -> Outcome:
         runs.append(run)
         deviators[name] = sizes[-1]
         curves.append(Curve(name, [0.25 * (i + 1) for i in range(16)], sizes))
-    plot = table.plot("1/G_m, 1/(Pa s)", "distance in L2")
-    line = slope_line(table.sizes, table.errors["z"], 1.0)
     return Outcome(
         values={
             "last rate of v in 1/G_m": table.last("v"),
@@ -112,7 +107,7 @@ def kelvin_voigt(kind: str) -> Outcome:
         },
         tables=[table.table("1/G_m")],
         plots=[
-            Plot(plot.title, plot.xlabel, plot.ylabel, [*plot.curves, line], log="xy"),
+            table.plot("1/G_m, 1/(Pa s)", "distance in L2", 1.0, "z"),
             Plot("Stress deviator under gravity", "t, s", "Pa m", curves, log="y"),
         ],
     )
@@ -153,8 +148,6 @@ def fluid(kind: str) -> Outcome:
             continue
         runs.append(run)
         table.add(1 / G, v=separation(run, newtonian)["v"])
-    plot = table.plot("1/G, 1/Pa", "distance in L2")
-    line = slope_line(table.sizes, table.errors["v"], 1.0)
     return Outcome(
         values={
             "last rate of v in 1/G": table.last("v"),
@@ -171,7 +164,7 @@ def fluid(kind: str) -> Outcome:
         if kind == "finite"
         else unsolved,
         tables=[table.table("1/G")],
-        plots=[Plot(plot.title, plot.xlabel, plot.ylabel, [*plot.curves, line], log="xy")],
+        plots=[table.plot("1/G, 1/Pa", "distance in L2", 1.0, "v")],
     )
 
 

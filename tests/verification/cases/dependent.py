@@ -12,10 +12,10 @@ from ngsolve import CF, CoefficientFunction, Cof, Det, cos, log, pi, sin, x, y, 
 
 import ngvisco as nv
 from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, Values, Variable
-from tests.verification.case import Bound, Case, Outcome, Plot
+from tests.verification.case import Bound, Case, Outcome
 from tests.verification.problems import distance, refinements
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, SETTING, block, closure, slope_line, square_mesh
+from tests.verification.setups import CLOSURE, SETTING, block, closure, square_mesh
 
 THEME = "Dependent variables"
 COFACTORS = nv.MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
@@ -66,11 +66,6 @@ def measure(material: nv.Material) -> Outcome:
         run.run(DURATION)
         more.append(run)
         alone.add(delta, **{name: abs(value - rest[name]) for name, value in defects(run).items()})
-    plots = []
-    for table, size in ((plain, "h, m"), (together, "h, m")):
-        plot, name = table.plot(size, "defect in L2"), next(iter(table.errors))
-        line = slope_line(table.sizes, table.errors[name], 1.0)
-        plots.append(Plot(plot.title, plot.xlabel, plot.ylabel, [*plot.curves, line], log="xy"))
     return Outcome(
         values={
             **{f"last rate of {name}, tau and h": plain.last(name) for name in plain.errors},
@@ -80,7 +75,7 @@ def measure(material: nv.Material) -> Outcome:
             "least J": min(_least(run) for run in runs),
         },
         tables=[plain.table("h, m"), together.table("h, m"), alone.table("delta, m2/s")],
-        plots=plots,
+        plots=[table.plot("h, m", "defect in L2", 1.0) for table in (plain, together)],
         remarks=[
             "In plane strain H_33 is the only entry of Cof F that is not linear in F: both defects are one "
             "(in space they differ: dependent-cofactor-3d).  Of the coarsest mesh, two cells a side, no rate "
@@ -142,8 +137,6 @@ def measure_in_space() -> Outcome:
         run.run(DURATION)
         table.add(h, **defects(run))
         runs.append((closure(run), _least(run)))
-    plot = table.plot("h, m", "defect in L2")
-    line = slope_line(table.sizes, table.errors["H - Cof F"], 1.0)
     return Outcome(
         values={
             **{f"last rate of {name}": table.last(name) for name in table.errors},
@@ -152,7 +145,7 @@ def measure_in_space() -> Outcome:
         },
         tables=[table.table("h, m")],
         remarks=["Twelve tetrahedra do not see the motion; the rate is that of the other two meshes."],
-        plots=[Plot(plot.title, plot.xlabel, plot.ylabel, [*plot.curves, line], log="xy")],
+        plots=[table.plot("h, m", "defect in L2", 1.0, "H - Cof F")],
     )
 
 

@@ -10,7 +10,7 @@ from ngsolve import Integrate, Mesh
 import ngvisco as nv
 from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.physics.tensors import square
-from tests.verification.case import Bound, Case, Outcome, Plot, Table
+from tests.verification.case import Bound, Case, Outcome, Table
 from tests.verification.rates import RateTable
 from tests.verification.setups import (
     CLOSURE,
@@ -20,7 +20,6 @@ from tests.verification.setups import (
     block,
     closure,
     separation,
-    slope_line,
     square_mesh,
 )
 
@@ -93,8 +92,7 @@ def measure(kind: str) -> Outcome:
             rows.append([p, mu, *describe(run)])
             table.add(mu, **separation(run, without))
         values[f"last rate of v as mu -> 0, p = {p:g}"] = table.last("v")
-        plot, line = table.plot("mu", "distance in L2"), slope_line(table.sizes, table.errors["v"], 1.0)
-        plots.append(Plot(plot.title, plot.xlabel, plot.ylabel, [*plot.curves, line], log="xy"))
+        plots.append(table.plot("mu", "distance in L2", 1.0, "v"))
         tables.append(table.table("mu"))
     for p in EXPONENTS:
         run = run_of(kind, nv.HyperViscosity(mu=1e-3, p=p))

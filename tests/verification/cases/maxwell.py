@@ -69,9 +69,7 @@ def _relaxation() -> Outcome:
 AMPLITUDE, OMEGA = 1e-3, PI / 2
 
 
-def oscillating(
-    steps: int, scheme: str = "backward-euler"
-) -> tuple[nv.Simulation, np.ndarray, np.ndarray, np.ndarray]:
+def oscillating(steps: int) -> tuple[nv.Simulation, np.ndarray, np.ndarray, np.ndarray]:
     """Shear rate AMPLITUDE sin(omega t); the body force keeps v linear in y, as without inertia.
 
     Returns the run, times, T_12 over eta times AMPLITUDE and the closed form of it.
@@ -85,7 +83,6 @@ def oscillating(
         model,
         dt=8 / steps,
         walls={"top": wall, "bottom": nv.NoSlip()},
-        scheme=scheme,
     )
     rows = []
     for _ in range(steps):

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import product
 
 import numpy as np
-from ngsolve import CoefficientFunction, Mesh, cos, pi, sin, x, y
+from ngsolve import Mesh, cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -94,24 +93,16 @@ def material(kind: str, stiffness: float, ratio: float) -> nv.Material:
     return nv.ReferentialNeoHookean(K_e=ratio * stiffness, G_e=stiffness / 2, elastic_state="F")
 
 
-def attempt(
-    kind: str,
-    stiffness: float,
-    ratio: float,
-    viscosity: float,
-    tau: float,
-    mesh: Mesh | None = None,
-    drift: tuple[CoefficientFunction, ...] = DRIFT,
-) -> tuple[Tally, str]:
+def attempt(kind: str, stiffness: float, ratio: float, viscosity: float, tau: float) -> tuple[Tally, str]:
     """Three steps of one configuration, and how it failed, if it did."""
     tally = Tally(tried=STEPS)
     run = block(
         kind,
         tau,
-        mesh=mesh or drifting_mesh(),
+        mesh=drifting_mesh(),
         of=material(kind, stiffness, ratio),
         viscosity=viscosity,
-        initial=nv.Initial(density=1 + 0.2 * cos(2 * pi * x), velocity=drift),
+        initial=nv.Initial(density=1 + 0.2 * cos(2 * pi * x), velocity=DRIFT),
     )
     run.stepper = stepper = FirstTry(tau)
     failure = ""
@@ -133,35 +124,29 @@ def attempt(
 AXES = {"stiffness, Pa": STIFFNESS, "K_e/G_e": RATIOS, "viscosity, Pa s": VISCOSITIES, "tau, s": TAUS}
 
 
-def measure(
-    kind: str,
-    axes: Mapping[str, Sequence[float]] = AXES,
-    mesh: Mesh | None = None,
-    drift: tuple[CoefficientFunction, ...] = DRIFT,
-) -> Outcome:
+def measure(kind: str) -> Outcome:
     """The whole grid, summed along each of its axes."""
-    sums = {(name, value): Tally() for name, values in axes.items() for value in values}
+    sums = {(name, value): Tally() for name, values in AXES.items() for value in values}
     total = Tally()
     failures: list[list[str | float]] = []
-    for point in product(*axes.values()):
+    for point in product(*AXES.values()):
         stiffness, ratio, viscosity, tau = point
-        tally, failure = attempt(kind, stiffness, ratio, viscosity, tau, mesh, drift)
+        tally, failure = attempt(kind, stiffness, ratio, viscosity, tau)
         total.add(tally)
-        for name, value in zip(axes, point, strict=True):
+        for name, value in zip(AXES, point, strict=True):
             sums[name, value].add(tally)
         if failure:
             failures.append([*point, tally.directly + tally.helped, failure])
     rows: list[list[str | float]] = [[name, value, *tally.row] for (name, value), tally in sums.items()]
     rows.append(["all", "", *total.row])
     columns = ["", "value", "steps", "first try", "solved", "its a step", "closure", "CFL"]
-    taus = axes["tau, s"]
     curves = [
-        Curve("at first try", list(taus), [sums["tau, s", tau].row[1] for tau in taus]),
-        Curve("solved", list(taus), [sums["tau, s", tau].row[2] for tau in taus], "s--"),
+        Curve("at first try", TAUS, [sums["tau, s", tau].row[1] for tau in TAUS]),
+        Curve("solved", TAUS, [sums["tau, s", tau].row[2] for tau in TAUS], "s--"),
     ]
     tables = [Table("shares of the steps, summed over the other parameters", columns, rows)]
     if failures:
-        tables.append(Table("what fails", [*axes, "steps solved", "why"], failures))
+        tables.append(Table("what fails", [*AXES, "steps solved", "why"], failures))
     return Outcome(
         values={
             "share of the steps solved at the first try": total.row[1],

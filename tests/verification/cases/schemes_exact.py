@@ -13,66 +13,12 @@ import ngvisco as nv
 from ngvisco.forms.context import time
 from ngvisco.geometries import channel
 from tests.verification.case import Bound, Case, Outcome
-from tests.verification.cases.maxwell import oscillating
 from tests.verification.cases.rheology import startup
 from tests.verification.cases.schemes import LABEL, SECOND_ORDER, THEME
-from tests.verification.cases.shear import ETA, RATE, TABLE, G, sheared
 from tests.verification.convergence import free_solution, separation
 from tests.verification.models import KINDS as MODELS
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, KINDS, closure
-
-# --- shear -----------------------------------------------------------------------------------------------
-
-
-def _jaumann(scheme: str) -> Outcome:
-    table, runs = RateTable("largest error in t <= 2 s, relative to eta gamma'"), []
-    times = (0.25, 0.5, 1.0, 2.0)
-    for steps in (16, 32, 64):
-        run, rows = sheared(
-            nv.LinearElastic(K_e=2 * G, G_e=G), 2 / steps, 2.0, rate=RATE, G_m=2 * ETA, scheme=scheme
-        )
-        r, t = RATE, rows[:, 0]
-        decay, scale = np.exp(-t), RATE * ETA / (1 + RATE**2)
-        tau_12 = scale * (1 - decay * (np.cos(r * t) - r * np.sin(r * t)))
-        tau_11 = scale * (r - decay * (r * np.cos(r * t) + np.sin(r * t)))
-        table.add(
-            2 / steps,
-            tau_12=float(np.abs(rows[:, 1] - tau_12).max() / (RATE * ETA)),
-            tau_11=float(np.abs(rows[:, 3] - tau_11).max() / (RATE * ETA)),
-        )
-        runs.append(run)
-    at_table = max(abs(rows[round(t * 32), 1] / TABLE[t][0] - 1) for t in times)
-    return Outcome(
-        values={
-            "rate of tau_12": table.last("tau_12"),
-            "rate of tau_11": table.last("tau_11"),
-            "relative error against the reference's table, 64 steps": float(at_table),
-            "largest |closure|": closure(*runs),
-        },
-        tables=[table.table("tau, s")],
-        plots=[table.plot("tau, s", "error")],
-    )
-
-
-def _oscillation(scheme: str) -> Outcome:
-    table, runs, plain = RateTable("largest error, relative to eta gamma_0"), [], 0.0
-    for steps in (40, 80, 160):
-        run, _, found, exact = oscillating(steps, scheme)
-        table.add(8 / steps, tau_12=float(np.abs(found - exact).max()))
-        runs.append(run)
-    _, _, found, exact = oscillating(160)
-    plain = float(np.abs(found - exact).max())
-    return Outcome(
-        values={
-            "rate in tau": table.last("tau_12"),
-            "error at 80 steps a period": table.errors["tau_12"][-1],
-            "the same by backward Euler / by this scheme": plain / table.errors["tau_12"][-1],
-            "largest |closure|": closure(*runs),
-        },
-        tables=[table.table("tau, s")],
-        plots=[table.plot("tau, s", "error")],
-    )
 
 
 def channel_velocity(y: np.ndarray, t: float, nu: float, speed: float) -> np.ndarray:
@@ -141,27 +87,7 @@ def _manufactured(scheme: str, kind: str) -> Outcome:
 
 def _cases(scheme: str) -> tuple[Case, ...]:
     midpoint = scheme == "midpoint"
-    order = Bound("rate in tau", ">=", 1.9, "second order")
-    shear = (
-        Case(
-            name=f"jaumann-shear-{scheme}",
-            theme=THEME,
-            statement=f"By {scheme} the stresses of a Zaremba–Jaumann Maxwell fluid in simple shear are "
-            "those "
-            "of the closed form, to second order and without extrapolation.",
-            label="ZJ, Euler-small-flow-rule; Farrington et al. 2014",
-            setting="The channel of jaumann-shear until 2 s; 16, 32, 64 steps.",
-            bounds=(
-                Bound("rate of tau_12", ">=", 1.9, "second order"),
-                Bound("rate of tau_11", ">=", 1.9, "second order"),
-                Bound(
-                    "relative error against the reference's table, 64 steps", "<=", 1e-3, "as extrapolated"
-                ),
-                CLOSURE,
-            ),
-            run=partial(_jaumann, scheme),
-            reduced=midpoint,
-        ),
+    return (
         *(
             Case(
                 name=f"jeffreys-startup-{kind}-{scheme}",
@@ -180,23 +106,6 @@ def _cases(scheme: str) -> tuple[Case, ...]:
                 run=partial(startup, kind, scheme),
             )
             for kind in KINDS
-        ),
-        Case(
-            name=f"oscillatory-shear-{scheme}",
-            theme=THEME,
-            statement=f"By {scheme} oscillatory shear of a Maxwell material follows the closed form to "
-            "second "
-            "order: the excess viscosity G dt/2 of backward Euler is gone.",
-            label="Euler-small-viscoelastodyn+2; Underworld3",
-            setting="The channel of oscillatory-shear: load and lid depend on time; 40, 80, 160 steps in two "
-            "periods.",
-            bounds=(
-                order,
-                Bound("error at 80 steps a period", "<=", 1e-3, "second order"),
-                Bound("the same by backward Euler / by this scheme", ">=", 20.0, "an order more"),
-                CLOSURE,
-            ),
-            run=partial(_oscillation, scheme),
         ),
         Case(
             name=f"couette-startup-{scheme}",
@@ -219,9 +128,9 @@ def _cases(scheme: str) -> tuple[Case, ...]:
                 CLOSURE,
             ),
             run=partial(_couette, scheme),
+            reduced=midpoint,
         ),
     )
-    return shear
 
 
 ORDERS = {"backward-euler": (1, 0.85), "midpoint": (2, 1.9), "sdirk2": (2, 1.9)}

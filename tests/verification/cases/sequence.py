@@ -13,11 +13,11 @@ from ngvisco.forms.term import tested
 from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import sym
 from ngvisco.run.simulation import Simulation
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot
+from tests.verification.case import Bound, Case, Outcome
 from tests.verification.cases.whole_scheme import RHO_MAX, THEME, WHOLE, whole
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, KINDS, closure, slope_line, square_mesh, state
+from tests.verification.setups import CLOSURE, KINDS, closure, square_mesh, state
 
 DURATION = 0.08
 MESHES = (0.35, 0.175)
@@ -101,17 +101,11 @@ def sequence(
             least[name] = {field: min(rates[field], known[field]) for field in rates}
             tables.append(table.table(name))
             if h == list(meshes)[-1]:
-                plots.append(_plot(table, name))
+                plots.append(table.plot(name, "distance in L2", RATES[name][0], "z"))
     for name, rates in least.items():
         values |= {f"last rate of {field} in {name}": rate for field, rate in rates.items()}
     values["largest rho"] = max(float(run.ledger.column("rho_max").max()) for run in everything)
     return Outcome(values=values | {"largest |closure|": closure(*everything)}, tables=tables, plots=plots)
-
-
-def _plot(table: RateTable, name: str) -> Plot:
-    plot = table.plot(name, "distance in L2")
-    line: Curve = slope_line(table.sizes, table.errors["z"], RATES[name][0])
-    return Plot(plot.title, plot.xlabel, plot.ylabel, [*plot.curves, line], log="xy")
 
 
 RATES = {

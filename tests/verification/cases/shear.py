@@ -177,30 +177,6 @@ def _start_up() -> Outcome:
     )
 
 
-def _hypoelastic() -> Outcome:
-    material, until = nv.LinearElastic(K_e=2 * G, G_e=G), 2.0
-    table, curves = RateTable("largest error over gamma <= 2, relative to G"), []
-    for steps in (20, 40, 80):
-        _, rows = sheared(material, until / steps, until, rate=1.0)
-        gamma = rows[:, 0]
-        error_12 = np.abs(rows[:, 1] - G * np.sin(gamma)).max() / G
-        error_11 = np.abs(rows[:, 3] - G * (1 - np.cos(gamma))).max() / G
-        table.add(until / steps, tau_12=float(error_12), tau_11=float(error_11))
-        xs = [float(g) for g in gamma]
-        curves.append(Curve(f"tau_12, {steps} steps", xs, [float(v) for v in rows[:, 1]], "."))
-    curves.append(Curve("G sin gamma", xs, [float(G * math.sin(g)) for g in xs], "k-"))
-    return Outcome(
-        values={
-            "rate of tau_12": table.last("tau_12"),
-            "rate of tau_11": table.last("tau_11"),
-            "error of tau_12, extrapolated": abs(2 * table.errors["tau_12"][-1] - table.errors["tau_12"][-2]),
-            "error of tau_11, extrapolated": abs(2 * table.errors["tau_11"][-1] - table.errors["tau_11"][-2]),
-        },
-        tables=[table.table("tau, s")],
-        plots=[Plot("Zaremba–Jaumann elasticity in simple shear", "gamma", "Pa", curves)],
-    )
-
-
 def _neo_hookean() -> Outcome:
     material = nv.NeoHookean(K_e=3.0, G_e=0.7, epsilon=0.2)
     run, rows = sheared(material, 0.1, 2.0, rate=1.0, viscosity=0.1)
@@ -260,22 +236,6 @@ CASES = (
             CLOSURE,
         ),
         run=_start_up,
-    ),
-    Case(
-        name="jaumann-elastic",
-        theme=THEME,
-        statement="Without creep the Zaremba–Jaumann stress is G sin gamma, and the normal one G (1 − "
-        "cos gamma).",
-        label="ZJ; elastic limit of Farrington et al. 2014",
-        setting="The same channel with G = 100 Pa, shear rate 1/s, up to gamma = 2; 20, 40, 80 steps.",
-        bounds=(
-            Bound("rate of tau_12", ">=", 0.9, "implicit Euler"),
-            Bound("rate of tau_11", ">=", 0.9, "implicit Euler"),
-            Bound("error of tau_12, extrapolated", "<=", 2e-3, "one extrapolation"),
-            Bound("error of tau_11, extrapolated", "<=", 2e-3, "one extrapolation"),
-        ),
-        run=_hypoelastic,
-        reduced=True,
     ),
     Case(
         name="neo-hookean-shear",
