@@ -29,7 +29,6 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from scipy.optimize import root_scalar
 
 from ngvisco.errors import StepError
 from ngvisco.forms.bounds import Bounds
@@ -407,6 +406,8 @@ class Integrator:
             # R jumps where cells begin to be limited, and such a step is not without dissipation anyway
             omega = 2.0 if wanted is None else wanted
         elif lost > noise:
+            from scipy.optimize import root_scalar  # a tenth of the package's time to be imported
+
             try:
                 found = root_scalar(
                     lambda omega: sum(end_at(omega)[0].values()) / lost,
