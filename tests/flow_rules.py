@@ -11,6 +11,8 @@ EXAMPLES: dict[str, nv.FlowRule] = {
     "Norton, n = 10": nv.Norton(A=0.2, n=10),
     "Bingham": nv.Perzyna(sigma_Y=0.5, G_m=0.5),
     "Perzyna, n = 2.5": nv.Perzyna(sigma_Y=0.5, G_m=0.5, n=2.5),
+    "linear hardening": nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=2.0),
+    "Voce": nv.Perzyna(sigma_Y=0.5, G_m=0.5, n=2, Q=1.0, b=5.0),
     "Drucker-Prager": nv.DruckerPrager(cohesion=0.3, friction_angle=30.0, G_m=0.5),
     "Eyring": nv.Eyring(A=0.5, sigma_0=0.5),
     "composite": nv.Composite(rules=(nv.Creep(G_m=5.0), nv.Norton(A=0.2, n=4))),

@@ -14,6 +14,7 @@ from typing import Literal, TypeAlias
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
+from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.flows import Flow
 from ngvisco.physics.material import mandel_stress, rate_power
@@ -21,7 +22,7 @@ from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.model import Model
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import identity_like, inner, square, tr, trace_free_tensors
-from ngvisco.physics.variables import PRESSURE, TEMPERATURE, Values
+from ngvisco.physics.variables import HARDENING, PRESSURE, TEMPERATURE, Values
 
 Conjugate: TypeAlias = Literal["z", "zeta"]
 """Whether a rate is taken with tests of z or with conjugates."""
@@ -100,10 +101,10 @@ class Rates:
         return None if conformation is None else u.zeta_tensors[conformation]
 
     def read_values(self, law: FlowRule | Viscosity, u: Fields) -> Values:
-        """The values z that a law may read, with pressure and temperature where it asks for them."""
+        """The values z that a law may read, with pressure and others where it asks for them."""
         if not law.reads:
             return u.z_tensors
-        made = {PRESSURE: self.pressure, TEMPERATURE: self.temperature}
+        made = {PRESSURE: self.pressure, TEMPERATURE: self.temperature, HARDENING: self.hardening}
         return {**u.z_tensors, **{name: made[name](u) for name in sorted(law.reads)}}
 
     def temperature(self, u: Fields) -> CoefficientFunction:
@@ -116,6 +117,10 @@ class Rates:
         power = rate_power(self.material, u.z_tensors, u.zeta_tensors, identity, 0 * u.L)
         return (-1 / 3) * power - self.stored(u)
 
+    def hardening(self, u: Fields) -> CoefficientFunction:
+        """phi_h'(k) by the projected conjugates, Pa, of a rule that hardens."""
+        return u.zeta_tensors[PLASTIC_STRAIN.name]
+
     def stored(self, u: Fields) -> CoefficientFunction:
         """phi(z), Pa."""
         return u.context.energy.density(u)
@@ -126,7 +131,13 @@ class Rates:
         return sum(parts[1:], parts[0]) if parts else None
 
     def power_of_creep(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        """That of one flow with the rate Pi, W/m^3."""
+        """That of one flow with the rate Pi, W/m^3, without what hardening stores of it."""
+        power = self._whole_power_of_creep(flow, Pi, u)
+        if flow.rule.hardening is None:
+            return power
+        return power - self.hardening(u) * flow.rule.hardening_rate(Pi)
+
+    def _whole_power_of_creep(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
         if not flow.rule.is_local:
             return inner(flow.rule.force(Pi, self.read_values(flow.rule, u)), Pi)
         if not flow.rule.has_trace:

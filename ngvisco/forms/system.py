@@ -40,7 +40,7 @@ from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Discretisation, Layout
 from ngvisco.forms.tabulated_rates import TabulatedRates
 from ngvisco.forms.term import Entry, Integrand, Term
-from ngvisco.forms.terms.creep import CreepRate
+from ngvisco.forms.terms.creep import CreepRate, PlasticStraining
 from ngvisco.forms.terms.dilution import dilution_terms
 from ngvisco.forms.terms.heat import heat_terms
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
@@ -71,6 +71,7 @@ def equations(model: Model, dim: int) -> tuple[Term, ...]:
     terms += [Kinematics(model), Conjugates(model), UpwindTrace(), *dilution_terms(model.material)]
     if model.creep is not None and not model.creep.is_local:
         terms.append(CreepRate(model.creep))
+    terms += [PlasticStraining(flow) for flow in model.flows if flow.rule.hardening is not None]
     return (*terms, *regularising_terms(model, dim))
 
 

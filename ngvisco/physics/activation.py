@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, require_number, require_positive
+from ngvisco.physics.flow_rules.hardening import Hardening
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.parameters import Modulus, require_positive_moduli, value_at
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
@@ -101,6 +102,10 @@ class Activated(_Activation, FlowRule):  # type: ignore[override]
     @property
     def flows(self) -> bool:
         return self.rule.flows
+
+    @property
+    def hardening(self) -> Hardening | None:
+        return self.rule.hardening
 
     def rate(
         self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values

@@ -18,6 +18,7 @@ from ngvisco.physics.flows import Flow
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import ElasticState, Material, check_material
 from ngvisco.physics.materials.damaged import damage_in
+from ngvisco.physics.materials.hardened import hardened
 from ngvisco.physics.materials.heterogeneous import carrying
 from ngvisco.physics.materials.thermal import entropy_in, thermal_part, warming
 from ngvisco.physics.mixture import MixedViscosity, Mixture, mixed_viscosity
@@ -186,7 +187,8 @@ class Model:
         if self.creep is not None and self.creep.reads_conjugate and self.material.conformation is None:
             raise ParameterError("Model.creep", self.creep, "a material with a conformation tensor")
         state = "B" if self.bodies else default_elastic_state(self.creep)
-        material = carrying(self.material.with_elastic_state(state), carried)
+        plain = hardened(self.material.with_elastic_state(state), None)
+        material = hardened(carrying(plain, carried), None if self.creep is None else self.creep.hardening)
         check_material(material)
         object.__setattr__(self, "material", material)
         if isinstance(material, Mixture):
@@ -286,6 +288,8 @@ class Model:
                 expected = "nu = 0: the creep of several bodies is local"
             elif law.reads_conjugate or law.has_trace:
                 expected = "a flow rule that reads no conformation tensor, which no body has"
+            elif law.hardening is not None:
+                expected = "H = 0 and Q = 0: the plastic strain of one body would be that of all"
             if expected:
                 raise ParameterError(f"bodies[{body.name!r}].creep", law, expected)
 

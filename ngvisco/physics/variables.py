@@ -40,8 +40,8 @@ from ngvisco.physics.tensors import IDENTITY, skw, sym, tr
 
 Values = Mapping[str, CoefficientFunction]
 
-PRESSURE, TEMPERATURE = "pressure", "temperature"
-"""Under which names ``Values`` have -tr T/3, Pa, and theta, K, for the laws that read them."""
+PRESSURE, TEMPERATURE, HARDENING = "pressure", "temperature", "hardening"
+"""Under which names ``Values`` have -tr T/3, Pa, theta, K, and d phi/dk, Pa, for the laws that read them."""
 
 
 @dataclass(frozen=True)

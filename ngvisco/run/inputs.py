@@ -26,6 +26,7 @@ from ngvisco.physics.materials import (
     WithQuadratic,
     Yosida,
 )
+from ngvisco.physics.materials.hardened import Hardened
 from ngvisco.physics.materials.heterogeneous import Heterogeneous
 from ngvisco.physics.model import Model
 from ngvisco.physics.walls import Wall
@@ -64,7 +65,7 @@ def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
 def _is_own(material: Material) -> bool:
     """Whether what the regularising wrappers hold in the end is a user's energy."""
     held: Material | None = material
-    while isinstance(held, (WithQuadratic, Yosida, Heterogeneous, Damaged, Thermal)):
+    while isinstance(held, (WithQuadratic, Yosida, Hardened, Heterogeneous, Damaged, Thermal)):
         held = held.material
     return isinstance(held, (CustomMaterial, IsotropicStrainEnergy))
 

@@ -31,7 +31,10 @@ density = 1
 CREEPS = {
     "Linear": ("G_m = 2", nv.Creep(G_m=2)),
     "Norton": ('A = "0.5 Hz/MPa^3", n = 3', nv.Norton(A=0.5e-18, n=3)),
-    "Perzyna": ('sigma_Y = "3 kPa", G_m = 2', nv.Perzyna(sigma_Y=3000.0, G_m=2)),
+    "Perzyna": (
+        'sigma_Y = "3 kPa", G_m = 2, H = "1 kPa", Q = 2, b = 20',
+        nv.Perzyna(sigma_Y=3000.0, G_m=2, H=1000.0, Q=2, b=20),
+    ),
     "DruckerPrager": (
         "cohesion = 1, friction_angle = 30, G_m = 2",
         nv.DruckerPrager(cohesion=1, friction_angle=30, G_m=2),
@@ -89,8 +92,9 @@ def test_every_kind_is_tried():
 def test_a_case_names_a_flow_rule(kind, tmp_path):
     keys, expected = CREEPS[kind]
     assert case_of(ONE, f'kind = "{kind}", {keys}', tmp_path).model(2).creep == expected
+    keys = keys.partition(", H")[0]  # bodies do not harden
     (body,) = case_of(TWO, f'kind = "{kind}", {keys}', tmp_path).model(2).bodies
-    assert body.creep == expected
+    assert body.creep == (nv.Perzyna(sigma_Y=3000.0, G_m=2) if kind == "Perzyna" else expected)
 
 
 @pytest.mark.parametrize("kind", VISCOSITIES)
@@ -112,6 +116,7 @@ def test_creep_without_a_kind_is_linear(tmp_path):
         ('kind = "Nortom", A = 1, n = 3', "rheology.creep.*Nortom.*Norton"),
         ('kind = "Norton", A = 1, n = 0.5', "rheology.creep.*n.*from 1 to 10"),
         ('kind = "Perzyna", sigma_Y = -1, G_m = 1', "rheology.creep.*sigma_Y"),
+        ('kind = "Perzyna", sigma_Y = 1, G_m = 1, H = -1', "rheology.creep.*H"),
         ('kind = "Norton", G_m = 1, A = 1, n = 3', "rheology.creep.*G_m"),
         ('kind = "Composite", rules = [{ kind = "Norton", A = 1, n = 20 }]', "rheology.creep.rules.0.*n"),
         ('kind = "Activated", E = 1, theta_R = 2, rule = { G_m = -1 }', "rheology.creep.rule.*G_m"),

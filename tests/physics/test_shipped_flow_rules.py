@@ -13,19 +13,22 @@ import ngvisco as nv
 from ngvisco.errors import ParameterError
 from ngvisco.physics.arrays import Array
 from ngvisco.physics.increments import TINY
-from ngvisco.physics.variables import PRESSURE
+from ngvisco.physics.variables import HARDENING, PRESSURE
 
 UNIAXIAL = np.diag([2.0, -1.0, -1.0]) / 3
 SHEAR = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 
 
+UNHARDENED = {HARDENING: Array(np.zeros(1), None)}
+
+
 def rate(rule, M, pressure=0.0):
-    values = {PRESSURE: Array(np.array([pressure]), None)}
+    values = UNHARDENED | {PRESSURE: Array(np.array([pressure]), None)}
     return rule.rate(Array(np.asarray(M)[..., None], None), None, values).value[..., 0]
 
 
 def stress(rule, Pi):
-    return rule.force(Array(np.asarray(Pi)[..., None], None), {}).value[..., 0]
+    return rule.force(Array(np.asarray(Pi)[..., None], None), UNHARDENED).value[..., 0]
 
 
 @pytest.mark.parametrize(
@@ -66,7 +69,7 @@ def test_psi_is_the_dual_of_the_rate_s_potential(name):
     rates = [rate(rule, size * SHEAR) for size in sizes]
     for size, Pi in zip(sizes, rates, strict=True):
         assert stress(rule, Pi) == pytest.approx(size * SHEAR, rel=1e-6)
-    at = [float(rule.psi(Array(Pi[..., None], None), {}).value[0]) for Pi in rates]
+    at = [float(rule.psi(Array(Pi[..., None], None), UNHARDENED).value[0]) for Pi in rates]
     power, _ = quad(lambda size: 2 * rate(rule, size * SHEAR)[0, 1], *sizes, epsrel=1e-12)
     complementary = sum(
         sign * size * 2 * Pi[0, 1] for sign, size, Pi in zip((-1, 1), sizes, rates, strict=True)
@@ -94,6 +97,12 @@ def test_slopes_by_complex_increments_are_those_of_differences(name, size):
         (lambda: nv.Perzyna(sigma_Y=-1.0, G_m=1.0), "Perzyna.sigma_Y"),
         (lambda: nv.Perzyna(sigma_Y=1.0, G_m=0.0), "Perzyna.G_m"),
         (lambda: nv.Perzyna(sigma_Y=1.0, G_m=1.0, n=20), "Perzyna.n"),
+        (lambda: nv.Perzyna(sigma_Y=1.0, G_m=1.0, H=-1.0), "Perzyna.H"),
+        (lambda: nv.Perzyna(sigma_Y=1.0, G_m=1.0, Q=1.0, b=0.0), "Perzyna.b"),
+        (
+            lambda: nv.Composite(rules=(nv.Perzyna(sigma_Y=1.0, G_m=1.0, H=1.0),)),
+            r"Composite.rules\[Perzyna\].H",
+        ),
         (lambda: nv.DruckerPrager(cohesion=-1.0, friction_angle=30.0, G_m=1.0), "DruckerPrager.cohesion"),
         (
             lambda: nv.DruckerPrager(cohesion=1.0, friction_angle=90.0, G_m=1.0),

@@ -20,6 +20,8 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm
 from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
+from ngvisco.physics.flows import Flow
 from ngvisco.physics.tensors import inner, square, trace_free_tensors
 
 
@@ -51,3 +53,18 @@ class CreepRate(PointTerm):
             "dissipation_creep": rates.dissipation(u),
             "dissipation_creep_gradient": rates.gradient_dissipation(u),
         }
+
+
+@dataclass(frozen=True)
+class PlasticStraining(PointTerm):
+    """- int dk/dt q in the equation of the plastic strain k, q its test, dk/dt = sqrt(2/3) |Pi|.
+
+    q = zeta_k = phi_h'(k) gives the power that hardening stores: ``dissipation_creep`` is without it.
+    """
+
+    flow: Flow
+
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        rates = u.context.rates
+        (Pi,) = rates.creep(u)
+        return [-self.flow.rule.hardening_rate(Pi) * w.z_tensors[PLASTIC_STRAIN.name]]

@@ -17,7 +17,7 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.pointwise import squares
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import trace_free_tensors
-from ngvisco.physics.variables import PRESSURE, TEMPERATURE, Values
+from ngvisco.physics.variables import HARDENING, PRESSURE, TEMPERATURE, Values
 
 _SIZES = 10.0 ** np.arange(-9, 13)
 """|M|, Pa, of the samples; rules do not tell their scale."""
@@ -29,14 +29,14 @@ _INVERSE = 1e-3
 def values_at_rest(material: Material, parameters: Mapping[str, float] | None = None) -> Values:
     """Values of a material's variables at F = I as arrays of one point, with those of ``parameters``.
 
-    With a pressure of zero and, of a material with heat, its reference temperature.
+    With no pressure, no hardening and, of a material with heat, its reference temperature.
     """
     states = material.states(3)
     values = {v.name: v.from_distortion(Id(3)) for v in material.variables}
     values |= {name: CF(value) for name, value in (parameters or {}).items() if name in values}
     components = np.asarray(CF(states.components(values))(squares(1)[1])).reshape(-1, 1)
     found = {name: states.tensor(name, Array(components, None)) for name in values}
-    found[PRESSURE] = Array(np.zeros(1), None)
+    found[PRESSURE] = found[HARDENING] = Array(np.zeros(1), None)
     thermal = thermal_part(material.bodies[0].material if isinstance(material, Mixture) else material)
     if thermal is not None:
         found[TEMPERATURE] = found[PRESSURE].like(float(thermal.theta_R))

@@ -36,6 +36,9 @@ class Composite(FlowRule):
                 raise ParameterError("Composite.rules", rule, "flow rules")
             if not rule.is_local:
                 raise ParameterError(f"Composite.rules[{type(rule).__name__}].nu", rule.nu, "0 within a sum")
+            if rule.hardening is not None:
+                expected = "a rule without hardening: of a sum's rate no part is that of its plastic strain"
+                raise ParameterError(f"Composite.rules[{type(rule).__name__}].H", rule.hardening, expected)
 
     def rate(
         self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values

@@ -8,7 +8,8 @@ from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, as_number
+from ngvisco.errors import ParameterError, Quantity, as_number, require_positive
+from ngvisco.physics.flow_rules.hardening import Hardening
 from ngvisco.physics.flow_rules.power import require_exponent
 from ngvisco.physics.flow_rules.rule import TINY_STRESS, FlowRule
 from ngvisco.physics.parameters import (
@@ -18,7 +19,7 @@ from ngvisco.physics.parameters import (
     value_at,
 )
 from ngvisco.physics.tensors import if_positive, power_of_square, sqrt, square
-from ngvisco.physics.variables import PRESSURE, Values
+from ngvisco.physics.variables import HARDENING, PRESSURE, Values
 
 
 def norm(A: CoefficientFunction) -> CoefficientFunction:
@@ -41,6 +42,10 @@ class Perzyna(FlowRule):
     sigma_Y; in shear that is sigma_Y/sqrt(3).  For G_m -> 0 the stress does not leave the yield surface,
     which is rate-independent perfect plasticity (Prandtl-Reuss).
 
+    With H or Q it hardens isotropically: sigma_Y grows by H k + Q (1 - exp(-b k)) with the plastic strain k,
+    dk/dt = sqrt(2/3) |Pi|, which the matter carries (the field ``plastic_strain``), and stores the work of it
+    (``ngvisco.physics.flow_rules.hardening``).
+
     Parameters
     ----------
     sigma_Y : float
@@ -49,6 +54,12 @@ class Perzyna(FlowRule):
         Viscosity of what exceeds it: twice the plastic viscosity of a Bingham fluid.
     n : float
         Exponent of the overstress.
+    H : float
+        Linear hardening: slope of the uniaxial yield stress by the plastic strain.
+    Q : float
+        Hardening that saturates (Voce 1948): by how much the yield stress grows altogether.
+    b : float
+        How fast it does: 1/b is the plastic strain at which 63 per cent of Q are there.
     nu : float
         Gradient of the creep rate: nu |grad Pi|^q is its dissipation.
     q : float
@@ -58,18 +69,38 @@ class Perzyna(FlowRule):
     sigma_Y: Annotated[Modulus, Quantity("Pa", "> 0", 2.0)]
     G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 0.1)]
     n: Annotated[float, Quantity("1", "from 1 to 10")] = 1.0
+    H: Annotated[Modulus, Quantity("Pa", ">= 0", 5.0)] = 0.0
+    Q: Annotated[Modulus, Quantity("Pa", ">= 0", 1.0)] = 0.0
+    b: Annotated[float, Quantity("1", "> 0")] = 10.0
     nu: Annotated[float, Quantity("W/m^3 (m s)^q", ">= 0", 1e-4)] = 0.0
     q: Annotated[float, Quantity("1", "> 1")] = 4.0
 
     def __post_init__(self) -> None:
         require_positive_moduli(self, sigma_Y=self.sigma_Y, G_m=self.G_m)
+        require_nonnegative_moduli(self, H=self.H, Q=self.Q)
+        require_positive(self, b=self.b)
         require_exponent(self, self.n)
         self._require_gradient()
+
+    @property
+    def hardening(self) -> Hardening | None:
+        if self.H == 0 and self.Q == 0:
+            return None
+        return Hardening(H=self.H, Q=self.Q, b=float(self.b))
+
+    @property
+    def reads(self) -> frozenset[str]:  # type: ignore[override]
+        return frozenset() if self.hardening is None else frozenset({HARDENING})
+
+    def threshold(self, z: Values) -> CoefficientFunction | float:
+        """|M| at which it yields, s, Pa."""
+        sigma_Y = value_at(self.sigma_Y, z)
+        return math.sqrt(2 / 3) * (sigma_Y if self.hardening is None else sigma_Y + z[HARDENING])
 
     def rate(
         self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
     ) -> CoefficientFunction:
-        size, s = norm(M), math.sqrt(2 / 3) * value_at(self.sigma_Y, z)
+        size, s = norm(M), self.threshold(z)
         over = positive(size - s)
         if self.n > 1:
             over = over * power_of_square(over * over / (s * s), 0.5 * (self.n - 1), TINY_STRESS)
@@ -77,7 +108,7 @@ class Perzyna(FlowRule):
 
     def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
         """s |Pi| + n/(n+1) (G_m s^{n-1})^{1/n} |Pi|^{(n+1)/n}, W/m^3."""
-        n, s, size = float(self.n), math.sqrt(2 / 3) * value_at(self.sigma_Y, z), square(Pi)
+        n, s, size = float(self.n), self.threshold(z), square(Pi)
         viscous = (value_at(self.G_m, z) * s ** (n - 1)) ** (1 / n)
         smooth = power_of_square(size, 0.5 * (n + 1) / n, self.rate_floor)
         return s * power_of_square(size, 0.5, self.rate_floor) + (n / (n + 1) * viscous) * smooth

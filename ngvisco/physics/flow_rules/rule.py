@@ -24,6 +24,7 @@ from ngvisco.errors import (
     require_positive,
 )
 from ngvisco.physics.arrays import Array, derivatives
+from ngvisco.physics.flow_rules.hardening import Hardening
 from ngvisco.physics.tensors import power_of_square
 from ngvisco.physics.variables import Values
 
@@ -54,7 +55,7 @@ class FlowRule(ABC):
     reads_conjugate : bool
         Whether ``rate`` reads zeta: the material then needs a conformation tensor, and the rule is local.
     reads : frozenset of str
-        Which of ``PRESSURE`` and ``TEMPERATURE`` (``ngvisco.physics.variables``) it reads in ``z``.
+        Which of ``PRESSURE``, ``TEMPERATURE``, ``HARDENING`` (``physics.variables``) it reads in ``z``.
     has_trace : bool
         Whether tr Pi is not zero: the determinant of B is then not that of a distortion.
     """
@@ -103,6 +104,15 @@ class FlowRule(ABC):
     def is_linear(self) -> bool:
         """Whether Pi is linear in M."""
         return False
+
+    @property
+    def hardening(self) -> Hardening | None:
+        """What is stored of the power of a rule that reads ``HARDENING``; None of others."""
+        return None
+
+    def hardening_rate(self, Pi: CoefficientFunction) -> CoefficientFunction:
+        """dk/dt of its hardening, 1/s: of a local rule by |Pi|, else smoothed as ``psi`` is."""
+        return Hardening.rate(Pi, TINY_STRESS if self.is_local else self.rate_floor)
 
     @property
     def is_local(self) -> bool:

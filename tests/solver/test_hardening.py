@@ -1,0 +1,108 @@
+"""Hardening in both solvers: a relaxation at a point, what is stored, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ngsolve import CF, Integrate, x
+from scipy.optimize import brentq
+from test_rules_in_flows import MATERIALS, sheared
+
+import ngvisco as nv
+from ngvisco.geometries import box
+
+G_E, G_M, SIGMA_Y, DT, STEPS = 5.0, 0.05, 0.5, 0.02, 5
+START = 0.1 * np.diag([2.0, -1.0, -1.0]) / math.sqrt(6)
+LAWS = {"linear": {"H": 3.0}, "Voce": {"H": 1.0, "Q": 2.0, "b": 20.0}, "none": {}}
+
+
+def slope_and_energy(law, k):
+    """phi_h'(k) and phi_h(k), Pa, as the literature has them."""
+    H, Q, b = law.get("H", 0.0), law.get("Q", 0.0), law.get("b", 1.0)
+    return H * k + Q * (1 - math.exp(-b * k)), H * k**2 / 2 + Q * (k - (1 - math.exp(-b * k)) / b)
+
+
+def relaxed(law):
+    """|dev E| and k after steps of backward Euler from |START| in a body that cannot move."""
+    e, k = np.linalg.norm(START), 0.0
+    for _ in range(STEPS):
+
+        def defect(d, e=e, k=k):  # d = tau |Pi|
+            threshold = math.sqrt(2 / 3) * (SIGMA_Y + slope_and_energy(law, k + math.sqrt(2 / 3) * d)[0])
+            return d - DT / G_M * max(2 * G_E * (e - d) - threshold, 0.0)
+
+        d = brentq(defect, 0.0, e, xtol=1e-15)
+        e, k = e - d, k + math.sqrt(2 / 3) * d
+    return e, k
+
+
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+@pytest.mark.parametrize("name", LAWS)
+def test_the_yield_stress_grows_by_the_law_and_its_work_is_stored(name, solver):
+    """A step at a point is a scalar equation, and what the ledger has follows from its solution."""
+    law = LAWS[name]
+    model = nv.Model(
+        material=nv.LinearElastic(K_e=10.0, G_e=G_E),
+        viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0),
+        creep=nv.Perzyna(sigma_Y=SIGMA_Y, G_m=G_M, **law),
+    )
+    initial = nv.Initial(F=CF(tuple((np.eye(3) + START).ravel()), dims=(3, 3)))
+    run = nv.Simulation(box((1, 1), maxh=1.0), model, dt=DT, initial=initial, solver=solver)
+    ledger = run.run(STEPS * DT)
+    e, k = relaxed(law)
+    found = np.array(run.fields["E"](run.mesh(0.3, 0.4))).reshape(3, 3)
+    assert np.abs(found - e / np.linalg.norm(START) * START).max() <= 1e-9
+    stored = G_E * e**2 + slope_and_energy(law, k)[1]
+    assert ledger.column("stored")[-1] == pytest.approx(stored, rel=1e-8)
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10
+    if law:
+        assert run.fields["plastic_strain"](run.mesh(0.3, 0.4)) == pytest.approx(k, rel=1e-8)
+    else:
+        assert "plastic_strain" not in run.fields
+
+
+def test_the_plastic_strain_is_the_creep_strain_of_a_flow():
+    """Both are carried, the one as a variable of the step and the other after it."""
+    rule = nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=1 + x)
+    model = nv.Model(material=MATERIALS["B"], viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1), creep=rule)
+    lid = {"top": nv.PrescribedTangential(CF((16 * x**2 * (1 - x) ** 2, 0)))}
+    run = nv.Simulation(
+        box((1, 1), maxh=0.5),
+        model,
+        dt=0.02,
+        walls=lid,
+        initial=nv.Initial(density=1.0),
+        passive=["creep_strain"],
+    )
+    run.run(0.1)
+    k, creep = (Integrate(run.fields[name], run.mesh) for name in ("plastic_strain", "creep_strain"))
+    assert k == pytest.approx(creep, rel=1e-3) and k > 0.01
+
+
+def test_heat_is_what_is_not_stored():
+    material = nv.Thermal(material=MATERIALS["B"], c=1.0, theta_R=300.0, expansion=1e-3)
+    run = sheared(nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=20.0), material, "coupled")
+    ledger = run.run(0.04)
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert ledger.column("creep_power_min").min() >= 0
+
+
+def test_a_model_made_of_another_one_hardens_by_its_own_rule():
+    first = nv.Model(material=MATERIALS["B"], creep=nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=2.0))
+    assert [v.name for v in replace(first, loads=()).material.variables] == ["B", "J", "plastic_strain"]
+    assert [v.name for v in replace(first, creep=nv.Creep(G_m=1.0)).material.variables] == ["B", "J"]
+
+
+def test_bodies_do_not_harden():
+    body = nv.Body(
+        name="one",
+        material=MATERIALS["B"],
+        viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0),
+        creep=nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=2.0),
+        density=1.0,
+    )
+    with pytest.raises(nv.errors.ParameterError, match="H = 0 and Q = 0"):
+        nv.Model(bodies=[body])
