@@ -21,7 +21,7 @@ from ngvisco.physics.material import mandel_stress, rate_power
 from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.model import Model
 from ngvisco.physics.rheology import Viscosity
-from ngvisco.physics.tensors import identity_like, inner, square, tr, trace_free_tensors
+from ngvisco.physics.tensors import identity_like, inner, square, trace_free_tensors
 from ngvisco.physics.variables import HARDENING, PRESSURE, TEMPERATURE, Values
 
 Conjugate: TypeAlias = Literal["z", "zeta"]
@@ -43,8 +43,7 @@ class Rates:
         parts = []
         for variable in self.material.variables:
             if not variable.is_conserved:
-                rate = variable.rate(values, along.L, zero)
-                rate = rate + tr(along.L) * values[variable.name] if variable.by_flux else rate
+                rate = self.material.rate(variable, values, along.L, zero)
                 parts.append(inner(rate, tensors[variable.name]))
         return parts
 
@@ -64,7 +63,7 @@ class Rates:
         """rate(z; 0, Pi) : G in summands, Pi 3x3, one a flow; the affine parts of a rate vanish at L = 0."""
         tensors = _tensors(G, name)
         return [
-            inner(variable.rate(z.z_tensors, 0 * rate, rate), tensors[variable.name])
+            inner(self.material.rate(variable, z.z_tensors, 0 * rate, rate), tensors[variable.name])
             for flow, rate in zip(self.flows, Pi, strict=True)
             for variable in self.material.variables
             if variable.name in flow.names

@@ -41,7 +41,6 @@ from ngvisco.forms.spaces import Discretisation, Layout
 from ngvisco.forms.tabulated_rates import TabulatedRates
 from ngvisco.forms.term import Entry, Integrand, Term
 from ngvisco.forms.terms.creep import CreepRate, PlasticStraining
-from ngvisco.forms.terms.dilution import dilution_terms
 from ngvisco.forms.terms.heat import heat_terms
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Continuity, Convection, Inertia, Loading, Stokes
@@ -68,7 +67,7 @@ def equations(model: Model, dim: int) -> tuple[Term, ...]:
     if model.hyperviscosity is not None:
         terms.append(Hyperviscosity(model.hyperviscosity))
     terms += [Loading(load, dim) for load in model.loads]
-    terms += [Kinematics(model), Conjugates(model), UpwindTrace(), *dilution_terms(model.material)]
+    terms += [Kinematics(model), Conjugates(model), UpwindTrace()]
     if model.creep is not None and not model.creep.is_local:
         terms.append(CreepRate(model.creep))
     terms += [PlasticStraining(flow) for flow in model.flows if flow.rule.hardening is not None]

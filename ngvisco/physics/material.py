@@ -29,6 +29,9 @@ from ngvisco.physics.tensors import (
     IDENTITY,
     constant,
     inner,
+    skw,
+    sym,
+    tr,
     trace_free_tensors,
 )
 from ngvisco.physics.variables import Values, Variable
@@ -109,6 +112,20 @@ class Material(ABC):
         """
         return frozenset()
 
+    def taking_part(self, z: Values) -> Values:
+        """How far a variable is stretched by the flow and creeps, in [0, 1], by name; wholly where not named."""
+        return {}
+
+    def rate(
+        self, variable: Variable, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
+    ) -> CoefficientFunction:
+        """rate(z; L, Pi) of a variable, without -(tr L) z of a density, which is within its flux."""
+        share = self.taking_part(z).get(variable.name)
+        if share is not None:
+            L, Pi = skw(L) + share * sym(L), share * Pi
+        found = variable.rate(z, L, Pi)
+        return found + tr(L) * z[variable.name] if variable.by_flux else found
+
     def states(self, dim: int) -> StateSpace:
         """The space of the states, all components of the variables side by side, on meshes of ``dim``."""
         return StateSpace.of(tuple(self.variables), dim)
@@ -163,10 +180,10 @@ def rate_power(
     Pi: CoefficientFunction,
 ) -> CoefficientFunction:
     """sum_i zeta_i : rate_i(z; L, Pi): power per volume of the conjugates, Pa/s."""
-    terms = [inner(zeta[v.name], v.rate(z, L, Pi)) for v in material.variables]
-    total = terms[0]
-    for term in terms[1:]:
-        total = total + term
+    total = 0.0 * tr(L)
+    for v in material.variables:
+        total = total + inner(zeta[v.name], material.rate(v, z, L, Pi))
+        total = total - tr(L) * inner(zeta[v.name], z[v.name]) if v.by_flux else total
     return total
 
 
@@ -209,7 +226,7 @@ def mandel_stress(
     entries = []
     for P in space.basis:
         powers = [
-            inner(zeta[v.name], v.rate(z, zero, constant(np.array(P))))
+            inner(zeta[v.name], material.rate(v, z, zero, constant(np.array(P))))
             for v in material.variables
             if v.creeps and (names is None or v.name in names)
         ]

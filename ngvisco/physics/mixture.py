@@ -38,6 +38,9 @@ from ngvisco.physics.variables import PRESSURE, Values, Variable
 TRACE = 1e-3
 """eta of the module's docstring, and the fraction below which a body does not creep any slower."""
 
+_HALF = 1 / 5
+"""The fraction at which matter takes half a part."""
+
 _SAME = 1e-9
 """Relative difference of volumetric energies that are one function."""
 
@@ -60,6 +63,16 @@ class Fractions:
     def not_negative(self, z: Values) -> dict[str, Any]:
         """The same with zero where theta_i < 0, as polynomials beside a jump are."""
         return {name: if_positive(value, value, 0.0 * value) for name, value in self.at(z).items()}
+
+    def taking_part(self, z: Values) -> dict[str, Any]:
+        """chi of each body, smooth: 0 where there is none of it, 1/2 at a fifth, 0.996 at a half."""
+        found = {}
+        for name, theta in self.at(z).items():
+            others, own = 1 - theta, (1 / _HALF - 1) * if_positive(theta, theta, 0.0 * theta)
+            others, own = others * others, own * own
+            others, own = others * others, own * own
+            found[name] = own / (others + own)
+        return found
 
     def positive(self, z: Values, body: str) -> Any:
         """theta_i of one body, smooth and > 0: of what is less than ``TRACE`` about that."""
@@ -176,6 +189,12 @@ class Mixture(Material):
             for name in self.fractions.bodies:
                 found[f"{AMOUNT}{name} + {TRACE / 2:g} N"] = z[AMOUNT + name] + (0.5 * TRACE) * total
         return {"": found}
+
+    def taking_part(self, z: Values) -> Values:
+        if len(self.bodies) == 1:
+            return {}
+        shares = self.fractions.taking_part(z)
+        return {X.name: share for name, share in shares.items() for X in self.contents(name)}
 
     def at_rest(self, z: Values) -> Values:
         theta = self.fractions.at(z)

@@ -95,6 +95,19 @@ class RateTensors:
         linear = [self.linear[:g], *(self.linear[g : g + size] * mask[:, None] for mask in masks)]
         return replace(self, constant=np.concatenate(constant), linear=np.concatenate(linear))
 
+    def turning(self) -> RateTensors:
+        """The part of the antisymmetric L alone."""
+        g = self.gradients
+        dim = int(np.sqrt(g))
+        constant, linear = np.zeros_like(self.constant), np.zeros_like(self.linear)
+        for whole, part in ((self.constant, constant), (self.linear, linear)):
+            of_L = whole[:g].reshape(dim, dim, *whole.shape[1:])
+            part[:g] = (0.5 * (of_L - of_L.swapaxes(0, 1))).reshape(whole[:g].shape)
+        return replace(self, constant=constant, linear=linear)
+
+    def __sub__(self, other: RateTensors) -> RateTensors:
+        return replace(self, constant=self.constant - other.constant, linear=self.linear - other.linear)
+
     def columns(self, z: np.ndarray) -> np.ndarray:
         """d rate/dX at values z (n, points): (points, n, X)."""
         columns = np.einsum("xnm,mp->pnx", self.linear, z, optimize=True)

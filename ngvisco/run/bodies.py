@@ -9,7 +9,6 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, x, y, z
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.terms.dilution import Dilution
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import inner, sym
@@ -45,7 +44,7 @@ class Bodies(Series):
     | ``NAME_x``, ``_y``, ``_z`` | centroid int theta x over the volume, m |
     | ``NAME_momentum_x``, ... | int rho_R n v, kg m/s |
     | ``NAME_kinetic``, ``NAME_stored`` | 1/2 int rho_R n v^2, its shear and int theta V, J |
-    | ``NAME_dissipation`` | of viscosity, creep and dilution, of the present (limited) state, W |
+    | ``NAME_dissipation`` | of viscosity and creep, of the present (limited) state, W |
     | ``NAME_x_min``, ``NAME_x_max``, ... | where theta >= 1/2 at points of cells, m; NaN without any |
 
     In a run's HDF5 file (``Checkpoints``) they are the group ``bodies``.
@@ -115,9 +114,6 @@ def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
     for flow in rates.flows:
         if flow.body == name:
             loss = loss + rates.power_of_creep(flow, rates.local_creep(flow, u), u)
-    for term in step.terms:
-        if isinstance(term, Dilution) and term.body == name:
-            loss = loss + sum(term.dissipated(u).values(), CF(0.0))
     shears = material.shears(values)
     of_volume = rates.stored(u) - sum(shears.values(), CF(0.0))
     return [

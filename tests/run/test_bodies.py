@@ -8,7 +8,6 @@ from ngsolve import CF, IfPos, cos, pi, sin, x, y
 from ngsolve.meshes import MakeStructured2DMesh
 
 import ngvisco as nv
-from ngvisco.forms.terms.dilution import weight_of
 from ngvisco.geometries import box
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
@@ -156,7 +155,6 @@ def test_other_orders_and_schemes(m, scheme):
 
 
 def test_two_halves_of_one_material_are_one_body():
-    """Energy is that of a body that is not divided, but for what dilution takes of the line between."""
     halves = [
         nv.Body(name="left", where=0.5 - x, material=SOLID, density=2.0, viscosity=STOKES),
         nv.Body(name="right", material=SOLID, density=2.0, viscosity=STOKES),
@@ -169,7 +167,6 @@ def test_two_halves_of_one_material_are_one_body():
         ledger = run.run(0.1)
         energies.append(ledger.column("kinetic") + ledger.column("stored"))
         if len(bodies) == 2:
-            columns = (ledger.column(f"dissipation_dilution_B_{body.name}") for body in bodies)
             lost = 0.02 * sum(column[1:].sum() for column in columns)
     assert 0 < lost < 1e-2 * energies[0][0]
     assert abs(energies[0] - energies[1]).max() <= 2 * lost
@@ -187,7 +184,6 @@ def test_what_is_spread_thin_dilutes_and_a_body_does_not():
     for dt in (0.02, 0.01, 0.005):  # with a limit for dt -> 0
         run = simulation("solid in a fluid", maxh=0.4, dt=dt)
         run.run(0.04)
-        column = run.ledger.column("dissipation_dilution_B_disc")[1:]
         assert column.min() >= 0.0
         dissipated.append(column.sum() * dt)
     assert abs(dissipated[2] - dissipated[1]) < 0.75 * abs(dissipated[1] - dissipated[0])

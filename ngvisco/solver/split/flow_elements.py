@@ -44,7 +44,8 @@ class PointTangent:
 
     def update(self, at: Evaluation) -> None:
         """Form K's resolvent, d rate/dX and the force's derivative."""
-        step, rates = self.residual.step, self.residual.rates.tensors
+        step, of_all = self.residual.step, self.residual.rates
+        rates, weighed = of_all.tensors, of_all.weighed
         self.tau, g = step.context.tau.Get(), rates.gradients
         self.values = u = self.terms.fields(at.coefficients)
         self.z, self.zeta = u.z.value, u.zeta.value
@@ -53,6 +54,11 @@ class PointTangent:
         columns = rates.columns(self.z)  # (points, n, X)
         K = np.einsum("xnm,xp->pnm", rates.linear[:g], self.L, optimize=True)
         stress_slope = np.einsum("xnm,np->pxm", rates.linear, self.zeta, optimize=True)
+        if weighed is not None:
+            weights = of_all.weights(u)
+            columns += weights.T[:, :, None] * weighed.columns(self.z)
+            K += np.einsum("xnm,xp,np->pnm", weighed.linear[:g], self.L, weights, optimize=True)
+            stress_slope += np.einsum("xnm,np->pxm", weighed.linear, weights * self.zeta, optimize=True)
         # d(zeta : rate)/dX in z: what the elastic force and the Mandel stress take from dz
         force = stress_slope + np.einsum("pnx,pnm->pxm", columns, slopes, optimize=True)
         # -(w . grad z) : zeta with its share of the facets is  phi'(z) : dz div w  to leading order
@@ -77,7 +83,11 @@ class PointTangent:
                 self._stresses = [
                     term for term in self.residual.claims.of_gradients() if self._reads(term, changed)
                 ]
-            if not (creeps or self.others or self._stresses):
+            if rates.weighed is not None:
+                weights = rates.weights(changed).imag / TINY
+                K[:, :, m] += (weights * rates.weighed.rate(self.z, self.L)).T
+                force[:, :, m] += rates.weighed.stress(self.z, weights * self.zeta, 0, force.shape[1]).T
+            elif not (creeps or self.others or self._stresses):
                 return
             if self._stresses:
                 slope = self.terms.slots(self._stresses, changed)["grad v"].imag / TINY
@@ -85,7 +95,7 @@ class PointTangent:
                 force[:, :g, m] += np.broadcast_to(slope, (*slope.shape[:-1], len(force))).reshape(g, -1).T
             if creeps:
                 Pi = rates.creep_components(changed)
-                K[:, :, m] += rates.tensors.rate(z, Pi, first=rates.tensors.gradients).imag.T / TINY
+                K[:, :, m] += rates.rate(changed, Pi, rates.tensors.gradients).imag.T / TINY
             if self.others:
                 K[:, :, m] -= self.terms.slots(self.others, changed)["z"].imag.T / TINY
 
