@@ -24,12 +24,13 @@ import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import NgviscoError, ParameterError
+from ngvisco.physics.array_slope import array_response
 from ngvisco.physics.bodies import AMOUNT, Amount, Body, Content
 from ngvisco.physics.equilibrium import Volumetric as VolumetricEnergy
 from ngvisco.physics.equilibrium import equilibrium
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed
-from ngvisco.physics.pointwise import Respond, Response, respond
+from ngvisco.physics.pointwise import Respond, Response
 from ngvisco.physics.reference_energy import ReferenceEnergy, Volumetric
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
 from ngvisco.physics.tensors import IDENTITY, identity_like, if_positive, sqrt
@@ -269,12 +270,12 @@ class _InEquilibrium:
     def __init__(self, mixture: Mixture, dim: int) -> None:
         slices = mixture.states(dim).slices
         self.amounts = [slices[AMOUNT + body.name].start for body in mixture.bodies]
-        self.shears = respond(_Shears(mixture=mixture), dim)
+        self.shears = array_response(_Shears(mixture=mixture), dim)
         self.volumes = []
         for psi in mixture.energies:
             material = Volumetric(psi=psi)
             parameters = [slices[v.name].start for v in material.variables[1:]]
-            self.volumes.append((respond(material, dim), parameters))
+            self.volumes.append((array_response(material, dim), parameters))
 
     def __call__(self, states: np.ndarray) -> Response:
         def volumetric(number: int) -> VolumetricEnergy:

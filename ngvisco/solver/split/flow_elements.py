@@ -110,7 +110,9 @@ class PointTangent:
         return self.tau * self.force @ (self.resolvent @ self.columns)
 
     def _second_derivative(self) -> np.ndarray:
-        """phi'' by one-sided differences of phi', (points, n, n)."""
+        """phi'', (points, n, n): the material's, or by one-sided differences of phi'."""
+        if self.slope.response is not None:
+            return self.slope.response(self.z.T).hessian
         n, step = self.components, 1e-6
         result = np.empty((self.op.points.count, n, n))
         slope, shifted = self.slope(self.z), self.z.copy()
