@@ -16,7 +16,6 @@ from ngvisco.physics.rate_tensors import RateTensors
 from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import dev, symmetric_tensors, trace_free_tensors
 
-
 _ROUNDING = 1e-12
 
 

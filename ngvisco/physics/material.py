@@ -113,7 +113,7 @@ class Material(ABC):
         return frozenset()
 
     def taking_part(self, z: Values) -> Values:
-        """How far a variable is stretched by the flow and creeps, in [0, 1], by name; wholly where not named."""
+        """How far variables are stretched by the flow and creep, in [0, 1], by name; wholly if not named."""
         return {}
 
     def rate(

@@ -39,9 +39,6 @@ from ngvisco.physics.variables import PRESSURE, Values, Variable
 TRACE = 1e-3
 """eta of the module's docstring, and the fraction below which a body does not creep any slower."""
 
-OVERSHOOT = 0.05
-"""By how much fractions may leave [0, 1] beside a jump: means of cells do by a hundredth in a step."""
-
 _HALF = 1 / 5
 """The fraction at which matter takes half a part."""
 
@@ -189,10 +186,9 @@ class Mixture(Material):
             soft = [1 / psi.stiffness for psi in self.energies]
             parts = (c * z[AMOUNT + name] for c, name in zip(soft, self.fractions.bodies, strict=True))
             found["the compliance of the bodies"] = (1 / min(soft)) * reduce(add, parts) - 0.1 * total
-        if len(self.bodies) > 1:
-            allowed = OVERSHOOT if all(psi.is_linear for psi in self.energies) else 0.5 * TRACE
+        if not all(psi.is_linear for psi in self.energies):
             for name in self.fractions.bodies:
-                found[f"{AMOUNT}{name} + {allowed:g} N"] = z[AMOUNT + name] + allowed * total
+                found[f"{AMOUNT}{name} + {TRACE / 2:g} N"] = z[AMOUNT + name] + (0.5 * TRACE) * total
         return {"": found}
 
     def taking_part(self, z: Values) -> Values:

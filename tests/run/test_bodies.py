@@ -183,7 +183,7 @@ def test_matter_takes_part_as_far_as_it_is_there():
     assert few[0] <= 0.05 and few[1] == pytest.approx(0.5)
     assert few[2] >= 0.996 and few[3] >= 1 - 1e-6 and few[4] == 1.0
     theta = np.linspace(-1, 2, 301)
-    assert 0.0 <= chi(theta).min() and chi(theta).max() <= 1.0
+    assert chi(theta).min() >= 0.0 and chi(theta).max() <= 1.0
     assert np.all(np.diff(chi(np.linspace(0.0, 1.0, 99))) > 0)
 
 

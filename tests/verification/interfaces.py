@@ -166,6 +166,7 @@ class _Transport:
         space = FESpace([layout.blocks["z"], layout.blocks["z_hat"]])
         v = GridFunction(layout.blocks["v"])
         v.Set(CF(flow))
+        step.wind.Set(CF(flow))
         (z, z_hat), (G, G_hat) = space.TnT()
         step.context.set_step(tau, 0.0, 0.0, tau)
         step.context.eta.Set(1e-4)
