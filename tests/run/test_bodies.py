@@ -187,25 +187,34 @@ def test_matter_takes_part_as_far_as_it_is_there():
     assert np.all(np.diff(chi(np.linspace(0.0, 1.0, 99))) > 0)
 
 
-@pytest.mark.parametrize("takes_part", [True, False])
-def test_traces_of_a_stiff_body_do_not_feed_on_a_thin_fluid(takes_part, monkeypatch):
-    """Energy falls, by the scheme alone: the fluid is so thin that it bears nothing beside the disc's traces.
-
-    Where n < 0 is stretched as the body is (the control) its modulus is negative, and what is torn there
-    takes several times as much.
-    """
+def in_a_thin_fluid():
+    """A stiff disc in a fluid that is so thin that it bears nothing beside the disc's traces."""
     stiff = nv.ReferentialNeoHookean(K_e=100.0, G_e=50.0)
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 50 * (J - 2 + 1 / J))
     thin = nv.StokesViscosity(K_v=0.0, G_v=1e-5)
     bodies = [disc(material=stiff, viscosity=None, density=1.0), rest(material=fluid, viscosity=thin)]
-    if not takes_part:
-        monkeypatch.setattr(Mixture, "taking_part", lambda self, z: {})
     time, initial = nv.TimeSteps(dt=0.02, velocity_scale=1.0), nv.Initial(velocity=SWIRL)
-    run = nv.Simulation(box((1, 1), maxh=0.25), nv.Model(bodies=bodies), time=time, initial=initial)
-    ledger = run.run(0.2)
+    return nv.Simulation(box((1, 1), maxh=0.25), nv.Model(bodies=bodies), time=time, initial=initial)
+
+
+def test_traces_of_a_stiff_body_do_not_feed_on_a_thin_fluid():
+    """Energy falls, hardly: by the scheme alone."""
+    ledger = in_a_thin_fluid().run(0.2)
     energy = ledger.column("kinetic") + ledger.column("stored")
     assert np.diff(energy).max() <= 0 <= ledger.column("bregman").min()
-    assert (energy[0] - energy[-1] <= 0.02 * ledger.column("kinetic")[0]) == takes_part
+    assert energy[0] - energy[-1] <= 0.02 * ledger.column("kinetic")[0]
+
+
+def test_traces_that_are_stretched_as_the_body_is_do(monkeypatch):
+    """The control: n < 0 has a negative modulus.  Steps are not solved, or tear several times as much."""
+    monkeypatch.setattr(Mixture, "taking_part", lambda self, z: {})
+    run = in_a_thin_fluid()
+    try:
+        ledger = run.run(0.2)
+    except nv.StepError:
+        return
+    energy = ledger.column("kinetic") + ledger.column("stored")
+    assert energy[0] - energy[-1] > 0.02 * ledger.column("kinetic")[0]
 
 
 @pytest.mark.long
