@@ -16,15 +16,17 @@ RHO_R, GAMMA, A = 1.0, 1.4, 1 / 1.4
 """p = A rho^GAMMA, so that the speed of sound at RHO_R is 1 m/s."""
 
 
-def simulation(maxh: float = 0.25, dt: float = 0.02, gravity: float = 0.0, **options) -> nv.Simulation:
+def simulation(
+    maxh: float = 0.25, dt: float = 0.02, gravity: float = 0.0, scheme: str = "midpoint", **options
+) -> nv.Simulation:
     """A tube of 1 m x 0.2 m; v_x = 0.001 sin(pi x) m/s at the start."""
     fluid = nv.BarotropicFluid.from_state_equation(A, GAMMA, RHO_R)
     loads = [nv.Gravity((-gravity, 0.0))] if gravity else []
     model = nv.Model(material=fluid, viscosity=nv.StokesViscosity(K_v=1e-4, G_v=1e-4), loads=loads)
     initial = nv.Initial(density=RHO_R, velocity=(1e-3 * sin(pi * x), 0.0), values=fluid.start(RHO_R, RHO_R))
     # upwinding is smoothed on the scale of the sound, not of the flow, which stops twice a period
-    options = {"velocity_scale": 1.0, "scheme": "midpoint", **options}
-    return nv.Simulation(box((1, 0.2), maxh=maxh), model, dt=dt, initial=initial, **options)
+    time = nv.TimeSteps(dt=dt, scheme=scheme, velocity_scale=1.0)
+    return nv.Simulation(box((1, 0.2), maxh=maxh), model, time=time, initial=initial, **options)
 
 
 def sound_speed(ledger) -> float:

@@ -30,10 +30,11 @@ def simulation(cells: tuple[int, int] = (14, 8), dt: float = 0.05, **options) ->
     places = {"left": nv.Ball((0.37, 0.4), 0.21), "right": nv.Ball((1.03, 0.4), 0.21)}
     bodies = [nv.Body(name=name, where=where, **disc) for name, where in places.items()]
     bodies.insert(0, nv.Body(name="medium", material=soft, viscosity=thin, density=0.05))
-    options |= {"initial": nv.Initial(velocity=thrown(0.37) - thrown(1.03)), "velocity_scale": 5.0}
-    options |= {"discretisation": nv.Discretisation(m=0)}  # constants in cells: no negative traces
+    options |= {"initial": nv.Initial(velocity=thrown(0.37) - thrown(1.03))}
+    options |= {"discretisation": nv.Discretisation(m=0)}  # less than nothing of the softer has no pressure
     mesh, model = structured_box((1.4, 0.8), cells), nv.Model(bodies=bodies)
-    return nv.Simulation(mesh, model, dt=dt, scheme="midpoint", **options)
+    time = nv.TimeSteps(dt=dt, scheme="midpoint", velocity_scale=5.0)
+    return nv.Simulation(mesh, model, time=time, **options)
 
 
 def main(directory: str = "results/collision", until: float = 2.2, **options) -> nv.Simulation:

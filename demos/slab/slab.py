@@ -31,7 +31,7 @@ def simulation(cells: tuple[int, int] = (15, 20), dt: float = KYR, **options) ->
     medium = nv.Body(name="medium", material=fluid, viscosity=weak, density=2800.0)
     gravity = nv.Gravity((0.0, -10 * IfPos(20 * KYR - nv.time, 1.0, 0.0)))
     # in SI the coupled solver takes a cell's matrix, from volume/dt to modulus times volume, for singular
-    options = {"walls": {"left": nv.NoSlip()}, "solver": "split", "velocity_scale": 1e-8} | options
+    options = {"walls": {"left": nv.NoSlip()}, "solver": "split"} | options
     mesh = structured_box((7500.0, 5000.0), cells)
     return nv.Simulation(mesh, nv.Model(bodies=[slab, medium], loads=[gravity]), dt=dt, **options)
 

@@ -24,12 +24,13 @@ def simulation(maxh: float = 0.1, dt: float = 0.05, K_e: float = 50.0, **options
     model = nv.Model(bodies=[nv.Body(name="fluid", material=fluid, **both), disc])
     options["walls"] = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
     # velocities of order 3 do not lock where volumes are stiff; the lid's start is damped by two Euler steps
-    options = {"scheme": "midpoint", "startup": 2, "discretisation": nv.Discretisation(k=3)} | options
+    options = {"time": nv.TimeSteps(dt=dt, scheme="midpoint", startup=2), **options}
+    options = {"discretisation": nv.Discretisation(k=3)} | options
     mesh = box((1, 1), maxh=maxh, refine={"top": maxh / 2}, split_corners=True)  # the film below the lid
-    return nv.Simulation(mesh, model, dt=dt, **options)
+    return nv.Simulation(mesh, model, **options)
 
 
-def main(directory: str = "results/soft_disc", until: float = 5.0, **options) -> nv.Simulation:
+def main(directory: str = "results/soft_disc", until: float = 8.0, **options) -> nv.Simulation:
     out = Path(directory)
     table = nv.Bodies(out / "bodies.csv")
     run = simulation(**options, observers=[table])
