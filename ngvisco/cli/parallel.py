@@ -1,4 +1,4 @@
-"""``ngvisco info --parallel``: what distributed runs need, whether it is there, and a test of it."""
+"""``ngvisco info --parallel``: what distributed runs need, whether it is there, and a step on three ranks."""
 
 from __future__ import annotations
 
@@ -10,34 +10,35 @@ import subprocess
 import sys
 from pathlib import Path
 
+from ngvisco.case.build import parse_case
 from ngvisco.cli import streams
 from ngvisco.cli.exits import DONE, FAILED
 from ngvisco.errors import ParameterError
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.petsc import PETScError, packages, petsc
-from ngvisco.parallel.selftest import main as tested
+from ngvisco.parallel.petsc import PETScError, obstacle, packages, petsc
 
 _RANKS, _SECONDS = 3, 120
 _STARTERS = ("mpirun", "mpiexec")
 
 
 def info(options: argparse.Namespace) -> int:
-    """Print what there is, and run the self-test: on the ranks of this run, or on three of its own."""
+    """Say what there is, and try it: on the ranks of this run, or on three of its own."""
     if options.directory is not None:
         raise ParameterError("info", options.directory, "a run directory or --parallel")
-    ranks = Communicator.world()
+    ranks, starter = Communicator.world(), _starter()
     complete, lines = _found()  # on all ranks alike: the first import of petsc4py is collective
+    if complete and starter is not None and not ranks.is_distributed:
+        return _started(starter)
     if ranks.is_first:
         streams.write("\n".join(lines) + "\n")
-    if ranks.is_distributed and complete:
-        return tested()
-    starter = _starter()
-    if not complete or starter is None:
-        if ranks.is_first:
-            streams.write("self-test  not run: something is missing, see 'Several processes' in the README\n")
-        return FAILED
-    streams.write(f"self-test  on {_RANKS} ranks\n")
-    command = [starter, "-n", str(_RANKS), sys.executable, "-m", "ngvisco.parallel.selftest"]
+        if not (complete and ranks.is_distributed):
+            streams.write("not tried  something is missing, see 'Several processes' in the README\n")
+    return _tried(ranks) if complete and ranks.is_distributed else FAILED
+
+
+def _started(starter: str) -> int:
+    """The same command on ranks of its own."""
+    command = [starter, "-n", str(_RANKS), sys.executable, "-m", "ngvisco", "info", "--parallel"]
     # more ranks than processors, and root, are no reason to refuse a test
     allowed = dict.fromkeys(
         ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe"), "1"
@@ -47,12 +48,37 @@ def info(options: argparse.Namespace) -> int:
             command, env=os.environ | allowed, capture_output=True, text=True, timeout=_SECONDS
         )
     except subprocess.TimeoutExpired:
-        streams.complain(f"the self-test did not end within {_SECONDS} s")
+        streams.complain(f"{starter} -n {_RANKS} did not end within {_SECONDS} s")
         return FAILED
     streams.write(result.stdout)
     if result.returncode:
-        streams.complain("the self-test failed\n" + result.stderr)
+        streams.complain("it failed on the ranks\n" + result.stderr)
     return FAILED if result.returncode else DONE
+
+
+def _tried(ranks: Communicator) -> int:
+    """A step of a small body by each linear solver that there is; raises what fails."""
+    for name in ("direct", *(name for name in ("gamg", "hypre") if obstacle(name) is None)):
+        case = parse_case(_CASE, "info --parallel", Path(), [f"solver.coarse={name}"])
+        run = case.simulation(case.mesh())
+        row, solver = run.advance(), "mumps" if name == "direct" else name
+        if ranks.is_first:
+            streams.write(
+                f"{solver:10s} a step of {run.cells} cells on {ranks.size - 1} of {ranks.size} ranks, "
+                f"{row['newton_iterations']:.0f} iterations, closure {abs(row['closure_relative']):.0e}\n"
+            )
+    return DONE
+
+
+_CASE = """
+time = { dt = 0.02, until = 0.02 }
+domain = { geometry = "structured_box", size = [1, 1], cells = [24, 24] }
+material = { kind = "NeoHookean", K_e = 10, G_e = 5, epsilon = 0.1 }
+rheology.viscosity = { K_v = 0.1, G_v = 0.1 }
+initial.velocity = ["0.1*sin(pi*x)*cos(pi*y)", 0]
+solver.method = "split"
+"""
+"""A body of as many cells as its velocities are not factorised as a whole."""
 
 
 def _starter() -> str | None:
