@@ -29,7 +29,6 @@ import hashlib
 import json
 import os
 import platform
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,7 +48,7 @@ from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.failure import write_failure
-from ngvisco.run.files import write_atomically
+from ngvisco.run.files import locks, write_atomically
 from ngvisco.run.notebook import data_frame, results_html
 from ngvisco.run.plots import FORMATS
 from ngvisco.run.simulation import Observer, Simulation
@@ -437,7 +436,7 @@ def _held(path: Path) -> Iterator[TextIO]:
     """The lock's file, empty and locked; raises RunDirectoryError when another process holds it."""
     while True:
         with path.open("a+", encoding="utf-8") as file:
-            if not _try_lock(file):
+            if not locks(file):
                 file.seek(0)
                 holder = file.read().strip() or "another process"
                 raise RunDirectoryError(f"{path.parent}: in use by {holder}; wait for it or stop it")
@@ -447,21 +446,3 @@ def _held(path: Path) -> Iterator[TextIO]:
                     file.truncate(0)
                     yield file
                     return
-
-
-def _try_lock(file: TextIO) -> bool:
-    """An advisory lock that dies with the process; False if another process holds it."""
-    lock: Callable[..., Any]
-    if sys.platform == "win32":
-        import msvcrt
-
-        lock, arguments = msvcrt.locking, (msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        lock, arguments = fcntl.flock, (fcntl.LOCK_EX | fcntl.LOCK_NB,)
-    try:
-        lock(file.fileno(), *arguments)
-    except OSError:
-        return False
-    return True

@@ -1,4 +1,4 @@
-"""Writing files so that nothing is lost: whole or not at all, with the file's name in every error."""
+"""Writing files so that nothing is lost: whole or not at all, with the file's name in every error; locks."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import contextlib
 import csv
 import io
 import os
-from collections.abc import Iterable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any, TextIO
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -48,3 +50,21 @@ def _named(path: Path) -> Iterator[None]:
         if error.filename is None:
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
+
+
+def locks(file: TextIO) -> bool:
+    """Lock a file for as long as the process lives; False if another process holds it."""
+    lock: Callable[..., Any]
+    if sys.platform == "win32":
+        import msvcrt
+
+        lock, arguments = msvcrt.locking, (msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        lock, arguments = fcntl.flock, (fcntl.LOCK_EX | fcntl.LOCK_NB,)
+    try:
+        lock(file.fileno(), *arguments)
+    except OSError:
+        return False
+    return True

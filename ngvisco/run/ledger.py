@@ -38,41 +38,30 @@ from ngvisco.run.closure import CLOSED
 from ngvisco.run.notebook import data_frame, ledger_html
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 
-_STRETCH = 1e-4
-"""Relative change of the variables whose second difference gives the energy's own scale."""
-_OPERATIONS = 30
-"""Roundings of an energy density, in units of that scale: as many operations as a density has."""
+_STRETCH, _OPERATIONS = 1e-4, 30
+"""Relative change of the variables whose second difference gives the size of an energy density's terms, and
+the roundings of one, in units of that size."""
 
 RATES = ("dissipation", "power", "production", "flux")
 """Kinds of entries that are rates, of the scheme's stages."""
 
-UNITS = {
-    "step": "1",
-    "time": "s",
-    "dt": "s",
-    "closure_relative": "1",
-    "mass": "kg",
-    "mass_drift": "1",
-    "rho_min": "kg/m^3",
-    "rho_max": "kg/m^3",
-    "J_min": "1",
-    "entropy": "J/K",
-    "temperature_min": "K",
-    "creep_power_min": "W/m^3",
-    "J_defect": "m^(d/2)",
-    "defect_rms": "1",
-    "defect_max": "1",
-    "v_max": "m/s",
-    "newton_iterations": "1",
-    "rejections": "1",
-    "limited_cells": "1",
-    "cfl": "1",
-    "error_estimate": "1",
-    "density_diffusion": "kg^2/m^3/s",
-    "cutoff_volume": "m^3",
+_UNITS = {
+    "1": (
+        *("step", "closure_relative", "mass_drift", "defect_rms", "defect_max", "newton_iterations"),
+        *("rejections", "limited_cells", "cfl", "error_estimate", "J_min"),
+    ),
+    "s": ("time", "dt"),
+    "kg": ("mass",),
+    "kg/m^3": ("rho_min", "rho_max"),
+    "m/s": ("v_max",),
+    "K": ("temperature_min",),
+    "J/K": ("entropy",),
+    "W/m^3": ("creep_power_min",),
+    "m^3": ("cutoff_volume",),
+    "m^(d/2)": ("J_defect",),
+    "kg^2/m^3/s": ("density_diffusion",),
 }
-"""Units of the columns that are neither energies (J) nor powers (W)."""
-
+"""Columns that are neither energies (J) nor powers (W), by units."""
 
 TRANSFER = "transfer"
 """Energy lost where a state was carried over to another mesh or other parameters, J."""
@@ -86,7 +75,7 @@ def unit(column: str) -> str:
         return "W/K"
     if column.startswith("inflow_"):
         return "kg/s"
-    return UNITS.get(column, "J")
+    return next((unit for unit, columns in _UNITS.items() if column in columns), "J")
 
 
 @dataclass(frozen=True)
@@ -146,7 +135,7 @@ class Ledger:
         watched = {"temperature_min": theta, CREEP_POWER: power}
         self._watched = {name: value for name, value in watched.items() if value is not None}
         self._monitors = self._monitor_functions()
-        self._has_warned, self._has_warned_of_entropy, self._has_warned_of_power = False, False, False
+        self._warned: set[type[NgviscoWarning]] = set()
         self._absent: dict[str, float] = {}
         self._pending: dict[str, float] = {}
         self.rows: list[dict[str, float]] = []
@@ -244,7 +233,7 @@ class Ledger:
         dissipated, worked = self._sum(values, "dissipation"), self._sum(values, "power")
         remainder = self._sum(values, "numerical")
         closure = energy - self.balance.energy + tau * (dissipated - worked) + remainder
-        physical = [e.name for e in self.entries if e.kind in ("dissipation", "power")]
+        physical = (e.name for e in self.entries if e.kind in ("dissipation", "power"))
         exchanged = tau * sum(abs(values[name]) for name in physical)
         scale = max(abs(energy), abs(self.balance.energy), exchanged)
         if not abs(closure) <= CLOSED * scale:
@@ -266,35 +255,35 @@ class Ledger:
     def _check_entropy(self, row: Mapping[str, float]) -> None:
         """Warn once of a mechanism that takes entropy away."""
         made = {name: row[name] for name in self.columns if name.startswith(PRODUCTION)}
-        if not made or self._has_warned_of_entropy:
-            return
-        least = min(made, key=lambda name: made[name])
-        if made[least] < -_NEGATIVE * sum(map(abs, made.values())):
-            self._has_warned_of_entropy = True
+        least = min(made, key=lambda name: made[name], default="")
+        if made and made[least] < -_NEGATIVE * sum(map(abs, made.values())):
             message = (
                 f"at t = {row['time']:.4g} s {least} is {made[least]:.3g} W/K: where that is conduction, "
                 "the cells are too large for the slopes of the temperature; else a law gives energy"
             )
-            self.sampler.ranks.warn(message, EntropyWarning, stacklevel=2)
+            self._warn_once(message, EntropyWarning)
 
     def _check_power(self, power: np.ndarray, time: float) -> None:
         """Warn once of creep that gives energy somewhere."""
         ranks = self.sampler.ranks
         least, largest = ranks.least(power), ranks.most(abs(power))
-        if least < -_ROUNDING * largest and not self._has_warned_of_power:
-            self._has_warned_of_power = True
+        if least < -_ROUNDING * largest and CreepPowerWarning not in self._warned:
             message = (
                 f"at t = {time:.4g} s creep gives energy, M : Pi = {least:.3g} W/m^3, most "
                 f"{self._place_of_largest(-power)}: its flow rule is none, though the ledger closes"
             )
-            ranks.warn(message, CreepPowerWarning, stacklevel=2)
+            self._warn_once(message, CreepPowerWarning)
+
+    def _warn_once(self, message: str, kind: type[NgviscoWarning]) -> None:
+        if kind not in self._warned:
+            self._warned.add(kind)
+            self.sampler.ranks.warn(message, kind, stacklevel=3)
 
     def rounding(self) -> float:
         """What rounding may leave of the stored energy at the present state, J.
 
-        An energy such as tr B - ln det B - 3 is a difference of terms that are not small where it is zero,
-        at rest.  The size of these is int |phi''(z)[z, z]|: the moduli times the volume where z is about 1
-        at rest, twice the energy where phi is quadratic in z and nothing cancels.
+        An energy that is zero at rest, such as tr B - ln det B - 3, is a difference of terms that are not.
+        Their size is int |phi''(z)[z, z]|.
         """
         z = self.step.now.z_tensors
         factors = (1 - _STRETCH, 1.0, 1 + _STRETCH)
@@ -321,21 +310,15 @@ class Ledger:
     def _append(
         self, row: dict[str, float], iterations: int, rejections: int, tau: float
     ) -> dict[str, float]:
-        row = (
-            row
-            | self._extrema(tau, row["time"])
-            | {"newton_iterations": iterations, "rejections": rejections}
-        )
+        row = row | self._extrema(tau, row["time"])
+        row |= {"newton_iterations": iterations, "rejections": rejections}
         self.rows.append({name: row[name] for name in self.columns})
         return self.rows[-1]
 
     def _state_integrands(self) -> dict[str, Entry]:
         """What is integrated of a state: energies, mass, and what is for information."""
         u = self.step.now
-        named = {
-            **energies(self.step, u),
-            "mass": u.rho,
-        }
+        named = {**energies(self.step, u), "mass": u.rho}
         entries = {name: Entry(name, "monitor", Integrand(value)) for name, value in named.items()}
         return entries | {e.name: e for e in self.entries if e.kind == "monitor"}
 
@@ -399,13 +382,10 @@ class Ledger:
         volume, *squares = self.step.quadrature.integrate_cells(self._defect_squares)
         rms = np.sqrt(np.array(squares) / volume)
         worst = int(np.argmax(rms))
-        if rms[worst] >= WARNING_DEFECT and not self._has_warned:
-            self._has_warned = True
+        if rms[worst] >= WARNING_DEFECT and DefectWarning not in self._warned:
             where = self._place_of_largest(sizes[:, worst])
             message = _winding_message(self._defect_names[worst], rms[worst], largest[worst], self.step)
-            self.sampler.ranks.warn(
-                f"at t = {time:.4g} s, most {where}: {message}", DefectWarning, stacklevel=2
-            )
+            self._warn_once(f"at t = {time:.4g} s, most {where}: {message}", DefectWarning)
         return float(rms.max()), float(largest.max())
 
     def _place_of_largest(self, sizes: np.ndarray) -> str:
