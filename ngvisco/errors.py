@@ -49,11 +49,20 @@ class UnknownNameError(NgviscoError, KeyError):
         self.kind, self.name, self.known = kind, name, sorted(set(known))
         close = difflib.get_close_matches(str(name), self.known, n=1)
         hint = f"; did you mean {close[0]!r}?" if close else ""
-        self.message = f"unknown {kind} {name!r}{hint} (known: {', '.join(self.known) or 'none'})"
+        self.message = f"unknown {kind} {name!r}{hint} (known: {listed(self.known)})"
         super().__init__(self.message)
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
         return self.message
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names for a message: of the components of a tensor, ``F_11`` to ``F_33``, the first and the last."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(re.sub(r"_[1-3]{1,2}$", "_", name), []).append(name)
+    parts = (f"{g[0]} ... {g[-1]}" if len(g) > 3 else ", ".join(g) for g in groups.values())
+    return ", ".join(parts) or "none"
 
 
 class MeshError(NgviscoError, ValueError):

@@ -28,7 +28,7 @@ from typing import Any, TypeAlias
 import ngsolve
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import NgviscoError
+from ngvisco.errors import NgviscoError, listed
 from ngvisco.physics.tensors import exp, if_positive, log, sqrt
 from ngvisco.physics.time import time
 
@@ -263,8 +263,8 @@ class Evaluator:
         if name not in self.symbols:
             if name in self.functions:
                 raise self._error(node, f"function {name!r} needs its arguments in parentheses")
-            known = ", ".join(self.symbols)
-            raise self._error(node, f"unknown name {name!r}{_hint(name, self.symbols)} (known: {known})")
+            hint, known = _hint(name, self.symbols), listed(self.symbols)
+            raise self._error(node, f"unknown name {name!r}{hint} (known: {known})")
         self.seen.add(name)
         return self.symbols[name]
 

@@ -10,7 +10,7 @@ from itertools import chain
 from typing import Any
 
 from ngvisco.case.errors import CaseError
-from ngvisco.case.faults import Locator, given, has_key, shown, tables_of
+from ngvisco.case.faults import Locator, expected_of, given, has_key, shown, tables_of
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import Section, names_of, parameters
 from ngvisco.errors import InitialDataError, MeshError, NgviscoError, ParameterError, UnknownNameError
@@ -39,7 +39,9 @@ class Blame:
             raise
         except ParameterError as error:
             key = key_of(error.field, path, self.sections, error.value)
-            raise self.error(key, f"{self._written(key, error.value)}: expected {error.expected}") from error
+            raise self.error(
+                key, f"{self._written(key, error.value)}: expected {expected_of(error)}"
+            ) from error
         except UnknownNameError as error:
             where = (*_SECTION_OF_NAME.get(error.kind, path), error.name)
             key = (*path, "names") if error.kind == "subdomain" else where

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Iterator
 from typing import Any, get_args
 
@@ -92,7 +93,7 @@ def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: 
     if isinstance(value, Wrong):
         return str(value)
     if isinstance(raised, ParameterError):
-        return f"{shown(raised.value)}: expected {raised.expected}"
+        return f"{shown(raised.value)}: expected {expected_of(raised)}"
     if raised is not None:
         return f"{shown(value)}: {raised}"
     if kind == "extra_forbidden":
@@ -119,8 +120,15 @@ def shown(value: object) -> str:
     """A value as a file's user knows it: a table as TOML has it."""
     if isinstance(value, BaseModel):
         value = value.model_dump(exclude_none=True)
-    text = value_text(value) if isinstance(value, dict) else repr(value)
+    text = value_text(value) if isinstance(value, (dict, bool)) else repr(value)
     return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
+
+
+def expected_of(error: ParameterError) -> str:
+    """What would be right, in the words of a case file."""
+    words = {"None": "nothing", "True": "true", "False": "false"}
+    expected = re.sub(r"(\w+) = None", r"no \1", error.expected)
+    return re.sub(r"\b(None|True|False)\b", lambda word: words[word[0]], expected)
 
 
 def _resolve(model: type[BaseModel], location: tuple[Any, ...]) -> tuple[tuple[str, ...], str, list[str]]:

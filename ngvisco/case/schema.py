@@ -411,7 +411,7 @@ class CaseSections(Section):
         self._check_bodies()
         if self.output.bodies is not None and not self.bodies:
             expected = "no such table without [[bodies]], which it is of"
-            raise ParameterError("output.bodies", "a table", expected)
+            raise ParameterError("output.bodies", self.output.bodies, expected)
         names = [str(load.name) for load in self.loads]  # type: ignore[attr-defined]
         for i, name in enumerate(names):
             if name in names[:i]:
@@ -434,9 +434,9 @@ class CaseSections(Section):
             expected = "no table [material] beside [[bodies]]: each of them has a material of its own"
             raise ParameterError("material.kind", self.material.kind, expected)
         for name in ("viscosity", "creep"):
-            if getattr(self.rheology, name) is not None:
+            if (part := getattr(self.rheology, name)) is not None:
                 expected = f"no such table beside [[bodies]]: each has {name} of its own, [bodies.{name}]"
-                raise ParameterError(f"rheology.{name}", "a table", expected)
+                raise ParameterError(f"rheology.{name}", part, expected)
         names = [body.name for body in self.bodies]
         for i, body in enumerate(self.bodies):
             if names.index(body.name) < i:

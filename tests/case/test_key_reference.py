@@ -228,6 +228,13 @@ def test_what_is_no_key_is_refused_with_the_nearest(path):
         reference.explain(path)
 
 
+def test_a_key_in_other_letters_is_the_first_that_is_named():
+    with pytest.raises(nv.ParameterError, match=r"such as material\.K_e, "):
+        reference.explain("K_E")
+    with pytest.raises(nv.ParameterError, match="such as Gravity, "):
+        reference.explain("gravity")
+
+
 def test_the_page_in_the_package_is_the_generated_one():
     page = Path(reference.__file__).with_name("reference.md")
     assert page.read_text(encoding="utf-8") == reference.markdown(), "ngvisco list --markdown > " + str(page)

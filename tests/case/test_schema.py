@@ -83,7 +83,7 @@ def simulation(text):
         ("[initial]", "[intial]", "case.toml:20: intial: unknown key; did you mean 'initial'?"),
         ("dt = 0.02", "dt = 0", "case.toml:28: time.dt: 0.0: expected a finite number > 0"),
         ("dt = 0.02", "dt = 1e-300", "time.dt: 1e-300: expected at least 1e-09: this one makes 1e+299 steps"),
-        ("dt = 0.02", "dt = true", "case.toml:28: time.dt: True: expected a number"),
+        ("dt = 0.02", "dt = true", "case.toml:28: time.dt: true: expected a number"),
         ("until = 0.1", "until = 0.11", "time.until: 0.11: expected a multiple of dt = 0.02"),
         ("until = 0.1", "until = 0.1\n[solver]\nmax_iterations = 2.5", "expected a whole number"),
         (
