@@ -233,8 +233,8 @@ def explain(path: str) -> str:
     below = [e for e in every if len(e.path) > len(wanted) and _matches(e.path[: len(wanted)], wanted)]
     if not wanted or not exact + below:
         last = {entry.path[-1]: entry.name for entry in every}
-        same = [*last, *kinds] if wanted else []
-        close = [last.get(name, name) for name in same if name.lower() == wanted[-1].lower()]
+        alike = [*last, *kinds] if wanted else []
+        close = [last.get(name, name) for name in alike if name.lower() == wanted[-1].lower()]
         close += [last[name] for name in difflib.get_close_matches(wanted[-1], last, n=2)] if wanted else []
         close += difflib.get_close_matches(path, [*_names(every), *kinds], n=3, cutoff=0.4)
         close = list(dict.fromkeys(close))[:3]
