@@ -223,7 +223,6 @@ BOTH_MODELS = (
     "manufactured-3d-m2",
     "manufactured-3d-k3",
     "robustness",
-    "fluid-limit",
 )
 
 

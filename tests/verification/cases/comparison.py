@@ -1,4 +1,4 @@
-"""The models against each other: small strains, Kelvin–Voigt and Jeffreys, fluid and solid limit."""
+"""The models against each other: small strains, Kelvin–Voigt and Jeffreys."""
 
 from __future__ import annotations
 
@@ -113,64 +113,9 @@ def kelvin_voigt(kind: str) -> Outcome:
     )
 
 
-def fluid(kind: str) -> Outcome:
-    """A Maxwell element of fixed viscosity and growing modulus is a Newtonian fluid."""
-    eta, K_e, mesh, orders = 0.5, 10.0, square_mesh(MAXH), nv.Discretisation(k=3, m=2)
-
-    def material(G: float) -> nv.Material:
-        if kind == "linearised":
-            return nv.LinearElastic(K_e=K_e, G_e=G)
-        return nv.ReferentialNeoHookean(K_e=K_e, G_e=G / 2, elastic_state="F")
-
-    newtonian = block(
-        kind, 0.02, mesh=mesh, of=material(1e-9), speed=0.2, viscosity=eta, discretisation=orders
-    )
-    table, runs = RateTable("distance of v to the Newtonian fluid's at t = 0.16 s"), [newtonian]
-    newtonian.run(0.16)
-    unsolved = []
-    for G in (10.0, 30.0, 100.0, 300.0):
-        # the bulk viscosity stays beside the Maxwell element, whose shear viscosity is G_m/2
-        bulk = nv.StokesViscosity(K_v=eta, G_v=0.0)
-        run = block(
-            kind,
-            0.02,
-            mesh=mesh,
-            of=material(G),
-            speed=0.2,
-            viscosity=bulk,
-            creep=2 * eta,
-            discretisation=orders,
-        )
-        try:
-            run.run(0.16)
-        except nv.StepError as error:
-            unsolved.append(f"G = {G:g} Pa (relaxation time {eta / G:.1e} s, tau = 0.02 s): {error}")
-            continue
-        runs.append(run)
-        table.add(1 / G, v=separation(run, newtonian)["v"])
-    return Outcome(
-        values={
-            "last rate of v in 1/G": table.last("v"),
-            "moduli of four at which every step is solved": len(table.sizes),
-            "largest |closure|": closure(*runs),
-        },
-        remarks=[
-            "At finite strain the error in space grows with the modulus, whatever tau: with k = 2, m = "
-            "1 it is "
-            "0.003 at 100 Pa and 0.008 at 300 Pa; with k = 3, m = 2 it is seen from 1000 Pa on (1e-4), where "
-            "the distance no longer falls.",
-            *unsolved,
-        ]
-        if kind == "finite"
-        else unsolved,
-        tables=[table.table("1/G")],
-        plots=[table.plot("1/G, 1/Pa", "distance in L2", 1.0, "v")],
-    )
-
-
-def _cases(kind: str) -> tuple[Case, Case]:
+def _case(kind: str) -> Case:
     moduli = "K_e = 10 Pa, shear modulus 5 Pa, 0.2 m/s; cells of 0.35 m"
-    solid = Case(
+    return Case(
         name=f"kelvin-voigt-{kind}",
         theme=THEME,
         statement=f"In {KINDS[kind]} a Jeffreys material goes to the Kelvin–Voigt one as G_m -> "
@@ -188,27 +133,6 @@ def _cases(kind: str) -> tuple[Case, Case]:
         ),
         run=partial(kelvin_voigt, kind),
     )
-    liquid = Case(
-        name=f"fluid-limit-{kind}",
-        theme=THEME,
-        statement=f"In {KINDS[kind]} a Maxwell element of fixed viscosity and growing modulus becomes a "
-        f"Newtonian fluid's viscosity.",
-        label="Euler-small-viscoelastodyn+2" if kind == "linearised" else "ED-Euler-large3",
-        setting=f"The block with {moduli}; viscosity 0.5 Pa s as G_m/2 with shear moduli of 10 to 300 "
-        f"Pa, against "
-        "a Stokes viscosity without shear modulus; 8 steps of 0.02 s, k = 3, m = 2.",
-        bounds=(
-            Bound("last rate of v in 1/G", ">=", 0.8, "the relaxation time"),
-            Bound(
-                "moduli of four at which every step is solved", ">=", 4, "a stiff rheology, implicit steps"
-            ),
-            CLOSURE,
-        ),
-        run=partial(fluid, kind),
-        explanation="With a relaxation time far below tau Newton's iteration does not find the finite-strain "
-        "step, whose creep is nonlinear in F. The remarks name the moduli.",
-    )
-    return solid, liquid
 
 
 CASES = (
@@ -230,5 +154,5 @@ CASES = (
         ),
         run=small_strain,
     ),
-    *(case for kind in KINDS for case in _cases(kind)),
+    *map(_case, KINDS),
 )

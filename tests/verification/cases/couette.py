@@ -1,19 +1,110 @@
-"""Couette flow of a Maxwell fluid between cylinders."""
+"""A disc in rigid rotation, and Couette flow of a Maxwell fluid between cylinders."""
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 import numpy as np
-from ngsolve import x, y
+from ngsolve import CF, x, y
 
 import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
-from ngvisco.geometries import annulus
+from ngvisco.geometries import annulus, disc
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.cases.flows import THEME
 from tests.verification.cases.rheology import NAMES
-from tests.verification.setups import CLOSURE, closure
+from tests.verification.problems import distance
+from tests.verification.rates import RateTable
+from tests.verification.setups import CLOSURE, KINDS, closure
+
+THEME = "Exact solutions: rotation, Couette flow"
+OMEGA = 1.0
+
+
+def rotating(kind: str, h: float, steps: int) -> tuple[nv.Simulation, dict[str, float]]:
+    """A quarter of a turn of a disc; the body force −Omega² x is its centripetal one.
+
+    Returns the run and the L2 errors of v and of E or H, relative to the exact fields' norms (E: absolute).
+    """
+    until = 0.5 * math.pi / OMEGA
+    if kind == "linearised":
+        material: nv.Material = nv.LinearElastic(K_e=10.0, G_e=5.0)
+    else:
+        material = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
+    model = nv.Model(
+        material=material,
+        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+        loads=(nv.Gravity((-(OMEGA**2) * x, -(OMEGA**2) * y)),),
+    )
+    exact_v = CF((-OMEGA * y, OMEGA * x))
+    run = nv.Simulation(
+        disc(1.0, h), model, dt=until / steps, initial=nv.Initial(density=1.0, velocity=exact_v)
+    )
+    run.run(until)
+    c, s = math.cos(OMEGA * until), math.sin(OMEGA * until)
+    R = CF((c, -s, 0, s, c, 0, 0, 0, 1), dims=(3, 3))
+    tensor, exact = (run.fields["E"], 0 * R) if kind == "linearised" else (run.fields["H"], R)
+    error_v = distance(run.fields["velocity"], exact_v, run.mesh) / math.sqrt(math.pi / 2)
+    return run, {"v": error_v, "z": distance(tensor, exact, run.mesh)}
+
+
+def _rotation(kind: str) -> Outcome:
+    """The linearised model over meshes and steps; the finite-strain model over steps."""
+    runs, tables, values = [], [], {}
+    in_tau = RateTable("errors after a quarter of a turn, over tau, h = 0.4 m")
+    for steps in (8, 16, 32):
+        run, errors = rotating(kind, 0.4, steps)
+        runs.append(run)
+        in_tau.add(run.dt, **errors)
+    tables.append(in_tau.table("tau, s"))
+    spread = max(in_tau.errors["v"]) / min(in_tau.errors["v"])
+    values = {"error of v, largest / smallest over tau": spread}
+    if kind == "finite":
+        values["rate of H in tau"] = in_tau.last("z")
+    else:
+        in_h = RateTable("errors after a quarter of a turn, over h, 8 steps")
+        for h in (0.8, 0.4, 0.2):
+            run, errors = rotating(kind, h, 8)
+            runs.append(run)
+            in_h.add(h, **errors)
+        tables.append(in_h.table("h, m"))
+        values |= {"rate of v in h": in_h.last("v"), "rate of E in h": in_h.last("z")}
+    return Outcome(
+        values={**values, "largest |closure|": closure(*runs)},
+        tables=tables,
+        plots=[in_tau.plot("tau, s", "L2 error")],
+    )
+
+
+def _rotation_case(kind: str) -> Case:
+    finite = kind == "finite"
+    kept = Bound("error of v, largest / smallest over tau", "<=", 1.1, "the mesh's error alone, for any step")
+    if finite:
+        error: tuple[Bound, ...] = (Bound("rate of H in tau", ">=", 0.85, "implicit Euler"), kept)
+    else:
+        error = (
+            Bound("rate of v in h", ">=", 1.5, "v.n = 0 on curved cells, P2"),
+            Bound("rate of E in h", ">=", 1.5, "v.n = 0 on curved cells, P2"),
+            kept,
+        )
+    return Case(
+        name=f"rotation-{kind}",
+        theme=THEME,
+        statement="A disc in rigid rotation stays so: "
+        + (
+            "F = R(t), to first order in tau."
+            if finite
+            else "E = 0 and v, up to the mesh's error, for any step."
+        ),
+        label="ED-Euler-large2" if finite else "ZJ",
+        setting="Disc of radius 1 m with slip (curved cells), 1 turn in 2 pi s, K_e = 10 Pa, G_e = 5 Pa, "
+        "K_v = G_v = 0.1 Pa s, centripetal body force; a quarter of a turn in 8, 16, 32 steps, h = 0.4 m"
+        + ("." if finite else "; and h = 0.8, 0.4, 0.2 m with 8 steps."),
+        bounds=(*error, CLOSURE),
+        run=partial(_rotation, kind),
+        reduced=not finite,
+    )
+
 
 COUETTE = {"linearised": (0.5, 0.25), "finite": (0.7, 0.35), "finite-b": (0.7, 0.35)}
 """Cell sizes, m: a finite-strain step costs ten times as much."""
@@ -89,4 +180,4 @@ def _case(kind: str) -> Case:
     )
 
 
-CASES = tuple(_case(kind) for kind in NAMES)
+CASES = (*map(_rotation_case, KINDS), *map(_case, NAMES))

@@ -6,7 +6,7 @@ import warnings
 from typing import Literal
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Det, IfPos, Integrate, cos, pi, sin, x, y
+from ngsolve import CF, CoefficientFunction, Det, IfPos, Integrate, x, y
 
 import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
@@ -14,7 +14,7 @@ from ngvisco.forms.context import time
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import dev, square, sym, tr
 from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen, Values
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.case import Bound, Case, Outcome, Table
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, closure
 
@@ -173,50 +173,6 @@ def _cell_means(A: CoefficientFunction, run: nv.Simulation) -> np.ndarray:
     return np.array(parts).T / np.sqrt(volume)[:, None]
 
 
-def vortex(state: Literal["F", "B"], maxh: float, dt: float) -> nv.Simulation:
-    """A force that keeps an eddy of 1 m/s turning in the unit box, slip on its walls."""
-    eta = VISCOSITY + G_M / 2
-    eddy = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
-    ramp = IfPos(time - 0.2, 1, time / 0.2)
-    force = tuple(2 * eta * pi**2 * ramp * v for v in eddy)
-    model = nv.Model(
-        material=material(state),
-        viscosity=nv.StokesViscosity(K_v=VISCOSITY, G_v=VISCOSITY),
-        creep=nv.Creep(G_m=G_M),
-        loads=(nv.BodyForce(force),),
-    )
-    time.Set(0.0)
-    return nv.Simulation(box((1, 1), maxh), model, time=nv.TimeSteps(dt=dt, velocity_scale=1.0))
-
-
-def _vortex() -> Outcome:
-    until, curves, values = 5.0, [], {}
-    runs = []
-    for state in ("F", "B"):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", nv.DefectWarning)
-            run = vortex(state, 0.15, 0.05)
-            try:
-                run.run(until)
-            except nv.StepError:
-                assert state == "F"  # which may end: that is the finding
-        runs.append(run)
-        rows = run.ledger
-        curves.append(
-            Curve(f"by {state}", rows.column("time").tolist(), rows.column("defect_rms").tolist(), ".-")
-        )
-        values[state] = rows.column("defect_rms")
-    return Outcome(
-        values={
-            "largest defect by B": float(values["B"].max()),
-            "largest defect by F": float(values["F"].max()),
-            "Maxwell times by B": runs[1].t / 0.05,
-            "largest |closure|": closure(*runs),
-        },
-        plots=[Plot("det of the distortion against J, root mean square", "t, s", "", curves, log="y")],
-    )
-
-
 CASES = (
     Case(
         name="winding-lid",
@@ -250,21 +206,5 @@ CASES = (
             CLOSURE,
         ),
         run=_cavity,
-    ),
-    Case(
-        name="winding-vortex",
-        theme=THEME,
-        statement="A creeping fluid in a steady vortex, a hundred Maxwell times: by B its variables belong "
-        "together all the time, by F they part.",
-        label="ED-Euler-large2, ED-Euler-large3",
-        setting="Unit box with slip, an eddy of 1 m/s driven by a body force, cells of 0.15 m, 100 steps of "
-        "0.05 s; the material of the lid.",
-        bounds=(
-            Bound("largest defect by B", "<=", 0.01, "where a run would warn"),
-            Bound("largest defect by F", ">=", 0.1, "the finding: F is wrong"),
-            Bound("Maxwell times by B", ">=", 99, "what is claimed"),
-            CLOSURE,
-        ),
-        run=_vortex,
     ),
 )
