@@ -6,8 +6,6 @@ first, and only then by this one.
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import warnings
 from os import PathLike
 from pathlib import Path
@@ -18,15 +16,15 @@ from netgen.occ import OCCGeometry, Pnt
 from netgen.read_gmsh import ReadGmsh
 from ngsolve import Mesh
 
-from ngvisco.errors import MeshError, ParameterError, Quantity, require_path
+from ngvisco.errors import MeshError, ParameterError, Quantity, require_path, require_type
 from ngvisco.geometries.corners import split_corner_cells
 from ngvisco.geometries.meshing import (
     CURVE_ORDER,
     as_length,
-    check_flag,
     check_order,
     is_delicate,
     mesh_of,
+    try_apart,
     unit_of,
 )
 
@@ -76,12 +74,13 @@ def load(
     if maxh is not None:
         maxh = as_length("load.maxh", maxh)
     check_order("load", order)
-    check_flag("load.split_corners", split_corners)
+    require_type("load.split_corners", split_corners, bool)
     _check_file(path)
     kind = path.suffix.lower()
     if maxh is None and kind not in _MESHES:
         raise ParameterError("load.maxh", maxh, "a cell size, since the file holds a geometry")
-    _try_apart(path, maxh)
+    begin = "from ngsolve import Mesh\npath, maxh = sys.argv[1:]\n"
+    try_apart(str(path), "read", begin + _MESHES.get(kind, _TRIAL), str(path), repr(maxh or ""))
     try:
         mesh = _read(path, kind, maxh)
     except (MeshError, ParameterError):
@@ -129,18 +128,6 @@ try:
 except NgviscoError:
     pass  # is raised again, and explained, in the process that asked
 """
-
-
-def _try_apart(path: Path, maxh: float | None) -> None:
-    """Raise MeshError if Netgen ends its process on the file."""
-    # the child finds what this process has found, also in a clone that is not installed
-    begin = f"import sys; sys.path[:] = {sys.path!r}\nfrom ngsolve import Mesh\npath, maxh = sys.argv[1:]\n"
-    code = begin + _MESHES.get(path.suffix.lower(), _TRIAL)
-    arguments = [sys.executable, "-c", code, str(path), "" if maxh is None else repr(maxh)]
-    trial = subprocess.run(arguments, capture_output=True, text=True)
-    if trial.returncode != 0:
-        said = trial.stderr.strip().splitlines()
-        raise MeshError(f"{path}: Netgen cannot read it ({said[-1] if said else 'it crashes'})")
 
 
 def _is_whole_brep(text: str) -> bool:

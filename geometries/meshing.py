@@ -28,6 +28,7 @@ from ngvisco.errors import (
     as_integer,
     as_number,
     require_names,
+    require_type,
 )
 from ngvisco.geometries.corners import split_corner_cells
 
@@ -78,12 +79,6 @@ def check_order(owner: str, order: int) -> None:
     number = as_integer(order)
     if number is None or not 1 <= number <= 10:
         raise ParameterError(f"{owner}.order", order, "an integer from 1 to 10")
-
-
-def check_flag(field: str, value: object) -> None:
-    """Raise ParameterError unless the value is True or False."""
-    if not isinstance(value, bool):
-        raise ParameterError(field, value, "True or False")
 
 
 def unit_of(
@@ -161,7 +156,7 @@ def mesh_of(
     """
     size = as_length(f"{owner}.maxh", maxh) / unit
     check_order(owner, order)
-    check_flag(f"{owner}.split_corners", split_corners)
+    require_type(f"{owner}.split_corners", split_corners, bool)
     walls = shape.edges if dim == 2 else shape.faces
     known = {str(wall.name) for wall in walls if wall.name}
     cells = {f"{owner}.maxh": (maxh, sum(part.mass for part in _interior(shape, dim)), size, dim)}
@@ -179,7 +174,7 @@ def mesh_of(
     for field, (value, measure, h, of) in cells.items():
         _check_count(field, value, measure, h, dim, of, unit)
     if is_delicate:
-        _try_apart(owner, shape, dim, size)
+        _try_shape(owner, shape, dim, size)
     mesh = _generated(owner, shape, dim, size)
     _require_all(owner, shape, mesh, known, is_round)
     if unit != 1.0:
@@ -245,29 +240,36 @@ _FLAT = 1e-6
 _POLYGON = 0.4  # a coarse polygon fills so much less than its circle, or more than the ring about it
 
 
+def try_apart(owner: str, what: str, code: str, *arguments: str, patience: float | None = None) -> None:
+    """Raise MeshError if Netgen ends a process of its own by some code, or not within ``patience`` (s).
+
+    The code finds what this process has found, also in a clone that is not installed, and its ``arguments``
+    in ``sys.argv``.
+    """
+    code = f"import sys; sys.path[:] = {sys.path!r}\n{code}"
+    command = [sys.executable, "-c", code, *arguments]
+    try:
+        trial = subprocess.run(command, capture_output=True, text=True, timeout=patience)
+    except subprocess.TimeoutExpired as error:
+        raise MeshError(f"{owner}: Netgen has no mesh of it after {patience:g} s") from error
+    if trial.returncode != 0:
+        said = trial.stderr.strip().splitlines()
+        raise MeshError(f"{owner}: Netgen cannot {what} it ({said[-1] if said else 'it crashes'})")
+
+
+def _try_shape(owner: str, shape: Any, dim: int, maxh: float) -> None:
+    with tempfile.TemporaryDirectory() as scratch:
+        path = str(Path(scratch) / "shape.brep")
+        shape.WriteBrep(path)
+        try_apart(owner, "mesh", _TRIAL, path, str(dim), repr(maxh), patience=_PATIENCE)
+
+
 _TRIAL = """
-import sys
 from netgen.occ import OCCGeometry
 path, dim, maxh = sys.argv[1:]
 shape = OCCGeometry(path).shape
 OCCGeometry(shape, dim=int(dim)).GenerateMesh(maxh=float(maxh), parallel_meshing=False)
 """
-
-
-def _try_apart(owner: str, shape: Any, dim: int, maxh: float) -> None:
-    """Raise MeshError if Netgen ends its process on a shape, or does not end at all."""
-    with tempfile.TemporaryDirectory() as scratch:
-        path = Path(scratch) / "shape.brep"
-        shape.WriteBrep(str(path))
-        code = f"import sys; sys.path[:] = {sys.path!r}\n{_TRIAL}"
-        arguments = [sys.executable, "-c", code, str(path), str(dim), repr(maxh)]
-        try:
-            trial = subprocess.run(arguments, capture_output=True, text=True, timeout=_PATIENCE)
-        except subprocess.TimeoutExpired as error:
-            raise MeshError(f"{owner}: Netgen has no mesh of it after {_PATIENCE:g} s") from error
-    if trial.returncode != 0:
-        said = trial.stderr.strip().splitlines()
-        raise MeshError(f"{owner}: Netgen cannot mesh it ({said[-1] if said else 'it crashes'})")
 
 
 def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:

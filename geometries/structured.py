@@ -9,9 +9,9 @@ from typing import Annotated
 from ngsolve import Mesh
 from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
-from ngvisco.errors import ParameterError, Quantity, as_integer, as_number, require_names
+from ngvisco.errors import ParameterError, Quantity, as_integer, as_number, require_names, require_type
 from ngvisco.geometries.corners import split_corner_cells
-from ngvisco.geometries.meshing import MAX_CELLS, box_lengths, check_flag
+from ngvisco.geometries.meshing import MAX_CELLS, box_lengths
 
 _NAMES = {"back": "left", "front": "right", "left": "front", "right": "back"}
 """NGSolve's names of the walls of a structured box in 3D, and those of ``box``."""
@@ -56,7 +56,7 @@ def structured_box(
         kind = "triangles" if dim == 2 else "tetrahedra"
         raise ParameterError("structured_box.cells", cells, f"at most {MAX_CELLS} {kind}, these are {number}")
     axes = "xyz"[:dim]
-    check_flag("structured_box.split_corners", split_corners)
+    require_type("structured_box.split_corners", split_corners, bool)
     directions = list(periodic) if isinstance(periodic, str) else require_names(_FIELD, periodic)
     for name in directions:
         if name not in axes:

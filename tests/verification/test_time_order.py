@@ -24,10 +24,7 @@ def test_scheme_is_of_first_order_in_tau(kind: str) -> None:
 
 
 def test_short_steps_converge_where_the_flow_turns_round() -> None:
-    """At t = 0.18 v.n changes sign on a facet, and the elastic force jumps with the upwind side.
-
-    Newton from the old state then ends in a fold; the solution is found by narrowing the upwinding.
-    """
+    """At t = 0.18 v.n changes sign on a facet, and the elastic force jumps with the upwind side."""
     ledger = free_solution("neo-hookean", 128, 0.2).ledger
     assert abs(ledger.column("closure_relative")).max() <= 1e-10
     assert ledger.column("time")[-1] == pytest.approx(0.2)
