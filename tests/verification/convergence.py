@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from ngsolve import GridFunction
@@ -64,10 +65,12 @@ def coupled_rates(
     curved: bool = False,
     tau: float = 0.05,
     steps: int = 2,
+    sources: Callable[..., Sources] = Sources,
 ) -> RateTable:
     """The whole system: creep, gravity, viscosity, hyperviscosity (unless p is None), and delta- and
     epsilon-terms if ``regularised``, without delta if not ``delta``; creep's gradient with nu > 0; in the
-    unit ball if ``curved``; errors in L2 after ``steps`` steps, space only."""
+    unit ball if ``curved``; errors in L2 after ``steps`` steps, space only.  Other ``sources`` than those of
+    the exact fields are for negative controls."""
     system = model(kind, dim, p, regularised, delta, nu)
     terms = (", all terms" if delta else ", all terms but delta") if regularised else ""
     table = RateTable(f"coupled, {kind}, {dim}D, p = {p}, k = {k}, m = {m}{terms}")
@@ -80,7 +83,7 @@ def coupled_rates(
             dt=tau,
             initial=nv.Initial(density=start.rho, velocity=start.v, values=start.values),
             discretisation=nv.Discretisation(k=k, m=m),
-            sources=Sources(system, dim, tau, curved),
+            sources=sources(system, dim, tau, curved),
         )
         for _ in range(steps):
             simulation.advance()
@@ -109,14 +112,16 @@ def free_solution(
     *,
     p: float | None = None,
     driven: bool = False,
+    delta: bool = True,
     **options: Any,
 ) -> nv.Simulation:
     """A run from the manufactured initial state, with creep, gravity and viscosity.
 
-    ``driven`` has all terms and the manufactured sources, whose difference in time is far shorter than any
-    step; ``p`` is the hyperviscosity's exponent, None for none; ``options`` are the simulation's.
+    ``driven`` has all terms (without ``delta`` not the delta-terms) and the manufactured sources, whose
+    difference in time is far shorter than any step; ``p`` is the hyperviscosity's exponent, None for none;
+    ``options`` are the simulation's.
     """
-    system = model(kind, 2, p, regularised=driven)
+    system = model(kind, 2, p, regularised=driven, delta=delta)
     time.Set(0.0)
     exact = Exact(system, 2, 0.0)
     initial = nv.Initial(density=exact.rho, velocity=exact.v, values=exact.values)

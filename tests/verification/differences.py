@@ -18,7 +18,9 @@ from tests.verification.manufactured import (
     creep_rate,
     density,
     distortion,
+    entropy,
     jacobian,
+    reciprocal,
     strain,
     velocity,
 )
@@ -63,13 +65,19 @@ class Coefficients:
     delta_fields: float = 0.0
     damping: float = 0.0
     """epsilon in epsilon |v|^2 v."""
+    c: float = 0.0
+    """Heat capacity, in units of which the entropy counts; with it theta_R, Grueneisen's parameter, and
+    kappa of a conductivity kappa theta^1.5."""
+    theta_R: float = 0.0
+    Gamma: float = 0.0
+    kappa: float = 0.0
 
 
 class FiniteDifferences:
     """Residuals of the strong equations at points, from the exact fields and textbook formulas."""
 
     def __init__(self, kind: str, c: Coefficients, dim: int, t: float, tau: float) -> None:
-        """``kind`` is ``"linear"`` or ``"neo-hookean"``."""
+        """``kind`` is ``"linear"``, ``"neo-hookean"`` or, the same material, ``"with heat"``."""
         self.kind, self.c, self.dim, self.t, self.tau = kind, c, dim, t, tau
 
     def scalar(self, function: Callable[..., Any], t: float) -> ArrayFunction:
@@ -136,7 +144,33 @@ class FiniteDifferences:
         shift = J - 1 + c.epsilon / c.K_e
         phi = 0.5 * c.K_e * shift**2 + c.G_e * F_square / J ** (2 / 3) - c.epsilon * np.log(J)
         phi_J = c.K_e * shift - 2 / 3 * c.G_e * F_square / J ** (5 / 3) - c.epsilon / J
-        return 2 * c.G_e * F @ np.swapaxes(F, -1, -2) / J ** (2 / 3) + (J * phi_J + phi) * identity
+        T = 2 * c.G_e * F @ np.swapaxes(F, -1, -2) / J ** (2 / 3) + (J * phi_J + phi) * identity
+        if self.kind == "with heat":  # p = Gamma c theta/J
+            A = self.scalar(reciprocal, self.t)(X)
+            T = T - (c.Gamma * c.c * self.temperature(X) * A)[..., None, None] * identity
+        return np.asarray(T)
+
+    def temperature(self, X: np.ndarray) -> np.ndarray:
+        """theta_R J^-Gamma exp(S/c), S = s J per reference volume."""
+        A, s = self.scalar(reciprocal, self.t)(X), self.scalar(entropy, self.t)(X)
+        return np.asarray(self.c.theta_R * A**self.c.Gamma * np.exp(s / A))
+
+    def heating(self, X: np.ndarray) -> np.ndarray:
+        """sigma_v : grad v + mu |hess v|^p + R |M|^2 + epsilon |v|^4 + div(kappa theta^1.5 grad theta)."""
+        c, L, M = self.c, self.L(X), self.mandel(X)
+        total = np.sum(self.viscous_stress(X) * L, axis=(-2, -1)) + c.R * np.sum(M * M, axis=(-2, -1))
+        if c.mu:
+            S = self.hyperstress(X)
+            total = total + np.sum(S * S, axis=(-3, -2, -1)) ** (c.p / (2 * c.p - 2)) * c.mu ** (
+                1 / (1 - c.p)
+            )
+        total = total + c.damping * np.sum(self.vector(self.t)(X) ** 2, axis=-1) ** 2
+
+        def flux(Y: np.ndarray) -> np.ndarray:
+            slope = np.stack([difference(self.temperature, j)(Y) for j in range(self.dim)], axis=-1)
+            return c.kappa * self.temperature(Y)[..., None] ** 1.5 * slope
+
+        return np.asarray(total + self.divergence(flux, X))
 
     def creep(self, X: np.ndarray) -> np.ndarray:
         """Pi = R M, or the exact field."""
@@ -163,7 +197,7 @@ class FiniteDifferences:
         return np.asarray(M - np.trace(M, axis1=-2, axis2=-1)[..., None, None] / 3 * identity)
 
     def kinematics(self, X: np.ndarray) -> dict[str, np.ndarray]:
-        """Residuals of the equations of E, or of F and J."""
+        """Residuals of the equations of E, or of F and J, and with heat of A and s."""
         L, Pi = self.L(X), self.creep(X)
         if self.kind == "linear":
             E = self.matrix(strain, self.t)(X)
@@ -175,10 +209,18 @@ class FiniteDifferences:
         F, J = self.matrix(distortion, self.t)(X), self.scalar(jacobian, self.t)(X)
         rate_F = L @ F - F @ Pi + self.diffused(self.matrix(distortion, self.t), X)
         rate_J = np.trace(L, axis1=-2, axis2=-1) * J + self.diffused(self.scalar(jacobian, self.t), X)
-        return {
+        found = {
             "F": self.transport(lambda t: self.matrix(distortion, t), X) - rate_F,
             "J": self.transport(lambda t: self.scalar(jacobian, t), X) - rate_J,
         }
+        if self.kind == "with heat":
+            tr_L = np.trace(L, axis1=-2, axis2=-1)
+            found["A"] = self.transport(lambda t: self.scalar(reciprocal, t), X)
+            found["A"] += tr_L * self.scalar(reciprocal, self.t)(X)
+            found["s"] = self.transport(lambda t: self.scalar(entropy, t), X)
+            found["s"] += tr_L * self.scalar(entropy, self.t)(X)
+            found["s"] -= self.heating(X) / (self.c.c * self.temperature(X))
+        return found
 
     def viscous_stress(self, X: np.ndarray) -> np.ndarray:
         """K_v tr(eps) I + 2 G_v dev eps."""

@@ -68,6 +68,21 @@ def jacobian(X: Sequence[Any], t: Any, m: Functions) -> Any:
     return 1.1 + value
 
 
+def reciprocal(X: Sequence[Any], t: Any, m: Functions) -> Any:
+    value = 0.15 * m.sin(1 + t)
+    for s in X:
+        value = value * m.cos(PI * s)
+    return 0.9 + value
+
+
+def entropy(X: Sequence[Any], t: Any, m: Functions) -> Any:
+    """In units of the heat capacity; as J and A without a slope on the walls, which are insulated by that."""
+    value = 0.25 * m.cos(2 * t)
+    for s in X:
+        value = value * m.cos(PI * s)
+    return 0.1 + value
+
+
 def tensor(X: Sequence[Any], t: Any, m: Functions, identity: float) -> list[list[Any]]:
     """identity * I plus a field whose ij entry vanishes on the walls normal to e_i and to e_j."""
     dim = len(X)
@@ -123,7 +138,10 @@ def swirl(X: Sequence[Any], t: Any, m: Functions) -> list[Any]:
     return [v[0] - turning * y, v[1] + turning * x, *v[2:]]
 
 
-EXACT = {"E": strain, "F": distortion, "H": distortion, "B": stretch, "J": jacobian}
+EXACT = {
+    **{"E": strain, "F": distortion, "H": distortion, "B": stretch},
+    **{"J": jacobian, "A": reciprocal, "s": entropy},
+}
 
 
 @dataclass(frozen=True)

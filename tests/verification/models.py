@@ -5,14 +5,17 @@ from __future__ import annotations
 from ngsolve import CoefficientFunction
 
 import ngvisco as nv
-from ngvisco.physics.tensors import square
+from ngvisco.physics.tensors import sqrt, square
 from ngvisco.physics.variables import SmallStrain
 from tests.verification.differences import Coefficients
 
 KINDS = ("linear", "neo-hookean")
-FURTHER = ("by B", "cofactors", "Yosida", "Yosida, quartic")
-"""Materials of other variables: B = F F^T, of which creep is another law, Cof F beside F and J, and Yosida
-approximations, of the neo-Hookean energy and of one of E that grows faster than its square."""
+FURTHER = ("by B", "cofactors", "Yosida", "Yosida, quartic", "with heat")
+"""Materials of other variables: B = F F^T, of which creep is another law, Cof F beside F and J, Yosida
+approximations, of the neo-Hookean energy and of one of E that grows faster than its square, and A and the
+entropy."""
+HEAT_CAPACITY, THETA_R, GRUNEISEN, CONDUCTIVITY = 1.5, 1.2, 0.8, 0.25
+"""The conductivity is this times theta^1.5."""
 DELTA, DELTA_FIELDS, EPSILON = 0.02, 0.03, 1.0
 
 
@@ -29,6 +32,8 @@ def material(kind: str) -> nv.Material:
             material=nv.CustomMaterial(transported=(SmallStrain(),), stored_energy=_quartic), eps=0.05
         )
     neo_hookean = nv.NeoHookean(K_e=2.0, G_e=1.0, epsilon=0.5, elastic_state="F")
+    if kind == "with heat":
+        return nv.Thermal(material=neo_hookean, c=HEAT_CAPACITY, theta_R=THETA_R, gruneisen=GRUNEISEN)
     return nv.Yosida(material=neo_hookean, eps=0.05) if kind == "Yosida" else neo_hookean
 
 
@@ -52,7 +57,8 @@ def model(
 ) -> nv.Model:
     """Creep, gravity, viscosity, hyperviscosity with exponent p unless None, delta- and epsilon-terms.
 
-    With nu > 0 creep has its gradient term (q = 4), and its rate is a field of its own.
+    With nu > 0 creep has its gradient term (q = 4), and its rate is a field of its own.  With heat there is
+    conduction.
     """
     law = nv.Regularisation(
         delta_density=DELTA if delta else 0.0,
@@ -66,7 +72,12 @@ def model(
         creep=nv.Creep(G_m=2.0, nu=nu, q=4.0),
         loads=(nv.Gravity((0.0, -0.7, 0.0)[:dim]),),
         regularisation=law if regularised else None,
+        heat=nv.Heat(conductivity=_conductivity) if kind == "with heat" else None,
     )
+
+
+def _conductivity(theta: CoefficientFunction) -> CoefficientFunction:
+    return CONDUCTIVITY * theta * sqrt(theta)
 
 
 def coefficients(kind: str, p: float | None, regularised: bool = False, nu: float = 0.0) -> Coefficients:
@@ -85,4 +96,8 @@ def coefficients(kind: str, p: float | None, regularised: bool = False, nu: floa
         delta=DELTA if regularised else 0.0,
         delta_fields=DELTA_FIELDS if regularised else 0.0,
         damping=EPSILON if regularised else 0.0,
+        c=HEAT_CAPACITY,
+        theta_R=THETA_R,
+        Gamma=GRUNEISEN,
+        kappa=CONDUCTIVITY,
     )

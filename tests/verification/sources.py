@@ -12,6 +12,7 @@ from ngvisco.forms.context import inner_facets, time
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand
 from ngvisco.physics.material import mandel_stress
+from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.model import Gravity, Model, as_vector
 from ngvisco.physics.tensors import embed_gradient, inner, sym
 from tests.verification.manufactured import COORDINATES, Exact, divergence, gradient
@@ -48,13 +49,16 @@ class Sources:
 
     @property
     def kinematics(self) -> CoefficientFunction:
-        """(z - z_old)/tau + (v.grad) z - rate(z; L, Pi) - delta Laplace z, components."""
+        """(z - z_old)/tau + (v.grad) z - rate(z; L, Pi) - delta Laplace z, components; of the entropy less
+        what heats it."""
         new, old, model = self.new, self.old, self.model
         values, L = new.values, embed_gradient(new.grad_v, self.dim)
         Pi = 0 * L
         if model.creep is not None:
             Pi = model.creep.rate(self._mandel, None, values) if model.creep.is_local else new.Pi
         rates = {v.name: v.rate(values, L, Pi) for v in model.material.variables}
+        if (entropy := entropy_in(model.material)) is not None:
+            rates[entropy.name] = rates[entropy.name] + self.heating(Pi) / new.conjugates[entropy.name]
         total = (new.z - old.z) / self.tau - model.material.states(self.dim).components(rates)
         for v_j, dz in zip((new.v[j] for j in range(self.dim)), gradient(new.z, self.dim), strict=True):
             total = total + v_j * dz
@@ -62,6 +66,37 @@ class Sources:
             for s, dz in zip(COORDINATES, gradient(new.z, self.dim), strict=False):
                 total = total - self._delta_fields * dz.Diff(s)
         return total
+
+    def heating(self, Pi: CoefficientFunction) -> CoefficientFunction:
+        """xi + div(kappa grad theta), W/m^3, xi of all that dissipates but the delta-terms."""
+        model, new, dim = self.model, self.new, self.dim
+        total = CF(0.0)
+        if model.viscosity is not None:
+            total = total + inner(self._viscous_stress, embed_gradient(new.grad_v, dim))
+        if model.hyperviscosity is not None:
+            total = (
+                total + model.hyperviscosity.coefficient(self._hess_square, new.values) * self._hess_square
+            )
+        if model.creep is not None:
+            total = total + inner(self._mandel, Pi)
+        if model.regularisation is not None and model.regularisation.epsilon:
+            speed = new.v * new.v
+            total = total + model.regularisation.friction(speed) * speed
+        theta = temperature(model.material, new.conjugates)
+        if model.heat is not None and theta is not None:
+            flux = model.heat.flux(theta, CF(tuple(gradient(theta, dim))), dim)
+            total = total + sum((d[i] for i, d in enumerate(gradient(flux, dim))), CF(0.0))
+        return total
+
+    @property
+    def _hess(self) -> list[list[CoefficientFunction]]:
+        """d_j grad v_i, of i and j."""
+        return [[gradient(d, self.dim) for d in gradient(self.new.v[i], self.dim)] for i in range(self.dim)]
+
+    @property
+    def _hess_square(self) -> CoefficientFunction:
+        """|hess v|^2."""
+        return sum(h * h for component in self._hess for row in component for h in row)
 
     @property
     def _mandel(self) -> CoefficientFunction:
@@ -106,9 +141,7 @@ class Sources:
         if model.viscosity is not None:
             total = total - divergence(self._viscous_stress, dim)
         if model.hyperviscosity is not None:
-            hess = [[gradient(d, dim) for d in gradient(new.v[i], dim)] for i in range(dim)]
-            s = sum(h * h for component in hess for row in component for h in row)
-            c = model.hyperviscosity.coefficient(s, new.values)
+            hess, c = self._hess, model.hyperviscosity.coefficient(self._hess_square, new.values)
             force = []
             for i in range(dim):
                 terms = [

@@ -11,7 +11,6 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh import quadrature
 from ngvisco.forms.term import Integrand
 from ngvisco.physics.model import Model
-from tests.verification import convergence
 from tests.verification.convergence import coupled_rates
 from tests.verification.models import FURTHER, KINDS
 from tests.verification.sources import Sources
@@ -83,7 +82,7 @@ def test_coupled_rates_on_a_disc_are_k_plus_1_and_m_plus_1(kind: str) -> None:
 @pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")  # exact fields are unrelated
 @pytest.mark.parametrize("kind", FURTHER)
 def test_coupled_rates_of_further_materials(kind: str) -> None:
-    """By B, of F and Cof F at once, of Yosida approximations; the orders are those of the other materials."""
+    """By B, of F and Cof F at once, of Yosida approximations, with heat; the orders are those of others."""
     coupled_rates(kind, 2, None, 2, 1, 0.4, 3).require(v=2.7, rho=1.85, z=1.85)
 
 
@@ -123,10 +122,8 @@ def test_wrong_sources_do_not_converge(
     curved: bool,
     wrong: Callable[..., Sources],
     name: str,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Negative control: what the sources leave out stays, and the rate falls below what is asked for."""
-    monkeypatch.setattr(convergence, "Sources", wrong)
     levels, maxh = (3, 0.4) if dim == 2 else (2, 1.0)
-    table = coupled_rates(kind, dim, None, k, k - 1, maxh, levels, curved=curved)
+    table = coupled_rates(kind, dim, None, k, k - 1, maxh, levels, curved=curved, sources=wrong)
     assert table.last(name) <= (1.35 if dim == 2 else 1.75), table

@@ -69,6 +69,40 @@ def test_check_of_the_sources_sees_a_coefficient_that_is_one_per_cent_off(
         assert (error > 10 * TOLERANCE) == (equation in equations), found
 
 
+def with_heat(dim: int, **changed: float) -> dict[str, float]:
+    """The mismatch of all terms but the delta ones, whose dissipation the sources do not have as heat."""
+    right = coefficients("with heat", 4.0, regularised=True)
+    known = replace(right, delta=0.0, delta_fields=0.0, **changed)
+    sources = Sources(model("with heat", dim, 4.0, regularised=True, delta=False), dim, TAU)
+    return mismatch(known, sources, "with heat", T, box((1,) * dim, 1.0))
+
+
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=[pytest.mark.long, pytest.mark.ci])])
+def test_sources_of_heat_are_the_residuals_of_the_strong_equations(dim: int) -> None:
+    found = with_heat(dim)
+    assert "s" in found and max(found.values()) <= TOLERANCE, found
+
+
+@pytest.mark.parametrize(
+    ("name", "equations"),
+    [
+        ("c", ["momentum", "s"]),
+        ("theta_R", ["momentum", "s"]),
+        ("Gamma", ["momentum", "s"]),
+        ("kappa", ["s"]),
+        ("K_v", ["momentum", "s"]),
+        ("mu", ["momentum", "s"]),
+        ("R", ["F", "s"]),
+        ("damping", ["momentum", "s"]),
+    ],
+)
+def test_check_of_heat_sees_a_coefficient_that_is_one_per_cent_off(name: str, equations: list[str]) -> None:
+    right = coefficients("with heat", 4.0, regularised=True)
+    found = with_heat(2, **{name: (1.2 if name == "damping" else 1.01) * getattr(right, name)})
+    for equation, error in found.items():
+        assert (error > 10 * TOLERANCE) == (equation in equations), found
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("kind", KINDS)
 def test_exact_fields_meet_the_natural_conditions_of_the_walls(kind: str, dim: int) -> None:

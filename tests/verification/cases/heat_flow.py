@@ -1,18 +1,15 @@
-"""Heat of flows against theory: shear that heats and weakens, and the onset of convection."""
+"""Heat of flows against theory: shear that heats and weakens."""
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
-from ngsolve import CF, Integrate, cos, pi, sin, y
-from ngsolve import x as x_1
+from ngsolve import y
 from scipy.integrate import solve_ivp
 
 import ngvisco as nv
-from ngvisco.geometries import box, structured_box
-from ngvisco.physics.variables import Jacobian
+from ngvisco.geometries import structured_box
 from tests.verification.case import Bound, Case, Outcome, Table
 from tests.verification.cases.heat import THEME
 from tests.verification.setups import CLOSURE, closure
@@ -115,93 +112,7 @@ def _shear_heating() -> Outcome:
     )
 
 
-WAVE = math.pi / math.sqrt(2)
-"""Wave number of the onset between walls that slip, 1/m."""
-SIZE = WAVE**2 + math.pi**2
-
-
-def _growth(Ra: float) -> float:
-    """Of the linear theory, nu = kappa/c = d = 1."""
-    return math.sqrt(Ra * WAVE**2 / SIZE) - SIZE
-
-
-def _rolls(Ra: float, sign: float, h: float = 0.25) -> np.ndarray:
-    """Amplitudes of a roll in half of its width, step by step, of +- the same small start.
-
-    A nearly incompressible fluid: expansion 3e-3/K, 1 K between the walls, g/K_e = 2e-3, of isentropic
-    slope 7e-4 K/m.
-    """
-    expansion, K_e, c, middle, step = 3e-3, 1e8, 1e7, 10.0, 1e-3
-    k, g = WAVE, Ra / expansion
-    cold = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J - 2 + 1 / J))
-    model = nv.Model(
-        material=nv.Thermal(material=cold, c=c, theta_R=middle, expansion=expansion),
-        viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0),
-        heat=nv.Heat(conductivity=c),
-        loads=(nv.Gravity((0.0, -g)),),
-    )
-    walls: Any = {
-        name: nv.Slip(heat=nv.WallHeat(temperature=middle + above, coefficient=1e5 * c))
-        for name, above in (("bottom", 0.5), ("top", -0.5))
-    }
-    roll = (
-        sign * step * pi * sin(k * x_1) * cos(pi * y),
-        -sign * step * k * cos(k * x_1) * sin(pi * y),
-    )
-    warmer = 0.5 - y + roll[1] / SIZE
-    J = 1 + g / K_e * (y - 0.5) + expansion * warmer
-    start = nv.Initial(
-        density=1 / J,
-        F=CF((1, 0, 0, 0, J, 0, 0, 0, 1), dims=(3, 3)),
-        temperature=middle + warmer,
-        velocity=roll,
-    )
-    # upwinding is smooth above the roll's velocity, so that it is linear in it
-    time = nv.TimeSteps(dt=0.01, scheme="midpoint", velocity_scale=100.0)
-    mesh = box((math.pi / k, 1), maxh=h)
-    run = nv.Simulation(mesh, model, time=time, initial=start, walls=walls, solver="coupled")
-    found = []
-    for _ in range(25):
-        run.advance()
-        found.append(Integrate(run.fields["velocity"][1] * cos(k * x_1) * sin(pi * y), mesh))
-    return np.array(found)
-
-
-def _onset() -> Outcome:
-    """Growth below and above the onset, of half of the difference of two runs: linear in the roll."""
-    rows, numbers = [], (500.0, 800.0)
-    for Ra in numbers:
-        roll = 0.5 * (_rolls(Ra, 1.0) - _rolls(Ra, -1.0))
-        found = float(np.log(roll[-1] / roll[-6]) / 0.05)
-        rows.append([Ra, found, _growth(Ra), abs(found - _growth(Ra)) / SIZE])
-    of_root = float(np.interp(0.0, [row[1] for row in rows], np.sqrt(numbers)))
-    return Outcome(
-        values={
-            "error of the growth, of k^2 + pi^2": max(row[3] for row in rows),
-            "error of the critical Rayleigh number": abs(of_root**2 / 657.511 - 1),
-        },
-        tables=[Table("growth of a roll", ["Ra", "growth, 1/s", "theory, 1/s", "error"], rows)],
-    )
-
-
 CASES = (
-    Case(
-        name="heat-onset",
-        theme=THEME,
-        statement="Convection between plates that slip sets in at the critical Rayleigh number.",
-        label="Rayleigh 1916: 657.5 between walls that slip",
-        setting="Half of a roll of the critical wave number, plates 1 K apart, cells of 0.25 m.",
-        bounds=(
-            Bound(
-                "error of the growth, of k^2 + pi^2",
-                "<=",
-                0.03,
-                "(pi h)^2/12 = 0.05 of P1; set after Ra = 500 was seen: 0.011",
-            ),
-            Bound("error of the critical Rayleigh number", "<=", 0.05, "twice as much, less"),
-        ),
-        run=_onset,
-    ),
     Case(
         name="heat-shear",
         theme=THEME,

@@ -1,0 +1,194 @@
+"""The onset of convection between plates that slip and that do not, against the linear theory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction, Integrate, cos, sin, x, y
+from numpy.polynomial import Polynomial
+from scipy.linalg import eig
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.physics.variables import Jacobian
+from tests.verification.case import Bound, Case, Outcome, Table
+from tests.verification.cases.heat import THEME
+
+POINTS = 24
+"""Chebyshev intervals of the eigenvalue problem."""
+
+
+@dataclass(frozen=True)
+class Plates:
+    """Two plates 1 m apart.
+
+    Attributes
+    ----------
+    wall : makes a plate with a ``WallHeat``
+    derivative : order of the derivative of W that vanishes on them, beside W and Theta
+    wave : critical wave number, 1/m
+    critical : critical Rayleigh number
+    numbers : Rayleigh numbers below and above it
+    """
+
+    wall: Callable[..., Any]
+    derivative: int
+    wave: float
+    critical: float
+    numbers: tuple[float, float]
+
+
+SLIP = Plates(nv.Slip, 2, math.pi / math.sqrt(2), 657.511, (600.0, 720.0))
+NO_SLIP = Plates(nv.NoSlip, 1, 3.117, 1707.762, (1600.0, 1800.0))
+
+
+@dataclass(frozen=True)
+class Mode:
+    """The mode that grows most, exp(growth t) (W, Theta)(y) cos(k x), nu = kappa/c = d = 1."""
+
+    growth: float
+    W: Polynomial
+    Theta: Polynomial
+
+
+def _mode(plates: Plates, Ra: float) -> Mode:
+    """By collocation of (D^2 - k^2 - s)(D^2 - k^2) W = Ra k^2 Theta, (D^2 - k^2 - s) Theta = -W."""
+    n, k = POINTS, plates.wave
+    D = 2 * _derivative(n)
+    one, zero = np.eye(n + 1), np.zeros((n + 1, n + 1))
+    laplace = D @ D - k * k * one
+    A = np.block([[laplace @ laplace, -Ra * k * k * one], [one, laplace]])
+    B = np.block([[laplace, zero], [zero, one]])
+    W_walls, slopes = (
+        np.hstack([of[[0, n]], 0 * of[[0, n]]]) for of in (one, np.linalg.matrix_power(D, plates.derivative))
+    )
+    rows = np.vstack([W_walls, slopes, np.roll(W_walls, n + 1, axis=1)])
+    at = [0, n, 1, n - 1, n + 1, 2 * n + 1]
+    A[at], B[at] = rows, 0.0
+    values, vectors = eig(A, B)
+    growth = np.where(np.isfinite(values) & (abs(values) < 1e6), values.real, -np.inf)
+    first = int(growth.argmax())
+    vector = (vectors[:, first] / vectors[n // 2, first]).real
+    places = (np.cos(np.pi * np.arange(n + 1) / n) + 1) / 2
+    W, Theta = (Polynomial.fit(places, of, 12, domain=[0, 1], window=[0, 1]) for of in np.split(vector, 2))
+    return Mode(float(growth[first]), W, Theta)
+
+
+def _derivative(n: int) -> np.ndarray:
+    """Of values at the n + 1 Chebyshev points of [-1, 1]."""
+    points = np.cos(np.pi * np.arange(n + 1) / n)
+    weights = np.r_[2, np.ones(n - 1), 2] * (-1.0) ** np.arange(n + 1)
+    D = np.outer(weights, 1 / weights) / (points[:, None] - points + np.eye(n + 1))
+    return np.asarray(D - np.diag(D.sum(axis=1)))
+
+
+def _at_height(polynomial: Polynomial) -> CoefficientFunction:
+    value = CF(0.0)
+    for coefficient in polynomial.coef[::-1]:
+        value = value * y + float(coefficient)
+    return value
+
+
+def _rolls(plates: Plates, Ra: float, amplitude: float, h: float = 0.25) -> np.ndarray:
+    """Amplitudes step by step, 0.01 s each, of half of a roll that starts in its mode, m/s.
+
+    A nearly incompressible fluid: expansion 3e-3/K, 1 K between the plates, g/K_e < 1e-3/m, of isentropic
+    slope 2e-3 K/m.
+    """
+    expansion, K_e, c, middle = 3e-3, 1e9, 1e7, 10.0
+    mode, k, g = _mode(plates, Ra), plates.wave, Ra / expansion
+    cold = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J - 2 + 1 / J))
+    model = nv.Model(
+        material=nv.Thermal(material=cold, c=c, theta_R=middle, expansion=expansion),
+        viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0),
+        heat=nv.Heat(conductivity=c),
+        loads=(nv.Gravity((0.0, -g)),),
+    )
+    walls: Any = {
+        name: plates.wall(heat=nv.WallHeat(temperature=middle + above, coefficient=1e5 * c))
+        for name, above in (("bottom", 0.5), ("top", -0.5))
+    }
+    W, slope, Theta = (_at_height(of) for of in (mode.W, mode.W.deriv(), mode.Theta))
+    warmer = 0.5 - y + amplitude * Theta * cos(k * x)
+    J = 1 + g / K_e * (y - 0.5) + expansion * warmer
+    start = nv.Initial(
+        density=1 / J,
+        F=CF((1, 0, 0, 0, J, 0, 0, 0, 1), dims=(3, 3)),
+        temperature=middle + warmer,
+        velocity=(-amplitude / k * slope * sin(k * x), amplitude * W * cos(k * x)),
+    )
+    mesh = box((math.pi / k, 1), maxh=h)
+    run = nv.Simulation(
+        mesh,
+        model,
+        # upwinding is smooth above the roll's velocity, so that it is linear in it
+        time=nv.TimeSteps(dt=0.01, scheme="midpoint", velocity_scale=100.0),
+        initial=start,
+        walls=walls,
+        solver="coupled",
+        discretisation=nv.Discretisation(k=3, m=2),
+        newton=nv.NewtonOptions(tolerance=1e-7),  # pressures round to 1e-16 K_e
+    )
+    found = []
+    for _ in range(15):
+        run.advance()
+        found.append(Integrate(run.fields["velocity"][1] * cos(k * x) * W, mesh, order=10))
+    return np.array(found)
+
+
+def _onset(plates: Plates) -> Outcome:
+    """Growth below and above the onset, of half of the difference of two runs: linear in the roll."""
+    rows, size = [], plates.wave**2 + math.pi**2
+    for Ra in plates.numbers:
+        roll = 0.5 * (_rolls(plates, Ra, 0.05) - _rolls(plates, Ra, -0.05))
+        # a line, since sound that the midpoint rule does not damp stays in the differences of steps
+        found = 100 * float(np.polyfit(np.arange(10), np.log(roll[-10:]), 1)[0])
+        expected = _mode(plates, Ra).growth
+        rows.append([Ra, found, expected, abs(found - expected) / size])
+    root = float(np.interp(0.0, [row[1] for row in rows], np.sqrt(plates.numbers)))
+    return Outcome(
+        values={
+            "error of the growth, of k^2 + pi^2": max(row[3] for row in rows),
+            "error of the critical Rayleigh number": abs(root**2 / plates.critical - 1),
+        },
+        tables=[Table("growth of a roll", ["Ra", "growth, 1/s", "theory, 1/s", "error"], rows)],
+    )
+
+
+_SETTING = (
+    "Half of a roll of the critical wave number, plates 1 K apart, 34 cells of 0.25 m with P3 velocities and "
+    "P2 fields, midpoint rule; the start is the theory's mode with both signs. Two Rayleigh numbers, and "
+    "their growths interpolated over sqrt(Ra)."
+)
+_BOUNDS = (
+    Bound("error of the growth, of k^2 + pi^2", "<=", 0.01, "(pi h)^4/72 = 5e-3 of P2, 1e-3 of the fluid"),
+    Bound(
+        "error of the critical Rayleigh number", "<=", 0.01, "as much; (k^2 + pi^2)/Ra is a growth's share"
+    ),
+)
+
+CASES = (
+    Case(
+        name="heat-onset",
+        theme=THEME,
+        statement="Convection between plates that slip sets in at the critical Rayleigh number.",
+        label="Rayleigh 1916: 657.5 between walls that slip",
+        setting=_SETTING,
+        bounds=_BOUNDS,
+        run=partial(_onset, SLIP),
+    ),
+    Case(
+        name="heat-onset-no-slip",
+        theme=THEME,
+        statement="Convection between plates that hold the fluid sets in at the critical Rayleigh number.",
+        label="Jeffreys 1928, Chandrasekhar 1961: 1707.762 between walls without slip",
+        setting=_SETTING,
+        bounds=_BOUNDS,
+        run=partial(_onset, NO_SLIP),
+    ),
+)
