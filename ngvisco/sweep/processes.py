@@ -13,6 +13,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from importlib import metadata
 from typing import Any
 
 from ngvisco.sweep.variations import SweepError
@@ -76,9 +77,10 @@ def _check_workers(client: Any, scheduler: str) -> None:
 
 def version() -> str:
     """Version of the package where this is called."""
-    from ngvisco import __version__
-
-    return __version__
+    try:
+        return metadata.version("ngvisco")
+    except metadata.PackageNotFoundError:
+        return "0+unknown"
 
 
 def run_or_resume(case: str, directory: str, threads: int, stop: str) -> tuple[int | None, str]:
