@@ -188,7 +188,7 @@ class Case:
         values = data["material"]
         if data["initial"].get("density") is None and self._material().referential_density is None:
             data["initial"] = {"density": None, **data["initial"]} | {"density": 1.0}
-        while "material" in type(part).model_fields:
+        while getattr(part, "material", None) is not None:  # a gas has none
             part, values = part.material, values["material"]
         if "elastic_state" in type(part).model_fields and values.get("elastic_state") is None:
             values["elastic_state"] = default_elastic_state(None if creep is None else made(creep))
