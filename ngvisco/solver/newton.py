@@ -14,7 +14,7 @@ modulus G, and their rounding leaves a force of eps G/h that the stiffness of a 
 it moves the body as a whole: v is known to eps G tau/(rho h) only.  How large that is, the problem itself
 tells: the state is perturbed by one unit in the last place of every number, and what this changes in the
 increment cannot be iterated away.  Where a fresh Jacobian no longer advances the iteration, it ends with an
-increment of that size, or one below the tolerance with the norm's coarse floor (``CoupledOptions``).
+increment of that size, or one below the tolerance with the norm's coarse floor.
 """
 
 from __future__ import annotations
@@ -31,6 +31,15 @@ from ngvisco.parallel.exchange import Exchange
 from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import NewtonIteration, Problem, Solution, Status
+
+NOISE_SAMPLES, NOISE_MARGIN, NOISE_CAP = 2, 10.0, 100.0
+"""Perturbations of the state by rounding, of which the largest change of the increment counts; a stalled
+increment that is accepted, in units of that change: both are random, of a few modes; and the largest one, in
+tolerances."""
+NEAR = 10.0
+"""The same without a measurement: rounding of a stiff pressure moves slow velocities so much."""
+HEAP_SIZES = (500_000_000, 2_000_000_000)
+"""NGSolve's memory for a cell's matrix, bytes, tried where its own is too small: k = 3, m = 2 in 3D."""
 
 
 class Newton:
@@ -54,9 +63,7 @@ class Newton:
         self.exchange = exchange or Exchange.of(form.space, Communicator())
         self.form, self.state, self.norm, self.options = form, state, norm, options
         self.eliminate, self.refresh = eliminate, refresh
-        self.jacobian = CondensedJacobian(
-            form, options.inverse, options.coupled.heap_sizes, self.exchange.communicator
-        )
+        self.jacobian = CondensedJacobian(form, options.inverse, HEAP_SIZES, self.exchange.communicator)
         self._residual = state.CreateVector()
         self._trial_residual = state.CreateVector()
         self._increment = state.CreateVector()
@@ -169,13 +176,13 @@ class Newton:
 
     def _is_rounding(self) -> bool:
         """Whether the next increment is no larger than what rounding leaves of it."""
-        options, tolerance = self.options.coupled, self.options.tolerance
+        tolerance = self.options.tolerance
         if self.norm(self._next, self.state, coarse=True) <= tolerance:
             return True
         size = self.norm(self._next, self.state)
-        if not size <= options.noise_cap * tolerance:
+        if not size <= NOISE_CAP * tolerance:
             return False
-        return size <= options.near * tolerance or size <= options.noise_margin * self._noise()
+        return size <= NEAR * tolerance or size <= NOISE_MARGIN * self._noise()
 
     def _noise(self) -> float:
         """How much the present increment changes where the state does by one unit in the last place.
@@ -189,7 +196,7 @@ class Newton:
         kept.data = u
         signs = np.random.default_rng(0)  # a run does the same again
         largest = 0.0
-        for _ in range(self.options.coupled.noise_samples):
+        for _ in range(NOISE_SAMPLES):
             change_of = signs.choice((-1.0, 1.0), len(values))
             values *= 1 + np.finfo(float).eps * self.exchange.of_owners(change_of)
             self.eliminate()

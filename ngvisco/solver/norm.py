@@ -6,7 +6,7 @@ smallest cell size: a velocity counts by the strain that it makes in the step; s
 of rho and 1 of z.  The other unknowns are functions of these; the trace of a density that diffuses by an
 r-Laplacian, a nonlinear one, counts like rho. A creep rate field Pi changes z by tau Pi only, which leaves it
 open in a short step: with nu > 0 it counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau).  The floor f and
-the share s are in ``NormOptions``; the floor lets small strains and velocities converge relatively to
+the share s are below; the floor lets small strains and velocities converge relatively to
 themselves, and a stalled iteration is asked about with a larger one, but for Pi.
 """
 
@@ -19,7 +19,15 @@ from ngsolve import BaseVector
 
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.solver.options import NormOptions
+
+FLOOR = 1e-9
+"""Small strains and velocities converge relatively to themselves, as the ledger needs."""
+COARSE_FLOOR = 1e-3
+"""By it a stalled iteration is asked: near a state of rest the other floor is below rounding."""
+SHARE = 1e-4
+"""What the relative increment of a creep rate field counts; steps stall where it is 1.  Left out, Pi was
+4 % off in a step of 1e-8 s.  In steps in which its strain is below the floor it still is left open: 3e-5
+off in 1e-11 s, 4 % in 1e-13 s, with a relaxation time of 2 s."""
 
 
 class BlockNorm:
@@ -29,9 +37,8 @@ class BlockNorm:
     ----------
     ranges : mapping of block names to slices of the coefficient vector
     units : mapping of the counted blocks' names to the size that one unit of the floor f has there
-    options : NormOptions, optional
     shared : collection of str
-        Those of them that count by ``NormOptions.share`` of their relative increment.
+        Those of them that count by ``SHARE`` of their relative increment.
     exchange : Exchange, optional
         Of the vectors' space, where it may be distributed.
     """
@@ -40,11 +47,10 @@ class BlockNorm:
         self,
         ranges: Mapping[str, slice],
         units: dict[str, float],
-        options: NormOptions | None = None,
         exchange: Exchange | None = None,
         shared: Collection[str] = (),
     ) -> None:
-        self.ranges, self.units, self.options = ranges, units, options or NormOptions()
+        self.ranges, self.units = ranges, units
         self.shared = tuple(shared)
         self._ranks = Communicator() if exchange is None else exchange.communicator
         self._own: dict[str, slice | np.ndarray] = {name: ranges[name] for name in units}
@@ -59,8 +65,7 @@ class BlockNorm:
 
     def sizes(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> tuple[float, float]:
         """|increment|, and the relative increment of the shared blocks, in [0, 1]; 0 where there is none."""
-        fine, sizes, turned = self.options.floor, [], 0.0
-        floor = self.options.coarse_floor if coarse else fine
+        sizes, turned, floor = [], 0.0, COARSE_FLOOR if coarse else FLOOR
         with np.errstate(over="ignore", invalid="ignore"):  # a diverging iterate is inf or NaN here
             parts = [[u.FV().NumPy()[own] for u in (increment, *states)] for own in self._own.values()]
             squares = np.array([[part @ part for part in of_block] for of_block in parts])
@@ -68,8 +73,8 @@ class BlockNorm:
             for (name, unit), (own, *of_states) in zip(self.units.items(), norms, strict=True):
                 one = unit * np.sqrt(self._counts[name])
                 if name in self.shared:
-                    turned = own / (max(of_states) + fine * one + own) if own != 0 else 0.0
-                    sizes.append(self.options.share * turned)
+                    turned = own / (max(of_states) + FLOOR * one + own) if own != 0 else 0.0
+                    sizes.append(SHARE * turned)
                 else:
                     scale = max(of_states) + floor * one
                     sizes.append(own / scale if scale != 0 else 0.0)

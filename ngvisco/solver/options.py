@@ -1,4 +1,4 @@
-"""What may be chosen of the solvers: one frozen, checked dataclass for each part of them.
+"""What may be chosen of the solvers; numbers that no run chooses stand where they act.
 
 Pairs are values in 2D and in 3D.  Measurements behind the defaults are in ``ngvisco/solver/NOTES.md``.
 """
@@ -46,96 +46,6 @@ class _Checked:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NormOptions(_Checked):
-    """Floors of the scales that increments are measured by (``ngvisco.solver.norm``)."""
-
-    floor: float = 1e-9
-    """Small strains and velocities converge relatively to themselves, as the ledger needs."""
-    coarse_floor: float = 1e-3
-    """By it a stalled iteration is asked: near a state of rest the other floor is below rounding."""
-    share: float = 1e-4
-    """What the relative increment of a creep rate field counts; steps stall where it is 1.  Left out, Pi was
-    4 % off in a step of 1e-8 s.  In steps in which its strain is below the floor it still is left open: 3e-5
-    off in 1e-11 s, 4 % in 1e-13 s, with a relaxation time of 2 s."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CoupledOptions(_Checked):
-    """The coupled solver's acceptance of rounding, and its memory."""
-
-    noise_samples: int = 2
-    """Perturbations of the state by rounding; the largest change of the increment counts."""
-    noise_margin: float = 10.0
-    """A stalled increment that is accepted, in units of that change: both are random, of a few modes."""
-    noise_cap: float = 100.0
-    """The largest increment, in tolerances, that is accepted as rounding."""
-    near: float = 10.0
-    """The same without a measurement: rounding of a stiff pressure moves slow velocities so much."""
-    heap_sizes: tuple[int, int] = (500_000_000, 2_000_000_000)
-    """NGSolve's memory for a cell's matrix, bytes, tried where its own is too small: k = 3, m = 2 in 3D."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class KrylovOptions(_Checked):
-    """Newton-Krylov iteration of the split solver, where its own is slow."""
-
-    tolerance: float = 0.01
-    """Of an increment's linear system; with 0.1 one of six long steps failed."""
-    directions: int = 40
-    """Derivatives taken for one increment at most."""
-    largest: float = 0.05
-    """Increment up to which it takes over: farther off half of the step is solved at once."""
-    window: int = 4
-    """Iterations that shorten an increment to a fifth, or it gives up."""
-    min_damping: float = 0.05
-    """Smallest step length tried."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TwoLevelOptions(_Checked):
-    """The smoother of ``TwoLevelSolver``."""
-
-    sweeps: int = 2
-    """Jacobi sweeps before and after the coarse problem."""
-    damping: float = 1.65
-    """In units of 1/(largest eigenvalue of D^{-1} A), below 2; the eigenvalue depends on the mesh."""
-    dropped: float = 1e-2
-    """Entries left out, relative to the diagonal: two thirds, for a hundredth more of GMRES's iterations."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.damping >= 2:
-            raise ParameterError("TwoLevelOptions.damping", self.damping, "a number in (0, 2)")
-
-
-@dataclass(frozen=True, kw_only=True)
-class SweepOptions(_Checked):
-    """Sweeps of the transport over the cells, in which the fields' change is carried into the flow's
-    system."""
-
-    least: int = 3
-    """Two take 12 instead of 9 iterations on 2,258 triangles (Courant number 0.55) and 11 instead of 10 on
-    739 tetrahedra; four take as many as three."""
-    most: int = 30
-    share: float = 0.05
-    """What they may leave of a field: at a Courant number of 2.5 twelve sweeps take 28 iterations, three 34
-    and seven times as long, by Newton-Krylov."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FieldOptions(_Checked):
-    """Linear systems of the fields for a given velocity, where sweeps of the transport are not enough."""
-
-    tolerance: float = 0.05
-    """Of z's and rho's increments; 0.1 takes an iteration of Newton more in twenty, 0.01 no fewer."""
-    enough: float = 0.15
-    """What sweeps may leave of them: Newton's iteration contracts by as much.  0.05 takes the same iterations
-    and a tenth more time in a smooth run with creep."""
-    iterations: int = 20
-    """Of GMRES at most."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class SplitOptions(_Checked):
     """The split solver's choice, iteration and linear systems."""
 
@@ -175,10 +85,8 @@ class SplitOptions(_Checked):
     direct_at_most: tuple[int, int] = (100_000, 15_000)
     """Unknowns of v up to which it is so in what is left of a step, where ``flow_iterations`` by two levels
     do not solve the flow's system."""
-    krylov: KrylovOptions = KrylovOptions()
-    two_level: TwoLevelOptions = TwoLevelOptions()
-    fields: FieldOptions = FieldOptions()
-    sweeps: SweepOptions = SweepOptions()
+    krylov_below: float = 0.05
+    """Increment up to which Newton-Krylov takes over: farther off half of the step is solved at once."""
     penalty_degree: int = 4
     """Of the rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight cells: right for
     p = 4, where it takes (P_1 jumps)^4; degree 2 leaves an eigenvalue of 0.5 of the preconditioned error on
@@ -218,8 +126,6 @@ class NewtonOptions(_Checked):
     inverse: str = "umfpack"
     coarse: str = "direct"
     method: str = "auto"
-    norm: NormOptions = NormOptions()
-    coupled: CoupledOptions = CoupledOptions()
     split: SplitOptions = SplitOptions()
 
     def __post_init__(self) -> None:

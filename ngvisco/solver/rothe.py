@@ -69,7 +69,7 @@ class RotheSolver:
             units["rho_delta_hat"] = 0.0  # its equation is cubic where the density is flat
         shared = {"Pi"} & set(step.layout.ranges)
         units |= dict.fromkeys(shared, 0.0)
-        self.norm = BlockNorm(step.layout.ranges, units, options.norm, self.exchange, shared)
+        self.norm = BlockNorm(step.layout.ranges, units, self.exchange, shared)
         self.method = chosen_method(step, options)
         """``"coupled"`` or ``"split"``."""
         self._last_tau: float | None = None

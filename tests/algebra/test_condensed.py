@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from ngvisco import NewtonOptions
 from ngvisco.algebra import condensed
 from ngvisco.errors import StepError
+from ngvisco.solver.newton import HEAP_SIZES
 
-SIZES = NewtonOptions().coupled.heap_sizes
+SIZES = HEAP_SIZES
 
 
 class Form:

@@ -15,7 +15,6 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
-from ngvisco.solver.options import SweepOptions
 from ngvisco.solver.split.transport import TransportSweeps
 
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), CF(0))
@@ -102,7 +101,7 @@ def rows(run: nv.Simulation) -> dict[str, np.ndarray]:
 
 def factorised(reduced: ReducedResidual, at: Evaluation, d: np.ndarray) -> list[np.ndarray]:
     """Solutions of the density's and the diffusing fields' systems for rows ``d``, packed."""
-    unknowns, sweep = reduced.unknowns, TransportSweeps(reduced, "umfpack", SweepOptions())
+    unknowns, sweep = reduced.unknowns, TransportSweeps(reduced, "umfpack")
     sweep.update(at)
     sweep.linearise()
     z = d[unknowns.slices["z"]].reshape(unknowns.components["z"], -1)

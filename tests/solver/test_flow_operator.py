@@ -9,7 +9,6 @@ from ngsolve import CF
 import ngvisco as nv
 from ngvisco.forms.terms.transport import ElasticForce
 from ngvisco.geometries import box
-from ngvisco.solver.options import FieldOptions
 
 STEP = 1e-5
 
@@ -130,6 +129,6 @@ def test_the_fields_systems_are_solved_beyond_what_sweeps_invert(run):
 
     rows = np.ascontiguousarray(change.z.T)
     assert missed(fields._approximate(rows).T, wanted) > 1.0
-    fields.options = FieldOptions(tolerance=1e-9, iterations=60)
+    fields.tolerance, fields.iterations = 1e-9, 60
     assert missed(fields.z(rows).T, wanted) < 1e-7
     assert missed(fields.density(change.density), direction[slices["rho"]]) < 1e-7

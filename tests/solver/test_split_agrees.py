@@ -12,7 +12,7 @@ from support import EXAMPLES, SWIRL, assert_sound
 import ngvisco as nv
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.geometries import box, disc, structured_box
-from ngvisco.solver.options import KrylovOptions, SplitOptions
+from ngvisco.solver.options import SplitOptions
 from tests.verification.manufactured import Exact
 from tests.verification.models import model as manufactured_model
 from tests.verification.sources import Sources
@@ -225,8 +225,7 @@ def test_with_two_levels_and_unknowns_beside_the_velocity(beside):
     mesh = box((1, 1), maxh=0.3) if beside == "a creep rate field" else disc(1.0, maxh=0.5)
     parts = {} if beside == "the stress of a curved wall" else PARTS["a creep rate field"]
     # by default one of these steps is taken in halves: here Newton-Krylov takes over from farther away
-    krylov = KrylovOptions(largest=0.3)
-    newton = nv.NewtonOptions(split=SplitOptions(direct_up_to=(0, 0), krylov=krylov))
+    newton = nv.NewtonOptions(split=SplitOptions(direct_up_to=(0, 0), krylov_below=0.3))
     assert_both_agree(mesh, model(**parts), initial=nv.Initial(velocity=(-y, x)), newton=newton)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ngvisco.algebra.factorised import MANY, DirectSolver, TwoLevelSolver, largest_eigenvalue
+from ngvisco.algebra.factorised import DAMPING, MANY, DirectSolver, TwoLevelSolver, largest_eigenvalue
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 
@@ -40,13 +40,12 @@ def test_two_levels_are_sweeps_around_a_coarse_solution():
     free[[3, 20]] = False
     direct = partial(DirectSolver, inverse="umfpack")
     exchange = Exchange(n, {}, Communicator())
-    options = {"sweeps": 2, "damping": 1.65, "dropped": 1e-300}
-    solver = TwoLevelSolver(free, vertices, others, direct, exchange, **options)
+    solver = TwoLevelSolver(free, vertices, others, direct, exchange, dropped=1e-300)
     solver.factorise(sp.csr_matrix(A))
     coarse, fine = np.flatnonzero(free & vertices), np.flatnonzero(free & ~vertices)
     own, r = A[np.ix_(fine, fine)], rng.standard_normal(n)
     scaled = own / np.sqrt(np.outer(np.diag(own), np.diag(own)))
-    damping = solver.damping / np.linalg.eigvalsh(scaled).max()
+    damping = DAMPING / np.linalg.eigvalsh(scaled).max()
     x = np.zeros(n)
     for stage in ("fine", "fine", "coarse", "fine", "fine"):
         left = r - A @ x

@@ -21,15 +21,21 @@ from ngvisco.solver.problem import NewtonIteration, Problem, Status
 if TYPE_CHECKING:
     from ngvisco.solver.split.solver import Split
 
+_TOLERANCE, _DIRECTIONS = 0.01, 40
+"""Of Newton-Krylov's linear systems, and derivatives taken for one at most; with 0.1 one of six long steps
+failed."""
+_WINDOW, _MIN_DAMPING = 4, 0.05
+"""Iterations that shorten an increment to a fifth, or it gives up; smallest step length tried."""
+
 
 def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[NewtonIteration]) -> Status:
     """Iterate from ``x``, where the tangent is made anew; the state becomes the solution, or some iterate."""
     options, tolerance = split.options.split, split.options.tolerance
-    krylov, wanted = options.krylov, options.margin * tolerance
+    wanted = options.margin * tolerance
     scale = split.unknowns.scales(x, split.residual.exchange)
 
     def solved(at: Evaluation) -> np.ndarray:
-        return split.preconditioner(at, krylov.tolerance * options.forcing)
+        return split.preconditioner(at, _TOLERANCE * options.forcing)
 
     def renewed(at: Evaluation) -> tuple[np.ndarray, float]:
         split.renew(problem, at)
@@ -46,7 +52,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
             return solved(replace(at, residual=derivative(scale * d))) / scale
 
         products = split.residual.exchange.products
-        d, _ = gmres(along, f / scale, rtol=krylov.tolerance, directions=krylov.directions, products=products)
+        d, _ = gmres(along, f / scale, rtol=_TOLERANCE, directions=_DIRECTIONS, products=products)
         damping = 1.0
         while True:
             new_x = x - damping * scale * d
@@ -56,7 +62,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
             if new_size <= (1 - 0.25 * damping) * size:
                 break
             damping /= 2
-            if damping < krylov.min_damping:
+            if damping < _MIN_DAMPING:
                 return _ends_at(split, x, size <= tolerance)  # by rounding
         history.append(NewtonIteration(new_size, new_size / size, damping, True))
         at, x, f, size = new, new_x, new_f, new_size
@@ -66,7 +72,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
         elif size <= wanted:
             return _ends_at(split, x - f, True)
         sizes.append(size)
-        window = krylov.window * (3 if split.norm.shared else 1)  # increments of Pi rise in between
+        window = _WINDOW * (3 if split.norm.shared else 1)  # increments of Pi rise in between
         before = sizes[max(len(sizes) - 1 - window, 0)]
         if len(sizes) > window and size > max(0.2 * before, options.rounding):
             return _ends_at(split, x, size <= tolerance)
@@ -87,7 +93,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
     last, halvings = np.inf, 0
     best = np.inf, x, x  # the smallest increment's size, its iterate, and it
     while len(history) < split.options.max_iterations:
-        if len(history) > options.slow and last <= options.krylov.largest:
+        if len(history) > options.slow and last <= options.krylov_below:
             return newton_krylov(split, problem, x, history)
         fresh = not split.is_factorised
         f, size = split.increment(problem, x, last)
@@ -106,7 +112,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
         elif best[0] == np.inf:
             return Status.NOT_FINITE
         elif halvings == options.halvings:
-            near = best[0] <= options.krylov.largest
+            near = best[0] <= options.krylov_below
             return newton_krylov(split, problem, best[1], history) if near else Status.STALLED
         else:
             halvings += 1
