@@ -74,6 +74,8 @@ class SplitOptions(_Checked):
     taken: an impulsive start with p = 4 fails otherwise, while a smooth run wastes a twentieth on it."""
     linearised_above: float = 1e-2
     """Increment below which only hyperviscosity, which changes suddenly, is linearised anew."""
+    stale_above: float = 0.1
+    """Share of the increment before, above which everything is linearised anew for a steep flow rule."""
     rounding: float = 1e-8
     """Increment, relative to the smallest velocities, from which a stall may be rounding."""
     forcing: float = 0.03

@@ -103,7 +103,7 @@ def test_the_force_of_the_fields(run):
     _, at, operator = prepared(run, v, z_noise=0.1)
     op, z, rng = operator.op, at.coefficients["z"], np.random.default_rng(1)
     dz = rng.standard_normal(z.T.shape)
-    resolved = np.einsum("pnm,mp->np", operator.points.resolvent, op.z(dz.T.copy()))
+    resolved = op.z(np.ascontiguousarray(operator.resolved(dz).T))
     stress = np.einsum("pxn,np->xp", operator.points.force[:, :4], resolved).reshape(2, 2, -1)
     expected = sum(D.test(np.ascontiguousarray(stress[:, j])) for j, D in enumerate(op.dv))
     assert np.abs(operator.force(dz) - expected).max() <= 1e-12 * np.abs(expected).max()

@@ -21,7 +21,7 @@ class Posed(Problem):
 class Increments:
     """What ``iterate`` asks of a split solver: increments of given sizes, by their number."""
 
-    has_converged, wear = Split.has_converged, lambda self, f, size: None
+    has_converged, wear, is_steep = Split.has_converged, lambda self, f, size: None, False
 
     def __init__(self, sizes):
         self.sizes, self.is_factorised = sizes, True

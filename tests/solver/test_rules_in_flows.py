@@ -64,6 +64,22 @@ def test_both_solvers_agree(name):
     assert np.allclose(*(run.run(0.06).column("dissipation_creep") for run in runs), rtol=1e-7)
 
 
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize("material", ["E", "B"])
+def test_yield_has_a_rate_independent_limit(material):
+    """Without a rejected step down to 1e-5 of the modulus of shear times a step, 5 Pa times 0.02 s."""
+    powers = []
+    for G_m in (1e-2, 1e-3, 1e-6):
+        ledger = sheared(nv.Perzyna(sigma_Y=0.5, G_m=G_m), MATERIALS[material]).run(0.06)
+        assert len(ledger.column("time")) == 4 and not ledger.column("rejections").any()
+        assert abs(ledger.column("closure_relative")).max() <= 1e-10
+        assert ledger.column("creep_power_min").min() >= 0
+        powers.append(ledger.column("dissipation_creep")[-1])
+    first, second = (power - powers[-1] for power in powers[:-1])
+    assert 5 <= first / second <= 20  # like G_m
+
+
 @dataclass(frozen=True, kw_only=True)
 class Wrong(nv.FlowRule):
     """A rule that gives energy where the body is stretched, of which no sample at rest knows."""

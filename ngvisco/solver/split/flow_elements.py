@@ -66,7 +66,7 @@ class PointTangent:
             force[:, i * (step.mesh.dim + 1)] += self.zeta.T
         self._add_point_terms(K, force, u, slopes)
         self.rate_slope = K
-        self.resolvent = np.linalg.inv(np.eye(self.components)[None] - self.tau * K)
+        self.resolvent = self._resolvent(K)
         self.force, self.columns = force, columns
         self.dz = u.grad_z.value
 
@@ -107,7 +107,21 @@ class PointTangent:
 
     def stiffness(self) -> np.ndarray:
         """C of the module's docstring, (points, X, X)."""
-        return self.tau * self.force @ (self.resolvent @ self.columns)
+        resolvent = np.linalg.inv(np.eye(self.components) - self.tau * self.rate_slope)
+        return self.tau * self.force @ (resolvent @ self.columns)
+
+    def _resolvent(self, K: np.ndarray) -> np.ndarray:
+        """(1 - tau P K)^{-1} of the cells' coefficients, (cells, q n, q n), P the projection to their space.
+
+        Not of values at points: where some points of a cell yield and others do not, tau K is large at some.
+        """
+        z, n = self.op.z, self.components
+        count, q = z.cells, z.local
+        tests = z.blocks.swapaxes(1, 2) * self.op.weights.reshape(count, 1, z.per_cell)  # (cells, q, points)
+        of_values = np.linalg.solve(tests @ z.blocks, tests)
+        right = np.einsum("ckj,cknm->cknjm", z.blocks, K.reshape(count, z.per_cell, n, n))
+        matrix = product(of_values, right.reshape(count, z.per_cell, n * q * n)).reshape(count, q * n, q * n)
+        return np.linalg.inv(np.eye(q * n) - self.tau * matrix)
 
     def _second_derivative(self) -> np.ndarray:
         """phi'', (points, n, n): the material's, or by one-sided differences of phi'."""
@@ -178,13 +192,12 @@ class FlowElements:
         right = product(to_z.reshape(len(base), n * d, 1 + d), self.shapes)
         to_fields = product(self._z_tests, right.reshape(cells, self.per, n * d * local))
         self.to_fields[...] = to_fields.reshape(cells, q * n, d * local)
-        # v's rows from z: the elastic force of (1 - tau K)^{-1} dz
-        force = product(_single(p.force[:, : d * d]), _single(p.resolvent))
-        force = force.reshape(len(base), d, d, n).swapaxes(1, 2)  # (points, j, i, n)
+        # v's rows from z: the elastic force of (1 - tau P K)^{-1} dz
+        force = _single(p.force[:, : d * d]).reshape(len(base), d, d, n).swapaxes(1, 2)  # (points, j, i, n)
         left = product(self.shapes[:, 1:].transpose(0, 2, 1), force.reshape(len(base), d, d * n))
         back = product(self._z_tests, left.reshape(cells, self.per, local * d * n))
-        back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3)
-        self.from_fields = _single(back).reshape(cells, local * d, q * n)
+        back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3).reshape(cells, local * d, q * n)
+        self.from_fields = product(_single(back), _single(p.resolvent))
 
     def _inertia(self, density: np.ndarray) -> np.ndarray:
         op = self.fine

@@ -106,6 +106,8 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
             elif split.has_converged(f, size, min(last, best[0])):
                 split.residual.put(new)
                 return Status.CONVERGED
+            elif split.is_steep and 0.5 * best[0] < size <= options.rounding:
+                return newton_krylov(split, problem, new, history)  # single precision ends here
             split.wear(f, size)
             best = min(best, (size, x, f), key=lambda one: one[0])
             x, last = new, size

@@ -11,6 +11,11 @@ increment means is not M and the tangent's Pi, but their sum
 whose solution is unique for a monotone rate: Newton's method for y = z + tau creep(z) instead of z, in which
 the equations are nearly linear.  z gets what Pi differs from Pi_lin by.  Where the rate is linear nothing
 changes; near the solution the difference is quadratic in the increment.
+
+Yield at next to no viscosity, |M| <= s in the limit, has so steep a rate that Newton's method in a cell, some
+points of which yield, goes to and fro between them.  There the rate is softened: rate_c(X) = rate(M) with
+M + c rate(M) = X (Yosida) has a slope below 1/c, whatever the rule, and c falls to zero from solution to
+solution.
 """
 
 from __future__ import annotations
@@ -25,13 +30,15 @@ from ngvisco.physics.increments import TINY
 from ngvisco.reduced.evaluation import with_values
 from ngvisco.solver.split.flow_elements import PointTangent
 
-_BISECTIONS, _ITERATIONS = 25, 40
+_BISECTIONS, _ITERATIONS = 25, 20
+_SOFTENED = (*10.0 ** -np.arange(10.0), 0.0)
+"""c of softened rates one after the other, in units of kappa, in cells that were not solved without."""
 _STRESSES, _SETTLED = 3, 1e-2
 """Stresses of corrected z, which the tangent's stiffness knows to first order, and the correction that is
 small beside an increment."""
-_NEAR, _EXACT = 1e-2, 1e-8
+_NEAR, _EXACT, _ROUNDING = 1e-2, 1e-8, 1e-15
 """Relative defects at which iterations end: at single points, where the cells' begin, and of these, whose
-rest is for Newton's method of the step."""
+rest is for Newton's method of the step; and increments of softened stresses."""
 
 
 class LocalCreep:
@@ -99,6 +106,23 @@ class LocalCreep:
         by_cells = value.value.reshape(*value.value.shape[:-1], *self.shapes.shape[:2])
         return Array(by_cells[..., cells, :].reshape(*value.value.shape[:-1], -1), None)
 
+    def _softened(self, X: np.ndarray, c: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """M along X with M + c rate(M) = X, c one a cell: Newton's method within a bracket."""
+        if not c.any():
+            return X
+        c, size = np.repeat(c, self.shapes.shape[1]), np.linalg.norm(X, axis=1)
+        along = X / np.where(size > 0, size, 1.0)[:, None]
+        low, high, s = np.zeros_like(size), size.copy(), size
+        for _ in range(2 * _BISECTIONS):
+            value = (self._rate((s + 1j * TINY)[:, None] * along, cells) * along).sum(axis=1)
+            defect = s + c * value.real - size
+            low, high = np.where(defect < 0, s, low), np.where(defect < 0, high, s)
+            newton = s - defect / (1 + c * value.imag / TINY)
+            before, s = s, np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+            if (abs(s - before) <= _ROUNDING * size).all():
+                break
+        return s[:, None] * along
+
     def _slope(self, M: np.ndarray, cells: np.ndarray | None = None) -> np.ndarray:
         """The rate's derivative by the stress, (points, p, p)."""
         units = np.eye(M.shape[1])
@@ -117,42 +141,61 @@ class LocalCreep:
         kappa, Y = kappa.reshape(*shape[:2], p, p), Y.reshape(*shape[:2], p)
         mass = np.einsum("cki,ckj->cij", weighted, self.shapes)
         mean = np.einsum("ck,ckij->cij", weights, kappa) / weights.sum(axis=1)[:, None, None]
-        c = np.linalg.solve(mass, np.einsum("cki,ckp->cip", weighted, self._at_points(kappa, Y)))
+        x = np.linalg.solve(mass, np.einsum("cki,ckp->cip", weighted, self._at_points(kappa, Y)))
 
-        def stress(c: np.ndarray, on: np.ndarray) -> np.ndarray:
-            values = self.shapes[on] @ c
+        def stress(x: np.ndarray, on: np.ndarray) -> np.ndarray:
+            values = self.shapes[on] @ x
             return (Y[on] - np.einsum("ckij,ckj->cki", kappa[on], values)).reshape(-1, p)
 
-        def defect(c: np.ndarray, on: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            Pi = self._rate(stress(c, on), on).reshape(len(on), shape[1], p)
+        def defect(x: np.ndarray, on: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            Pi = self._rate(self._softened(stress(x, on), c, on), on).reshape(len(on), shape[1], p)
             tested = np.einsum("cki,ckp->cip", weighted[on], Pi)
-            return mass[on] @ c - tested, np.einsum("cki,ckp->cip", abs(weighted[on]), abs(Pi))
+            return mass[on] @ x - tested, np.einsum("cki,ckp->cip", abs(weighted[on]), abs(Pi))
 
-        on = np.arange(shape[0])
-        for _ in range(_ITERATIONS):
-            wrong, size = defect(c[on], on)
-            left = np.linalg.norm(wrong, axis=(1, 2)) > _EXACT * np.linalg.norm(size, axis=(1, 2))
-            on, wrong = on[left], wrong[left]
-            if not len(on):
-                break
-            slope = self._slope(stress(c[on], on), on).reshape(kappa[on].shape)
-            bent = np.eye(p) + slope @ kappa[on]
-            n = shape[2] * p
-            matrix = np.einsum("cka,ckij,ckb->caibj", weighted[on], bent, self.shapes[on], optimize=True)
-            d = -np.linalg.solve(matrix.reshape(-1, n, n), wrong.reshape(-1, n, 1)).reshape(wrong.shape)
-            along = np.einsum("cij,caj->cai", mean[on], d)
-            before = (along * wrong).sum(axis=(1, 2))
-            length, low, high = np.ones(len(on)), np.zeros(len(on)), np.ones(len(on))
-            for _ in range(_BISECTIONS):
-                power = (along * defect(c[on] + length[:, None, None] * d, on)[0]).sum(axis=(1, 2))
-                far, near = power > 0.5 * abs(before), (power < -0.5 * abs(before)) & (high < 1)
-                if not (far | near).any():
+        def newton(on: np.ndarray, c: np.ndarray) -> np.ndarray:
+            """Iterate in the cells ``on``; those that are left unsolved."""
+            for _ in range(_ITERATIONS):
+                wrong, size = defect(x[on], on, c)
+                left = np.linalg.norm(wrong, axis=(1, 2)) > _EXACT * np.linalg.norm(size, axis=(1, 2))
+                on, wrong, c = on[left], wrong[left], c[left]
+                if not len(on):
                     break
-                low, high = np.where(near, length, low), np.where(far, length, high)
-                length = np.where(far | near, 0.5 * (low + high), length)
-            c[on] += length[:, None, None] * d
+                slope = self._slope(self._softened(stress(x[on], on), c, on), on)
+                if c.any():  # of rate_c, by that of the rate
+                    by_points = np.repeat(c, shape[1])[:, None, None]
+                    slope = np.linalg.solve(np.eye(p) + by_points * slope, slope)
+                bent, w, n = (
+                    np.eye(p) + slope.reshape(kappa[on].shape) @ kappa[on],
+                    weighted[on],
+                    shape[2] * p,
+                )
+                matrix = np.einsum("cka,ckij,ckb->caibj", w, bent, self.shapes[on], optimize=True)
+                d = -np.linalg.solve(matrix.reshape(-1, n, n), wrong.reshape(-1, n, 1)).reshape(wrong.shape)
+                along = np.einsum("cij,caj->cai", mean[on], d)
+                before = (along * wrong).sum(axis=(1, 2))
+                length, low, high = np.ones(len(on)), np.zeros(len(on)), np.ones(len(on))
+                for _ in range(_BISECTIONS):
+                    power = (along * defect(x[on] + length[:, None, None] * d, on, c)[0]).sum(axis=(1, 2))
+                    far, near = power > 0.5 * abs(before), (power < -0.5 * abs(before)) & (high < 1)
+                    if not (far | near).any():
+                        break
+                    low, high = np.where(near, length, low), np.where(far, length, high)
+                    length = np.where(far | near, 0.5 * (low + high), length)
+                x[on] += length[:, None, None] * d
+            return on
+
+        start = x.copy()
+        hard = newton(np.arange(shape[0]), np.zeros(shape[0]))
+        if len(hard):
+            x[hard] = start[hard]
+            size = np.trace(mean[hard], axis1=1, axis2=2) / p
+            for softness in _SOFTENED:
+                unsolved = np.isin(hard, newton(hard, softness * size))
+                hard, size = hard[~unsolved], size[~unsolved]
+                if not len(hard):
+                    break
         every = np.arange(shape[0])
-        return self._rate(stress(c, every))
+        return self._rate(stress(x, every))
 
     def _at_points(self, kappa: np.ndarray, Y: np.ndarray) -> np.ndarray:
         """rate(M) of the M along Y with M + kappa rate(M) = Y: Newton's method held by a bracket."""

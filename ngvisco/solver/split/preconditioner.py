@@ -17,10 +17,9 @@ from functools import partial
 
 import numpy as np
 
-from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.factorised import Direct, Fallback, MakesDirect, TwoLevelSolver, direct_solver
 from ngvisco.algebra.krylov import Map, gmres, improved
-from ngvisco.algebra.sparse import mass_matrix, together
+from ngvisco.algebra.sparse import together
 from ngvisco.errors import InputWarning
 from ngvisco.forms.mesh.mesh_arrays import mask_of, rigid_motions
 from ngvisco.parallel.petsc import SumInverse
@@ -48,9 +47,6 @@ class FieldsSystem:
         self.operator, self.sweep = operator, operator.sweep
         self.tolerance, self.iterations = TOLERANCE, ITERATIONS
         self.points, self.op = operator.points, operator.points.op
-        mass = mass_matrix(self.op.z.matrix, self.op.weights)
-        self._project = BlockInverse(mass)
-        self._project.update(mass)
         self._swept_is_enough: set[str] = set()
         """Fields for which one application of the approximate inverse did, at this operator."""
 
@@ -86,8 +82,7 @@ class FieldsSystem:
         return found
 
     def _approximate(self, rows: np.ndarray) -> np.ndarray:
-        dz = self.sweep.fields(rows)
-        return self._project(self.op.z.test(self.operator.resolved(dz))).T
+        return self.operator.resolved(self.sweep.fields(rows))
 
     def _rows(self, dz: np.ndarray) -> np.ndarray:
         values = self.op.z(np.ascontiguousarray(dz.T))

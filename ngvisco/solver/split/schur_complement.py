@@ -154,8 +154,9 @@ class FlowSchurComplement:
         return rows
 
     def resolved(self, dz: np.ndarray) -> np.ndarray:
-        """(1 - tau K)^{-1} dz at the points, (n, points), of coefficients dz (cells' unknowns, n)."""
-        return at_points(self.points.resolvent, self.op.z(np.ascontiguousarray(dz.T)))
+        """(1 - tau P K)^{-1} dz of coefficients dz: both (cells' unknowns, n)."""
+        cells = dz.reshape(len(self.points.resolvent), -1, 1)
+        return product(self.points.resolvent, cells).reshape(dz.shape)
 
     def tangent(self, hyper: HyperTangent | None) -> sp.csr_matrix:
         """The velocity tangent: the operator with the fields predicted inside each cell, as a matrix.

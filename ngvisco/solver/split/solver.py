@@ -47,6 +47,8 @@ class Split:
         self._full = step.state.vec.CreateVector()
         self._turned = 0.0
         """Relative increment of a creep rate field, the last one."""
+        self._stale = False
+        """Whether the last increment by the operator of a steep flow rule was too long beside that before."""
 
     def reset(self) -> None:
         """Drop the tangent, so that the next solve makes a new one."""
@@ -69,7 +71,7 @@ class Split:
     def solve(self, problem: Problem, guess: BaseVector) -> Solution:
         """Iterate from ``guess``; the step's state is then the solution, or some iterate."""
         history: list[NewtonIteration] = []
-        self._turned = 0.0
+        self._turned, self._stale = 0.0, False
         self._relax()
         self.step.state.vec.data = guess
         problem.pose()
@@ -106,15 +108,16 @@ class Split:
         if not self.residual.ranks.all(at.residual.is_finite):
             return np.zeros_like(x), np.inf
         options, fresh = self.options.split, not self.is_factorised
+        everything = last > options.linearised_above or self._stale
         if fresh:
             self.renew(problem, at)
         else:
             with self._clock("assembly"):
-                self.preconditioner.linearise(at, last > options.linearised_above)
+                self.preconditioner.linearise(at, everything)
         with self._clock("solves"):
             f = self.preconditioner(at, options.forcing)
         size = self.size(f)
-        if fresh or last > options.linearised_above:
+        if fresh or everything:
             self._follow_creep(f)
         worn = self.preconditioner.iterations > options.renewed_after[self.step.mesh.dim - 2]
         matters = max(size, last) > options.renewed_at_once_above
@@ -123,7 +126,21 @@ class Split:
         if self._may_be_better:
             self.preconditioner.strengthen()
             f, size = self._with_anew(problem, at)
+        # where points begin to yield a steep rule changes suddenly, however small the increment
+        self._stale = self.is_steep and size > options.stale_above * last
         return f, size
+
+    @property
+    def is_steep(self) -> bool:
+        """Whether a small error of z may be a large one of a local creep rate."""
+        return bool(self.preconditioner.local_creep)
+
+    @property
+    def sharpness(self) -> float:
+        """How much less than of others may be left of increments of z, by which a steep rate is wrong."""
+        points = self.preconditioner.operator.points
+        steepest = self.residual.ranks.most(abs(points.rate_slope).max(initial=0.0))
+        return max(1 / (1 + points.tau * steepest), 1e-2)
 
     def _follow_creep(self, f: np.ndarray) -> None:
         """Let an increment from where the tangent is keep the stress on the flow rule's graph."""
@@ -136,13 +153,14 @@ class Split:
         options, tolerance = self.options.split, self.options.tolerance
         # of all increments after f, if the contraction stays what it is; of a first one it is not known
         contraction = 0.5 if last == np.inf else min(size / last, 1.0)
-        if size <= tolerance and size * contraction <= (1 - contraction) * options.margin * tolerance:
+        sharp = self.sharpness if self.is_steep else 1.0
+        if size <= tolerance and size * contraction <= (1 - contraction) * options.margin * sharp * tolerance:
             return True
         if not 0.5 * last < size <= options.rounding:
             return False
         # slow by rounding; or slow, and then this and all that would follow are to be small
         gained = max(1 - size / last, 0.0) or 1.0
-        return self.size(f, coarse=True) <= gained * tolerance
+        return self.size(f, coarse=True) <= gained * sharp * tolerance
 
     def wear(self, f: np.ndarray, size: float) -> None:
         """Let the tangent be made anew for the next increment where this one, f, says that it wears out."""
