@@ -11,9 +11,10 @@ from ngvisco.geometries import box
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 
 
-def simulation(observers=(), material=NEO_HOOKEAN, maxh=0.5, **options):
+def simulation(observers=(), material=NEO_HOOKEAN, maxh=0.5, heat=None, **options):
     model = nv.Model(
         material=material,
+        heat=heat,
         hyperviscosity=nv.HyperViscosity(mu=1e-4),
         creep=nv.Creep(G_m=5.0),
         loads=[nv.Gravity((0.0, sin(3 * nv.time)))],
@@ -34,13 +35,23 @@ def observers(directory):
 HEATED = nv.Thermal(material=nv.LinearElastic(K_e=10.0, G_e=5.0), c=1.0, theta_R=1.0, expansion=0.1)
 
 
-@pytest.mark.parametrize("material", [NEO_HOOKEAN, HEATED])
-def test_restart_is_bitwise_identical(tmp_path, material):
+HEAT = {"heat": nv.Heat(conductivity=0.05, numerical_heating=True)}
+
+
+@pytest.mark.parametrize(
+    ("material", "options"),
+    [
+        (NEO_HOOKEAN, {}),
+        (HEATED, HEAT | {"solver": "coupled"}),  # whose derivative reads the old momentum
+        (HEATED, HEAT | {"solver": "split"}),
+    ],
+)
+def test_restart_is_bitwise_identical(tmp_path, material, options):
     SetNumThreads(1)  # sums over threads have no fixed order
-    whole = simulation(observers(tmp_path / "whole"), material)
+    whole = simulation(observers(tmp_path / "whole"), material, **options)
     whole.run(0.16)
-    simulation(observers(tmp_path / "parts"), material).run(0.06)
-    rest = simulation(observers(tmp_path / "parts"), material)
+    simulation(observers(tmp_path / "parts"), material, **options).run(0.06)
+    rest = simulation(observers(tmp_path / "parts"), material, **options)
     rest.restore(tmp_path / "parts" / "run.h5")
     assert (rest.t, rest.number) == (3 * 0.02, 3)
     rest.run(0.16)

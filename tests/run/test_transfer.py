@@ -241,3 +241,24 @@ def test_a_run_starts_from_fields_of_python_functions():
 def test_what_is_no_field_is_refused(make, message):
     with pytest.raises(nv.ParameterError, match=message):
         make(box((1, 1), 1.0))
+
+
+def test_a_run_with_heat_goes_on_with_another_conductivity_and_its_entropy(tmp_path):
+    def warm(conductivity, **options):
+        solid = nv.LinearElastic(K_e=10.0, G_e=5.0)
+        model = nv.Model(
+            material=nv.Thermal(material=solid, c=1.0, theta_R=1.0, expansion=0.1),
+            heat=nv.Heat(conductivity=conductivity),
+        )
+        start = nv.Initial(temperature=1 + 0.2 * x)
+        return nv.Simulation(box((1, 1), maxh=0.7), model, dt=0.02, initial=start, **options)
+
+    path = tmp_path / "run.h5"
+    before = warm(0.1, observers=[nv.Checkpoints(path)]).run(0.04)
+    after = warm(0.5)
+    assert nv.resume_changed(after, path) == pytest.approx(0, abs=1e-14)
+    ledger = after.run(0.06)
+    assert ledger.column("entropy")[2] == before.column("entropy")[2]
+    made, name = ledger.column("entropy"), "entropy_production_conduction"
+    assert np.diff(made)[-1] == pytest.approx(0.02 * ledger.column(name)[-1], rel=1e-10)
+    assert ledger.column(name)[-1] > 3 * before.column(name)[-1]
