@@ -143,6 +143,7 @@ class Bounds:
             present |= bounds
             self._variables += [name] * len(bounds)
         self.names = tuple(present)
+        self._where_means_do = np.array([name in material.where_means_do for name in self.names])
         self._present = CF(tuple(present.values()))
         self._slices, self._size = material.states(dim).slices, material.states(dim).size
 
@@ -262,13 +263,13 @@ class Bounds:
         cells = np.unique(numbers[bad.any(axis=1)])
         points = np.flatnonzero(np.isin(numbers, cells))
         owner = np.searchsorted(cells, numbers[points])
-        required = self._required(len(cells), points, owner)
+        means = self._at_means(points[np.unique(owner, return_index=True)[1]])
+        required = self._required(len(cells), points, owner) & (~self._where_means_do | (means > 0))
         least = _least(values[points], owner, len(cells))
         broken = required & ~(least > 0)
         kept: np.ndarray = np.any(broken, axis=1)
         if not self._ranks.any(kept.any()):
             return None
-        means = self._at_means(points[np.unique(owner, return_index=True)[1]])
         inside = kept[owner]
         return _Outside(
             cells[kept],

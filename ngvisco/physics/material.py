@@ -100,6 +100,11 @@ class Material(ABC):
         kept = (v for v in self.variables if v.name not in self.continued)
         return {v.name: v.positive(z[v.name]) for v in kept}
 
+    @property
+    def where_means_do(self) -> frozenset[str]:
+        """Names of bounds that bind at the points of cells whose means keep them, and nowhere else."""
+        return frozenset()
+
     def at_rest(self, z: Values) -> Values:
         """The state of F = I with what is no strain of ``z``."""
         return {v.name: v.from_distortion(IDENTITY) if v.is_strain else z[v.name] for v in self.variables}

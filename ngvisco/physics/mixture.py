@@ -39,6 +39,9 @@ from ngvisco.physics.variables import PRESSURE, Values, Variable
 TRACE = 1e-3
 """eta of the module's docstring, and the fraction below which a body does not creep any slower."""
 
+_LIGHTEST = "the density, less half of that of the lightest body"
+"""What is lighter than any of its parts is thrown by forces that these bear."""
+
 _HALF = 1 / 5
 """The fraction at which matter takes half a part."""
 
@@ -189,7 +192,20 @@ class Mixture(Material):
         if not all(psi.is_linear for psi in self.energies):
             for name in self.fractions.bodies:
                 found[f"{AMOUNT}{name} + {TRACE / 2:g} N"] = z[AMOUNT + name] + (0.5 * TRACE) * total
+        if self._densities_differ:
+            least = min(body.density or 0.0 for body in self.bodies)
+            parts = (((body.density or 0.0) / least - 0.5) * z[AMOUNT + body.name] for body in self.bodies)
+            found[_LIGHTEST] = reduce(add, parts)
         return {"": found}
+
+    @property
+    def _densities_differ(self) -> bool:
+        densities = [body.density or 0.0 for body in self.bodies]
+        return max(densities) > 2 * min(densities)
+
+    @property
+    def where_means_do(self) -> frozenset[str]:
+        return frozenset([_LIGHTEST])
 
     def taking_part(self, z: Values) -> Values:
         if len(self.bodies) == 1:

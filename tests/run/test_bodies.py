@@ -217,6 +217,17 @@ def test_traces_that_are_stretched_as_the_body_is_do(monkeypatch):
     assert energy[0] - energy[-1] > 0.02 * ledger.column("kinetic")[0]
 
 
+@pytest.mark.parametrize("bounded", [True, False])
+def test_no_point_is_much_lighter_than_the_lightest_body(bounded, monkeypatch):
+    """Half of its density, where the cells' means have that; rho > 0 alone (the control) lets it fall further."""
+    if not bounded:
+        monkeypatch.setattr(Mixture, "_densities_differ", False)
+    model = nv.Model(bodies=[disc(density=1.0), rest(density=0.2)])
+    initial, time = nv.Initial(velocity=SWIRL), nv.TimeSteps(dt=0.04, velocity_scale=1.0)
+    ledger = nv.Simulation(box((1, 1), maxh=0.3), model, time=time, initial=initial).run(0.2)
+    assert (ledger.column("rho_min").min() >= 0.5 * 0.2 * 0.9) == bounded  # N >= 0.9
+
+
 @pytest.mark.long
 @pytest.mark.ci
 def test_the_run_that_ended_at_one_second_goes_on():
