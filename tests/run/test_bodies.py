@@ -219,7 +219,7 @@ def test_traces_that_are_stretched_as_the_body_is_do(monkeypatch):
 
 @pytest.mark.parametrize("bounded", [True, False])
 def test_no_point_is_much_lighter_than_the_lightest_body(bounded, monkeypatch):
-    """Half of its density, where the cells' means have that; rho > 0 alone (the control) lets it fall further."""
+    """Half of its density, where means have that; rho > 0 alone (the control) lets it fall further."""
     if not bounded:
         monkeypatch.setattr(Mixture, "_densities_differ", False)
     model = nv.Model(bodies=[disc(density=1.0), rest(density=0.2)])
