@@ -36,6 +36,7 @@ def sheared(
     *,
     rate: float,
     G_m: float | None = None,
+    creep: nv.FlowRule | None = None,
     viscosity: float = 0.0,
     density: float = 1.0,
     mesh: Mesh | None = None,
@@ -49,7 +50,7 @@ def sheared(
     """
     model = nv.Model(
         material=material,
-        creep=None if G_m is None else nv.Creep(G_m=G_m, law=law),
+        creep=creep if G_m is None else nv.Creep(G_m=G_m, law=law),
         viscosity=nv.StokesViscosity(K_v=viscosity, G_v=viscosity) if viscosity else None,
     )
     walls: Conditions = {"top": nv.PrescribedTangential((rate, 0.0)), "bottom": nv.NoSlip()}
