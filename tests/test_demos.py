@@ -120,6 +120,7 @@ SCRIPTS = {
     "swirl": lambda demo: demo.simulation(maxh=0.35),
     "swirl3d": lambda demo: demo.simulation(maxh=0.9),
     "wave": lambda demo: demo.amplitudes(0.02, 2)[0],
+    "yield": lambda demo: demo.simulation(maxh=0.5),
 }
 MAXH = {
     "barotropic": 0.25,
