@@ -22,7 +22,6 @@ from ngvisco.geometries.meshing import (
     CURVE_ORDER,
     as_length,
     check_order,
-    is_delicate,
     mesh_of,
     try_apart,
     unit_of,
@@ -79,8 +78,7 @@ def load(
     kind = path.suffix.lower()
     if maxh is None and kind not in _MESHES:
         raise ParameterError("load.maxh", maxh, "a cell size, since the file holds a geometry")
-    begin = "from ngsolve import Mesh\npath, maxh = sys.argv[1:]\n"
-    try_apart(str(path), "read", begin + _MESHES.get(kind, _TRIAL), str(path), repr(maxh or ""))
+    try_apart(str(path), "read", f"path = sys.argv[1]\n{_MESHES.get(kind, _GEOMETRY)}", str(path))
     try:
         mesh = _read(path, kind, maxh)
     except (MeshError, ParameterError):
@@ -108,26 +106,22 @@ def _check_file(path: Path) -> None:
 _MESHES = {
     ".vol": """
 from netgen.meshing import Mesh as NetgenMesh
+from ngsolve import Mesh
 mesh = NetgenMesh()
 mesh.Load(path)
 Mesh(mesh)
 """,
     ".msh": """
 from netgen.read_gmsh import ReadGmsh
+from ngsolve import Mesh
 Mesh(ReadGmsh(path))
 """,
 }
-"""How files of meshes are tried: without ngvisco, whose import takes longer than that of Netgen."""
-
-_TRIAL = """
-from pathlib import Path
-from ngvisco.errors import NgviscoError
-from ngvisco.geometries.files import _read
-try:
-    _read(Path(path), Path(path).suffix.lower(), float(maxh))
-except NgviscoError:
-    pass  # is raised again, and explained, in the process that asked
+_GEOMETRY = """
+from netgen.occ import OCCGeometry
+OCCGeometry(path).shape
 """
+"""How files are tried: without ngvisco, whose import takes longer than that of Netgen."""
 
 
 def _is_whole_brep(text: str) -> bool:
@@ -156,7 +150,7 @@ def _read(path: Path, kind: str, maxh: float | None) -> Any:
     unit = unit_of("load", dim, [("maxh", max(extents))])
     if unit != 1.0:
         shape = shape.Scale(Pnt(0, 0, 0), 1 / unit)
-    return mesh_of("load", shape, dim, maxh, 1, unit=unit, is_delicate=is_delicate(extents))
+    return mesh_of("load", shape, dim, maxh, 1, unit=unit, is_delicate=True)
 
 
 def _require_sheet(path: Path, shape: Any) -> None:

@@ -43,7 +43,7 @@ QUICK = [
     "test_rooms.py",
     "test_threads.py",
 ]
-"""Rooms and modules of the edit loop: one or more of each room, two minutes of processor time in all."""
+"""Rooms and modules of the edit loop: one or more of each room, 75 s of processor time in all."""
 NOT_QUICK = [
     "forms/test_bounds.py",
     "forms/test_corners.py",

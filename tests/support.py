@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from materials import examples
 from netgen.meshing import Element2D, FaceDescriptor, MeshPoint, Pnt
 from netgen.meshing import Mesh as NetgenMesh
@@ -249,6 +250,20 @@ def block(step: Step, array: np.ndarray, name: str) -> np.ndarray:
 
 EXAMPLES: dict[str, Material] = {example.constructor: example.material for example in examples()}
 """One of every material of the catalogue, by its constructor."""
+OF_EACH_KIND = (
+    "LinearElastic",
+    "NeoHookean",
+    'NeoHookean(elastic_state="B")',
+    "OldroydB",
+    "BarotropicFluid",
+    'BarotropicFluid(form="A")',
+)
+"""Materials of every kind of variable."""
+ALL_BY_CI = [
+    pytest.param(name, marks=() if name in OF_EACH_KIND else (pytest.mark.long, pytest.mark.ci))
+    for name in EXAMPLES
+]
+"""Names of all materials, of which one of each kind is run by default."""
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 OF_MODELS = {field.name for field in fields(Model)}
 

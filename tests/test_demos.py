@@ -68,12 +68,14 @@ def unloaded(name, dt):
 
 
 LONG = pytest.mark.long
+BY_DEFAULT = {("swirl", 100): [], ("creep", 10): [], ("mooney_rivlin", 10): [LONG, pytest.mark.ci]}
+"""Demos and factors of the step that are run by default and by CI."""
 
 
 @pytest.mark.parametrize(
     ("name", "factor"),
     [
-        pytest.param(name, factor, marks=[] if factor == (100 if name == "swirl" else 10) else LONG)
+        pytest.param(name, factor, marks=BY_DEFAULT.get((name, factor), LONG))
         for name in ("swirl", "swirl3d", "creep", "creep_finite", "mooney_rivlin", "barotropic")
         for factor in (1, 10, 100)
     ],

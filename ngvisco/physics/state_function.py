@@ -6,8 +6,6 @@ on a grid function or on the mesh has a rate that no term of the equations holds
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
@@ -18,14 +16,14 @@ from ngvisco.physics.time import one_value, reads_time, sampled
 from ngvisco.physics.variables import Values
 
 _OTHERS = {
-    r"coordinate": "the position",
-    r"GridFunction": "a grid function",
-    r"MeshSize": "the size of the cells",
-    r"normal vector|tangential vector|Curvature": "the direction of a facet",
-    r"DomainWise|RegionCF": "the region of the mesh",
-    r"Voxel": "values on a grid",
-    r"ReferenceCoordinate|Jacobian": "the map of the cells",
-    r"ProxyFunction": "a trial or test function",
+    ("coordinate",): "the position",
+    ("GridFunction",): "a grid function",
+    ("MeshSize",): "the size of the cells",
+    ("normal vector", "tangential vector", "Curvature"): "the direction of a facet",
+    ("DomainWise", "RegionCF"): "the region of the mesh",
+    ("Voxel",): "values on a grid",
+    ("ReferenceCoordinate", "Jacobian"): "the map of the cells",
+    ("ProxyFunction",): "a trial or test function",
 }
 """What NGSolve calls the leaves of an expression, and what they are."""
 
@@ -44,8 +42,8 @@ def check_energy(material: Material) -> None:
     z = {v.name: v.from_distortion(F).MakeVariable() for v in material.variables}
     phi = _evaluated(material, z, owner, function, names)
     text = str(phi)
-    for pattern, what in _OTHERS.items():
-        if re.search(pattern, text):
+    for leaves, what in _OTHERS.items():
+        if any(leaf in text for leaf in leaves):
             raise ParameterError(owner, function, f"a function of {names} alone; it reads {what}")
     if reads_time(phi):
         raise ParameterError(owner, function, f"a function of {names} alone; it reads the time")

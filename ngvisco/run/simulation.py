@@ -295,7 +295,12 @@ class Simulation:
         them (``ngvisco.run.further_fields``), and the passive fields of the run under their names.
         """
         self.rothe_step.eliminate.refresh()
-        return {**output_fields(self.rothe_step), **self.passive.fields}
+        return {**self._expressions, **self.passive.fields}
+
+    @cached_property
+    def _expressions(self) -> dict[str, CoefficientFunction]:
+        """They follow the state."""
+        return output_fields(self.rothe_step)
 
     def advance(self, stop: float = math.inf) -> dict[str, float]:
         """One accepted step of the scheme, which with adaptive lengths ends at ``stop`` (s) at the latest.

@@ -67,7 +67,8 @@ class BlockNorm:
         """|increment|, and the relative increment of the shared blocks, in [0, 1]; 0 where there is none."""
         sizes, turned, floor = [], 0.0, COARSE_FLOOR if coarse else FLOOR
         with np.errstate(over="ignore", invalid="ignore"):  # a diverging iterate is inf or NaN here
-            parts = [[u.FV().NumPy()[own] for u in (increment, *states)] for own in self._own.values()]
+            vectors = [u.FV().NumPy() for u in (increment, *states)]
+            parts = ([vector[own] for vector in vectors] for own in self._own.values())
             squares = np.array([[part @ part for part in of_block] for of_block in parts])
             norms = np.sqrt(self._ranks.totals(squares))  # of all blocks in one reduction
             for (name, unit), (own, *of_states) in zip(self.units.items(), norms, strict=True):

@@ -51,6 +51,8 @@ def test_only_a_slower_network_costs_more():
     assert slow["messages"] == pytest.approx(10 * fast["messages"])
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_report_has_a_picture_and_says_that_it_is_a_model(tmp_path):
     (tmp_path / "ranks.json").write_text(json.dumps(ROWS))
     assert main([str(tmp_path / "ranks.json"), "-o", str(tmp_path)]) == 0

@@ -468,13 +468,13 @@ for setting in settings:
 def test_what_is_not_distributed_is_refused_by_name(case_file, tmp_path):
     """On every rank with the same code; the first says why, once, and nothing is written."""
     (tmp_path / "refusing.py").write_text(REFUSING)
-    result = run(tmp_path / "refusing.py", case_file, tmp_path / "run", *REFUSED, ranks=4)
+    result = run(tmp_path / "refusing.py", case_file, tmp_path / "run", *REFUSED, ranks=3)
     assert result.returncode == 0, result.stderr
     for setting, message in REFUSED.items():
         assert result.stderr.count(message) == 1, result.stderr
-        assert f"{setting} [2, 2, 2, 2]" in result.stdout, result.stdout
+        assert f"{setting} [2, 2, 2]" in result.stdout, result.stdout
     assert result.stderr.count("ngvisco: petsc4py is missing or does not load: see 'Several pro") == 1
-    assert "without petsc4py [2, 2, 2, 2]" in result.stdout
+    assert "without petsc4py [2, 2, 2]" in result.stdout
     assert not (tmp_path / "run").exists()
 
 
@@ -612,14 +612,22 @@ FAULTS = {
 }
 
 
-def test_an_error_is_that_of_all_ranks(tmp_path):
+@pytest.mark.parametrize(
+    "faults",
+    [
+        ("observer", "singular", "petsc regularised", "refused"),
+        pytest.param(tuple(FAULTS), marks=[pytest.mark.long, pytest.mark.ci], id="all"),
+    ],
+)
+def test_an_error_is_that_of_all_ranks(tmp_path, faults):
     """A full disk or a singular matrix on one of them, and a step that all refuse; a warning is said once."""
     (tmp_path / "failing.py").write_text(FAILING)
-    result = run(tmp_path / "failing.py", *FAULTS, ranks=3)
+    result = run(tmp_path / "failing.py", *faults, ranks=3)
     assert result.returncode == 0, result.stderr
     assert result.stderr.count("InputWarning: initial velocity") == 1
     lines = [line.split("|", 1) for line in result.stdout.splitlines() if "|rank" in line]
-    for fault, message in FAULTS.items():
+    for fault in faults:
+        message = FAULTS[fault]
         key = f"{fault.split()[0]} {fault.endswith('regularised')}"
         said = [line for name, line in lines if name == key]
         assert len(said) == 3 and len({line.split(" of 3 ")[1] for line in said}) == 1, fault

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support import EXAMPLES, assert_sound, swirling
+from support import EXAMPLES, OF_EACH_KIND, assert_sound, swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -44,14 +44,6 @@ def test_ledger_closes_and_mass_and_positivity_hold(name, m):
     ledger = run.run(0.02)
     assert_sound(ledger, EXAMPLES[name])
     assert ("dissipation_hyper" in ledger.columns) == (m > 0)
-
-
-OF_EACH_KIND = (
-    *(name for name, _ in IN_SPACE),
-    'NeoHookean(elastic_state="B")',
-    "OldroydB",
-    "BarotropicFluid",
-)
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,9 @@ def test_wave_has_the_speed_and_decay_of_the_dispersion_relation(mu, scheme):
     assert_exact_balance(run)
 
 
-@pytest.mark.parametrize("mu", [pytest.param(0.0, marks=LONG), 0.02])
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize("mu", [0.0, 0.02])
 def test_wave_decays_in_the_run_as_the_model_says(mu):
     """With the scheme's own error: Euler adds omega^2 dt/2 = 0.08 1/s to the decay."""
     demo = load("wave")
@@ -90,6 +92,8 @@ def test_wave_decays_in_the_run_as_the_model_says(mu):
     assert found["backward-euler"].real == pytest.approx(exact.real - 0.08, rel=0.02)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_couette_stress_is_that_of_the_closed_form(tmp_path):
     demo = load("couette")
     run = demo.simulation(maxh=0.5)

@@ -55,6 +55,8 @@ def test_checkpoints_do_not_change_a_run(tmp_path):
     assert np.array_equal(values(plain), values(watched))
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_an_adaptive_run_that_was_stopped_is_resumed_bit_for_bit(tmp_path):
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.08, tolerance=3e-3, patience=2)
     whole = simulation(stepping)

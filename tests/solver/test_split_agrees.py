@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ngsolve import CF, cos, pi, sin, x, y
-from support import EXAMPLES, SWIRL, assert_sound
+from support import ALL_BY_CI, EXAMPLES, SWIRL, assert_sound
 
 import ngvisco as nv
 from ngvisco.forms.mesh.mesh_arrays import mask_of
@@ -96,7 +96,7 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
     return [run.ledger for run in runs]
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", ALL_BY_CI)
 @pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_for_every_material_with_creep(name, dim):
     """In which the ledger closes, mass and positivity are kept, and Bregman's remainder is a loss."""
@@ -114,7 +114,13 @@ def test_for_laws_of_creep(name, law):
 BY_B = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B")
 
 
-@pytest.mark.parametrize("material", [None, BY_B], ids=["F", "B"])
+@pytest.mark.parametrize(
+    "material",
+    [
+        pytest.param(None, id="F"),
+        pytest.param(BY_B, marks=[pytest.mark.long, pytest.mark.ci], id="B"),
+    ],
+)
 def test_in_three_dimensions(material):
     assert_both_agree(box((1, 1, 1), maxh=1), model(material, dim=3), steps=1)
 
@@ -146,7 +152,8 @@ PARTS = {
 
 
 STRIP = (
-    *("hyperviscosity and creep", "a creep rate field", "delta of the fields"),
+    *("a creep rate field", "delta of the fields"),
+    pytest.param("hyperviscosity and creep", marks=pytest.mark.long),
     pytest.param("delta of the density", marks=pytest.mark.long),
 )
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from materials import examples
 from ngsolve import CF, cos, pi, sin, x, y
+from support import ALL_BY_CI, EXAMPLES
 
 import ngvisco as nv
 from ngvisco.geometries import box, disc
 
-EXAMPLES = {example.constructor: example.material for example in examples()}
 WALLS = {"top": nv.Traction(f=(1.0, 0.0), friction=0.2)}
 
 PARTS = {
@@ -74,7 +73,7 @@ def test_of_every_mechanism(name):
     assert_is_the_derivative(simulation(**PARTS[name]), bound=1e-6 if name == "r = 3" else 1e-9)
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", ALL_BY_CI)
 def test_of_every_material(name):
     assert_is_the_derivative(simulation(material=EXAMPLES[name]))
 

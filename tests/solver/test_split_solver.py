@@ -1,4 +1,4 @@
-"""The split solver's own duties: restarts, failures that are said, the choice of the solver, its parts."""
+"""The split solver's own duties: failures that are said, the choice of the solver, its parts."""
 
 from __future__ import annotations
 
@@ -58,26 +58,6 @@ def taken(run):
 def first_step(run):
     """The problem of a run's first step."""
     return run.solver.problem(Interval(run.dt, 0.0, run.dt, 0.0, run.dt))
-
-
-def test_resumed_run_is_bit_for_bit_the_uninterrupted_one(tmp_path):
-    whole = simulation(observers=[nv.Checkpoints(tmp_path / "run.h5", every=2)])
-    whole.run(0.1)
-    resumed = simulation()
-    resumed.restore(tmp_path / "run.h5", step=4)
-    resumed.run(0.1)
-    assert (state(resumed) == state(whole)).all()
-
-
-def test_converged_state_solves_the_coupled_residual():
-    run = simulation()
-    run.advance()
-    step = run.rothe_step
-    rows = step.state.vec.CreateVector()
-    step.eliminate.refresh()
-    step.residual.Apply(step.state.vec, rows)
-    free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
-    assert np.abs(rows.FV().NumPy()[free]).max() <= 1e-10
 
 
 def density_rows(unknowns):
@@ -201,7 +181,7 @@ LARGE, SMALL, SMALLER = (1e5, 9e20, 3e10), (1e-6, 1e3, 1e-9), (1e-8, 1e3, 1e-11)
     ("units", "levels"),
     [
         (LARGE, 1),
-        (SMALLER, 2),
+        pytest.param(SMALLER, 2, marks=[pytest.mark.long, pytest.mark.ci]),
         *(
             pytest.param(*case, marks=pytest.mark.long)
             for case in ((LARGE, 2), (SMALL, 1), (SMALL, 2), (SMALLER, 1))
@@ -432,6 +412,8 @@ def test_a_failure_from_extrapolated_values_is_retried_from_the_old_state(monkey
     assert np.linalg.norm(state(run) - state(plain)) <= 1e-9 * np.linalg.norm(state(plain))
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_sweeps_follow_the_courant_number_and_no_step_is_retried():
     """Three sweeps of the transport no longer make Newton's increments; more do, and the fields' systems."""
     run = simulation(mesh=box((1, 1), maxh=0.2, periodic="x"), speed=300.0, dt=1e-3)

@@ -110,7 +110,8 @@ def passive(run):
     return run.passive.arrays()
 
 
-@pytest.mark.parametrize("scheme", ["midpoint", pytest.param("sdirk2", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("scheme", [pytest.param("midpoint", marks=pytest.mark.ci), "sdirk2"])
 def test_passive_fields_are_of_the_schemes_order(scheme):
     found = in_time(scheme, of=passive, passive=("F_tot", "reference_map", "creep_strain"))
     assert min(found.values()) >= 1.9, found
@@ -118,7 +119,9 @@ def test_passive_fields_are_of_the_schemes_order(scheme):
     assert max(first.values()) <= 1.3
 
 
-@pytest.mark.parametrize("startup", [pytest.param(1, marks=pytest.mark.long), 2])
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize("startup", [1, 2])
 def test_a_few_euler_steps_at_the_start_keep_the_order(startup):
     found = in_time("midpoint", 0.04, (4, 8, 16), startup=startup)
     assert min(found.values()) >= 1.8, found

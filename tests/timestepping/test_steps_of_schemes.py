@@ -49,7 +49,18 @@ RESTARTED = {
 }
 
 
-@pytest.mark.parametrize("name", RESTARTED)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "sdirk2, passive",
+        "moving wall",
+        "relaxed",
+        *(
+            pytest.param(name, marks=[pytest.mark.long, pytest.mark.ci])
+            for name in ("backward-euler", "theta after a start-up")
+        ),
+    ],
+)
 def test_a_run_goes_on_from_any_checkpoint_bit_for_bit(name, tmp_path):
     file = tmp_path / "run.h5"
     whole = simulation(**RESTARTED[name], observers=[nv.Checkpoints(file, every=1, keep=9)])
