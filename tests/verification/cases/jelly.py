@@ -1,7 +1,13 @@
 """A jelly of density 1 drops through a medium of a thousandth of it, bounces and settles.
 
-Both have a viscosity of 1e-3 Pa s.  Without it the steps of backward Euler take 20 to 50 iterations in place
-of ten, and some are rejected.
+Both have a viscosity of 1e-3 Pa s: without it the steps of backward Euler take more and more iterations, and
+some are rejected.  Iterations, and rejected steps:
+
+    density   tau, s   until, s   without viscosity   with it
+    0.1       0.01     0.5        780 and 0           421 and 0
+    0.001     0.005    0.3        1,843 and 19        545 and 0
+
+Where traces bear stress as the body does (``taking_part`` = {}) there is no step from 0.13 s on at 0.1.
 """
 
 from __future__ import annotations
