@@ -58,7 +58,7 @@ def merged(kept: str, new: str, cases: Sequence[Case], of: str) -> str:
         if case.theme != theme:
             theme = case.theme
             body += [f"## {theme}", ""]
-        body.append((sections if case.name in rows else old_sections)[case.name])
+        body.append((sections if case.name in rows else old_sections)[case.name].rstrip("\n") + "\n")
     hold = statuses.count("holds")
     missing = [case.name for case in cases if case.name not in rows and case.name not in old_rows]
     lines = [
