@@ -11,7 +11,7 @@ from scipy.optimize import root
 
 import ngvisco as nv
 from ngvisco.forms.term import PointTerm, dissipations
-from ngvisco.geometries import box
+from ngvisco.geometries import box, structured_box
 from ngvisco.physics.tensors import power_of_square, square, tr
 from ngvisco.physics.variables import Variable
 
@@ -46,7 +46,8 @@ def stretched(rule, solver, bodies):
         model = nv.Model(bodies=[left, right])
     else:
         model = nv.Model(material=MATERIAL, viscosity=viscosity, creep=rule)
-    return nv.Simulation(box((1, 1), maxh=1.0), model, dt=0.02, initial=initial, solver=solver)
+    mesh = structured_box((1, 1), (2, 1))  # bodies meet between cells
+    return nv.Simulation(mesh, model, dt=0.02, initial=initial, solver=solver)
 
 
 def implicit_steps(rate, lengths, by_B):

@@ -155,7 +155,7 @@ class FlowSchurComplement:
 
     def resolved(self, dz: np.ndarray) -> np.ndarray:
         """(1 - tau P K)^{-1} dz of coefficients dz: both (cells' unknowns, n)."""
-        cells = dz.reshape(len(self.points.resolvent), -1, 1)
+        cells = dz.reshape(*self.points.resolvent.shape[:2], 1)  # of a rank without cells too
         return product(self.points.resolvent, cells).reshape(dz.shape)
 
     def tangent(self, hyper: HyperTangent | None) -> sp.csr_matrix:
