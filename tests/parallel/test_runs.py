@@ -468,13 +468,13 @@ for setting in settings:
 def test_what_is_not_distributed_is_refused_by_name(case_file, tmp_path):
     """On every rank with the same code; the first says why, once, and nothing is written."""
     (tmp_path / "refusing.py").write_text(REFUSING)
-    result = run(tmp_path / "refusing.py", case_file, tmp_path / "run", *REFUSED, ranks=3)
+    result = run(tmp_path / "refusing.py", case_file, tmp_path / "run", *REFUSED, ranks=4)
     assert result.returncode == 0, result.stderr
     for setting, message in REFUSED.items():
         assert result.stderr.count(message) == 1, result.stderr
-        assert f"{setting} [2, 2, 2]" in result.stdout, result.stdout
+        assert f"{setting} [2, 2, 2, 2]" in result.stdout, result.stdout
     assert result.stderr.count("ngvisco: petsc4py is missing or does not load: see 'Several pro") == 1
-    assert "without petsc4py [2, 2, 2]" in result.stdout
+    assert "without petsc4py [2, 2, 2, 2]" in result.stdout
     assert not (tmp_path / "run").exists()
 
 

@@ -180,7 +180,7 @@ def in_a_thin_fluid():
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 50 * (J - 2 + 1 / J))
     thin = nv.StokesViscosity(K_v=0.0, G_v=1e-5)
     bodies = [disc(material=stiff, viscosity=None, density=1.0), rest(material=fluid, viscosity=thin)]
-    time, initial = nv.TimeSteps(dt=0.02, velocity_scale=1.0), nv.Initial(velocity=SWIRL)
+    time, initial = nv.TimeSteps(dt=0.02, halvings=0, velocity_scale=1.0), nv.Initial(velocity=SWIRL)
     return nv.Simulation(box((1, 1), maxh=0.25), nv.Model(bodies=bodies), time=time, initial=initial)
 
 
