@@ -21,7 +21,7 @@ examples:
   python -m tests.verification -o report/
   python -m tests.verification --reduced -o report/
   python -m tests.verification limit-tau dispersion -o limits/
-  python -m tests.verification -o report/ --resume
+  python -m tests.verification -o report/ --resume --jobs 2
   python -m tests.verification limit-tau -o limits/ --into tests/verification/kept"""
 
 
@@ -38,8 +38,16 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--list", action="store_true", help="name the cases and what they claim, run nothing")
     top.add_argument("--reduced", action="store_true", help="only the reduced set, of a few minutes")
     top.add_argument("--resume", action="store_true", help="go on with the report in DIR")
+    top.add_argument("--jobs", type=_count, default=1, metavar="N", help="so many cases at once (default: 1)")
     top.add_argument("--into", metavar="DIR", help="then put these cases into the kept report in DIR")
     return top
+
+
+def _count(text: str) -> int:
+    """A number of processes."""
+    if not (text.isdecimal() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r}: a whole number, at least 1")
+    return int(text)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -65,7 +73,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return DONE
         directory = ReportDirectory(Path(options.output), cases, resume=options.resume)
         results = run_cases(
-            cases, __version__, directory.save, lambda case: directory.saved(case, __version__)
+            cases,
+            __version__,
+            directory.save,
+            lambda case: directory.saved(case, __version__),
+            jobs=options.jobs,
         )
         path = write_report(directory.path, cases, results, __version__)
         if options.into:

@@ -1,11 +1,13 @@
-"""Runs cases one after the other; the error of one is its result, not the end of the others."""
+"""Runs cases, one after the other or some at once; the error of one is its result, not the end of others."""
 
 from __future__ import annotations
 
 import sys
 import time as clock
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from typing import TextIO
 
 from ngvisco.forms.context import time
@@ -39,6 +41,7 @@ def run_cases(
     keep: Keep = lambda result: None,
     known: Known = lambda case: None,
     stream: TextIO | None = None,
+    jobs: int = 1,
 ) -> list[Result]:
     """Run the cases that are not known yet, with a line for each before and after it.
 
@@ -53,24 +56,59 @@ def run_cases(
         The earlier result of a case, or None.
     stream : text stream, optional
         Default ``sys.stdout``.
+    jobs : int
+        How many cases of the registry run at once, each in a process of its own; 1 (default) in this one.
     """
     out = stream or sys.stdout
-    results: list[Result] = []
-    began, spent, fresh = clock.perf_counter(), 0.0, 0
-    for i, case in enumerate(cases, 1):
-        head = f"[{i:{len(str(len(cases)))}d}/{len(cases)}] {case.name}"
-        result = known(case)
-        if result is None:
-            print(f"{head} ...", file=out, flush=True)
-            result = run_case(case, version)
-            keep(result)
-            spent, fresh = clock.perf_counter() - began, fresh + 1
-            left = spent / fresh * (len(cases) - i)
-            print(f"{head}: {describe(case, result)}; about {left:.0f} s left", file=out, flush=True)
-        else:
-            print(f"{head}: {describe(case, result)}; measured earlier", file=out, flush=True)
-        results.append(result)
-    return results
+    heads = {
+        case.name: f"[{i:{len(str(len(cases)))}d}/{len(cases)}] {case.name}"
+        for i, case in enumerate(cases, 1)
+    }
+    results = {case.name: result for case in cases if (result := known(case)) is not None}
+    for case in cases:
+        if case.name in results:
+            print(
+                f"{heads[case.name]}: {describe(case, results[case.name])}; measured earlier",
+                file=out,
+                flush=True,
+            )
+    new = [case for case in cases if case.name not in results]
+    began = clock.perf_counter()
+
+    def starts(case: Case) -> None:
+        print(f"{heads[case.name]} ...", file=out, flush=True)
+
+    for fresh, (case, result) in enumerate(_completed(new, version, jobs, starts), 1):
+        keep(result)
+        results[case.name] = result
+        left = (clock.perf_counter() - began) / fresh * (len(new) - fresh)
+        print(f"{heads[case.name]}: {describe(case, result)}; about {left:.0f} s left", file=out, flush=True)
+    return [results[case.name] for case in cases]
+
+
+def _completed(
+    cases: Sequence[Case], version: str, jobs: int, starts: Callable[[Case], None]
+) -> Iterator[tuple[Case, Result]]:
+    """Cases with their results, as they come."""
+    if jobs == 1:
+        for case in cases:
+            starts(case)
+            yield case, run_case(case, version)
+        return
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), max_tasks_per_child=1)
+    try:
+        waiting = {pool.submit(_run_named, case.name, version): case for case in cases}
+        for done in as_completed(waiting):
+            yield waiting[done], Result.from_json(done.result())
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _run_named(name: str, version: str) -> str:
+    """The result of a case of the registry, as JSON."""
+    from tests.verification.registry import all_cases
+
+    return run_case(next(case for case in all_cases() if case.name == name), version).to_json()
 
 
 def describe(case: Case, result: Result) -> str:

@@ -241,3 +241,21 @@ def test_every_claim_is_on_a_linearised_and_a_finite_strain_case():
 def test_reduced_set_holds(tmp_path):
     """Minutes: one case or two of every theme."""
     assert main(["--reduced", "-o", str(tmp_path / "report")]) == DONE
+
+
+def test_so_many_cases_at_once_is_a_number(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(["--jobs", "0", "-o", str(tmp_path / "r")])
+    assert "'0': a whole number, at least 1" in capsys.readouterr().err
+
+
+@pytest.mark.long
+@pytest.mark.ci
+def test_two_cases_at_once_are_those_of_one_after_the_other(tmp_path):
+    names = ["stability-free-linearised", "stability-loaded-linearised"]
+    found = []
+    for jobs in ("1", "2"):
+        assert main([*names, "--jobs", jobs, "-o", str(tmp_path / jobs)]) == DONE
+        results = [json.loads((tmp_path / jobs / "cases" / f"{name}.json").read_text()) for name in names]
+        found.append([result["outcome"]["values"] for result in results])
+    assert found[0] == found[1]
