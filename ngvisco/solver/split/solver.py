@@ -140,7 +140,7 @@ class Split:
         """How much less than of others may be left of increments of z, by which a steep rate is wrong."""
         points = self.preconditioner.operator.points
         steepest = self.residual.ranks.most(abs(points.rate_slope).max(initial=0.0))
-        return max(1 / (1 + points.tau * steepest), 1e-2)
+        return max(1 / (1 + points.tau * steepest), 1e-4)
 
     def _follow_creep(self, f: np.ndarray) -> None:
         """Let an increment from where the tangent is keep the stress on the flow rule's graph."""

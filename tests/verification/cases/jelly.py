@@ -1,11 +1,13 @@
 """A jelly of density 1 drops through a medium of a thousandth of it, bounces and settles.
 
-Both have a viscosity of 1e-3 Pa s: without it the steps of backward Euler take more and more iterations, and
-some are rejected.  Iterations, and rejected steps:
+Both have a viscosity of 1e-3 Pa s.  Without it backward Euler takes, iterations and rejected steps:
 
-    density   tau, s   until, s   without viscosity   with it
-    0.1       0.01     0.5        780 and 0           421 and 0
-    0.001     0.005    0.3        1,843 and 19        545 and 0
+    density   tau, s   until, s
+    0.1       0.01     0.4        338 and 0
+    0.001     0.005    0.3        595 and 1, the first; 1,843 and 19 where points may be as light as rho > 0
+    0.001     0.005    0.6        1,260 and 1
+
+At 4.84 s, nearly at rest, the split solver finds no step: the case ends before that.
 
 Where traces bear stress as the body does (``taking_part`` = {}) there is no step from 0.13 s on at 0.1.
 """
@@ -25,7 +27,7 @@ BULK, SHEAR, VISCOSITY = 50.0, 1.0, 1e-3
 """K_e of both, G_e of the jelly, Pa; of both, Pa s."""
 LIGHT, RADIUS, GRAVITY = 1e-3, 0.2, 1.0
 """Density of the medium, kg/m^3; m; m/s^2."""
-TAU, END, FALLING = 0.005, 5.0, 0.2
+TAU, END, FALLING = 0.005, 4.5, 0.2
 
 
 def dropped(until: float, ratio: float = LIGHT, tau: float = TAU) -> tuple[nv.Simulation, nv.Bodies]:
@@ -94,7 +96,7 @@ def _jelly() -> Outcome:
                 [Curve("jelly", times.tolist(), height.tolist(), "-")],
             )
         ],
-        remarks=["The bounds were written after trials until 5 s without the energy's column."],
+        remarks=["The bounds were written after trials until 4.2 s without the energy's column."],
     )
 
 
