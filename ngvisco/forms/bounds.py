@@ -17,7 +17,8 @@ bounds of their own (``ngvisco.forms.ranges``) and are limited first.
 
 Only a mean out of bounds is beyond mending; it ends a step.  Two bounds do not count: those of variables for
 which the material's energy is continued (``Material.continued``: a Yosida approximation, J_min), and in a
-cell those of variables that the energy does not read there, phi'_z = 0 in all of it.
+cell those of variables that the energy does not read there, phi'_z = 0 in all of it.  Those of
+``Material.where_means_do`` count in cells whose means keep them: they end no step.
 
 With a cut-off rho_max + width - rho is such a quantity too (paper: Euler-small-est3+++), where the state that
 the bounds are made for, that of a run's start, has it positive.

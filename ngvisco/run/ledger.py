@@ -7,9 +7,8 @@ Euler-large-energy-balance-disc, with their inequalities' remainders written out
 are weighted as the time scheme does.  ``inertial`` and ``bregman`` are the kinetic and the stored part of
 what it dissipates numerically, sums of Bregman distances (``ngvisco.timestepping.scheme``): for the
 implicit Euler step 1/2 int rho_old |v - v_old|^2 and int phi(z_old) - phi(z) - phi'(z):(z_old - z), the
-latter >= 0 where the energy is convex; of either sign for schemes of second order.  ``limiter`` is the energy
-that limiting the step's end takes in ``limited_cells`` cells (``ngvisco.forms.bounds``), ``limiter_walls``
-what it takes through walls that are moved; both are in the balance like ``inertial`` and ``bregman``.
+latter >= 0 where the energy is convex; of either sign for schemes of second order.  ``limiter`` is what
+limiting the step's end takes (``ngvisco.forms.bounds``), ``limiter_walls`` that of it through moved walls.
 """
 
 from __future__ import annotations
