@@ -247,6 +247,14 @@ class Mixture(Material):
             found[body.name] = weight * shear
         return found
 
+    def volumes_at_rest(self, z: Values) -> dict[str, Any]:
+        """n_i U_i(1) by the bodies' names, Pa: what of V comes with the matter, whatever its volume."""
+        found = {}
+        for body, psi in zip(self.bodies, self.energies, strict=True):
+            n = z[AMOUNT + body.name]
+            found[body.name] = n * Volumetric(psi=psi).energy({**z, "J": 1 + 0 * n})
+        return found
+
     def energy(self, z: Values) -> CoefficientFunction:
         if not self.has_one_volume:
             raise NgviscoError(

@@ -43,7 +43,7 @@ class Bodies(Series):
     | ``NAME_volume`` | int theta, m^d |
     | ``NAME_x``, ``_y``, ``_z`` | centroid int theta x over the volume, m |
     | ``NAME_momentum_x``, ... | int rho_R n v, kg m/s |
-    | ``NAME_kinetic``, ``NAME_stored`` | 1/2 int rho_R n v^2, its shear and int theta V, J |
+    | ``NAME_kinetic``, ``NAME_stored`` | kinetic, J; shear, n U(1) and theta of what else is in V, J |
     | ``NAME_dissipation`` | of viscosity and creep, of the present (limited) state, W |
     | ``NAME_x_min``, ``NAME_x_max``, ... | where theta >= 1/2 at points of cells, m; NaN without any |
 
@@ -114,15 +114,15 @@ def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
     for flow in rates.flows:
         if flow.body == name:
             loss = loss + rates.power_of_creep(flow, rates.local_creep(flow, u), u)
-    shears = material.shears(values)
-    of_volume = rates.stored(u) - sum(shears.values(), CF(0.0))
+    shears, rest = material.shears(values), material.volumes_at_rest(values)
+    of_volume = rates.stored(u) - sum((*shears.values(), *rest.values()), CF(0.0))
     return [
         mass,
         theta,
         *(theta * coordinate for coordinate in place),
         *(mass * v[i] for i in range(step.mesh.dim)),
         0.5 * mass * inner(v, v),
-        shears.get(name, CF(0.0)) + theta * of_volume,
+        shears.get(name, CF(0.0)) + rest[name] + theta * of_volume,
         loss,
     ]
 

@@ -11,6 +11,7 @@ from ngsolve import Integrate
 
 import ngvisco as nv
 from ngvisco.geometries import box
+from ngvisco.physics.variables import Jacobian
 from ngvisco.run.outlines import averaged, outlined
 from ngvisco.run.plots import plot_fields
 from ngvisco.run.scene import write_scene, write_scene_of_series
@@ -66,6 +67,27 @@ def whole(tmp_path_factory):
     run = simulation(*observers)
     run.run(0.08)
     return out, table, run
+
+
+def test_energy_that_comes_with_matter_is_its_own():
+    """3 G_e of an isochoric solid, which is in its volumetric part, where cells have both bodies."""
+    fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J + 1 / J - 2))
+    disc = nv.IsochoricNeoHookean(K_e=20.0, G_e=2.0, elastic_state="B")
+    table = nv.Bodies()
+    model = nv.Model(
+        bodies=[
+            nv.Body(name="fluid", material=fluid, viscosity=STOKES, density=1.0),
+            nv.Body(
+                name="disc", where=nv.Ball((0.6, 0.5), 0.2), material=disc, viscosity=STOKES, density=1.0
+            ),
+        ]
+    )
+    run = nv.Simulation(box((1, 1), maxh=0.3), model, dt=0.02, observers=[table])
+    run.run(0.02)
+    stored = run.ledger.rows[0]["stored"]
+    assert stored > 0.1
+    assert abs(table.column("fluid_stored")[0]) <= 1e-12 * stored
+    assert abs(table.column("disc_stored")[0] - stored) <= 1e-12 * stored
 
 
 def test_table_has_the_columns_of_each_body(whole):
