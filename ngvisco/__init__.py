@@ -82,6 +82,7 @@ from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields, plot_schemes
 from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.record import record
+from ngvisco.run.refinement import Refinement, run_refined
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
 from ngvisco.run.time_steps import TimeSteps
@@ -206,6 +207,7 @@ __all__ = [
     "Progress",
     "ReferentialMooneyRivlin",
     "ReferentialNeoHookean",
+    "Refinement",
     "Regularisation",
     "Rejection",
     "RunDirectoryError",
@@ -241,6 +243,7 @@ __all__ = [
     "read_ledger",
     "record",
     "resume_changed",
+    "run_refined",
     "step",
     "table",
     "time",

@@ -162,6 +162,17 @@ class Simulation:
         ranks = Communicator.world() if mesh.comm.size == 1 else Communicator.of(mesh)
         require_petsc(ranks)
         mesh = distributed(mesh, ranks) if mesh.comm.size == 1 else mesh
+        self._others: dict[str, Any] = {
+            "time": steps,
+            "initial": initial,
+            "walls": walls,
+            "discretisation": discretisation,
+            "newton": newton,
+            "solver": solver,
+            "sources": sources,
+            "terms": terms,
+            "passive": passive,
+        }
         self.mesh, self.model, self.dt = mesh, model, float(steps.dt)
         self.stepper = make_stepper(self.dt, steps.adaptive, steps.halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
@@ -204,6 +215,10 @@ class Simulation:
         )
         self._refused: tuple[Violation, np.ndarray] | None = None
         self.stop_requested = False
+
+    def on(self, mesh: Mesh) -> Simulation:
+        """The same run on another mesh, at its start; ``nv.transfer`` takes the present state there."""
+        return Simulation(mesh, self.model, **self._others | {"observers": self.observers})
 
     def set_velocity_scale(self, scale: float) -> None:
         """Set the widths of the smoothed upwinding and of the penalty's weight, from m/s."""

@@ -1,9 +1,10 @@
 """Going on with another mesh or with other parameters: what is carried over, and what it costs.
 
 On another mesh, density, transported variables and further unknowns that evolve are projected in L2, the
-velocity on the new mesh's velocities that the walls allow, from values at the new quadrature points.  The
-density is then scaled by one factor, so that the mass is kept to rounding; with bodies the amount of each is,
-and the density is the sum of theirs.  With other parameters the state stays as it is, to the bit.
+velocity on the new mesh's velocities that the walls allow, from values at the new quadrature points; in a
+new cell that is a union of old ones by the old points: each keeps what it has.  The density is then scaled
+by one factor, so that the mass is kept to rounding; with bodies the amount of each is, and the density is the
+sum of theirs.  With other parameters the state stays as it is, to the bit.
 
 The energy before less that after is the ledger's column ``transfer`` (J): of row 0 where a new ledger
 begins, and of the first row of a ledger that goes on, whose closure holds it.  It is positive where energy
@@ -13,12 +14,13 @@ was lost.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from ngsolve import CF, L2, GridFunction, Integrate
+from ngsolve import CF, L2, CoefficientFunction, GridFunction, Integrate
 
 from ngvisco.errors import InitialDataError, MeshError, ParameterError
 from ngvisco.forms.mesh.locating import Located
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
 
 _VOLUME = 0.02
 """Relative difference of volumes that two meshes of one curved domain may have."""
+_WHOLE = 1e-9
+"""The same of a cell and the old cells that it is the union of."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,6 +123,18 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     return result
 
 
+def go_on(source: Simulation, target: Simulation) -> None:
+    """Let a run go on in the one that was put into its state: its step numbers, step lengths and ledger."""
+    target.set_time(source.t, source.number)
+    numbers, _ = source.stepper.state_dict()  # its arrays, of an error estimate, are of the mesh
+    target.stepper.load_state_dict(target, numbers, {})
+    had, ledger = source.ledger, target.ledger
+    assert had.balance is not None
+    ledger.add_once(TRANSFER, ledger.rows[0][TRANSFER])
+    rows = [{name: row.get(name, 0.0) for name in ledger.columns} for row in had.rows]
+    ledger.resume(had.balance, rows)
+
+
 def _require_fit(source: Simulation, target: Simulation) -> None:
     had, has = (run.model.material.variables for run in (source, target))
     _require_densities(had, has)
@@ -163,9 +179,12 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
     """Project density, variables and what else evolves; returns the factor of the density."""
     old, new = source.rothe_step, target.rothe_step
     parts = dict(zip(new.layout.names, new.state.components, strict=True))
+    unions = None if source.ranks.is_distributed else _Unions(source, target, points)
     for name in new.layout.evolving:
         if name != "v":
             columns = at.values(old.now.parts[name]).T
+            if unions is not None:
+                unions.put_in(columns, old.now.parts[name])
             value = CF(tuple(points.function(column) for column in columns))
             project_in_cells(new.layout.unknowns[name], parts[name], new.quadrature, value)
     masses = [
@@ -179,6 +198,60 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
     else:
         rho_h[:] *= factor
     return factor
+
+
+class _Unions:
+    """New cells that are unions of old ones: values at their points are those of projections by old points.
+
+    By the new points alone jumps between the old cells would be seen where points happen to be.
+    """
+
+    def __init__(self, source: Simulation, target: Simulation, points: QuadraturePoints) -> None:
+        old = QuadraturePoints(source.rothe_step.quadrature)
+        x_old, x_new = old.coordinates, points.coordinates
+        self._old, self._degree = old, target.rothe_step.discretisation.m
+        count = target.mesh.ne
+        of_old, of_new = (np.asarray(target.mesh(*x.T)["nr"], dtype=int) for x in (x_old, x_new))
+        here = of_old >= 0
+        volumes = np.bincount(of_new, points.weights, count)
+        filled = np.bincount(of_old[here], old.weights[here], count)
+        has_parts = np.bincount(of_old[here], minlength=count) > np.bincount(of_new, minlength=count)
+        unions = has_parts & (abs(filled - volumes) <= _WHOLE * volumes)
+        self._count = int(unions.sum())
+        number = np.where(unions, np.cumsum(unions) - 1, -1)
+        self._from, self._to = here & unions[of_old], unions[of_new]
+        self._cell_from, self._cell_to = number[of_old[self._from]], number[of_new[self._to]]
+        self._weights = old.weights[self._from]
+        total = np.bincount(self._cell_from, self._weights, self._count)
+        first = [np.bincount(self._cell_from, self._weights * c, self._count) for c in x_old[self._from].T]
+        self._middle, self._size = np.array(first).T / total[:, None], total ** (1 / target.mesh.dim)
+        self._basis_from = self._monomials(x_old[self._from], self._cell_from)
+        self._basis_to = self._monomials(x_new[self._to], self._cell_to)
+        self._mass = self._moments(self._basis_from)
+
+    def put_in(self, columns: np.ndarray, function: CoefficientFunction) -> None:
+        """Replace the values at these cells' points in ``columns``, (components, points)."""
+        if not self._count:
+            return
+        for i, column in enumerate(columns):
+            one = function if function.dim == 1 else function[i]
+            values = self._old.values(one)[self._from]
+            fitted = np.linalg.solve(self._mass, self._moments(values[:, None]))[:, :, 0]
+            column[self._to] = (self._basis_to * fitted[self._cell_to]).sum(axis=1)
+
+    def _monomials(self, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """Up to the fields' degree, about the cells' middles, (points, functions)."""
+        local = (x - self._middle[cells]) / self._size[cells, None]
+        powers = itertools.product(range(self._degree + 1), repeat=x.shape[1])
+        functions = [(local**p).prod(axis=1) for p in powers if sum(p) <= self._degree]
+        return np.stack(functions, axis=1)
+
+    def _moments(self, values: np.ndarray) -> np.ndarray:
+        """int b_i values_j over the cells, (cells, functions, columns)."""
+        products = self._weights[:, None, None] * self._basis_from[:, :, None] * values[:, None, :]
+        found = np.zeros((self._count, *products.shape[1:]))
+        np.add.at(found, self._cell_from, products)
+        return found
 
 
 def _kept_bodies(source: Simulation, target: Simulation, values: np.ndarray) -> tuple[np.ndarray, float]:

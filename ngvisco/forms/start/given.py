@@ -24,7 +24,7 @@ class QuadraturePoints:
         self.quadrature = quadrature
         self.mesh = quadrature.mesh
         self._space = IntegrationRuleSpace(self.mesh, order=quadrature.volume_degree // 2)
-        self._weights = self._loaded(CoefficientFunction(1.0))
+        self.weights = self._loaded(CoefficientFunction(1.0))
 
     def _loaded(self, value: CoefficientFunction) -> np.ndarray:
         load = LinearForm(self._space)
@@ -33,7 +33,7 @@ class QuadraturePoints:
 
     def values(self, f: CoefficientFunction) -> np.ndarray:
         """Values of a scalar on this mesh, (points,)."""
-        return self._loaded(f) / self._weights
+        return self._loaded(f) / self.weights
 
     @property
     def coordinates(self) -> np.ndarray:

@@ -1,0 +1,213 @@
+"""Meshes that follow what happens: cells of a first mesh divided where a field is steep, time and again.
+
+Every mesh of a run is the first one, bisected by need, so that a cell of one is the same, a part or a union
+of cells of another, and what has moved on leaves coarse cells behind.  A state is carried over by
+``ngvisco.run.transfer``, without loss onto finer cells and by L2 projection onto coarser ones; the energy
+that this takes is the ledger's column ``transfer``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from ngsolve import CF, VOL, Integrate, Mesh
+
+from ngvisco.errors import (
+    MeshError,
+    ParameterError,
+    Quantity,
+    UnknownNameError,
+    as_integer,
+    as_number,
+    require_positive,
+    require_type,
+)
+from ngvisco.forms.context import periodic_facets
+from ngvisco.forms.mesh.mesh_arrays import coordinates, is_simplicial, vertices
+from ngvisco.run.checkpoint import Checkpoints
+from ngvisco.run.simulation import Simulation
+from ngvisco.run.transfer import go_on, transfer
+
+_TOO_LARGE = 1.5
+"""Volume of a cell over that asked for from which it is divided: bisection gives powers of two."""
+_FLAT = 1e-9
+"""Of its largest value; a field that varies by less over the domain is steep nowhere."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refinement:
+    """Where and how far cells are divided.
+
+    Parameters
+    ----------
+    field : str
+        A scalar among the run's ``fields``, e.g. ``"disc_fraction"`` or ``"von_mises"``.
+    above : float
+        A cell is divided where the field varies by more than this share of its range over the domain, in the
+        cell and those that it shares a vertex with.
+    levels : int
+        How often the edges of a cell of the first mesh are halved at most.
+    every : float
+        The mesh is chosen anew after so long, a multiple of dt.
+
+    Raises
+    ------
+    ParameterError
+        For a number out of its range.
+    """
+
+    field: str
+    above: Annotated[float, Quantity("1", "in (0, 1)", 0.1)] = 0.1
+    levels: Annotated[int, Quantity("1", ">= 1")] = 1
+    every: Annotated[float, Quantity("s", "> 0", 0.1)]
+
+    def __post_init__(self) -> None:
+        require_positive(self, every=self.every, above=self.above)
+        if self.above >= 1:
+            raise ParameterError("Refinement.above", self.above, "a share of the field's range, < 1")
+        if (levels := as_integer(self.levels)) is None or not 1 <= levels <= 8:
+            raise ParameterError("Refinement.levels", self.levels, "a whole number from 1 to 8")
+
+    def steep(self, simulation: Simulation) -> np.ndarray:
+        """Which cells are to be divided, (cells,)."""
+        fields = simulation.fields
+        if self.field not in fields:
+            raise UnknownNameError("Refinement.field", self.field, fields)
+        if fields[self.field].dim != 1:
+            raise ParameterError("Refinement.field", self.field, "a scalar field")
+        mesh, sampler = simulation.mesh, simulation.sampler
+        cells, values = sampler.points["nr"], sampler.values(fields[self.field])
+        extent = values.max() - values.min()
+        if extent <= _FLAT * abs(values).max():
+            return np.zeros(mesh.ne, dtype=bool)
+        low, high = np.full(mesh.ne, math.inf), np.full(mesh.ne, -math.inf)
+        np.minimum.at(low, cells, values)
+        np.maximum.at(high, cells, values)
+        corners = vertices(mesh)
+        least, most = np.full(mesh.nv, math.inf), np.full(mesh.nv, -math.inf)
+        np.minimum.at(least, corners, low[:, None])
+        np.maximum.at(most, corners, high[:, None])
+        return most[corners].max(axis=1) - least[corners].min(axis=1) > self.above * extent
+
+
+def run_refined(simulation: Simulation, refinement: Refinement, until: float) -> Simulation:
+    """Run on meshes that follow a field, refined from that of ``simulation``.
+
+    Its observers are told of every mesh by ``start``, as of a run that is resumed, and the ledger goes on.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Before its first step, on the coarsest mesh, of triangles or tetrahedra; on one process.
+    refinement : Refinement
+    until : float
+        End of the run, s.
+
+    Returns
+    -------
+    Simulation
+        At ``until``, on the last mesh, with the ledger of the whole.
+
+    Raises
+    ------
+    ParameterError, UnknownNameError, MeshError
+        For what does not fit, before a step is made.
+    StepError
+        As ``Simulation.run``.
+    """
+    require_type("run_refined.simulation", simulation, Simulation)
+    require_type("run_refined.refinement", refinement, Refinement)
+    end = as_number(until)
+    if end is None or end < simulation.t:
+        raise ParameterError("until", until, f"a finite number >= {simulation.t:g}")
+    _require_fit(simulation)
+    simulation.stepper.check("Refinement.every", refinement.every)
+    first = _First(simulation.mesh)
+    for _ in range(refinement.levels):  # the start values anew, as sharp as the mesh
+        finer = first.refined(simulation.mesh, refinement.steep(simulation), refinement.levels)
+        if finer.ne == simulation.mesh.ne:
+            break
+        simulation = simulation.on(finer)
+    for stop in (*np.arange(1, math.ceil(end / refinement.every - 1e-9)) * refinement.every, end):
+        simulation.run(float(stop))
+        if simulation.stop_requested:
+            break
+        if stop < end:
+            simulation = _moved(simulation, first, refinement)
+    return simulation
+
+
+def _moved(simulation: Simulation, first: _First, refinement: Refinement) -> Simulation:
+    """The run on the mesh that its present state wants; the same one where that is the one it has."""
+    mesh = first.refined(simulation.mesh, refinement.steep(simulation), refinement.levels)
+    if _are_same(mesh, simulation.mesh):
+        return simulation
+    target = simulation.on(mesh)
+    transfer(simulation, target)
+    go_on(simulation, target)
+    return target
+
+
+def _require_fit(simulation: Simulation) -> None:
+    if simulation.number:
+        raise ParameterError(
+            "run_refined.simulation", f"at step {simulation.number}", "before its first step"
+        )
+    mesh = simulation.mesh
+    if mesh.comm.size > 1:
+        raise MeshError("meshes are refined on one process; here are several ranks")
+    if not is_simplicial(mesh):
+        raise MeshError("only triangles and tetrahedra are bisected; this mesh has other cells")
+    if periodic_facets(mesh):
+        raise MeshError("a periodic mesh cannot be refined: opposite walls would not fit each other")
+    for observer in simulation.observers:
+        if isinstance(observer, Checkpoints):
+            expected = "observers without checkpoints: their states are of one mesh"
+            raise ParameterError("run_refined.simulation.observers", "Checkpoints", expected)
+
+
+class _First:
+    """The first mesh, of which all others are refinements."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._mesh, self._order = mesh, mesh.GetCurveOrder()
+        self._straight = Mesh(mesh.ngmesh.Copy())  # volumes of straight cells are halved exactly
+        self._volumes = _volumes(self._straight)
+
+    def refined(self, present: Mesh, marked: np.ndarray, levels: int) -> Mesh:
+        """The first mesh with cells divided that lie in marked ones of ``present``, or have such in them."""
+        mesh, straight = Mesh(self._mesh.ngmesh.Copy()), Mesh(present.ngmesh.Copy())
+        places = _centres(straight)[marked]
+        for _ in range(mesh.dim * levels):
+            centres = _centres(mesh)
+            wanted = marked[_cells_at(straight, centres)]
+            wanted[_cells_at(mesh, places)] = True
+            asked = self._volumes[_cells_at(self._straight, centres)] / 2 ** (mesh.dim * levels)
+            wanted &= _volumes(mesh) > _TOO_LARGE * asked
+            if not wanted.any():
+                break
+            for cell in mesh.Elements(VOL):
+                mesh.SetRefinementFlag(cell, bool(wanted[cell.nr]))
+            mesh.Refine()
+        if self._order > 1:
+            mesh.Curve(self._order)
+        return mesh
+
+
+def _centres(mesh: Mesh) -> np.ndarray:
+    return coordinates(mesh)[vertices(mesh)].mean(axis=1)
+
+
+def _volumes(mesh: Mesh) -> np.ndarray:
+    return np.array(Integrate(CF(1.0), mesh, element_wise=True))
+
+
+def _cells_at(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    return np.asarray(mesh(*points.T)["nr"], dtype=int) if len(points) else np.zeros(0, dtype=int)
+
+
+def _are_same(one: Mesh, other: Mesh) -> bool:
+    return one.ne == other.ne and np.array_equal(_centres(one), _centres(other))
