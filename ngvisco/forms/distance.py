@@ -14,10 +14,11 @@ from functools import reduce
 from operator import add
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, FESpace, GridFunction
+from ngsolve import FESpace, GridFunction
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.integrals import Integrals
 from ngvisco.forms.system import Evolved, Step
 from ngvisco.forms.term import Entry, Integrand, Storing, Term
 from ngvisco.forms.withheld import GivenParts, refused_by_name
@@ -52,8 +53,8 @@ def storing(terms: Sequence[Term]) -> list[Storing]:
     return found
 
 
-def energies(step: Step, u: Fields) -> dict[str, CoefficientFunction]:
-    """Densities of the kinetic and the stored energy at ``u``, Pa."""
+def energies(step: Step, u: Fields) -> dict[str, Integrand]:
+    """Densities of the kinetic and the stored energy at ``u``, Pa in cells and N/m on walls."""
     return _by_columns(ENERGIES, [(term, term.energy(u)) for term in storing(step.terms)])
 
 
@@ -71,9 +72,9 @@ class BregmanDistance:
         for u in self.fields:
             step.energy.follow(u)
         terms = storing(step.terms)
-        entries = _by_columns(NUMERICAL, [(term, term.distance(a, b)) for term in terms])
-        self.names = tuple(entries)
-        self._integrand = CF(tuple(entries.values())).Compile()
+        parts_of = _by_columns(NUMERICAL, [(term, term.distance(a, b)) for term in terms])
+        entries = {name: Entry(name, "numerical", part) for name, part in parts_of.items()}
+        self._distance = Integrals(step, entries)
         moved = GivenParts(
             {**parts[0]}, "its slope asks for the change of {name}, where the momentum is kept"
         )
@@ -81,23 +82,22 @@ class BregmanDistance:
         d, slopes = Fields(layout, moved), []
         for term in terms:
             with refused_by_name(term):
-                slopes.append(_in_cells(term, term.slope(b, d)))
-        self._slope = CF(tuple(slopes)).Compile()
+                slopes.append(term.slope(b, d))
+        self._slope = Integrals(step, {"slope": Entry("slope", "monitor", _sum(slopes))})
 
     def __call__(self, a: Evolved, b: Evolved) -> dict[str, float]:
         """B(a, b) by ledger columns, J (per metre of thickness in plane strain)."""
         for i, state in enumerate((a, b)):
             self._put(i, state.values)
             self.step.energy.refresh(self.fields[i])
-        totals = self.step.quadrature.integrate_cells(self._integrand)
-        return {name: float(total) for name, total in zip(self.names, totals, strict=True)}
+        return self._distance()
 
     def slope(self, b: Evolved, change: Mapping[str, np.ndarray]) -> float:
         """E'(b) in the direction of a change of coefficients, by name, with m kept, J."""
         self._put(0, change)
         self._put(1, b.values)
         self.step.energy.refresh(self.fields[1])
-        return float(sum(self.step.quadrature.integrate_cells(self._slope)))
+        return self._slope()["slope"]
 
     def _put(self, i: int, values: Mapping[str, np.ndarray]) -> None:
         array = self._states[i].vec.FV().NumPy()
@@ -105,22 +105,18 @@ class BregmanDistance:
             array[self._ranges[name]] = of_name
 
 
-def _by_columns(
-    columns: Sequence[str], entries: Sequence[tuple[Storing, Entry]]
-) -> dict[str, CoefficientFunction]:
+def _by_columns(columns: Sequence[str], entries: Sequence[tuple[Storing, Entry]]) -> dict[str, Integrand]:
     """The sums of the entries of each column."""
-    found: dict[str, list[CoefficientFunction]] = {name: [] for name in columns}
+    found: dict[str, list[Integrand]] = {name: [] for name in columns}
     for term, entry in entries:
         if entry.name not in found:
             expected = f"{' or '.join(map(repr, columns))} as the column that it adds to"
             raise ParameterError(f"{type(term).__name__}: entry", entry.name, expected)
-        found[entry.name].append(_in_cells(term, entry.integrand))
-    return {name: reduce(add, parts) for name, parts in found.items()}
+        found[entry.name].append(entry.integrand)
+    return {name: _sum(parts) for name, parts in found.items()}
 
 
-def _in_cells(term: Storing, integrand: Integrand) -> CoefficientFunction:
-    """What is integrated over the cells; an energy has nothing else."""
-    if integrand.cells is None or integrand.facets is not None:
-        name = type(term).__name__
-        raise ParameterError("Simulation.terms", name, f"{name}: energies that are integrals over the cells")
-    return integrand.cells
+def _sum(parts: Sequence[Integrand]) -> Integrand:
+    cells = [part.cells for part in parts if part.cells is not None]
+    facets = [part.facets for part in parts if part.facets is not None]
+    return Integrand(reduce(add, cells) if cells else None, reduce(add, facets) if facets else None)

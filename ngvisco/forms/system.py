@@ -29,6 +29,7 @@ from ngsolve.comp import IntegrationRuleSpace
 from ngvisco.forms.boundary.boundaries import check_mesh
 from ngvisco.forms.boundary.moving_walls import MovingWalls
 from ngvisco.forms.boundary.passages import Carried, passage_terms
+from ngvisco.forms.boundary.springs import spring_terms
 from ngvisco.forms.boundary.wall_terms import Impenetrability, wall_terms
 from ngvisco.forms.boundary.walls import Conditions, Walls
 from ngvisco.forms.context import Context
@@ -122,6 +123,7 @@ class Step:
             *equations(model, mesh.dim),
             *wall_terms(self.walls),
             *passage_terms(self.walls, model),
+            *spring_terms(self.walls),
             *heat_terms(model, self.walls),
             *terms,
             *known,

@@ -147,10 +147,10 @@ class Storing(Protocol):
     E is convex in the unknowns that evolve, in (rho, m, z) and those of further terms, m the momentum
     functional (paper: Euler-ED-basic-convexity-calculus).
 
-    ``energy(u)`` is its density, a share of the ledger's column ``"kinetic"`` or ``"stored"``;
-    ``slope(b, d)`` that of E'(b)[d] with m kept, which asks d for no velocity; ``distance(a, b)`` the Bregman
-    distance E(a) - E(b) - E'(b)[a - b] >= 0, a share of ``"inertial"`` or ``"bregman"``, in a form in which
-    nothing cancels: what a time scheme dissipates is a sum of such.
+    ``energy(u)`` is its density in cells or on facets, a share of the ledger's column ``"kinetic"`` or
+    ``"stored"``; ``slope(b, d)`` that of E'(b)[d] with m kept, which asks d for no velocity;
+    ``distance(a, b)`` the Bregman distance E(a) - E(b) - E'(b)[a - b] >= 0, a share of ``"inertial"`` or
+    ``"bregman"``, in a form in which nothing cancels: what a time scheme dissipates is a sum of such.
     """
 
     def energy(self, u: Fields) -> Entry: ...

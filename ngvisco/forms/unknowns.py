@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
-from ngsolve import FESpace, Mesh
+from ngsolve import CoefficientFunction, FESpace, Mesh
 
 from ngvisco.errors import ParameterError, _is_number
 from ngvisco.physics.state_space import StateSpace
@@ -40,6 +40,8 @@ class Unknown:
     evolves : bool
         Whether it has a time derivative, as it must where a term reads its old value: schemes combine its
         states, errors and increments count it, a transfer carries it over, and ``Initial.values`` starts it.
+    on : CoefficientFunction or None
+        Of one of walls that evolves: 1 on their facets, 0 on all others.
     scale : float
         A size of it, in its unit, that is not small, >= 0: errors and increments count relative to what the
         unknown is and to this; 0 for one that is never zero everywhere.  That of v is the run's.
@@ -47,7 +49,8 @@ class Unknown:
     Raises
     ------
     ParameterError
-        For an unknown that evolves and has no values in cells, or a scale that is no size.
+        For an unknown that evolves and has values neither in cells nor on known walls, or a scale that is no
+        size.
     """
 
     name: str
@@ -59,9 +62,10 @@ class Unknown:
     space: Callable[[Mesh], FESpace] | None = None
     evolves: bool = False
     scale: float = 0.0
+    on: CoefficientFunction | None = None
 
     def __post_init__(self) -> None:
-        if self.evolves and self.place not in _IN_CELLS:
+        if self.evolves and self.place not in _IN_CELLS and self.on is None:
             expected = f"'cells' or 'continuous' for {self.name!r}, which evolves: it needs values in cells"
             raise ParameterError("Unknown.place", self.place, expected)
         if not (_is_number(self.scale) and self.scale >= 0):

@@ -163,7 +163,7 @@ class Inflow(Passage):
 
 @dataclass(frozen=True, kw_only=True)
 class Open(Passage):
-    """The stress on the wall is given and v is free: (T + D) n = f - p n - Z_p (v.n) n - Z_s v_t.
+    """The stress is given and v is free: (T + D) n = f - p n - Z_p (v.n) n - Z_s v_t - k_p (w.n) n - k_s w_t.
 
     Parameters
     ----------
@@ -174,6 +174,10 @@ class Open(Passage):
     impedance : pair of numbers
         Z_p and Z_s: a dashpot along and across the normal. With density times the speeds of pressure and
         shear waves, plane waves leave.
+    stiffness : pair of numbers
+        k_p and k_s: springs along and across the normal to a rigid ground, a foundation that gives. w is what
+        the wall was displaced by, dw/dt = v, zero at the start where ``Initial.values["displacement_NAME"]``
+        does not say it, NAME the wall's; it is to be small beside a cell, as the mesh does not move.
     backflow : bool
         Whether the kinetic energy of what flows in is taken from it, -rho (v.n) |v|^2/2 where v.n < 0:
         without that a given stress may feed such a flow without bound.
@@ -184,14 +188,16 @@ class Open(Passage):
     pressure: Annotated[Function, Quantity("Pa", example="0.1*sin(t)")] = 0.0
     traction: Annotated[VectorLike | None, Quantity("Pa", example=[0.1, 0.0])] = None
     impedance: Annotated[tuple[float, float], Quantity("Pa s/m", ">= 0", [1.0, 0.5])] = (0.0, 0.0)
+    stiffness: Annotated[tuple[float, float], Quantity("Pa/m", ">= 0", [100.0, 0.0])] = (0.0, 0.0)
     backflow: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        numbers = _numbers(self.impedance)
-        if len(numbers) != 2 or any(number is None or number < 0 for number in numbers):
-            raise ParameterError("Open.impedance", self.impedance, "two numbers >= 0, Z_p and Z_s")
-        object.__setattr__(self, "impedance", tuple(numbers))
+        for name, pair in (("impedance", "Z_p and Z_s"), ("stiffness", "k_p and k_s")):
+            numbers = _numbers(getattr(self, name))
+            if len(numbers) != 2 or any(number is None or number < 0 for number in numbers):
+                raise ParameterError(f"Open.{name}", getattr(self, name), f"two numbers >= 0, {pair}")
+            object.__setattr__(self, name, tuple(numbers))
 
 
 MOVING = PrescribedTangential, Inflow

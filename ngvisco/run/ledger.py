@@ -23,6 +23,7 @@ from ngsolve import CF, CoefficientFunction, Det, sqrt
 
 from ngvisco.errors import NgviscoWarning, ParameterError, UnknownNameError
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
+from ngvisco.forms.integrals import Integrals
 from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand, Kind
@@ -127,8 +128,8 @@ class Ledger:
         of_damage = () if step.damage is None else step.damage.entries
         self.entries = [*step.entries(), *own, *of_damage]
         _check_names(self.entries)
-        self._state = _Integrals(step, self._state_integrands())
-        self._rates = _Integrals(step, {e.name: e for e in self.entries if e.kind in RATES})
+        self._state = Integrals(step, self._state_integrands())
+        self._rates = Integrals(step, {e.name: e for e in self.entries if e.kind in RATES})
         theta = temperature(step.model.material, step.now.zeta_tensors)
         power = step.context.rates.dissipation(step.now)
         watched = {"temperature_min": theta, CREEP_POWER: power}
@@ -317,8 +318,8 @@ class Ledger:
     def _state_integrands(self) -> dict[str, Entry]:
         """What is integrated of a state: energies, mass, and what is for information."""
         u = self.step.now
-        named = {**energies(self.step, u), "mass": u.rho}
-        entries = {name: Entry(name, "monitor", Integrand(value)) for name, value in named.items()}
+        named = {**energies(self.step, u), "mass": Integrand(u.rho)}
+        entries = {name: Entry(name, "monitor", value) for name, value in named.items()}
         return entries | {e.name: e for e in self.entries if e.kind == "monitor"}
 
     def _monitor_functions(self) -> CoefficientFunction:
@@ -420,27 +421,6 @@ def _winding_message(pair: str, rms: float, largest: float, step: Step) -> str:
         "belong to one distortion, and the stress is wrong by as much, though the ledger closes; the remedy "
         f"is {remedy}"
     )
-
-
-class _Integrals:
-    """Integrals of entries at the present state of a step, compiled together."""
-
-    def __init__(self, step: Step, entries: dict[str, Entry]) -> None:
-        self.step = step
-        cells = {name: e.integrand.cells for name, e in entries.items() if e.integrand.cells is not None}
-        self._cell_names = list(cells)
-        self._cells = CF((*cells.values(), 0.0, 0.0)).Compile()  # a vector, however few there are
-        facets = {name: e.integrand.facets for name, e in entries.items() if e.integrand.facets is not None}
-        self._facets = {name: integrand.Compile() for name, integrand in facets.items()}
-        self._evaluated = {name: e.evaluate for name, e in entries.items() if e.evaluate is not None}
-
-    def __call__(self) -> dict[str, float]:
-        quadrature = self.step.quadrature
-        totals = quadrature.integrate_cells(self._cells)
-        values = {name: float(t) for name, t in zip(self._cell_names, totals, strict=False)}
-        for name, integrand in self._facets.items():
-            values[name] = values.get(name, 0.0) + quadrature.integrate_facets(integrand)
-        return values | {name: evaluate() for name, evaluate in self._evaluated.items()}
 
 
 def _check_names(entries: list[Entry]) -> None:

@@ -26,7 +26,7 @@ from ngvisco.errors import InitialDataError, MeshError, ParameterError
 from ngvisco.forms.mesh.locating import Located
 from ngvisco.forms.start.given import QuadraturePoints
 from ngvisco.forms.start.initial import complete
-from ngvisco.forms.start.projections import project_in_cells
+from ngvisco.forms.start.projections import project
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.bodies import AMOUNT, Amount
 from ngvisco.physics.variables import Variable
@@ -147,6 +147,9 @@ def _require_fit(source: Simulation, target: Simulation) -> None:
         if name not in unknowns or unknowns[name].size != target.rothe_step.layout.unknowns[name].size:
             expected = f"one whose terms have the unknown {name} too, which evolves"
             raise ParameterError("transfer.source", "a run without it", expected)
+        if unknowns[name].on is not None:
+            expected = "walls without stiffness: displacements of walls are not carried to another mesh"
+            raise ParameterError("transfer.target", f"the unknown {name}", expected)
     if source.mesh.dim != target.mesh.dim:
         raise ParameterError("transfer.target", f"dimension {target.mesh.dim}", f"{source.mesh.dim}")
     if target.number or len(target.ledger.rows) > 1:
@@ -186,7 +189,7 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
             if unions is not None:
                 unions.put_in(columns, old.now.parts[name])
             value = CF(tuple(points.function(column) for column in columns))
-            project_in_cells(new.layout.unknowns[name], parts[name], new.quadrature, value)
+            project(new.layout.unknowns[name], parts[name], new.quadrature, value)
     masses = [
         float(run.rothe_step.quadrature.integrate_cells(run.rothe_step.now.rho)) for run in (source, target)
     ]

@@ -98,7 +98,11 @@ CASES = {
                 values={"J": 1 + 0.1 * nv.time},
             ),
             "right": nv.Open(
-                pressure=-15 + sin(10 * nv.time), traction=(y, 0.5), impedance=(0.3, 0.1), density=0.9
+                pressure=-15 + sin(10 * nv.time),
+                traction=(y, 0.5),
+                impedance=(0.3, 0.1),
+                density=0.9,
+                stiffness=(9, 4),
             ),
             "top": nv.NoSlip(),
         },
@@ -107,7 +111,7 @@ CASES = {
     ),
     "open disc": (
         lambda: disc(1, 0.7),
-        {"wall": nv.Open(pressure=-15.0 + x, density=1 + 0.1 * y, backflow=False)},
+        {"wall": nv.Open(pressure=-15.0 + x, density=1 + 0.1 * y, backflow=False, stiffness=(30, 5))},
         nv.Initial(density=1 + 0.1 * x, velocity=ROTATION),
         (),
     ),
@@ -395,9 +399,11 @@ def test_models_whose_fluxes_through_walls_are_not_known_are_refused(physics, me
         nv.Simulation(box((1, 1), 1), nv.Model(**physics), dt=0.1, walls={"right": nv.Open(density=1)})
 
 
-def test_an_impedance_is_two_numbers():
-    with pytest.raises(nv.ParameterError, match=r"Open.impedance = .*two numbers >= 0"):
-        nv.Open(impedance=(1.0,))
+@pytest.mark.parametrize("pair", [(1.0,), (1.0, -1.0), 2.0, ("a", 0.0)])
+@pytest.mark.parametrize("name", ["impedance", "stiffness"])
+def test_impedance_and_stiffness_are_two_numbers(name, pair):
+    with pytest.raises(nv.ParameterError, match=rf"Open.{name} = .*two numbers >= 0"):
+        nv.Open(**{name: pair})
 
 
 @pytest.mark.parametrize("velocity", [(1.0, 0.1), (0.0, y), (x, y)])

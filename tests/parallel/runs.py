@@ -105,7 +105,9 @@ def window(solver: str = "coupled") -> nv.Simulation:
     """What flows in and out through walls, values and stress that change in time and place among it."""
     walls = {
         "left": nv.Inflow(velocity=(y * (1 - y), 0.0), density=1 + 0.1 * y, values={"J": 1 + 0.1 * nv.time}),
-        "right": nv.Open(pressure=-15 + y, traction=(0.0, nv.time), impedance=(0.3, 0.1), density=0.9),
+        "right": nv.Open(
+            pressure=-15 + y, traction=(0.0, nv.time), impedance=(0.3, 0.1), density=0.9, stiffness=(9, 4)
+        ),
         "bottom": nv.NoSlip(),
     }
     model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY)

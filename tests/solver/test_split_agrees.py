@@ -205,7 +205,9 @@ WALLS = {
     "no slip": {("left", "right"): nv.NoSlip()},
     "in and out": {
         "left": nv.Inflow(velocity=(0.5 * y * (1 - y), 0.0), density=1.2),
-        "right": nv.Open(pressure=-15.0 + y, traction=(0.0, 0.2), impedance=(0.3, 0.1), density=0.9),
+        "right": nv.Open(
+            pressure=-15.0 + y, traction=(0.0, 0.2), impedance=(0.3, 0.1), density=0.9, stiffness=(9, 4)
+        ),
     },
 }
 

@@ -1,15 +1,17 @@
-"""Walls that matter crosses, against exact solutions: waves that leave, bodies under a given stress,
-a step of the density that is carried out, flow between plates."""
+"""Walls that matter crosses, against exact solutions: waves that leave, bodies under a given stress or on
+springs, a step of the density that is carried out, flow between plates."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from ngsolve import CF, IfPos, Integrate, exp, x, y
+from ngsolve import CF, GridFunction, IfPos, Integrate, exp, sin, x, y
 from scipy.optimize import brentq
 
 import ngvisco as nv
 from ngvisco.forms.boundary.reactions import WallReactions
+from ngvisco.forms.boundary.springs import Springs
+from ngvisco.forms.term import Entry, Integrand
 from ngvisco.geometries import box, structured_box
 
 K, G = 10.0, 5.0
@@ -81,6 +83,73 @@ def test_a_body_under_a_given_stress_has_the_stretch_of_the_closed_form(sides):
     places = run.mesh(np.array([0.1, 0.6, 0.9]), np.array([0.2, 0.9, 0.3]))
     assert run.fields["J"](places) == pytest.approx(J, rel=1e-2)
     assert ledger.column("mass")[-1] == pytest.approx(0.01 / J, rel=1e-2)
+
+
+def spring_bar(stiffness: float, **options) -> nv.Simulation:
+    """A bar, held by v.n = 0 at its left end, on a spring at its right one, that starts in its first mode."""
+    M = K + 4 / 3 * G
+    q = brentq(lambda q: M * q * np.cos(q) + stiffness * np.sin(q), np.pi / 2 + 1e-9, np.pi - 1e-9)
+    period = 2 * np.pi / (q * M**0.5)
+    return nv.Simulation(
+        structured_box((1, 0.125), (4, 1)),
+        nv.Model(material=nv.LinearElastic(K_e=K, G_e=G)),
+        time=nv.TimeSteps(dt=period / 40, **options),
+        initial=nv.Initial(velocity=(1e-6 * sin(q * x), 0.0)),
+        walls={"right": nv.Open(density=1.0, stiffness=(stiffness, 0.0))},
+    )
+
+
+def test_a_bar_on_a_spring_swings_with_the_period_of_the_closed_form():
+    """M q cos q + k sin q = 0; a quarter of a period, whose phase by the midpoint rule is known."""
+    run = spring_bar(20.0, scheme="midpoint")
+    start = run.ledger.energy()
+    mode = GridFunction(run.rothe_step.layout.blocks["v"])
+    mode.vec.FV().NumPy()[:] = run.rothe_step.evolved().values["v"]
+
+    def share():
+        return Integrate(run.fields["velocity"] * mode, run.mesh) / Integrate(mode * mode, run.mesh)
+
+    ledger = run.run(10 * run.dt)
+    phase = 20 * np.arctan(np.pi / 40)  # pi/2 but for the scheme's error
+    assert np.arccos(share()) == pytest.approx(phase, rel=1e-3)
+    energy = ledger.column("kinetic") + ledger.column("stored")
+    assert energy[-1] == pytest.approx(start, rel=1e-6)
+    assert ledger.column("stored_springs_right")[-1] > 0.1 * start
+    assert np.abs(ledger.column("closure")).max() <= 1e-12 * start
+
+
+def test_a_spring_s_bregman_distance_is_what_backward_euler_dissipates_of_it():
+    run = spring_bar(20.0)
+    start = run.ledger.energy()
+    ledger = run.run(3 * run.dt)
+    assert ledger.column("bregman")[1:].min() > 0
+    assert np.abs(ledger.column("closure")).max() <= 1e-12 * start
+
+
+def test_a_spring_s_energy_that_is_left_out_is_seen_in_the_closure(monkeypatch):
+    monkeypatch.setattr(Springs, "energy", lambda self, u: Entry("stored", "energy", Integrand(facets=0 * x)))
+    run = spring_bar(20.0)
+    start = run.ledger.energy()
+    with pytest.warns(nv.ClosureWarning):
+        assert abs(run.run(run.dt).column("closure")[-1]) > 1e-4 * start
+
+
+def test_a_spring_that_starts_strained_pulls():
+    """w is projected on the wall; k w^2/2 is there from the start, and the wall is pulled by k w."""
+    wall = nv.Open(density=1.0, stiffness=(20.0, 0.0))
+    run = nv.Simulation(
+        box((1, 1), 1.0),
+        nv.Model(material=nv.LinearElastic(K_e=K, G_e=G)),
+        dt=1e-3,
+        initial=nv.Initial(values={"displacement_right": CF((1e-3 * (1 + y), 0.0))}),
+        walls={"right": wall},
+    )
+    stored = run.run(1e-3).column("stored_springs_right")
+    assert stored[0] == pytest.approx(10 * 1e-6 * 7 / 3, rel=1e-12)
+    assert WallReactions(run.rothe_step, ["right"], (0, 0))()["right"][0] == pytest.approx(0.03, rel=1e-2)
+    again = nv.Simulation(box((1, 1), 0.5), run.model, dt=1e-3, walls={"right": wall})
+    with pytest.raises(nv.ParameterError, match="displacements of walls are not carried"):
+        nv.transfer(run, again)
 
 
 def test_a_step_of_the_density_is_carried_out_without_a_reflection():

@@ -26,6 +26,7 @@ from ngvisco.errors import UnknownNameError
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.moving_walls import MovingWalls
 from ngvisco.forms.boundary.passages import Carried, GivenStress
+from ngvisco.forms.boundary.springs import Springs
 from ngvisco.forms.boundary.wall_terms import TangentialStress
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.start.interpolation import Interpolation
@@ -120,6 +121,8 @@ class WallReactions:
             for term in step.terms:
                 if isinstance(term, (TangentialStress, GivenStress)) and term.name == name:
                     parts += [part.facets for part in term.form(u, w)]
+                if isinstance(term, Springs) and term.name == name:
+                    parts.append(term.on_velocity(u, w))
                 if isinstance(term, Carried) and term.name == name:
                     parts += term.held_back(u, w)
             if name in step.walls.multiplied:

@@ -26,7 +26,7 @@ from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.ranges import Ranges
 from ngvisco.forms.start.data_checks import distortion_of, warn_of_mismatch
 from ngvisco.forms.start.interpolation import Interpolation
-from ngvisco.forms.start.projections import project_in_cells, set_traces
+from ngvisco.forms.start.projections import project, set_traces
 from ngvisco.forms.start.starting_bodies import starting_fractions
 from ngvisco.forms.start.variables import as_shape, parameter_values, starting_values
 from ngvisco.forms.system import Step
@@ -146,7 +146,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         parts["rho"].Set(density)
         parts["z"].Set(step.model.material.states(dim).components(values))
         for name, value in further.items():
-            project_in_cells(step.layout.unknowns[name], parts[name], step.quadrature, value)
+            project(step.layout.unknowns[name], parts[name], step.quadrature, value)
         step.ranges = _ranges(step, parameters, sampler)
         Ranges(step, sampler, CellMeans(step)).limit()
         if step.model.bodies:

@@ -58,18 +58,22 @@ class FacetProjection:
             self._inverse.release()
 
 
-def project_in_cells(
+def project(
     unknown: Unknown, target: GridFunction, quadrature: Quadrature, value: CoefficientFunction
 ) -> None:
-    """Make an unknown that has values in cells the L2 projection of ``value``; what is prescribed stays."""
+    """Make an unknown that evolves the L2 projection of ``value``, in cells or on the walls that it lives on.
+
+    What is prescribed stays.
+    """
     space = target.space
     if unknown.is_local:
         LocalProjection(space, target, quadrature, tested(value))()
         return
     trial, test = space.TnT()
     mass, load = BilinearForm(space, symmetric=True), LinearForm(space)
-    mass += inner(trial, test) * quadrature.cells
-    load += inner(value - target, test) * quadrature.cells
+    weight, measure = (1.0, quadrature.cells) if unknown.on is None else (unknown.on, quadrature.facets)
+    mass += weight * inner(trial, test) * measure
+    load += weight * inner(value - target, test) * measure
     inverse = inverse_of(mass.Assemble().mat, space.FreeDofs(), Communicator.of(space.mesh))
     target.vec.data += inverse * load.Assemble().vec
     if isinstance(inverse, Direct):

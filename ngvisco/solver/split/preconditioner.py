@@ -38,6 +38,7 @@ fewer."""
 ENOUGH = 0.15
 """What sweeps may leave of them: Newton's iteration contracts by as much.  0.05 takes the same iterations and
 a tenth more time in a smooth run with creep."""
+_IN_WORDS = {"wall_stress": "stresses of oblique or curved walls", "Pi": "a creep rate field"}
 
 
 class FieldsSystem:
@@ -163,12 +164,7 @@ class Preconditioner:
         others = (number >= operator.nv) & (number < operator.size)
         vertices = is_velocity & (number % operator.op.v.width < operator.residual.step.mesh.nv)
         if self.ranks.any(others.any()):
-            layout, beside = operator.residual.step.layout, []
-            if layout.names_of("walls"):
-                beside.append("stresses of oblique or curved walls")
-            if layout.names_of("continuous"):
-                beside.append("a creep rate field")
-            known = " and ".join(beside)
+            known = " and ".join(_IN_WORDS.get(name, name) for name in self.unknowns.flow if name != "v")
             self.without_multigrid = f"with {known} beside v the matrix is not positive definite"
         elif self._coarse != "direct":
             kernel = rigid_motions(operator.residual.step.mesh, operator.op.v.width, len(free))
