@@ -62,7 +62,7 @@ def line_of(lines: dict[tuple[str, ...], int], path: tuple[str, ...]) -> int | N
 
 
 def parse_override(setting: str) -> tuple[tuple[str, ...], Any]:
-    """``key.path=value`` with a TOML value; anything else is taken as a text.
+    """``key.path=value`` with a TOML value; anything else is taken as a text.  ``loads[0].g`` is ``loads.0.g``.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def parse_override(setting: str) -> tuple[tuple[str, ...], Any]:
         If there is no ``=`` or no key.
     """
     name, equals, value = setting.partition("=")
-    path = tuple(part.strip() for part in name.split("."))
+    path = tuple(part.strip() for part in re.sub(r"\[(\d+)\]", r".\1", name).split("."))
     if not equals or not all(path):
         raise ValueError(f"{setting!r}: expected key.path=value")
     try:

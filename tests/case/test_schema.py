@@ -416,3 +416,7 @@ def test_any_setting_is_understood_or_refused(text):
     except ValueError:
         return
     assert path and all(path)
+
+
+def test_an_index_in_brackets_is_one_behind_a_dot():
+    assert parse_override("loads[0].g=[0, -1]") == parse_override("loads.0.g=[0, -1]")
