@@ -62,7 +62,7 @@ def line_of(lines: dict[tuple[str, ...], int], path: tuple[str, ...]) -> int | N
 
 
 def parse_override(setting: str) -> tuple[tuple[str, ...], Any]:
-    """``key.path=value`` with a TOML value; anything else is taken as a text.  ``loads[0].g`` is ``loads.0.g``.
+    """``key.path=value`` with a TOML value; anything else is a text; ``loads[0].g`` is ``loads.0.g``.
 
     Raises
     ------

@@ -206,6 +206,8 @@ def _case(kind: str) -> Case:
         f"{SIZES[kind][-1]:g}, then delta = 0 with epsilon from {SIZES[kind][0]:g} to "
         f"{SIZES[kind][-1]:g}.  The least rate of both "
         "meshes counts.",
+        explanation="With 8 to 32 steps the last rate of the density's largest distance was 0.76 at finite "
+        "strain, with 64 it is 0.88: the bound stayed, the steps became shorter.",
         bounds=bounds(kind),
         run=partial(sequence, kind),
     )
