@@ -94,6 +94,7 @@ def test_slopes_by_complex_increments_are_those_of_differences(name, size):
         (lambda: nv.Norton(A=1.0, n=0.5), "Norton.n = 0.5.*from 1 to 10"),
         (lambda: nv.Norton(A=1.0, n=math.nan), "Norton.n"),
         (lambda: nv.Norton(A=1.0, n=3, nu=-1.0), "Norton.nu"),
+        (lambda: nv.Norton(A=1.0, n=3, rate_floor=0.0), "Norton.rate_floor"),
         (lambda: nv.Perzyna(sigma_Y=-1.0, G_m=1.0), "Perzyna.sigma_Y"),
         (lambda: nv.Perzyna(sigma_Y=1.0, G_m=0.0), "Perzyna.G_m"),
         (lambda: nv.Perzyna(sigma_Y=1.0, G_m=1.0, n=20), "Perzyna.n"),

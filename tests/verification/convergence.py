@@ -62,16 +62,17 @@ def coupled_rates(
     regularised: bool = False,
     delta: bool = True,
     nu: float = 0.0,
+    rule: str = "linear",
     curved: bool = False,
     tau: float = 0.05,
     steps: int = 2,
     sources: Callable[..., Sources] = Sources,
 ) -> RateTable:
     """The whole system: creep, gravity, viscosity, hyperviscosity (unless p is None), and delta- and
-    epsilon-terms if ``regularised``, without delta if not ``delta``; creep's gradient with nu > 0; in the
-    unit ball if ``curved``; errors in L2 after ``steps`` steps, space only.  Other ``sources`` than those of
-    the exact fields are for negative controls."""
-    system = model(kind, dim, p, regularised, delta, nu)
+    epsilon-terms if ``regularised``, without delta if not ``delta``; creep's gradient with nu > 0, by one of
+    ``RULES``; in the unit ball if ``curved``; errors in L2 after ``steps`` steps, space only.  Other
+    ``sources`` than those of the exact fields are for negative controls."""
+    system = model(kind, dim, p, regularised, delta, nu, rule)
     terms = (", all terms" if delta else ", all terms but delta") if regularised else ""
     table = RateTable(f"coupled, {kind}, {dim}D, p = {p}, k = {k}, m = {m}{terms}")
     for h, mesh in (balls if curved else refinements)(dim, maxh, levels):

@@ -56,6 +56,11 @@ class Coefficients:
     mu: float = 0.0
     p: float = 2.0
     R: float = 0.0
+    rule: str = "linear"
+    """Whose |M| of |Pi| is: one of ``FORCES``, of A, n and sigma."""
+    A: float = 0.0
+    n: float = 1.0
+    sigma: float = 0.0
     nu: float = 0.0
     """Of the creep rate's 4-Laplacian; where it is 0, Pi = R M."""
     g: float = 0.0
@@ -71,6 +76,15 @@ class Coefficients:
     theta_R: float = 0.0
     Gamma: float = 0.0
     kappa: float = 0.0
+
+
+FORCES: dict[str, Callable[[Coefficients, np.ndarray], np.ndarray]] = {
+    "linear": lambda c, size: size / c.R,
+    "Norton": lambda c, size: (size / c.A) ** (1 / c.n),
+    "Eyring": lambda c, size: c.sigma * np.arcsinh(size / c.A),
+    "Perzyna": lambda c, size: c.sigma * (1 + (size / (c.R * c.sigma)) ** (1 / c.n)),
+}
+"""|M|, Pa, of |Pi|, 1/s, by the inverse of each flow rule; sigma of Perzyna's is |M| at yield."""
 
 
 class FiniteDifferences:
@@ -177,14 +191,17 @@ class FiniteDifferences:
         return self.matrix(creep_rate, self.t)(X) if self.c.nu else self.c.R * self.mandel(X)
 
     def flow_rule(self, X: np.ndarray) -> np.ndarray:
-        """Pi/R - nu div(|grad Pi|^2 grad Pi) - M."""
+        """|M|(|Pi|) Pi/|Pi| - nu div(|grad Pi|^2 grad Pi) - M, |Pi| > 0."""
         Pi = self.matrix(creep_rate, self.t)
 
         def flux(Y: np.ndarray) -> np.ndarray:
             slope = np.stack([difference(Pi, j)(Y) for j in range(self.dim)], axis=-1)
             return self.c.nu * np.sum(slope**2, axis=(-3, -2, -1), keepdims=True) * slope
 
-        return Pi(X) / self.c.R - self.divergence(flux, X) - self.mandel(X)
+        rate = Pi(X)
+        size = np.linalg.norm(rate, axis=(-2, -1), keepdims=True)
+        force = FORCES[self.c.rule](self.c, size) / size * rate
+        return np.asarray(force - self.divergence(flux, X) - self.mandel(X))
 
     def mandel(self, X: np.ndarray) -> np.ndarray:
         """M = dev S for E; sym dev(F^T S_F), S_F = 2 G J^{-2/3} F, for F."""

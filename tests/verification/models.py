@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from functools import partial
+
 from ngsolve import CoefficientFunction
 
 import ngvisco as nv
@@ -17,6 +21,16 @@ entropy."""
 HEAT_CAPACITY, THETA_R, GRUNEISEN, CONDUCTIVITY = 1.5, 1.2, 0.8, 0.25
 """The conductivity is this times theta^1.5."""
 DELTA, DELTA_FIELDS, EPSILON = 0.02, 0.03, 1.0
+RULES: dict[str, tuple[Callable[..., nv.FlowRule], dict[str, float]]] = {
+    "linear": (partial(nv.Creep, G_m=2.0, q=4.0), {"R": 0.5}),
+    "Norton": (partial(nv.Norton, A=0.3, n=3.0, q=4.0), {"A": 0.3, "n": 3.0}),
+    "Eyring": (partial(nv.Eyring, A=0.1, sigma_0=0.5, q=4.0), {"A": 0.1, "sigma": 0.5}),
+    "Perzyna": (
+        partial(nv.Perzyna, sigma_Y=0.5, G_m=2.0, n=2.0, q=4.0, rate_floor=1e-4),
+        {"R": 0.5, "n": 2.0, "sigma": math.sqrt(2 / 3) * 0.5},
+    ),
+}
+"""Flow rules but for nu, and their constants for the formulas in numpy."""
 
 
 def material(kind: str) -> nv.Material:
@@ -54,11 +68,12 @@ def model(
     regularised: bool = False,
     delta: bool = True,
     nu: float = 0.0,
+    rule: str = "linear",
 ) -> nv.Model:
     """Creep, gravity, viscosity, hyperviscosity with exponent p unless None, delta- and epsilon-terms.
 
-    With nu > 0 creep has its gradient term (q = 4), and its rate is a field of its own.  With heat there is
-    conduction.
+    With nu > 0 creep, by one of ``RULES``, has its gradient term (q = 4), and its rate is a field of its
+    own.  With heat there is conduction.
     """
     law = nv.Regularisation(
         delta_density=DELTA if delta else 0.0,
@@ -69,7 +84,7 @@ def model(
         material=material(kind),
         viscosity=nv.StokesViscosity(K_v=0.3, G_v=0.2),
         hyperviscosity=hyperviscosity(p),
-        creep=nv.Creep(G_m=2.0, nu=nu, q=4.0),
+        creep=RULES[rule][0](nu=nu),
         loads=(nv.Gravity((0.0, -0.7, 0.0)[:dim]),),
         regularisation=law if regularised else None,
         heat=nv.Heat(conductivity=_conductivity) if kind == "with heat" else None,
@@ -80,7 +95,9 @@ def _conductivity(theta: CoefficientFunction) -> CoefficientFunction:
     return CONDUCTIVITY * theta * sqrt(theta)
 
 
-def coefficients(kind: str, p: float | None, regularised: bool = False, nu: float = 0.0) -> Coefficients:
+def coefficients(
+    kind: str, p: float | None, regularised: bool = False, nu: float = 0.0, rule: str = "linear"
+) -> Coefficients:
     """The same constants once more, for the formulas in numpy."""
     return Coefficients(
         K_e=2.0,
@@ -90,7 +107,8 @@ def coefficients(kind: str, p: float | None, regularised: bool = False, nu: floa
         G_v=0.2,
         mu=0.0 if p is None else (1e-2 if p == 2 else 1e-3),
         p=2.0 if p is None else p,
-        R=0.5,
+        rule=rule,
+        **RULES[rule][1],
         nu=nu,
         g=-0.7,
         delta=DELTA if regularised else 0.0,

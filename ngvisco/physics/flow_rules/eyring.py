@@ -34,12 +34,15 @@ class Eyring(FlowRule):
         Gradient of the creep rate: nu |grad Pi|^q is its dissipation.
     q : float
         Exponent of the creep rate's gradient; the paper's analysis has q > 3.
+    rate_floor : float
+        |Pi| below which psi is smoothed at zero, with nu > 0; far below A.
     """
 
     A: Annotated[Modulus, Quantity("1/s", "> 0", 0.1)]
     sigma_0: Annotated[Modulus, Quantity("Pa", "> 0", 1.0)]
     nu: Annotated[float, Quantity("W/m^3 (m s)^q", ">= 0", 1e-4)] = 0.0
     q: Annotated[float, Quantity("1", "> 1")] = 4.0
+    rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
 
     def __post_init__(self) -> None:
         require_positive_moduli(self, A=self.A, sigma_0=self.sigma_0)

@@ -64,6 +64,9 @@ class Perzyna(FlowRule):
         Gradient of the creep rate: nu |grad Pi|^q is its dissipation.
     q : float
         Exponent of the creep rate's gradient; the paper's analysis has q > 3.
+    rate_floor : float
+        |Pi| below which psi is smoothed at zero, with nu > 0: what does not yield flows by less than it.  A
+        thousandth of the rates of interest; one much smaller may need more iterations than there are.
     """
 
     sigma_Y: Annotated[Modulus, Quantity("Pa", "> 0", 2.0)]
@@ -74,6 +77,7 @@ class Perzyna(FlowRule):
     b: Annotated[float, Quantity("1", "> 0")] = 10.0
     nu: Annotated[float, Quantity("W/m^3 (m s)^q", ">= 0", 1e-4)] = 0.0
     q: Annotated[float, Quantity("1", "> 1")] = 4.0
+    rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
 
     def __post_init__(self) -> None:
         require_positive_moduli(self, sigma_Y=self.sigma_Y, G_m=self.G_m)

@@ -41,12 +41,15 @@ class Norton(FlowRule):
         Gradient of the creep rate: nu |grad Pi|^q is its dissipation.
     q : float
         Exponent of the creep rate's gradient; the paper's analysis has q > 3.
+    rate_floor : float
+        |Pi| below which psi is smoothed at zero, with nu > 0; far below the rates of interest.
     """
 
     A: Annotated[Modulus, Quantity("1/s/Pa^n", "> 0", 0.1)]
     n: Annotated[float, Quantity("1", "from 1 to 10", 3.0)]
     nu: Annotated[float, Quantity("W/m^3 (m s)^q", ">= 0", 1e-4)] = 0.0
     q: Annotated[float, Quantity("1", "> 1")] = 4.0
+    rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
 
     def __post_init__(self) -> None:
         require_positive_moduli(self, A=self.A)

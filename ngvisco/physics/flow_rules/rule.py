@@ -139,4 +139,4 @@ class FlowRule(ABC):
         """Raise ParameterError for parameters of the gradient term that make no sense."""
         require_nonnegative(self, nu=self.nu)
         require_above(self, 1, q=self.q)
-        require_positive(self, floor=self.floor)
+        require_positive(self, floor=self.floor, rate_floor=self.rate_floor)

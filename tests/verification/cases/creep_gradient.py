@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-from ngsolve import CF, VOL, x, y, z
+from ngsolve import CF, VOL, CoefficientFunction, x, y, z
 
 import ngvisco as nv
 from ngvisco.forms.context import time
@@ -16,7 +17,8 @@ from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.cases.manufactured import LABELS, NAMES, TERMS
 from tests.verification.convergence import coupled_rates
 from tests.verification.differences import mismatch
-from tests.verification.models import coefficients, model
+from tests.verification.models import KINDS as MODELS
+from tests.verification.models import RULES, coefficients, model
 from tests.verification.radial_creep import RadialCreep
 from tests.verification.rates import RateTable
 from tests.verification.setups import KINDS
@@ -62,6 +64,57 @@ def manufactured(kind: str, dim: int) -> Outcome:
             table.table("h, m"),
         ],
         plots=[table.plot("h, m", "L2 error")],
+    )
+
+
+# --- flow rules of a potential that is not quadratic ------------------------------------------------------
+
+NONLINEAR = ("Norton", "Eyring", "Perzyna")
+FIELDS = {"linear": "E", "neo-hookean": "F", "by B": "B"}
+LEAST = {"v": 2.5, "rho": 1.75, "z": 1.75, "Pi": 1.75}
+
+
+class Stiffer(Sources):
+    """Those of a psi' that is a tenth larger."""
+
+    @property
+    def creep(self) -> CoefficientFunction:
+        rule, residual = self.model.creep, super().creep
+        assert rule is not None and residual is not None
+        return residual + 0.1 * rule.force(self.new.Pi, self.new.values)
+
+
+def of_rules() -> Outcome:
+    """Rates in space for every rule and material, and the rules against their formulas by differences."""
+    tau, t, mesh = 0.05, 0.3, box((1, 1), 1.0)
+    largest, least, controls, tables, plots = 0.0, np.inf, [], [], []
+    found: dict[str, list[float]] = {name: [] for name in LEAST}
+    for rule in NONLINEAR:
+        for kind in MODELS:
+            sources = Sources(model(kind, 2, None, nu=NU, rule=rule), 2, tau)
+            right = coefficients(kind, None, nu=NU, rule=rule)
+            largest = max(largest, *mismatch(right, sources, kind, t, mesh).values())
+            for name in RULES[rule][1]:
+                wrong = replace(right, **{name: 1.01 * getattr(right, name)})
+                least = min(least, mismatch(wrong, sources, kind, t, mesh)["Pi"])
+        for kind, tensor in FIELDS.items():
+            table = coupled_rates(kind, 2, None, 2, 1, 0.4, 3, nu=NU, rule=rule)
+            for name in LEAST:
+                found[name].append(table.last(name))
+            tables.append(table.table("h, m"))
+            tables[-1] = replace(tables[-1], title=f"{rule} by {tensor}")
+        control = coupled_rates("neo-hookean", 2, None, 2, 1, 0.4, 3, nu=NU, rule=rule, sources=Stiffer)
+        controls.append(control.last("Pi"))
+        plots.append(table.plot("h, m", "L2 error"))
+    return Outcome(
+        values={
+            "largest difference of a source and its independent residual": largest,
+            "least difference of a flow rule with a constant that is 1 % off": least,
+            **{f"least rate of {name}": min(rates) for name, rates in found.items()},
+            "largest rate of Pi where psi' is a tenth off": max(controls),
+        },
+        tables=tables,
+        plots=plots[:1],
     )
 
 
@@ -196,6 +249,32 @@ def _independent_case(dim: int, sizes: tuple[float, ...], largest: float, rate: 
 
 CASES = (
     *(_manufactured_case(kind, dim) for kind in NAMES for dim in (2, 3)),
+    Case(
+        name="creep-gradient-flow-rules",
+        theme=THEME,
+        statement="With nu > 0 and a creep rate that varies in space, flow rules whose potential is not "
+        "quadratic converge in space, by E, by F and by B; their sources are the literature's formulas.",
+        label="Euler-small-flow-rule, ED-Euler-large3, Euler-large-viscoelastodyn+4disc",
+        setting=f"Norton (n = 3), Eyring, Perzyna (n = 2, psi smoothed below |Pi| = 1e-4/s); |Pi| from "
+        "0 at a point, where psi'' of the first is infinite and psi' of the last jumps, to 0.6/s; "
+        f"nu = {NU}, q = 4; creep, gravity, Stokes viscosity; unit square, 0.4 m refined twice; k = 2, "
+        "m = 1, two steps of 0.05 s.",
+        bounds=(
+            Bound("largest difference of a source and its independent residual", "<=", AGREES, "differences"),
+            Bound(
+                "least difference of a flow rule with a constant that is 1 % off",
+                ">=",
+                10 * AGREES,
+                "the negative control of the formulas",
+            ),
+            *(
+                Bound(f"least rate of {what}", ">=", least, "k + 1 of v, but not above Pi's by half; m + 1")
+                for what, least in LEAST.items()
+            ),
+            Bound("largest rate of Pi where psi' is a tenth off", "<=", 1.0, "the negative control"),
+        ),
+        run=of_rules,
+    ),
     _independent_case(2, (0.5, 0.25, 0.125), 2e-3, 1.7),
     _independent_case(3, (0.8, 0.4, 0.3), 0.06, 1.5),
 )
