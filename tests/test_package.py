@@ -1,5 +1,6 @@
 """The package as a user gets it: one version, a wheel that installs and runs, pages of its API."""
 
+import inspect
 import os
 import re
 import shlex
@@ -26,6 +27,23 @@ def test_there_is_one_version_string():
 
 def test_public_names_exist():
     assert all(hasattr(ngvisco, name) for name in ngvisco.__all__)
+
+
+def test_public_docstrings_name_the_errors_that_are_raised():
+    silent = []
+    for name in ngvisco.__all__:
+        public = getattr(ngvisco, name)
+        if not inspect.isclass(public) and not inspect.isfunction(public):
+            continue
+        makers = [public]
+        if inspect.isclass(public):
+            own = [base for base in public.__mro__ if base.__module__.startswith("ngvisco")]
+            makers = [vars(base)["__post_init__"] for base in own if "__post_init__" in vars(base)]
+        sources = "".join(inspect.getsource(maker) for maker in makers)
+        doc = inspect.getdoc(public) or ""
+        if re.search(r"raise \w*Error|require_\w+\(", sources) and not re.search(r"Raises|raise|Error", doc):
+            silent.append(name)
+    assert not silent
 
 
 def test_wheel_holds_geometries_and_nothing_else_of_the_top_level_and_runs(tmp_path):

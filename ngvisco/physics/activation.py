@@ -84,6 +84,11 @@ class Activated(_Activation, FlowRule):  # type: ignore[override]
     temperature : float, optional
         A number, a function of the initial place, which is carried, or an expression of parameters; None is
         that of the material, which then has heat.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     rule: FlowRule
@@ -136,6 +141,11 @@ class ActivatedViscosity(_Activation, Viscosity):  # type: ignore[override]
         Activation volume.
     temperature : float, optional
         As for ``Activated``.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     viscosity: Viscosity

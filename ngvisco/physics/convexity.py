@@ -107,6 +107,11 @@ def check_convexity(
     Returns
     -------
     ConvexityReport
+
+    Raises
+    ------
+    ParameterError
+        If an argument is not what is said of it.
     """
     require_type("check_convexity.material", material, Material)
     require_positive("check_convexity", spread=spread)

@@ -70,6 +70,11 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
     Returns
     -------
     IsotropyReport
+
+    Raises
+    ------
+    ParameterError
+        If an argument is not what is said of it.
     """
     rng = np.random.default_rng(seed)
     sampling = StateSampling(material, dim)

@@ -79,6 +79,11 @@ class CentralGravity:
         that outside (-1 in 2D); below 1 the centre must not be in the domain.
     name
         As for ``Gravity``.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     strength: Annotated[float, Quantity("m/s^2", example=9.81)]

@@ -184,6 +184,11 @@ class Parameter(Variable, Expression):
     typical : float
         A value at which an energy is looked at before a run is known; default that of a ``start`` that is a
         number, else 0.5.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     name: str

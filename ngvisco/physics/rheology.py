@@ -121,6 +121,11 @@ class StokesViscosity(IsotropicViscosity):
         Bulk viscosity: stress K_v (div v) I.
     G_v : float
         Shear viscosity: stress 2 G_v dev eps(v), the usual dynamic viscosity.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
@@ -230,6 +235,11 @@ class HyperViscosity:
         Weight of the interior penalty in the lifted form.
     floor : float
         |hess v| below which powers that are no even integers are smoothed.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     mu: Annotated[Modulus, Quantity("W/m^3 (m s)^p", "> 0", 1e-5)]

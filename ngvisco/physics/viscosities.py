@@ -41,6 +41,11 @@ class PowerLaw(IsotropicViscosity):
         Exponent of the shear rate in the shear stress.
     floor : float
         Shear rate below which the fluid is Newtonian.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
@@ -73,6 +78,11 @@ class Carreau(IsotropicViscosity):
         Time whose inverse is the shear rate at which the viscosity begins to change.
     n : float
         Exponent of the power law in between.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
@@ -109,6 +119,11 @@ class Cross(IsotropicViscosity):
         How steep it falls; above 1 the shear stress would fall with the shear rate.
     floor : float
         Shear rate below which powers of it are smoothed.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]

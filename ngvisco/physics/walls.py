@@ -82,6 +82,11 @@ class Traction(Wall):
         Traction -friction v_t besides.
     straight
         As for ``Slip``.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     f: Annotated[VectorLike, Quantity("Pa", example=["0.1*sin(t)", 0.0])]
@@ -102,6 +107,11 @@ class NavierFriction(Wall):
         Tangential stress is -coefficient v_t; it may depend on x.
     straight
         As for ``Slip``.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     coefficient: Annotated[float | CoefficientFunction, Quantity("Pa s/m", ">= 0", 0.1)]
@@ -156,6 +166,11 @@ class Inflow(Passage):
     values : mapping of names to coefficient functions, optional
         The material's variables of what flows in, by name, averaged over the step; those of rest where
         nothing is said, and of parameters their start values.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     velocity: Annotated[VectorLike, Quantity("m/s", example=["y*(1 - y)", 0.0])]
@@ -183,6 +198,11 @@ class Open(Passage):
         without that a given stress may feed such a flow without bound.
     density, values
         As for ``Inflow``.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     pressure: Annotated[Function, Quantity("Pa", example="0.1*sin(t)")] = 0.0

@@ -88,6 +88,11 @@ class Checkpoints:
         How many checkpoints the file holds, the latest ones.
     attributes : mapping, optional
         Further attributes of the file, e.g. the hash of a case.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     def __init__(

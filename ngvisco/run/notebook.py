@@ -39,6 +39,11 @@ def draw(field: CoefficientFunction | str, where: Any = None, **options: Any) ->
     Returns
     -------
     The viewer's scene, with ``Redraw()``.
+
+    Raises
+    ------
+    NotebookError, ParameterError, UnknownNameError
+        If an argument is not what is said of it.
     """
     fields: Mapping[str, CoefficientFunction] = getattr(where, "fields", {})
     name = options.pop("name", field if isinstance(field, str) else "field")

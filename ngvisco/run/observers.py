@@ -48,6 +48,11 @@ class Progress:
         Print every so many steps, and the last one.
     stream : text stream, optional
         Default ``sys.stdout``.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     on_first_rank = True
@@ -116,6 +121,11 @@ class LedgerCSV:
     """The ledger as CSV: a header, then a row a step, flushed at every step.
 
     A resumed run writes the rows up to the checkpoint's and goes on from there; later ones are dropped.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     on_first_rank = True
@@ -155,6 +165,11 @@ class VTKSeries:
         Further times at which to write, s; pass them as ``stops`` to ``Simulation.run`` too.
 
     A resumed run drops what the interrupted one wrote out of turn when it stopped.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     def __init__(

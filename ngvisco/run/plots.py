@@ -152,6 +152,11 @@ def plot_schemes(ledgers: Mapping[str, Ledger], path: str | os.PathLike[str]) ->
         At most four, drawn solid, dashed, dotted and dash-dotted.
     path : path
         A picture.
+
+    Raises
+    ------
+    ParameterError
+        If an argument is not what is said of it.
     """
     for label, ledger in ledgers.items():
         _require_steps(f"plot_schemes.ledgers[{label!r}]", ledger)
@@ -231,6 +236,11 @@ def plot_fields(
         Above all fields; in 3D the plane is added to it.
     outlines : sequence of scalar coefficient functions
         Volume fractions of bodies: drawn over each field as the line where they are one half.
+
+    Raises
+    ------
+    ParameterError
+        If an argument is not what is said of it.
     """
     require_space(section, mesh.dim)
     named = dict(fields)

@@ -89,6 +89,11 @@ class LineSamples(Series):
 
     The columns are ``step``, ``time`` (s), ``s`` (distance from the start, m), ``x``, ``y``, in 3D ``z`` (m),
     and the fields in SI units.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     def __init__(
@@ -143,6 +148,11 @@ class WallForces(Series):
     viscous and hyperviscous stress (``ngvisco.forms.boundary.reactions``); each row is of the step that ends
     at its time, so that the first one is of the first step: the mean over the step's stages with the scheme's
     weights.  Backward Euler has them at the step's end, the midpoint rule at its middle.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     initial = False

@@ -65,6 +65,11 @@ class AdaptiveSteps:
         ledger's error_estimate); without it only unsolvable steps are shortened.
     patience : int
         Accepted steps in a row before the length is doubled, without a tolerance.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     dt_min: Annotated[float, Quantity("s", "> 0", 1e-3)]

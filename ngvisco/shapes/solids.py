@@ -22,6 +22,11 @@ class Ball(Shape):
         Its centre, a coordinate for each dimension.
     radius : float
         Radius.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     centre: Annotated[tuple[float, ...], Quantity("m", example=[0.6, 0.5])]
@@ -46,6 +51,11 @@ class Block(Shape):
         Corner of the smallest coordinates, a coordinate for each dimension.
     high : two or three numbers
         Corner of the largest coordinates.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     low: Annotated[tuple[float, ...], Quantity("m", example=[0.2, 0.2])]
@@ -74,6 +84,11 @@ class HalfSpace(Shape):
         A point of the plane, a coordinate for each dimension.
     normal : as many numbers
         Outward normal of the plane, of any length.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     point: Annotated[tuple[float, ...], Quantity("m", example=[0.0, 0.5])]
@@ -105,6 +120,11 @@ class Polygon(Shape):
     points : three pairs of numbers at least
         Three corners at least, in either sense of rotation; the last is joined to the first, and edges do not
         cross each other.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     points: Annotated[tuple[tuple[float, float], ...], Quantity("m", example=[[0, 0], [1, 0], [0, 1]])]

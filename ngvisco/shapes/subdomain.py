@@ -21,6 +21,11 @@ class Subdomain(Shape):
     ----------
     names : str or sequence of str
         Names of subdomains of the mesh.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     names: Annotated[str | Sequence[str], Quantity(example=["inclusion"])]

@@ -119,6 +119,11 @@ class NewtonOptions(_Checked):
     method : str
         "coupled", all unknowns at once (small meshes), "split", the fields as functions of the velocity
         (large ones), or "auto"; both solve the same equations.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     tolerance: Annotated[float, Quantity("1", "> 0")] = 1e-10

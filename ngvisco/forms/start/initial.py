@@ -72,6 +72,11 @@ class Initial:
     values : mapping of names to coefficient functions, optional
         Initial values of single variables of the material, by name, in place of the derived ones, and of
         further terms' unknowns that evolve, else zero.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     density: Annotated[ScalarLike | None, Quantity("kg/m^3", "> 0", 1.0)] = None

@@ -23,6 +23,11 @@ class Composite(FlowRule):
     ----------
     rules : sequence of FlowRule
         At least one, each local (nu = 0).
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     rules: tuple[FlowRule, ...]

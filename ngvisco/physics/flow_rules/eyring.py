@@ -36,6 +36,11 @@ class Eyring(FlowRule):
         Exponent of the creep rate's gradient; the paper's analysis has q > 3.
     rate_floor : float
         |Pi| below which psi is smoothed at zero, with nu > 0; far below A.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     A: Annotated[Modulus, Quantity("1/s", "> 0", 0.1)]

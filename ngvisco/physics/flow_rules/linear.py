@@ -54,6 +54,11 @@ class Creep(FlowRule):
         |grad Pi| below which powers that are no even integers are smoothed.
     law : str
         "mandel" (the paper), or "conformation" or "leonov" of a conformation tensor's fluid.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 5.0)]

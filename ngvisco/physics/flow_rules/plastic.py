@@ -67,6 +67,11 @@ class Perzyna(FlowRule):
     rate_floor : float
         |Pi| below which psi is smoothed at zero, with nu > 0: what does not yield flows by less than it.  A
         thousandth of the rates of interest; one much smaller may need more iterations than there are.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     sigma_Y: Annotated[Modulus, Quantity("Pa", "> 0", 2.0)]
@@ -136,6 +141,11 @@ class DruckerPrager(FlowRule):
         Angle phi of internal friction, degrees.
     G_m : float
         Viscosity of what exceeds the strength.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     cohesion: Annotated[Modulus, Quantity("Pa", ">= 0", 1.0)]

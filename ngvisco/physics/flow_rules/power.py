@@ -43,6 +43,11 @@ class Norton(FlowRule):
         Exponent of the creep rate's gradient; the paper's analysis has q > 3.
     rate_floor : float
         |Pi| below which psi is smoothed at zero, with nu > 0; far below the rates of interest.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     A: Annotated[Modulus, Quantity("1/s/Pa^n", "> 0", 0.1)]

@@ -125,6 +125,11 @@ class PerMass(PerReferentialVolume):
         psi, J/kg.
     rho_R : float
         Density where J = 1; with it the initial density and J follow from one another.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
     """
 
     rho_R: Annotated[Modulus, Quantity("kg/m^3", "> 0", 1000.0)]
