@@ -29,7 +29,7 @@ from ngvisco.forms.context import periodic_facets
 from ngvisco.forms.mesh.mesh_arrays import coordinates, is_simplicial, vertices
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.simulation import Simulation
-from ngvisco.run.transfer import go_on, transfer
+from ngvisco.run.transfer import go_on, require_fit, transfer
 
 _TOO_LARGE = 1.5
 """Volume of a cell over that asked for from which it is divided: bisection gives powers of two."""
@@ -167,6 +167,7 @@ def _require_fit(simulation: Simulation) -> None:
         if isinstance(observer, Checkpoints):
             expected = "observers without checkpoints: their states are of one mesh"
             raise ParameterError("run_refined.simulation.observers", "Checkpoints", expected)
+    require_fit(simulation, simulation)  # as it will have to on the first other mesh
 
 
 class _First:

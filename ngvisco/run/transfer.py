@@ -94,7 +94,7 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
         body: take a finer mesh.
     """
     old, new = source.rothe_step, target.rothe_step
-    _require_fit(source, target)
+    require_fit(source, target)
     points = QuadraturePoints(new.quadrature)
     where = points.coordinates
     try:
@@ -135,7 +135,8 @@ def go_on(source: Simulation, target: Simulation) -> None:
     ledger.resume(had.balance, rows)
 
 
-def _require_fit(source: Simulation, target: Simulation) -> None:
+def require_fit(source: Simulation, target: Simulation) -> None:
+    """Raise ParameterError or MeshError, by name, unless a state of ``source`` can be one of ``target``."""
     had, has = (run.model.material.variables for run in (source, target))
     _require_densities(had, has)
     if [(v.name, repr(v)) for v in had] != [(v.name, repr(v)) for v in has]:
