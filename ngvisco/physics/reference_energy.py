@@ -25,6 +25,7 @@ from ngvisco.physics.variables import (
     Jacobian,
     LogJacobian,
     ReciprocalJacobian,
+    SmallStrain,
     Values,
     Variable,
 )
@@ -59,9 +60,10 @@ class ReferenceEnergy(Material):
         of_volume = (Jacobian, ReciprocalJacobian, LogJacobian)
         for v in self.material.variables:
             if not isinstance(v, (DistortionTensor, *of_volume, Parameter)):
-                expected = (
-                    f"a material of J and of F, Cof F, F F^T, Cof(F F^T) times powers of J, not of {v.name!r}"
-                )
+                of = "a material of J and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
+                expected = f"{of}, not of {v.name!r}"
+                if isinstance(v, SmallStrain):
+                    expected += "; ReferentialNeoHookean of half the G_e is LinearElastic at small strains"
                 raise ParameterError(self.owner, self.material, expected)
         if not any(isinstance(v, of_volume) for v in self.material.variables):
             raise ParameterError(self.owner, self.material, "a material with J or 1/J: bodies share a volume")

@@ -269,7 +269,7 @@ class SharesOnly:
         (lambda: [rest(order=1), disc()], r"bodies\['rest'\].order.*below all others"),
         (lambda: [disc(where=CF(1.0) + 0 * x), rest()], r"bodies\['disc'\].where.*leaves something.*'rest'"),
         (lambda: [disc(), rest(material=nv.NeoHookean(K_e=1.0, G_e=1.0, epsilon=0.1))], "per reference"),
-        (lambda: [disc(), rest(material=nv.LinearElastic(K_e=1.0, G_e=1.0))], "not of 'E'"),
+        (lambda: [disc(), rest(material=nv.LinearElastic(K_e=1.0, G_e=1.0))], "'E'; ReferentialNeo"),
         (lambda: [disc(material=BY_F), rest()], r"bodies\['disc'\].material.*elastic_state"),
         (lambda: [disc(material=VARIED), rest()], "a bulk modulus that is a number"),
         (lambda: [disc(material=nv.Thermal(material=SOLID, c=1.0, theta_R=1.0)), rest()], "without heat"),

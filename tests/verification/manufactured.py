@@ -17,6 +17,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, cos, sin, x, y, z
 
 import ngvisco as nv
+from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.material import cauchy_stress, conjugates
 from ngvisco.physics.tensors import square
 
@@ -129,6 +130,16 @@ def creep_rate(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
     return A
 
 
+def body(of: Callable[..., Any], share: float) -> Callable[[Sequence[Any], Any, Functions], Any]:
+    """``share`` of a field, more of it near one wall: a density of a body."""
+
+    def field(X: Sequence[Any], t: Any, m: Functions) -> Any:
+        value, factor = of(X, t, m), share * (1 + 0.5 * m.cos(PI * X[0]))
+        return [[factor * v for v in row] for row in value] if isinstance(value, list) else factor * value
+
+    return field
+
+
 def swirl(X: Sequence[Any], t: Any, m: Functions) -> list[Any]:
     """Tangential to the unit circle, about the axis in space; no other condition of the walls is met."""
     x, y = X[:2]
@@ -141,6 +152,8 @@ def swirl(X: Sequence[Any], t: Any, m: Functions) -> list[Any]:
 EXACT = {
     **{"E": strain, "F": distortion, "H": distortion, "B": stretch},
     **{"J": jacobian, "A": reciprocal, "s": entropy},
+    **{"n_one": body(jacobian, 0.3), "B_one": body(stretch, 0.3)},
+    **{"n_two": reciprocal, "B_two": stretch},
 }
 
 
@@ -166,6 +179,10 @@ class Exact:
 
     @property
     def rho(self) -> CoefficientFunction:
+        """Of bodies that of their amounts."""
+        if self.model.bodies:
+            values = self.values
+            return sum((b.density * values[AMOUNT + b.name] for b in self.model.bodies), CF(0.0))
         return self._value(density)
 
     @property

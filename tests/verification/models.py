@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
-from ngsolve import CoefficientFunction
+from ngsolve import CoefficientFunction, x
 
 import ngvisco as nv
 from ngvisco.physics.tensors import sqrt, square
@@ -14,10 +15,10 @@ from ngvisco.physics.variables import SmallStrain
 from tests.verification.differences import Coefficients
 
 KINDS = ("linear", "neo-hookean")
-FURTHER = ("by B", "cofactors", "Yosida", "Yosida, quartic", "with heat")
+FURTHER = ("by B", "cofactors", "Yosida", "Yosida, quartic", "with heat", "two bodies")
 """Materials of other variables: B = F F^T, of which creep is another law, Cof F beside F and J, Yosida
-approximations, of the neo-Hookean energy and of one of E that grows faster than its square, and A and the
-entropy."""
+approximations, of the neo-Hookean energy and of one of E that grows faster than its square, A and the
+entropy, and the densities of two bodies that share every point."""
 HEAT_CAPACITY, THETA_R, GRUNEISEN, CONDUCTIVITY = 1.5, 1.2, 0.8, 0.25
 """The conductivity is this times theta^1.5."""
 DELTA, DELTA_FIELDS, EPSILON = 0.02, 0.03, 1.0
@@ -61,6 +62,27 @@ def hyperviscosity(p: float | None) -> nv.HyperViscosity | None:
     return None if p is None else nv.HyperViscosity(mu=1e-2 if p == 2 else 1e-3, p=p)
 
 
+def bodies() -> tuple[nv.Body, ...]:
+    """Two of other shear modulus, viscosity, creep and density."""
+    return (
+        nv.Body(
+            name="one",
+            where=0.5 - x,
+            material=nv.ReferentialNeoHookean(K_e=2.0, G_e=1.0),
+            viscosity=nv.StokesViscosity(K_v=0.3, G_v=0.2),
+            creep=nv.Creep(G_m=2.0),
+            density=1.5,
+        ),
+        nv.Body(
+            name="two",
+            material=nv.ReferentialNeoHookean(K_e=2.0, G_e=0.4),
+            viscosity=nv.StokesViscosity(K_v=0.2, G_v=0.3),
+            creep=nv.Creep(G_m=1.0),
+            density=1.0,
+        ),
+    )
+
+
 def model(
     kind: str,
     dim: int,
@@ -80,11 +102,13 @@ def model(
         delta_fields=DELTA_FIELDS if delta else 0.0,
         epsilon=EPSILON,
     )
+    own: dict[str, Any] = {"bodies": bodies()}
+    if kind != "two bodies":
+        viscosity, creep = nv.StokesViscosity(K_v=0.3, G_v=0.2), RULES[rule][0](nu=nu)
+        own = {"material": material(kind), "viscosity": viscosity, "creep": creep}
     return nv.Model(
-        material=material(kind),
-        viscosity=nv.StokesViscosity(K_v=0.3, G_v=0.2),
+        **own,
         hyperviscosity=hyperviscosity(p),
-        creep=RULES[rule][0](nu=nu),
         loads=(nv.Gravity((0.0, -0.7, 0.0)[:dim]),),
         regularisation=law if regularised else None,
         heat=nv.Heat(conductivity=_conductivity) if kind == "with heat" else None,

@@ -1,11 +1,14 @@
-"""Problems that several cases share: a block set in rotation in its box, in both models."""
+"""Problems that several cases share: a block set in rotation in its box, in both models; a box of layers."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from netgen.geom2d import SplineGeometry
 from ngsolve import CF, CoefficientFunction, Integrate, Mesh, cos, pi, sin, x, y, z
 
 import ngvisco as nv
@@ -46,6 +49,24 @@ def cube_mesh(maxh: float) -> Mesh:
 def square_mesh(maxh: float) -> Mesh:
     """The unit box; runs on one mesh can be compared by ``separation``."""
     return box((1, 1), maxh)
+
+
+def layers(width: float, faces: Sequence[Callable[[float], float]], names: str, maxh: float) -> Mesh:
+    """Layers between y = f(x) for f of ``faces``, from the bottom on, lines of edges of ``maxh`` along x;
+    each a subdomain of a letter of ``names``, with the walls of ``box``."""
+    geometry, count = SplineGeometry(), round(width / maxh)
+    at = [width * n / count for n in range(count + 1)]
+    points = [[geometry.AppendPoint(s, face(s)) for s in at] for face in faces]
+    walls = ["bottom", *("face" for _ in faces[2:]), "top"]
+    for n, (line, name) in enumerate(zip(points, walls, strict=True)):
+        above = 0 if name == "top" else n + 1
+        for a, b in pairwise(line):
+            geometry.Append(["line", a, b], leftdomain=above, rightdomain=n, bc=name)
+    for n, (low, high) in enumerate(pairwise(points), start=1):
+        geometry.SetMaterial(n, names[n - 1])
+        geometry.Append(["line", low[0], high[0]], leftdomain=0, rightdomain=n, bc="left")
+        geometry.Append(["line", low[-1], high[-1]], leftdomain=n, rightdomain=0, bc="right")
+    return Mesh(geometry.GenerateMesh(maxh=maxh))
 
 
 def block(

@@ -6,15 +6,19 @@ tau of the sources that is far shorter than the run's, the error in time is in i
 
 from __future__ import annotations
 
+from unittest.mock import patch
+
 from ngsolve import CF, CoefficientFunction, specialcf
 
 from ngvisco.forms.context import inner_facets, time
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand
-from ngvisco.physics.material import mandel_stress
+from ngvisco.physics.flows import Flow
+from ngvisco.physics.material import Material, mandel_stress
 from ngvisco.physics.materials.thermal import entropy_in, temperature
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Gravity, Model, as_vector
-from ngvisco.physics.tensors import embed_gradient, inner, sym
+from ngvisco.physics.tensors import embed_gradient, inner, sym, tr
 from tests.verification.manufactured import COORDINATES, Exact, divergence, gradient
 
 
@@ -53,12 +57,15 @@ class Sources:
         what heats it."""
         new, old, model = self.new, self.old, self.model
         values, L = new.values, embed_gradient(new.grad_v, self.dim)
-        Pi = 0 * L
-        if model.creep is not None:
-            Pi = model.creep.rate(self._mandel, None, values) if model.creep.is_local else new.Pi
-        rates = {v.name: v.rate(values, L, Pi) for v in model.material.variables}
-        if (entropy := entropy_in(model.material)) is not None:
-            rates[entropy.name] = rates[entropy.name] + self.heating(Pi) / new.conjugates[entropy.name]
+        material = model.material
+        creep = {name: self._creep_rate(flow) for flow in model.flows for name in flow.names}
+        rates = {v.name: material.rate(v, values, L, creep.get(v.name, 0 * L)) for v in material.variables}
+        for v in material.variables:
+            if v.by_flux:
+                rates[v.name] = rates[v.name] - tr(L) * values[v.name]
+        if (entropy := entropy_in(material)) is not None:
+            heat = self.heating(self._creep_rate(model.flows[0]) if model.flows else 0 * L)
+            rates[entropy.name] = rates[entropy.name] + heat / new.conjugates[entropy.name]
         total = (new.z - old.z) / self.tau - model.material.states(self.dim).components(rates)
         for v_j, dz in zip((new.v[j] for j in range(self.dim)), gradient(new.z, self.dim), strict=True):
             total = total + v_j * dz
@@ -97,6 +104,14 @@ class Sources:
     def _hess_square(self) -> CoefficientFunction:
         """|hess v|^2."""
         return sum(h * h for component in self._hess for row in component for h in row)
+
+    def _creep_rate(self, flow: Flow) -> CoefficientFunction:
+        """Pi, of a body by the Mandel stress per its own volume."""
+        if not flow.rule.is_local:
+            return self.new.Pi
+        values, conjugates = self.new.values, self.new.conjugates
+        mandel = mandel_stress(self.model.material, values, conjugates, self.dim, flow.names)
+        return flow.rule.rate((1 / flow.share(values)) * mandel, None, values)
 
     @property
     def _mandel(self) -> CoefficientFunction:
@@ -220,3 +235,12 @@ class Sources:
     def entries(self, u: Fields) -> list[Entry]:
         """None: these runs are compared with their exact solutions, not balanced."""
         return []
+
+
+class TakingPartWholly(Sources):
+    """For negative controls: a trace of a body is stretched as a body is."""
+
+    @property
+    def kinematics(self) -> CoefficientFunction:
+        with patch.object(Mixture, "taking_part", Material.taking_part):
+            return super().kinematics
