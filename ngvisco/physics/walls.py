@@ -192,8 +192,8 @@ class Open(Passage):
     stiffness : pair of numbers
         k_p and k_s: springs along and across the normal to a rigid ground, a foundation that gives. w is what
         the wall was displaced by, dw/dt = v, zero at the start (in scripts
-        ``Initial.values["displacement_NAME"]``, NAME the wall's); it is to be small beside a cell, as the mesh
-        does not move.
+        ``Initial.values["displacement_NAME"]``, NAME the wall's); it is to be small beside a cell, as the
+        mesh does not move.
     backflow : bool
         Whether the kinetic energy of what flows in is taken from it, -rho (v.n) |v|^2/2 where v.n < 0:
         without that a given stress may feed such a flow without bound.
