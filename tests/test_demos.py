@@ -110,11 +110,13 @@ SCRIPTS = {
     "collision": lambda demo: demo.simulation(cells=(7, 4)),
     "creep_finite": lambda demo: demo.simulation(maxh=0.6),
     "cylinder": lambda demo: demo.simulation(maxh=2.0),
+    "glacier": lambda demo: demo.simulation(maxh=0.5),
     "heat": lambda demo: demo.simulation(maxh=0.6),
     "plume": lambda demo: demo.simulation(maxh=0.5),
     "mooney_rivlin": lambda demo: demo.simulation(maxh=0.6),
     "couette": lambda demo: demo.simulation(maxh=0.7),
     "creep": lambda demo: demo.simulation(maxh=0.6),
+    "notch": lambda demo: demo.simulation(maxh=0.5),
     "shear": lambda demo: demo.simulation(),
     "shell": lambda demo: demo.simulation(maxh=0.7),
     "slab": lambda demo: demo.simulation(cells=(3, 4)),
@@ -199,6 +201,25 @@ def test_the_disc_in_a_vortex_is_a_quarter_of_the_problem():
     assert 4 * ledger.column("kinetic")[0] == pytest.approx((0.1 * np.pi) ** 2 / 4, rel=0.02)
     assert ledger.column("stored")[-1] > ledger.column("stored")[0]
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+
+
+def test_glacier_flows_by_its_closed_form():
+    """On cells of 0.2 m; half of the linear law's profile, which has the same velocity above, is not it."""
+    demo, at = load("glacier"), np.linspace(0, 1, 21)
+    run = demo.simulation(maxh=0.2, dt=0.4)
+    ledger = run.run(12.0)
+    v = run.fields["velocity"](run.mesh(0.2 + 0 * at, at))[:, 0]
+    assert np.abs(v - demo.exact(3, at)).max() <= 0.03 < 0.2 < np.abs(v - 0.5 * demo.exact(1, at)).max()
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+
+
+def test_crack_runs_from_the_notch(tmp_path):
+    run = load("notch").main(str(tmp_path), until=0.1, maxh=0.3)
+    ledger = run.ledger
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert ledger.column("dissipation_damage")[1:].min() > 0
+    for file in ("ledger.csv", "run.h5", "energies.png", "fields.png"):
+        assert (tmp_path / file).stat().st_size > 0
 
 
 def test_demos_are_short_and_explained():
