@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 import ngvisco as nv
 from ngvisco.geometries import box, channel
-from tests.verification.case import Bound, Case, Outcome, Table
+from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.cases.rheology import NAMES, G, deviator, material, shear_stress, start
 from tests.verification.cases.shear import sheared
 from tests.verification.rates import RateTable
@@ -126,6 +126,53 @@ def _point() -> Outcome:
     )
 
 
+MIDPOINT = {"linear": True, "Norton, n = 3": True, "Bingham": False, "linear hardening": False}
+"""Rules, and whether their rate has a derivative; those with yield begin to flow within a step."""
+
+
+def _midpoint() -> Outcome:
+    """Errors of T_12 after the start-up of shear, over the steps of the midpoint rule."""
+    tables, curves, runs = [], [], []
+    least = {True: math.inf, False: math.inf}
+    for kind in NAMES:
+        table = RateTable(f"error of T_12, {NAMES[kind]}")
+        sizes = [UNTIL / n for n in (10, 20, 40, 80)]
+        errors: dict[str, list[float]] = {}
+        for name in MIDPOINT:
+            rule, rate = RULES[name]
+            exact, errors[name] = final_stress(kind, rate, 1.0), []
+            for tau in sizes:
+                run, values = sheared(
+                    material(kind),
+                    tau,
+                    UNTIL,
+                    rate=SHEAR_RATE,
+                    creep=rule,
+                    mesh=channel(1, 1, maxh=1.0),
+                    scheme="midpoint",
+                )
+                runs.append(run)
+                errors[name].append(abs(float(values[-1, 1]) - exact))
+        for i, tau in enumerate(sizes):
+            table.add(tau, **{name: found[i] for name, found in errors.items()})
+        for name, is_smooth in MIDPOINT.items():
+            order = math.log(errors[name][0] / errors[name][-1]) / math.log(sizes[0] / sizes[-1])
+            least[is_smooth] = min(least[is_smooth], order)
+            curves.append(Curve(f"{name}, {kind}", sizes, errors[name]))
+        tables.append(table.table("tau, s"))
+    return Outcome(
+        values={
+            "least order of a rate with a derivative": least[True],
+            "least order with yield": least[False],
+            "largest |closure|": closure(*runs),
+        },
+        tables=tables,
+        plots=[
+            Plot("Start-up of shear by the midpoint rule", "tau, s", "error of T_12, Pa", curves, log="xy")
+        ],
+    )
+
+
 def _relaxation() -> Outcome:
     """|E|^(1-n) grows linearly: d|E|/dt = -A (2 G |E|)^n in a body that cannot move."""
     A, n, until, begin = 0.3, 3, 1.0, 0.5
@@ -197,6 +244,25 @@ CASES = (
             CLOSURE,
         ),
         run=_point,
+    ),
+    Case(
+        name="flow-rules-midpoint",
+        theme=THEME,
+        statement="The midpoint rule is of second order with creep, and with yield too, although that begins "
+        "within a step.",
+        label="Euler-small-flow-rule, ED-Euler-large3",
+        setting="As flow-rules-startup; 10 to 80 steps of the midpoint rule, order from the first to the last.",
+        bounds=(
+            Bound("least order of a rate with a derivative", ">=", 1.85, "second order"),
+            Bound(
+                "least order with yield",
+                ">=",
+                1.6,
+                "in one step the rate has a kink: an error of second order that wavers with the place of it",
+            ),
+            CLOSURE,
+        ),
+        run=_midpoint,
     ),
     Case(
         name="norton-relaxation",
