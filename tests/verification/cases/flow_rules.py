@@ -251,7 +251,7 @@ CASES = (
         statement="The midpoint rule is of second order with creep, and with yield too, although that begins "
         "within a step.",
         label="Euler-small-flow-rule, ED-Euler-large3",
-        setting="As flow-rules-startup; 10 to 80 steps of the midpoint rule, order from the first to the last.",
+        setting="As flow-rules-startup; 10 to 80 steps of the midpoint rule, order over all of them.",
         bounds=(
             Bound("least order of a rate with a derivative", ">=", 1.85, "second order"),
             Bound(
