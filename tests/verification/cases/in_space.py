@@ -77,7 +77,7 @@ def _cases(kind: str) -> tuple[Case, ...]:
             "turn.",
             label=f"{LABELS[kind]}, "
             + ("ED-Euler-large-polyconvex-eta" if finite else "Euler-small-converge+"),
-            setting=f"{CUBE}all terms of the scheme; cells of {FINE} m, until {sequence.DURATION} s; 8 to 32 "
+            setting=f"{CUBE}all terms of the scheme; cells of {FINE} m, until {sequence.DURATION} s; 8 to 64 "
             f"steps, then delta, then epsilon of {'1e-4 and 1e-5' if finite else '1e-2 and 1e-3'}.",
             bounds=sequence.bounds(kind),
             run=partial(limits, kind),
