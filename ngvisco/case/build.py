@@ -230,7 +230,7 @@ class Case:
             for i, load in enumerate(self.sections.loads)
         ]
         if self.sections.bodies:
-            bodies = tuple(self._body(i) for i in range(len(self.sections.bodies)))
+            bodies = tuple(self._body(i, dim) for i in range(len(self.sections.bodies)))
             with self.blame.located("bodies"):
                 return Model(bodies=bodies, loads=tuple(loads), **mechanisms)
         with self.blame.located("material"):
@@ -243,7 +243,7 @@ class Case:
             path, text = found
             raise self.blame.error(path, f"{text!r:.60}: there is no z in a mesh of two dimensions")
 
-    def _body(self, number: int) -> Body:
+    def _body(self, number: int, dim: int) -> Body:
         part, path = self.sections.bodies[number], ("bodies", str(number))
         values: dict[str, Any] = {}
         for name in ("material", "viscosity", "creep"):
@@ -251,6 +251,9 @@ class Case:
             if section is not None:
                 with self.blame.located(*path, name):
                     values[name] = made(section)
+        if part.heat is not None:
+            with self.blame.located(*path, "heat"):
+                values["heat"] = owner_of(type(part.heat))(**self._values(part.heat, (*path, "heat"), dim))
         values["where"] = united([shape for _, shape in self._places(number)])
         with self.blame.located(*path):
             return Body(name=part.name, density=part.density, order=part.order, **values)

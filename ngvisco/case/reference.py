@@ -98,6 +98,7 @@ _SAME_KEYS = {
     ("bodies", "N", "material"): ("material",),
     ("bodies", "N", "viscosity"): ("rheology", "viscosity"),
     ("bodies", "N", "creep"): ("rheology", "creep"),
+    ("bodies", "N", "heat"): ("rheology", "heat"),
     ("rheology", "viscosity", "viscosity"): ("rheology", "viscosity"),
     ("rheology", "creep", "rule"): ("rheology", "creep"),
     ("rheology", "creep", "rules", "N"): ("rheology", "creep"),

@@ -40,6 +40,7 @@ Creep = laws(FlowRule, catalogue.FLOW_RULES, catalogue.FLOW_RULE_WRAPPERS)
 Viscosity = laws(ViscosityObject, catalogue.VISCOSITIES, catalogue.VISCOSITY_WRAPPERS)
 _MECHANISMS: dict[str, Any] = {"viscosity": Viscosity}
 _MECHANISMS |= {name: section(target) for name, target in catalogue.MECHANISMS.items()} | {"creep": Creep}
+Heat = _MECHANISMS["heat"]
 Rheology: Any = create_model(
     "Rheology",
     __base__=Section,
@@ -302,6 +303,8 @@ class Body(Section):
         Its viscosity, with the keys of [rheology.viscosity].
     creep
         Its creep, with the keys of [rheology.creep].
+    heat
+        Its conductivity and heat source, with the keys of [rheology.heat], to which they add by its fraction.
     density
         Its density where J = 1; that of its material where this has rho_R.
     order
@@ -313,6 +316,7 @@ class Body(Section):
     material: Material  # type: ignore[valid-type]
     viscosity: Viscosity | None = None  # type: ignore[valid-type]
     creep: Creep | None = None  # type: ignore[valid-type]
+    heat: Heat | None = None  # type: ignore[valid-type]
     density: Annotated[float | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
     order: int = 0
 

@@ -13,6 +13,7 @@ from ngsolve import CoefficientFunction, Det
 
 from ngvisco.errors import ParameterError, as_integer, as_number
 from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import tr
@@ -145,6 +146,9 @@ class Body:
     material : Material
     viscosity : StokesViscosity or LinearViscosity, optional
     creep : Creep, optional
+    heat : Heat, optional
+        Conductivity and source of the body, of bodies whose materials have a temperature (``Thermal``), which
+        is one for all at a point; they add to those of the model by the body's fraction.
     density : float, optional
         In the reference state, J = 1: kg/m^3, > 0.  Default the material's referential density, where that
         is a number.
@@ -163,6 +167,7 @@ class Body:
     material: Material
     viscosity: Viscosity | None = None
     creep: FlowRule | None = None
+    heat: Heat | None = None
     density: float | None = None
     order: int = 0
 
@@ -176,7 +181,12 @@ class Body:
             raise ParameterError(f"{owner}.where", self.where, expected)
         if isinstance(self.where, CoefficientFunction) and (self.where.dim != 1 or self.where.is_complex):
             raise ParameterError(f"{owner}.where", self.where, "a real scalar function of x, y, z")
-        for name, kind in (("material", Material), ("viscosity", Viscosity), ("creep", FlowRule)):
+        for name, kind in (
+            ("material", Material),
+            ("viscosity", Viscosity),
+            ("creep", FlowRule),
+            ("heat", Heat),
+        ):
             value = getattr(self, name)
             if not (isinstance(value, kind) or (value is None and name != "material")):
                 raise ParameterError(f"{owner}.{name}", value, f"a {kind.__name__}")

@@ -16,6 +16,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, as_number
 from ngvisco.physics.tensors import linear_map
+from ngvisco.physics.variables import Values
 
 Function: TypeAlias = float | CoefficientFunction
 """A number, or a function of the place and the run's time."""
@@ -25,7 +26,8 @@ Conductivity: TypeAlias = float | Callable[[Any], Any] | Sequence[Sequence[float
 
 @dataclass(frozen=True, kw_only=True)
 class WallHeat:
-    """Heat that comes in through a wall: flux + coefficient (temperature - theta) (Robin, Newton's cooling).
+    """Heat that comes in through a wall: flux + coefficient (temperature - theta) (Robin, Newton's cooling),
+    less what friction on it leaves to the wall.
 
     A large coefficient holds the wall at the temperature.  A wall without it is insulated.
 
@@ -37,6 +39,9 @@ class WallHeat:
         Heat transfer coefficient; a function of the place and the run's time.
     flux : float, optional
         Heat that comes in besides, whatever the temperature; a function of the place and the run's time.
+    friction_share : float
+        Share of what friction on the wall dissipates that heats the body, default all; the rest goes into the
+        wall.
 
     Raises
     ------
@@ -48,6 +53,7 @@ class WallHeat:
     temperature: Annotated[Function | None, Quantity("K", "> 0", 300.0)] = None
     coefficient: Annotated[Function | None, Quantity("W/(m^2 K)", ">= 0", 10.0)] = None
     flux: Annotated[Function | None, Quantity("W/m^2", example=100.0)] = None
+    friction_share: Annotated[float, Quantity("1", "in [0, 1]", 0.5)] = 1.0
 
     def __post_init__(self) -> None:
         _require(self, "temperature", is_positive=True)
@@ -57,8 +63,13 @@ class WallHeat:
             missing = "temperature" if self.temperature is None else "coefficient"
             expected = "a value: temperature and coefficient go together"
             raise ParameterError(f"WallHeat.{missing}", None, expected)
-        if self.temperature is None and self.flux is None:
-            raise ParameterError("WallHeat.flux", None, "a flux, or a temperature and a coefficient")
+        share = as_number(self.friction_share)
+        if share is None or not 0 <= share <= 1:
+            raise ParameterError("WallHeat.friction_share", self.friction_share, "a number from 0 to 1")
+        object.__setattr__(self, "friction_share", share)
+        if self.temperature is None and self.flux is None and share == 1:
+            expected = "a flux, a temperature and a coefficient, or a share of the friction"
+            raise ParameterError("WallHeat.flux", None, expected)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +136,16 @@ class Heat:
         """Whether heat is conducted at all."""
         return callable(self.conductivity) or bool(np.any(np.asarray(self.conductivity)))
 
-    def size(self, theta: CoefficientFunction) -> CoefficientFunction | float:
+    @property
+    def sources(self) -> list[tuple[str | None, Function]]:
+        """Heat that is produced, W/m^3, and by which body; None for all."""
+        return [] if self.source is None else [(None, self.source)]
+
+    def share(self, body: str | None, z: Values) -> Any:
+        """How much of a point with the values ``z`` is a body's."""
+        return 1.0
+
+    def size(self, theta: CoefficientFunction, z: Values) -> Any:
         """kappa, of a matrix its largest eigenvalue, W/(m K)."""
         if callable(self.conductivity):
             return self.conductivity(theta)
@@ -133,11 +153,13 @@ class Heat:
             return float(np.linalg.eigvalsh(np.array(self.conductivity))[-1])
         return self.conductivity
 
-    def flux(self, theta: CoefficientFunction, slope: CoefficientFunction, dim: int) -> CoefficientFunction:
+    def flux(
+        self, theta: CoefficientFunction, slope: CoefficientFunction, z: Values, dim: int
+    ) -> CoefficientFunction:
         """kappa grad theta, W/m^2."""
         if isinstance(self.conductivity, tuple):
             return linear_map(np.array(self.conductivity)[:dim, :dim], slope, (dim,))
-        return self.size(theta) * slope
+        return self.size(theta, z) * slope
 
 
 _TEMPERATURES = 10.0 ** np.arange(-3, 5)

@@ -9,7 +9,8 @@ n psi(X/n, alpha/n) is the perspective of a convex function, jointly convex, and
 such a sum is convex: phi is so in everything that is carried.  V = sum n_i U_i(1/N), N = sum n_j, where all
 U_i' are one function, else ``ngvisco.physics.equilibrium``.  N f(X/n) is linear, C : (X - n I), where f is.
 Any other f is that of (n + eta N, X + eta N I)/(1 + eta bodies), an affine map that leaves phi convex: a
-body that is absent is a trace of matter at rest.
+body that is absent is a trace of matter at rest.  Bodies with heat (``ngvisco.physics.mixed_heat``) have one
+temperature and one entropy s, and V(n) becomes W(n, s).
 
 Of the flow body i sees W + chi_i D and chi_i Pi_i, 0 <= chi_i <= 1 by its fraction (``taking_part``): where
 there is none of it, or less than none, it is turned and not stretched, and bears no stress.
@@ -30,8 +31,9 @@ from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.physics.array_slope import array_response
 from ngvisco.physics.bodies import AMOUNT, Amount, Body, Content
 from ngvisco.physics.equilibrium import Volumetric as VolumetricEnergy
-from ngvisco.physics.equilibrium import equilibrium
+from ngvisco.physics.equilibrium import equilibrium, thermal_equilibrium
 from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.mixed_heat import MixedHeat, heat_of, without_heat
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed
 from ngvisco.physics.pointwise import Respond, Response
 from ngvisco.physics.reference_energy import ReferenceEnergy, Volumetric
@@ -116,9 +118,18 @@ class Mixture(Material):
     def energies(self) -> tuple[ReferenceEnergy, ...]:
         """psi_i of the bodies."""
         return tuple(
-            ReferenceEnergy(material=body.material, owner=f"bodies[{body.name!r}].material")
+            ReferenceEnergy(material=without_heat(body), owner=f"bodies[{body.name!r}].material")
             for body in self.bodies
         )
+
+    @cached_property
+    def heat(self) -> MixedHeat | None:
+        """The bodies' heat; None of such without."""
+        return heat_of(self.bodies)
+
+    def amounts(self, z: Values) -> dict[str, Any]:
+        """n_i by the bodies' names."""
+        return {body.name: z[AMOUNT + body.name] for body in self.bodies}
 
     def require(self) -> None:
         """Raise ParameterError for an energy that is not convex per reference volume."""
@@ -163,7 +174,8 @@ class Mixture(Material):
         contents = (content for body in self.bodies for content in self.contents(body.name))
         share = 1 / len(self.bodies)
         amounts = (Amount(AMOUNT + b.name, density=b.density or 0.0, share=share) for b in self.bodies)
-        return (*contents, *amounts, *self._parameters())
+        entropy = () if self.heat is None else (self.heat.entropy,)
+        return (*contents, *amounts, *entropy, *self._parameters())
 
     def with_elastic_state(self, state: ElasticState) -> Mixture:
         bodies = (replace(body, material=body.material.with_elastic_state(state)) for body in self.bodies)
@@ -181,17 +193,26 @@ class Mixture(Material):
         first, *others = self.energies
         size = _SAME * abs(first.volumetric).max()
         same = all(abs(psi.volumetric - first.volumetric).max() <= size for psi in others)
+        if self.heat is not None and not self.heat.has_one_pressure and others:
+            return False
         return same and (not others or not any(psi.reads_parameters_in_volume for psi in self.energies))
 
     def bounds(self, z: Values) -> dict[str, Values]:
         """What must be > 0: N; sum n_i/U_i'' at rest, less a tenth of its least value, where these differ, or
-        there is no common pressure; and n_i, but for half of what f_i adds to it, where one is not linear."""
+        there is no common pressure; sum n_i c_i, less a tenth of its least; and n_i, but for half of what f_i
+        adds to it, where one is not linear."""
         total = self.fractions.total(z)
         found = {"the sum of the amounts": total}
         if not self.has_one_volume:
-            soft = [1 / psi.stiffness for psi in self.energies]
+            heat = [0.0] * len(self.bodies) if self.heat is None else self.heat.stiffnesses
+            soft = [1 / (psi.stiffness + more) for psi, more in zip(self.energies, heat, strict=True)]
             parts = (c * z[AMOUNT + name] for c, name in zip(soft, self.fractions.bodies, strict=True))
             found["the compliance of the bodies"] = (1 / min(soft)) * reduce(add, parts) - 0.1 * total
+        if self.heat is not None:
+            least = min(each.c for each in self.heat.parts.values())
+            found["the heat capacity of the bodies"] = (1 / least) * self.heat.capacity(
+                self.amounts(z)
+            ) - 0.1 * total
         if not all(psi.is_linear for psi in self.energies):
             for name in self.fractions.bodies:
                 found[f"{AMOUNT}{name} + {TRACE / 2:g} N"] = z[AMOUNT + name] + (0.5 * TRACE) * total
@@ -266,6 +287,8 @@ class Mixture(Material):
             z[AMOUNT + body.name] * Volumetric(psi=psi).energy({**z, "J": J})
             for body, psi in zip(self.bodies, self.energies, strict=True)
         ]
+        if self.heat is not None:
+            parts.append(self.heat.energy(self.amounts(z), z[self.heat.entropy.name], J))
         return reduce(add, [*parts, *self.shears(z).values()])
 
     def response(self, dim: int) -> Respond | None:
@@ -294,6 +317,9 @@ class _InEquilibrium:
         slices = mixture.states(dim).slices
         self.amounts = [slices[AMOUNT + body.name].start for body in mixture.bodies]
         self.shears = array_response(_Shears(mixture=mixture), dim)
+        self.heat = None if mixture.heat is None else tuple(mixture.heat.parts.values())
+        self.entropy = None if mixture.heat is None else mixture.heat.entropy
+        self.of_entropy = -1 if self.entropy is None else slices[self.entropy.name].start
         self.volumes = []
         for psi in mixture.energies:
             material = Volumetric(psi=psi)
@@ -311,15 +337,25 @@ class _InEquilibrium:
             return at
 
         n = np.ascontiguousarray(states[:, self.amounts])
-        value, slope, hessian = equilibrium([volumetric(i) for i in range(len(self.volumes))], n)
+        volumes, where = [volumetric(i) for i in range(len(self.volumes))], self.amounts
+        if self.entropy is None or self.heat is None:
+            value, slope, hessian = equilibrium(volumes, n)
+        else:
+            unit, where = self.entropy.unit, [*where, self.of_entropy]
+            value, slope, hessian = thermal_equilibrium(
+                volumes, self.heat, n, unit * states[:, self.of_entropy]
+            )
+            counted = np.append(np.ones(n.shape[1]), unit)
+            slope, hessian = slope * counted, hessian * np.outer(counted, counted)
         result = self.shears(states)
-        result.slope[:, self.amounts] += slope
-        result.hessian[np.ix_(range(len(n)), self.amounts, self.amounts)] += hessian
+        result.slope[:, where] += slope
+        result.hessian[np.ix_(range(len(n)), where, where)] += hessian
         bad = ~np.isfinite(value)
         failure = None
         if bad.any():
             at = ", ".join(f"{amount:.3g}" for amount in n[bad][0])
-            failure = f"bodies have no common pressure at {int(bad.sum())} points, e.g. for the amounts {at}"
+            common = "pressure" if self.entropy is None else "pressure and temperature"
+            failure = f"bodies have no common {common} at {int(bad.sum())} points, e.g. for the amounts {at}"
         return Response(result.energy + value, result.slope, result.hessian, failure)
 
 

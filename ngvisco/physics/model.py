@@ -21,6 +21,7 @@ from ngvisco.physics.materials.damaged import damage_in
 from ngvisco.physics.materials.hardened import hardened
 from ngvisco.physics.materials.heterogeneous import carrying
 from ngvisco.physics.materials.thermal import entropy_in, thermal_part, warming
+from ngvisco.physics.mixed_heat import HeatLaw, HeatOfBodies, require_heat_of_all
 from ngvisco.physics.mixture import MixedViscosity, Mixture, mixed_viscosity
 from ngvisco.physics.parameters import parameters_in
 from ngvisco.physics.regularisation import Regularisation
@@ -193,7 +194,11 @@ class Model:
             raise ParameterError("Model.creep", self.creep, "a material with a conformation tensor")
         state = "B" if self.bodies else default_elastic_state(self.creep)
         plain = hardened(self.material.with_elastic_state(state), None)
-        material = hardened(carrying(plain, carried), None if self.creep is None else self.creep.hardening)
+        if isinstance(plain, Mixture):
+            material: Material = plain.with_carried(carried)
+        else:
+            rule = None if self.creep is None else self.creep.hardening
+            material = hardened(carrying(plain, carried), rule)
         check_material(material)
         object.__setattr__(self, "material", material)
         if isinstance(material, Mixture):
@@ -226,6 +231,15 @@ class Model:
             return ()
         return (Flow(self.creep, tuple(v.name for v in self.material.variables if v.creeps)),)
 
+    @property
+    def heat_law(self) -> HeatLaw:
+        """What the model and its bodies say of heat."""
+        common = self.heat or Heat()
+        parts = {body.name: body.heat for body in self.bodies if body.heat is not None}
+        if not (parts and isinstance(self.material, Mixture)):
+            return common
+        return HeatOfBodies(common, parts, self.material.fractions)
+
     def _check_heat(self, material: Material) -> None:
         if self.heat is not None and entropy_in(material) is None:
             expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
@@ -236,7 +250,10 @@ class Model:
             expected = f"an energy convex in the entropy: at rest d theta/d s is {slope:.4g} K, not > 0"
             raise ParameterError("Model.material", material, expected)
         if self.heat is not None and self.heat.numerical_heating and material.response(3) is not None:
-            expected = "False for an energy without an expression, as that of a Yosida approximation"
+            expected = (
+                "False for an energy without an expression, as that of a Yosida approximation, or of bodies "
+                "whose pressures are different functions of volume and temperature"
+            )
             raise ParameterError("Heat.numerical_heating", True, expected)
 
     def _check_damage(self, material: Material) -> None:
@@ -278,10 +295,8 @@ class Model:
 
     def _require_local_laws_of_bodies(self) -> None:
         """Raise ParameterError for a law that bodies cannot have beside others."""
+        require_heat_of_all(self.bodies)
         for body in self.bodies:
-            if entropy_in(body.material) is not None:
-                expected = "a material without heat: bodies at one point have no entropy in common"
-                raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
             if getattr(body.material, "J_min", None) is not None:
                 expected = "J_min = None: continued below it, the energy is not convex per reference volume"
                 raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)

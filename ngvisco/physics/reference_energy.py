@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from ngsolve import CoefficientFunction
@@ -166,7 +167,9 @@ class Volumetric(Material):
         return tuple(v for v in self.psi.variables if v not in self.psi.tensors)
 
     def energy(self, z: Values) -> CoefficientFunction:
-        return self.psi.energy({**z, **{v.name: IDENTITY for v in self.psi.tensors}})
+        J: Any = z["J"]
+        identity = J.constant(np.eye(3)) if hasattr(J, "constant") else IDENTITY
+        return self.psi.energy({**z, **{v.name: identity for v in self.psi.tensors}})
 
 
 def _is_density(variable: DistortionTensor) -> bool:

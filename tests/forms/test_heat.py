@@ -237,9 +237,110 @@ def test_a_law_of_heat_names_what_is_wrong(given, said):
         ({"temperature": 0.0, "coefficient": 1.0}, r"WallHeat\.temperature"),
         ({"temperature": 300.0}, r"WallHeat\.coefficient"),
         ({"flux": math.nan}, r"WallHeat\.flux"),
+        ({"friction_share": 1.5}, r"WallHeat\.friction_share"),
         ({}, r"WallHeat\.flux"),
     ],
 )
 def test_heat_through_a_wall_names_what_is_wrong(given, said):
     with pytest.raises(nv.NgviscoError, match=said):
         nv.WallHeat(**given)
+
+
+THINNER = nv.ActivatedViscosity(viscosity=VISCOSITY, E=20.0, theta_R=1.0)
+
+
+def bodies_of(pair, **changes):
+    """Two halves, of which the left one creeps, thinner where they are warm."""
+    cold = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
+    laws = {"left": {"where": 0.5 - x, "creep": nv.Creep(G_m=1.0)}, "rest": changes}
+    return [
+        nv.Body(
+            name=name,
+            material=nv.Thermal(material=cold, theta_R=1.0, **given),
+            viscosity=THINNER,
+            density=1.0,
+            **own,
+        )
+        for (name, own), given in zip(laws.items(), pair, strict=True)
+    ]
+
+
+PAIRS_OF_BODIES = {
+    "euler": ({"c": 3.0, "expansion": 0.1}, {"c": 1.0, "expansion": 0.1}),
+    "relaxed midpoint": ({"c": 3.0, "expansion": 0.1}, {"c": 1.0, "expansion": 0.3}),
+}
+"""Of one thermal pressure, so that the energy has an expression, and of two."""
+
+
+@pytest.mark.parametrize(
+    "kind", ["euler", pytest.param("relaxed midpoint", marks=[pytest.mark.long, pytest.mark.ci])]
+)
+def test_bodies_keep_their_energy_and_gain_entropy_in_both_solvers(kind):
+    """Viscosity, creep, friction and conduction, the right half by its own law; what the limiter takes is no
+    heat."""
+    _, options, numerical = CLOSED[kind]
+    tolerance = 3e-14 if numerical else 1e-12  # relaxed no energy is lost; else in proportion to it
+    bodies = bodies_of(PAIRS_OF_BODIES[kind], heat=nv.Heat(conductivity=lambda theta: 0.1 * theta))
+    model = nv.Model(bodies=bodies, heat=nv.Heat(conductivity=0.02, numerical_heating=numerical))
+    start, found = nv.Initial(velocity=SWIRL, temperature=1.2), []
+    for solver in ("coupled", "split"):
+        run = nv.Simulation(
+            box((1, 1), maxh=0.7),
+            model,
+            time=nv.TimeSteps(dt=0.05, **options),
+            initial=start,
+            solver=solver,
+            walls={"bottom": nv.NavierFriction(0.2)},
+            newton=nv.NewtonOptions(tolerance=tolerance),
+        )
+        before = run.fields["temperature"]
+        exact = 1e-12 if numerical else 1e-2  # of bodies that share a cell of other pressures
+        assert [before(run.mesh(at, 0.3)) for at in (0.1, 0.9)] == pytest.approx([1.2, 1.2], rel=exact)
+        ledger = run.run(0.1)
+        dt = ledger.column("dt")
+        heated = (dt * ledger.column("power_heat_dissipated")).sum()
+        taken = np.cumsum(ledger.column("limiter") + ledger.column("limiter_walls"))
+        assert abs(energy(ledger) + taken - energy(ledger)[0]).max() <= 1e-12 * heated
+        entropy = ledger.column("entropy")
+        assert (np.diff(entropy) > 0).all() and (produced(ledger) >= 0).all()
+        assert np.diff(entropy) == pytest.approx(dt[1:] * produced(ledger).sum(axis=0), rel=1e-10)
+        assert {"entropy_production_creep", "entropy_production_conduction"} <= set(ledger.columns)
+        found.append(
+            [ledger.column(name)[-1] for name in ("kinetic", "stored", "entropy", "temperature_min")]
+        )
+    assert found[0] == pytest.approx(found[1], rel=1e-8)
+
+
+def test_a_body_that_is_heated_is_warmer_than_the_other():
+    """The right half, c = 1, by 2 W/m^3 in 0.05 s: 0.1 K; the left by nothing."""
+    pair = ({"c": 3.0}, {"c": 1.0})
+    bodies = bodies_of(pair, heat=nv.Heat(source=2.0))
+    model = nv.Model(bodies=bodies, heat=nv.Heat(numerical_heating=True))
+    start = nv.Initial(temperature=1.0)
+    run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.05, initial=start)
+    ledger = run.run(0.05)
+    u, q = run.rothe_step.now, run.rothe_step.quadrature
+    share = run.model.material.fractions.not_negative(u.z_tensors)["rest"]
+    assert ledger.column("power_heat_source")[-1] == pytest.approx(2.0 * q.integrate_cells(share), rel=1e-9)
+    assert np.diff(energy(ledger)) == pytest.approx(0.05 * ledger.column("power_heat_source")[1:], rel=1e-9)
+    theta = run.fields["temperature"]
+    warmed = [theta(run.mesh(at, 0.5)) for at in (0.05, 0.95)]
+    assert warmed == pytest.approx([1.0, 1.1], rel=1e-3)  # fractions of cells that both meet in
+
+
+@pytest.mark.parametrize("solver", ["coupled", "split"])
+def test_friction_shares_its_heat_with_the_wall(solver):
+    share = 0.25
+    wall = nv.NavierFriction(0.2, heat=nv.WallHeat(friction_share=share))
+    ledger = run_of(solver, nv.Heat(numerical_heating=True), laws={}, walls={"bottom": wall}).ledger
+    lost = -ledger.column("power_heat_friction_bottom")
+    assert (lost[1:] > 0).all()
+    assert lost[1:] == pytest.approx(
+        (1 - share) * ledger.column("dissipation_friction_bottom")[1:], rel=1e-12
+    )
+    assert np.diff(energy(ledger)) == pytest.approx(-0.05 * lost[1:], rel=1e-8)
+    kept = produced(ledger).sum(axis=0) + ledger.column("entropy_supply_friction_bottom")[1:]
+    assert np.diff(ledger.column("entropy")) == pytest.approx(0.05 * kept, rel=1e-9)
+    with pytest.raises(nv.NgviscoError, match=r"walls\['left'\]\.heat\.friction_share.*without friction"):
+        walls = {"left": nv.Slip(heat=nv.WallHeat(friction_share=share))}
+        run_of(solver, walls=walls, steps=0)

@@ -272,7 +272,6 @@ class SharesOnly:
         (lambda: [disc(), rest(material=nv.LinearElastic(K_e=1.0, G_e=1.0))], "'E'; ReferentialNeo"),
         (lambda: [disc(material=BY_F), rest()], r"bodies\['disc'\].material.*elastic_state"),
         (lambda: [disc(material=VARIED), rest()], "a bulk modulus that is a number"),
-        (lambda: [disc(material=nv.Thermal(material=SOLID, c=1.0, theta_R=1.0)), rest()], "without heat"),
         (lambda: [disc(material=nv.Yosida(material=SOLID, eps=0.01)), rest()], "Yosida approximation"),
         (lambda: [disc(creep=nv.Creep(G_m=1.0, nu=0.1)), rest()], "nu = 0"),
     ],

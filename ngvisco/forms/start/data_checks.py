@@ -45,11 +45,12 @@ _DEGREE = 6  # of the rule whose points are looked at on walls
 def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
     """Raise ParameterError for a load or source of heat not finite at a sampling point at a time (s)."""
     dim, times = step.mesh.dim, list(times)
-    source = step.model.heat.source if step.model.heat is not None else None
-    for t in _at(times if source is not None else ()):
-        if not sampler.ranks.all(np.isfinite(sampler.values(CF(source))).all()):
-            expected = f"finite values; at t = {t:g} s it is not finite somewhere"
-            raise ParameterError("Heat.source", source, expected)
+    for body, source in step.model.heat_law.sources:
+        owner = "Heat.source" if body is None else f"bodies[{body!r}].heat.source"
+        for t in _at(times):
+            if not sampler.ranks.all(np.isfinite(sampler.values(CF(source))).all()):
+                expected = f"finite values; at t = {t:g} s it is not finite somewhere"
+                raise ParameterError(owner, source, expected)
     for load in step.model.loads:
         name, value = ("force", load.force) if isinstance(load, BodyForce) else ("g", load.g)
         vector = force_of(load, dim)

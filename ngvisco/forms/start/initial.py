@@ -68,7 +68,9 @@ class Initial:
         (J_0 = det F_0, E_0 = sym F_0 - I, ...); the identity where nothing is said, with a referential
         density (rho_R/rho_0)^{1/3} I. In 2D its 13, 23, 31, 32 entries are 0.
     temperature : number or coefficient function, optional
-        Initial temperature of a material that has one; its reference temperature where nothing is said.
+        Initial temperature of a material that has one; its reference temperature where nothing is said.  Of
+        bodies whose thermal pressures differ it is that of each by itself: in cells that they share they
+        come to one pressure, and to a temperature a little beside it.
     values : mapping of names to coefficient functions, optional
         Initial values of single variables of the material, by name, in place of the derived ones, and of
         further terms' unknowns that evolve, else zero.
@@ -277,14 +279,35 @@ def _entropy(
         if initial.temperature is not None:
             raise ParameterError("Initial.temperature", initial.temperature, "None beside a start entropy")
         return {}
+    if isinstance(material, Mixture):
+        return {entropy.name: _entropy_of_bodies(material, initial, values, sampler)}
     thermal = thermal_part(material)
     if thermal is None:
         expected = f"the start of {entropy.name!r}: by a temperature only nv.Thermal knows it"
         raise ParameterError("Initial.values", initial.values, expected)
-    given = thermal.theta_R if initial.temperature is None else initial.temperature
+    theta = _temperature(initial, thermal.theta_R, sampler)
+    return {entropy.name: thermal.start(theta, values["A"])}
+
+
+def _entropy_of_bodies(
+    material: Mixture, initial: Initial, values: Mapping[str, CoefficientFunction], sampler: Sampler
+) -> CoefficientFunction:
+    """By the volume that all have at a point at the start; where bodies meet they share it then."""
+    heat = material.heat
+    assert heat is not None
+    if heat.reference_temperature is None and initial.temperature is None:
+        expected = "a temperature: those of reference, theta_R, differ from body to body"
+        raise ParameterError("Initial.temperature", None, expected)
+    theta = _temperature(initial, heat.reference_temperature, sampler)
+    return heat.start(theta, material.amounts(values), 1 / material.fractions.total(values))
+
+
+def _temperature(initial: Initial, default: float | None, sampler: Sampler) -> CoefficientFunction:
+    """theta of the start, K."""
+    given = default if initial.temperature is None else initial.temperature
     theta = as_shape("Initial.temperature", given, ())
     sampler.require(theta, "temperature theta_0", minimum=0.0)
-    return {entropy.name: thermal.start(theta, values["A"])}
+    return theta
 
 
 def _check_density_range(density: CoefficientFunction, sampler: Sampler) -> None:

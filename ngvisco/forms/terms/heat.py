@@ -27,8 +27,8 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand, PointTerm, Term, dissipations
 from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.forms.upwinding import SideMean
-from ngvisco.physics.heat import Heat
 from ngvisco.physics.materials.thermal import Entropy, entropy_in
+from ngvisco.physics.mixed_heat import HeatLaw
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner, linear_map, square
 
@@ -41,7 +41,7 @@ def penalty_weight(m: int) -> float:
 class _OfEntropy(PointTerm):
     """A term in the equation of the entropy."""
 
-    def __init__(self, law: Heat, entropy: Entropy) -> None:
+    def __init__(self, law: HeatLaw, entropy: Entropy) -> None:
         self.law, self.entropy = law, entropy
 
     def zeta(self, u: Fields) -> CoefficientFunction:
@@ -68,27 +68,39 @@ class _OfEntropy(PointTerm):
 
     def flux(self, u: Fields) -> CoefficientFunction:
         """kappa grad theta, W/m^2."""
-        return self.law.flux(self.theta(u), self.grad_theta(u), u.dim)
+        return self.law.flux(self.theta(u), self.grad_theta(u), u.z_tensors, u.dim)
+
+    def conductivity(self, u: Fields) -> CoefficientFunction:
+        """kappa, of a matrix its largest eigenvalue, W/(m K)."""
+        return self.law.size(self.theta(u), u.z_tensors)
 
 
 class Heating(_OfEntropy):
     """-int xi q/zeta_s: all that is dissipated, sources, and what comes through walls."""
 
-    def __init__(self, law: Heat, entropy: Entropy, walls: Walls) -> None:
+    def __init__(self, law: HeatLaw, entropy: Entropy, walls: Walls) -> None:
         super().__init__(law, entropy)
-        self._source = None if law.source is None else CF(law.source)
+        self._sources = [(body, CF(source)) for body, source in law.sources]
         of_walls = {name: wall.heat for name, wall in walls.conditions.items() if wall.heat is not None}
         self._walls = {
-            name: tuple(CF(0.0 if value is None else value) for value in vars(heat).values())
+            name: tuple(
+                CF(0.0 if value is None else value)
+                for value in (heat.temperature, heat.coefficient, heat.flux)
+            )
             for name, heat in of_walls.items()
+        }
+        self._to_walls = {
+            name: 1 - heat.friction_share for name, heat in of_walls.items() if heat.friction_share < 1
         }
         self._indicators = {name: facet_indicator(walls.mesh, [name]) for name in of_walls}
 
     def _supplied(self, u: Fields) -> dict[str, CoefficientFunction]:
         """Sources of heat in cells beside what is dissipated, W/m^3, by the ledger's columns."""
         found = {}
-        if self._source is not None:
-            found["power_heat_source"] = u.context.given(self._source)
+        if self._sources:
+            given = u.context.given
+            parts = (self.law.share(body, u.z_tensors) * given(source) for body, source in self._sources)
+            found["power_heat_source"] = reduce(add, parts)
         if self.law.numerical_heating:
             found["power_heat_numerical"] = u.context.rate(self._remainder(u))
         return found
@@ -108,6 +120,10 @@ class Heating(_OfEntropy):
             temperature, coefficient, flux = (u.context.given(value) for value in values)
             heat = flux + coefficient * (temperature - self.theta(u))
             found[f"power_heat_{name}"] = u.context.given(self._indicators[name]) * heat
+        if self._to_walls:
+            dissipated = dissipations(u, self, on_facets=True)
+            for name, share in self._to_walls.items():
+                found[f"power_heat_friction_{name}"] = -share * dissipated[f"dissipation_friction_{name}"]
         return found
 
     @property
@@ -187,7 +203,7 @@ class MeanHeatFlux(_OfEntropy, SideMean):
 
     def value(self, u: Fields) -> CoefficientFunction:
         c, theta = u.context, self.theta(u)
-        weight = penalty_weight(u.layout.discretisation.m) * self.law.size(theta) / c.h
+        weight = penalty_weight(u.layout.discretisation.m) * self.conductivity(u) / c.h
         return inner(self.flux(u), c.normal) - weight * (theta - u.parts["theta_hat"])
 
 
@@ -203,7 +219,7 @@ class Conduction(_OfEntropy):
     has no part in either identity and brings down the production of entropy.
     """
 
-    def __init__(self, law: Heat, entropy: Entropy, flux: MeanHeatFlux) -> None:
+    def __init__(self, law: HeatLaw, entropy: Entropy, flux: MeanHeatFlux) -> None:
         super().__init__(law, entropy)
         self._mean = flux
 
@@ -236,7 +252,7 @@ def heat_terms(model: Model, walls: Walls) -> list[Term]:
                 expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
                 raise ParameterError(f"walls[{name!r}].heat", wall.heat, expected)
         return []
-    law = model.heat or Heat()
+    law = model.heat_law
     terms: list[Term] = [Heating(law, entropy, walls)]
     if law.conducts:
         flux = MeanHeatFlux(law, entropy)

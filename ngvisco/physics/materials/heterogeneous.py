@@ -11,7 +11,6 @@ from ngvisco.physics.material import Material
 from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.materials.wrapper import Wrapper
 from ngvisco.physics.materials.yosida import Yosida
-from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.parameters import Parameter, distinct, substituted
 from ngvisco.physics.variables import Values, Variable
 
@@ -54,8 +53,6 @@ def carrying(material: Material, parameters: Sequence[Parameter]) -> Material:
     ParameterError
         For a parameter of the name of another one that the material has.
     """
-    if isinstance(material, Mixture):
-        return material.with_carried(parameters)
     if isinstance(material, (WithQuadratic, Yosida)):
         return replace(material, material=carrying(material.material, parameters))
     own = tuple(v for v in material.variables if isinstance(v, Parameter))

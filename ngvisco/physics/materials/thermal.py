@@ -169,26 +169,50 @@ class Thermal(Material):
     def energy(self, z: Values) -> CoefficientFunction:
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         unit = self.entropy.unit / self.c
-        phi = heat * (A * exp(unit * z["s"] * J - self._g(J)) - A)
-        if self.gruneisen is None and self._Gamma:
+        phi = heat * (A * exp(unit * z["s"] * J - self.g(J)) - A)
+        if self.coupling and not self.is_absolute:
             phi = phi + heat * self._Gamma * (1 - A)
         if self.material is None:
             return phi
         return phi + self.material.energy({v.name: z[v.name] for v in self.material.variables})
 
-    def _g(self, J: Any) -> Any:
+    @property
+    def is_absolute(self) -> bool:
+        """Whether the thermal pressure is that of a gas, c Gamma theta/J, in place of
+        c Gamma (theta - theta_R)."""
+        return self.gruneisen is not None
+
+    @property
+    def coupling(self) -> float:
+        """c Gamma, Pa/K."""
+        return self.c * self._Gamma
+
+    def g(self, J: Any) -> Any:
         """g of the module's docstring."""
-        return self._Gamma * (J - 1) if self.gruneisen is None else self._Gamma * log(J)
+        return self._Gamma * (log(J) if self.is_absolute else J - 1)
+
+    def entropy_of(self, theta: Any, J: Any) -> Any:
+        """S, J/(m^3 K), of the temperature theta, K."""
+        return self.c * (log(theta / self.theta_R) + self.g(J))
 
     def start(self, theta: Any, A: Any) -> CoefficientFunction:
         """The carried entropy of a temperature theta, K, and A = 1/J."""
-        return self.c / self.entropy.unit * A * (log(theta / self.theta_R) + self._g(1 / A))
+        return 1 / self.entropy.unit * A * self.entropy_of(theta, 1 / A)
+
+    def free(self, theta: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The thermal part of the free energy eps - theta S, Pa, its first and second derivative by J, S,
+        and dS/dJ, J/(m^3 K)."""
+        excess = theta - (0.0 if self.is_absolute else self.theta_R)
+        slope = self.coupling * (1 / J if self.is_absolute else np.ones_like(J))
+        curvature = excess * self.coupling / J**2 if self.is_absolute else np.zeros_like(J)
+        ratio = np.log(theta / self.theta_R)
+        g = self._Gamma * (np.log(J) if self.is_absolute else J - 1)
+        value = self.c * (theta - self.theta_R - theta * ratio - excess * g)
+        return value, -excess * slope, curvature, self.c * (ratio + g), slope
 
     def pressure(self, theta: float, J: float = 1.0) -> float:
         """The thermal pressure, Pa."""
-        if self.gruneisen is None:
-            return self._Gamma * self.c * (theta - self.theta_R)
-        return self._Gamma * self.c * theta / J
+        return self.coupling * (theta / J if self.is_absolute else theta - self.theta_R)
 
 
 def temperature(material: Material, zeta: Values) -> CoefficientFunction | None:

@@ -61,7 +61,7 @@ class ConductionBlocks:
 
     def _kappa(self, at: Evaluation) -> np.ndarray:
         """kappa at the points, W/(m K)."""
-        kappa = self.term.law.size(self.term.theta(at.cells))
+        kappa = self.term.conductivity(at.cells)
         return kappa.value if isinstance(kappa, Array) else np.full(at.cells.z.value.shape[-1], kappa)
 
     def _mean(self, values: np.ndarray) -> np.ndarray:

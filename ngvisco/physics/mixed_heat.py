@@ -1,0 +1,179 @@
+"""Heat of bodies that share a point: one temperature, as there is one pressure.
+
+Body i has the internal energy eps_i(S, J) = U_i(J) + u_i(S, J) per reference volume (``Thermal``), and all
+share the entropy s per actual volume.  What is not of shear is
+
+    W(n, s) = min over J_i, S_i with sum n_i J_i = 1 and sum n_i S_i = s of  sum n_i eps_i(S_i, J_i),
+
+jointly convex in (n, s), as a least value of a sum of perspectives.  By the envelope theorem dW/ds is the
+temperature that all have in common.  S_i = c_i (ln(theta/theta_R,i) + g_i(J_i)), so that at known volumes
+
+    ln theta = (s + sum n_i c_i (ln theta_R,i - g_i(J_i)))/sum n_i c_i.
+
+Where all thermal pressures are one function of (J, theta), and all U_i' one of J, all J_i are 1/N and W has
+an expression; else ``ngvisco.physics.equilibrium`` has it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from operator import add
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ngvisco.errors import ParameterError
+from ngvisco.physics.bodies import Body
+from ngvisco.physics.heat import Function, Heat
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials.thermal import Entropy, Thermal, entropy_in
+from ngvisco.physics.tensors import exp
+from ngvisco.physics.variables import Values
+
+_SAME = 1e-9
+"""Relative difference of thermal pressures that are one function."""
+
+
+def without_heat(body: Body) -> Material:
+    """The body's material without its heat."""
+    warm = body.material
+    return warm.material if isinstance(warm, Thermal) and warm.material is not None else warm
+
+
+@dataclass(frozen=True)
+class MixedHeat:
+    """The thermal energies of bodies.
+
+    Parameters
+    ----------
+    parts : mapping of names to Thermal
+        The materials of the bodies.
+    """
+
+    parts: Mapping[str, Thermal]
+
+    @cached_property
+    def entropy(self) -> Entropy:
+        """The carried one, which counts in the first of the units that are given, else heat capacities."""
+        units = [each.entropy_unit for each in self.parts.values() if each.entropy_unit]
+        return Entropy(unit=units[0] if units else max(each.c for each in self.parts.values()))
+
+    @cached_property
+    def has_one_pressure(self) -> bool:
+        """Whether the thermal pressure is one function of J and theta."""
+        first, *others = self.parts.values()
+        kinds = {each.is_absolute for each in self.parts.values() if each.coupling}
+        at_rest = [(each.coupling, each.coupling * each.theta_R) for each in (first, *others)]
+        return len(kinds) < 2 and bool(
+            np.ptp([kappa for kappa, _ in at_rest]) <= _SAME * abs(first.coupling)
+            and (True in kinds or np.ptp([p for _, p in at_rest]) <= _SAME * abs(at_rest[0][1]))
+        )
+
+    @property
+    def reference_temperature(self) -> float | None:
+        """theta_R, K, where it is that of all."""
+        found = {each.theta_R for each in self.parts.values()}
+        return found.pop() if len(found) == 1 else None
+
+    @property
+    def stiffnesses(self) -> list[float]:
+        """What heat adds to U_i'' at rest, Pa."""
+        return [each.coupling * each.theta_R if each.is_absolute else 0.0 for each in self.parts.values()]
+
+    def capacity(self, n: Mapping[str, Any]) -> Any:
+        """sum n_i c_i, J/(m^3 K)."""
+        return reduce(add, (each.c * n[name] for name, each in self.parts.items()))
+
+    def energy(self, n: Mapping[str, Any], s: Any, J: Any) -> Any:
+        """sum n_i u_i at the volumes J, Pa, by the carried number s."""
+        total, rest = self.entropy.unit * s, 0.0 * s
+        for name, each in self.parts.items():
+            expands = each.g(J) if each.coupling else 0.0
+            total = total + each.c * (math.log(each.theta_R) - expands) * n[name]
+            rest = rest + each.c * each.theta_R * (1 - (0.0 if each.is_absolute else expands)) * n[name]
+        capacity = self.capacity(n)
+        return capacity * exp((1 / capacity) * total) - rest
+
+    def start(self, theta: Any, n: Mapping[str, Any], J: Any) -> Any:
+        """The carried number of the temperature theta, K, where all bodies have the volume J."""
+        parts = [n[name] * each.entropy_of(theta, J) for name, each in self.parts.items()]
+        return 1 / self.entropy.unit * reduce(add, parts)
+
+
+def heat_of(bodies: Sequence[Body]) -> MixedHeat | None:
+    """Of bodies with heat; None of such without."""
+    parts = {body.name: body.material for body in bodies if isinstance(body.material, Thermal)}
+    return MixedHeat(parts) if parts else None
+
+
+def require_heat_of_all(bodies: Sequence[Body]) -> None:
+    """Raise ParameterError where bodies cannot have one temperature, or what one knows of heat is no use."""
+    warm = [body for body in bodies if entropy_in(body.material) is not None]
+    thermal = [body.material for body in warm if isinstance(body.material, Thermal)]
+    units = {each.entropy_unit for each in thermal if each.entropy_unit is not None}
+    for body in bodies:
+        owner, expected = f"bodies[{body.name!r}].material", ""
+        if warm and body not in warm:
+            expected = f"nv.Thermal(material=...), as {warm[0].name!r} has: all have one temperature"
+        elif body in warm and not isinstance(body.material, Thermal):
+            expected = "nv.Thermal(material=...) itself: of no other energy is a body's entropy known"
+        elif isinstance(body.material, Thermal) and body.material.material is None:
+            expected = "heat of a material: a gas bears no tension, and has no pressure beside what does"
+        elif len(units) > 1:
+            expected = f"one entropy_unit for all bodies, not {sorted(units)}: they share one entropy"
+        if expected:
+            raise ParameterError(owner, body.material, expected)
+        if body.heat is None:
+            continue
+        if not warm:
+            expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
+            raise ParameterError(f"bodies[{body.name!r}].heat", body.heat, expected)
+        if body.heat.numerical_heating:
+            expected = "False: what the scheme dissipates is of all bodies, Model(heat=...)"
+            raise ParameterError(f"bodies[{body.name!r}].heat.numerical_heating", True, expected)
+
+
+@dataclass(frozen=True)
+class HeatOfBodies:
+    """What a model says of heat and, by its fraction, each body: kappa = kappa_0 + sum theta_i kappa_i.
+
+    Its methods are those of ``Heat``.
+    """
+
+    common: Heat
+    parts: Mapping[str, Heat]
+    fractions: Any
+    """``ngvisco.physics.mixture.Fractions``."""
+
+    @property
+    def conducts(self) -> bool:
+        return self.common.conducts or any(law.conducts for law in self.parts.values())
+
+    @property
+    def numerical_heating(self) -> bool:
+        return self.common.numerical_heating
+
+    @property
+    def sources(self) -> list[tuple[str | None, Function]]:
+        found = [(name, law.source) for name, law in self.parts.items() if law.source is not None]
+        return [*self.common.sources, *found]
+
+    def share(self, body: str | None, z: Values) -> Any:
+        return 1.0 if body is None else self.fractions.not_negative(z)[body]
+
+    def size(self, theta: Any, z: Values) -> Any:
+        return reduce(add, (share * law.size(theta, z) for share, law in self._conducting(z)))
+
+    def flux(self, theta: Any, slope: Any, z: Values, dim: int) -> Any:
+        return reduce(add, (share * law.flux(theta, slope, z, dim) for share, law in self._conducting(z)))
+
+    def _conducting(self, z: Values) -> Iterator[tuple[Any, Heat]]:
+        for name, law in ((None, self.common), *self.parts.items()):
+            if law.conducts:
+                yield self.share(name, z), law
+
+
+HeatLaw: TypeAlias = Heat | HeatOfBodies
