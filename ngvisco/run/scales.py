@@ -36,7 +36,7 @@ _AT_REST = 1e-12
 """Components of the variables that differ by less from those at rest do so by rounding."""
 _FOLLOWED, _RELAXED, _ACROSS = 20, 5, 4
 """Steps in a wave's passage or in a relaxation time, and cells across the body, that are enough."""
-_RINGING, _STIFF, _DENSER = 10.0, 1e4, 1e3
+_RINGING, _STIFF, _DENSER = 10.0, 1e4, 1e2
 """Cells that waves cross in a step, ratios of moduli and of densities, above which a step is hard."""
 
 
@@ -121,10 +121,11 @@ class Scales:
                 f"the modulus of compression is {(fast / slow) ** 2:.2g} times that of shear: cells lock "
                 "with k = 2, and steps are hard to solve; take discretisation.k = 3, or a smaller K_e"
             )
-        if self.densities > _DENSER:
+        if self.densities > _DENSER * (1 + 1e-6):
             said.append(
-                f"densities differ {self.densities:.2g} times: what is light is thrown about beside what "
-                f"is heavy, and steps are hard to solve; take a ratio below {_DENSER:g}"
+                f"densities differ {self.densities:.2g} times: where their boundary moves through cells what "
+                "is light is thrown about, and steps are hard to solve; take a ratio up to "
+                f"{_DENSER:g}, and what is light as viscous as the other"
             )
         if self.velocity * self.dt > self.cell:
             said.append(
