@@ -14,6 +14,7 @@ from ngvisco.case.errors import CaseError
 from ngvisco.case.places import place_of
 from ngvisco.cli.main import main
 from ngvisco.geometries import box
+from ngvisco.physics.arrays import Array
 from ngvisco.shapes.fractions import volumes
 
 pytestmark = pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses")
@@ -324,3 +325,28 @@ def test_keys_of_bodies_are_explained():
     assert "kg/m^3" in reference.explain("bodies.N.density")
     with pytest.raises(nv.ParameterError, match="such as"):
         reference.explain("bodies.0.densty")
+
+
+def test_bodies_of_a_case_have_heat_each_by_its_own_material_and_law():
+    cold = '{ kind = "ReferentialNeoHookean", K_e = 10, G_e = 0.1, epsilon = 0.1 }'
+    warm = '{ kind = "Thermal", c = 3.0, theta_R = 300.0, expansion = 0.001, material = ' + cold + " }"
+    text = BODIES.replace(cold, warm).replace('kind = "ReferentialNeoHookean"\nK_e = 10', "@")
+    text, disc = text.split("[bodies.material]\n@")
+    disc = (
+        '[bodies.heat]\nconductivity = "0.5*theta"\nsource = "1 + x"\n[bodies.material]\nkind = "Thermal"\n'
+        + (
+            'c = 1.0\ntheta_R = 300.0\n[bodies.material.material]\nkind = "ReferentialNeoHookean"\nK_e = 10'
+            + disc
+        )
+    )
+    heat = '[rheology.heat]\nconductivity = 0.1\n[initial]\ntemperature = "310 + x"\n'
+    model = case(HEAD + heat + text + disc).model(2)
+    assert [body.material.c for body in model.bodies] == [3.0, 1.0]
+    fluid, disc_alone = ({"n_fluid": a, "n_disc": b} for a, b in ((1.0, 0.0), (0.0, 1.0)))
+    z = [{name: Array(np.array([value]), None) for name, value in one.items()} for one in (fluid, disc_alone)]
+    theta = Array(np.array([300.0]), None)
+    assert [float(model.heat_law.size(theta, one).value[0]) for one in z] == pytest.approx([0.1, 150.1])
+    with pytest.raises(CaseError, match=r"bodies\.1\.heat\.conductivity: -1"):
+        case(HEAD + heat + text + disc.replace('"0.5*theta"', "-1.0")).model(2)
+    with pytest.raises(CaseError, match=r"bodies\.0\.material.*all have one temperature"):
+        case(HEAD + heat + text.replace(warm, cold) + disc).model(2)

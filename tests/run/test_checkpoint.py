@@ -32,6 +32,7 @@ def observers(directory):
     ]
 
 
+SOLID = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
 HEATED = nv.Thermal(material=nv.LinearElastic(K_e=10.0, G_e=5.0), c=1.0, theta_R=1.0, expansion=0.1)
 
 
@@ -166,3 +167,36 @@ def test_bodies_with_energies_of_their_own_go_on_from_a_checkpoint(tmp_path):
     for other in (bodies(1.1), bodies(1.0, stiffness=6.0)):
         with pytest.raises(nv.CheckpointError, match=r"its (material|energies) "):
             other.restore(tmp_path / "run.h5")
+
+
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize("solver", ["coupled", "split"])
+def test_bodies_with_heat_go_on_bitwise_and_are_known_by_it(tmp_path, solver):
+    """Of two thermal pressures, whose equilibrium at a point is found anew in every evaluation."""
+    SetNumThreads(1)
+
+    def bodies(conductivity=0.1, **options):
+        parts = [
+            nv.Body(
+                name=name,
+                where=where,
+                material=nv.Thermal(material=SOLID, c=1.0, theta_R=1.0, expansion=expansion),
+                heat=nv.Heat(conductivity=conductivity),
+                density=1.0,
+            )
+            for name, where, expansion in (("left", 0.5 - x, 0.1), ("rest", None, 0.3))
+        ]
+        start = nv.Initial(velocity=(y - 0.5, 0.0), temperature=1 + 0.1 * x)
+        model = nv.Model(bodies=parts, viscosity=None)
+        return nv.Simulation(box((1, 1), maxh=0.7), model, dt=0.02, initial=start, solver=solver, **options)
+
+    whole, part, again = bodies(), bodies(observers=[nv.Checkpoints(tmp_path / "run.h5")]), bodies()
+    whole.run(0.08)
+    part.run(0.04)
+    again.restore(tmp_path / "run.h5")
+    again.run(0.08)
+    states = [run.rothe_step.state.vec.FV().NumPy() for run in (whole, again)]
+    assert np.array_equal(*states)
+    with pytest.raises(nv.CheckpointError, match="heat"):
+        bodies(conductivity=0.2).restore(tmp_path / "run.h5")
