@@ -29,7 +29,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.heat import WallHeat
 from ngvisco.physics.model import as_vector
-from ngvisco.physics.walls import HELD, MOVING, NavierFriction, NoSlip, Passage, Slip, Traction, Wall
+from ngvisco.physics.walls import HELD, MOVING, NoSlip, Passage, Slip, Traction, Wall
 
 Conditions: TypeAlias = "Mapping[str | tuple[str, ...], Wall] | Sequence[tuple[str | tuple[str, ...], Wall]]"
 
@@ -85,12 +85,6 @@ class Walls:
         for name, wall in self.conditions.items():
             if not (wall.heat is None or isinstance(wall.heat, WallHeat)):
                 raise ParameterError(f"walls[{name!r}].heat", wall.heat, "a WallHeat, or None")
-            rubs = isinstance(wall, NavierFriction) or (isinstance(wall, Traction) and wall.friction)
-            if wall.heat is not None and wall.heat.friction_share < 1 and not rubs:
-                expected = "1 on a wall without friction, NavierFriction or Traction(friction=...)"
-                raise ParameterError(
-                    f"walls[{name!r}].heat.friction_share", wall.heat.friction_share, expected
-                )
             if isinstance(wall, MOVING):
                 as_vector(wall.velocity, mesh.dim, f"walls[{name!r}].velocity")
             if isinstance(wall, Traction):

@@ -123,7 +123,13 @@ class Heating(_OfEntropy):
         if self._to_walls:
             dissipated = dissipations(u, self, on_facets=True)
             for name, share in self._to_walls.items():
-                found[f"power_heat_friction_{name}"] = -share * dissipated[f"dissipation_friction_{name}"]
+                friction = dissipated.get(f"dissipation_friction_{name}")
+                if friction is None:
+                    expected = (
+                        "1 on a wall without friction, as NavierFriction or Traction(friction=...) have"
+                    )
+                    raise ParameterError(f"walls[{name!r}].heat.friction_share", 1 - share, expected)
+                found[f"power_heat_friction_{name}"] = -share * friction
         return found
 
     @property
