@@ -9,6 +9,7 @@ decide differently at a threshold.
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, IfPos, x, y
@@ -28,6 +29,7 @@ BULK, SHEAR, DAMPING = 2.0, 1.0, 0.002
 SOFT, LIGHT, THIN = 0.1, 0.05, 0.0002
 """Of the medium: bulk modulus, Pa, density, kg/m^3, and viscosity, Pa s."""
 TAU, END = 0.05, 2.2
+Scheme = Literal["backward-euler", "midpoint"]
 
 
 def thrown(X: float) -> CoefficientFunction:
@@ -39,21 +41,23 @@ def thrown(X: float) -> CoefficientFunction:
     return SPEED * CF((left**2 - (y - Y) ** 2 * slope, (x - X) * (y - Y) * slope))
 
 
-def discs() -> tuple[nv.Simulation, nv.Bodies]:
-    """The run at its start, and its table."""
+def _stokes(viscosity: float) -> nv.StokesViscosity | None:
+    return nv.StokesViscosity(K_v=viscosity, G_v=viscosity) if viscosity else None
+
+
+def discs(
+    scheme: Scheme = "midpoint", tau: float = TAU, thickness: float = 1.0
+) -> tuple[nv.Simulation, nv.Bodies]:
+    """The run at its start, and its table; ``thickness`` is that of all viscosities over the setting's."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: SOFT / 2 * (J + 1 / J - 2))
-    bodies = [
-        nv.Body(
-            name="medium", material=fluid, viscosity=nv.StokesViscosity(K_v=THIN, G_v=THIN), density=LIGHT
-        )
-    ]
+    bodies = [nv.Body(name="medium", material=fluid, viscosity=_stokes(thickness * THIN), density=LIGHT)]
     for name, X in PLACES.items():
         bodies.append(
             nv.Body(
                 name=name,
                 where=nv.Ball((X, SIZE[1] / 2), RADIUS),
                 material=nv.ReferentialNeoHookean(K_e=BULK, G_e=SHEAR / 2),
-                viscosity=nv.StokesViscosity(K_v=DAMPING, G_v=DAMPING),
+                viscosity=_stokes(thickness * DAMPING),
                 density=1.0,
             )
         )
@@ -61,7 +65,7 @@ def discs() -> tuple[nv.Simulation, nv.Bodies]:
     run = nv.Simulation(
         structured_box(SIZE, CELLS),
         nv.Model(bodies=tuple(bodies)),
-        time=nv.TimeSteps(dt=TAU, scheme="midpoint", velocity_scale=5.0),
+        time=nv.TimeSteps(dt=tau, scheme=scheme, velocity_scale=5.0),
         discretisation=nv.Discretisation(m=0),
         initial=nv.Initial(velocity=thrown(PLACES["left"]) - thrown(PLACES["right"])),
         observers=[table],
