@@ -79,8 +79,27 @@ def test_a_split_step_has_the_same_bits_with_two_threads(monkeypatch):
         run.advance()
         return run.rothe_step.state.vec.FV().NumPy().copy()
 
+    monkeypatch.setattr(threads, "SMALL", 0)
     SetNumThreads(1)
     alone = state()
-    monkeypatch.setattr(threads, "GetNumThreads", lambda: 2)
-    monkeypatch.setattr(threads, "SMALL", 0)
-    assert (state() == alone).all()
+    SetNumThreads(2)
+    try:
+        together = state()
+    finally:
+        SetNumThreads(1)
+    assert (together == alone).all()
+
+
+def test_within_array_work_ngsolve_has_no_workers_and_arrays_have_the_threads():
+    SetNumThreads(2)
+    try:
+        with threads.computing():
+            assert threads.GetNumThreads() == 2
+            with threads.on_arrays():
+                assert threads.GetNumThreads() == 1 and threads._count() == 2
+                with threads.computing(), threads.on_arrays():
+                    assert threads._count() == 2
+            assert threads.GetNumThreads() == 2
+        assert threads.GetNumThreads() == 1
+    finally:
+        SetNumThreads(1)

@@ -337,7 +337,7 @@ class Simulation:
             raise MeshError(
                 f"{message}: take the refined one for a run of its own, and nv.transfer the state"
             )
-        with computing(), ending_all_ranks():
+        with computing(), self.solver.workers(), ending_all_ranks():
             self._start_ledger()
             self._refused = None
             try:

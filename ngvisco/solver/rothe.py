@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import cached_property
 
@@ -24,6 +25,7 @@ from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import Attempt, Interval, NonlinearSolver, RotheProblem, Solution, Status
 from ngvisco.solver.sides import Sides
 from ngvisco.solver.split.solver import Split
+from ngvisco.threads import on_arrays
 
 _PARAMETERS = ("tau", "end", "loads_from", "loads_over")
 
@@ -78,6 +80,13 @@ class RotheSolver:
         self._start = step.state.vec.CreateVector()
         self.extrapolation = Extrapolation(step)
         self.sides = Sides(step, self.h_min)
+
+    def workers(self) -> AbstractContextManager[None]:
+        """Within: NGSolve's for the coupled solver; none for the other.
+
+        It works on arrays; sums that NGSolve shares among threads have other last bits in every run.
+        """
+        return nullcontext() if self.method == "coupled" else on_arrays()
 
     @cached_property
     def newton(self) -> NonlinearSolver:
