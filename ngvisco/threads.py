@@ -54,24 +54,24 @@ def computing() -> Iterator[None]:
 
 @contextmanager
 def on_arrays() -> Iterator[None]:
-    """Within: NGSolve has no workers, and starts none for a factorisation, whose bits would be chance's.
+    """Within: NGSolve works alone, also at a factorisation, whose bits would be chance's by several threads.
 
-    Those of a task manager of the caller's sleep.
+    Workers of a task manager of the caller's sleep.
     """
     if not _managers:
         with SuspendTaskManager():
             yield
         return
-    manager, threads = _managers.pop(), _count()
+    manager, threads, free = _managers.pop(), GetNumThreads(), _count()
     manager.__exit__(None, None, None)
-    had = 1 if _at_leisure else threads
-    _at_leisure.append(threads)
+    _at_leisure.append(free)
     SetNumThreads(1)
     try:
-        yield
+        with TaskManager():
+            yield
     finally:
         _at_leisure.pop()
-        SetNumThreads(had)
+        SetNumThreads(threads)
         manager.__enter__()
         _managers.append(manager)
 
