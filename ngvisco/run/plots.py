@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from ngvisco.run.ledger import Ledger
 
 
+_OF_ENERGY = ("dissipation", "power")
+"""Kinds of entries that are W: others are states, entropies, masses."""
 PAGE, LABELS = 7.2, 9
 """Width of pictures, inches, that of a page; the size of the smallest labels, points."""
 COLOURS, SHRINK = "viridis", 0.75
@@ -126,10 +128,14 @@ def plot_energies(ledger: Ledger, path: str | os.PathLike[str]) -> None:
     above.plot(t, ledger.column("stored") - ledger.column("stored")[0], label="stored − initial")
     dt = ledger.column("dt")
     for entry in ledger.entries:
-        rate = ledger.column(entry.name) * (1 if entry.kind == "numerical" else dt)
+        label, column = entry.name.replace("_", " "), ledger.column(entry.name)
+        if entry.kind == "monitor" and entry.name.startswith("stored_"):  # a share of what is stored
+            above.plot(t, column - column[0], "-.", label=f"{label} − initial")
+        if entry.kind not in (*_OF_ENERGY, "numerical"):
+            continue  # no energy
+        rate = column * (1 if entry.kind == "numerical" else dt)
         if entry.name in (LIMITER, LIMITER_WALLS) and not rate.any():
             continue  # nothing was limited: no line for it
-        label = entry.name.replace("_", " ")
         label = f"numerical: {label}" if entry.kind == "numerical" else label
         above.plot(t, np.cumsum(rate), "--" if entry.kind == "power" else ":", label=f"∫ {label}")
     above.set_ylabel("energy, J")
@@ -182,7 +188,7 @@ def plot_history(ledger: Ledger, path: str | os.PathLike[str]) -> None:
     (rates, density), (volume, speed), (effort, rejected), (lengths, courant) = axes
     t = ledger.column("time")
     for entry in ledger.entries:
-        if entry.kind != "numerical":
+        if entry.kind in _OF_ENERGY:
             style = "--" if entry.kind == "power" else "-"
             rates.plot(t, ledger.column(entry.name), style, label=entry.name.replace("_", " "))
     rates.set(title="dissipations and powers, W")

@@ -13,6 +13,7 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.further_fields import usual
 from ngvisco.run.ledger import unit
+from ngvisco.run.plots import plot_energies, plot_history
 from ngvisco.run.vtk import read_pvd
 
 
@@ -111,6 +112,29 @@ def test_progress_prints_every_nth_step_and_the_last(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert re.findall(r"step\s+(\d+)/4", printed) == ["3", "4"]
     assert "closure" in printed and "left 0 s" in printed
+
+
+def test_what_is_no_energy_is_not_drawn_as_one(tmp_path, monkeypatch):
+    """Entropies are not, and a share of the stored energy is a state, not a rate."""
+    drawn = {}
+    monkeypatch.setattr("ngvisco.run.plots.save", lambda figure, path: drawn.update({path.stem: figure}))
+    cold = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
+    warm = nv.Model(material=nv.Thermal(material=cold, c=2.0, theta_R=1.0), loads=[nv.Gravity((0, -1))])
+    broken = nv.Model(material=nv.Damaged(material=cold, G_c=0.1, length=0.5), loads=[nv.Gravity((0, -1))])
+    labels = {}
+    for name, model in (("warm", warm), ("broken", broken)):
+        run = nv.Simulation(box((1, 1), maxh=1.0), model, dt=0.02)
+        ledger = run.run(0.04)
+        plot_energies(ledger, tmp_path / f"{name}.png")
+        plot_history(ledger, tmp_path / f"{name}-history.png")
+        for picture in (name, f"{name}-history"):
+            labels[picture] = {line.get_label() for line in drawn[picture].axes[0].lines}
+    assert not any("entropy" in label for of in labels.values() for label in of)
+    surface = next(line for line in drawn["broken"].axes[0].lines if "surface" in line.get_label())
+    assert surface.get_label() == "stored surface − initial"
+    column = ledger.column("stored_surface")
+    assert np.allclose(surface.get_ydata(), column - column[0])
+    assert not any("surface" in label for label in labels["broken-history"])
 
 
 def test_pictures_are_drawn_without_a_display(tmp_path, monkeypatch):
