@@ -441,9 +441,8 @@ class CaseSections(Section):
             if (part := getattr(self.rheology, name)) is not None:
                 expected = f"no such table beside [[bodies]]: each has {name} of its own, [bodies.{name}]"
                 raise ParameterError(f"rheology.{name}", part, expected)
-        names = [body.name for body in self.bodies]
         for i, body in enumerate(self.bodies):
-            if names.index(body.name) < i:
+            if any(other.name == body.name for other in self.bodies[:i]):
                 raise ParameterError(f"bodies.{i}.name", body.name, "a name that no other body has")
         rest = [i for i, body in enumerate(self.bodies) if body.where is None]
         if len(rest) > 1:

@@ -18,7 +18,7 @@ from ngsolve import FESpace, GridFunction
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.integrals import Integrals
+from ngvisco.forms.integrals import EntryIntegrals
 from ngvisco.forms.system import Evolved, Step
 from ngvisco.forms.term import Entry, Integrand, Storing, Term
 from ngvisco.forms.withheld import GivenParts, refused_by_name
@@ -74,7 +74,7 @@ class BregmanDistance:
         terms = storing(step.terms)
         parts_of = _by_columns(NUMERICAL, [(term, term.distance(a, b)) for term in terms])
         entries = {name: Entry(name, "numerical", part) for name, part in parts_of.items()}
-        self._distance = Integrals(step, entries)
+        self._distance = EntryIntegrals(step, entries)
         moved = GivenParts(
             {**parts[0]}, "its slope asks for the change of {name}, where the momentum is kept"
         )
@@ -83,7 +83,7 @@ class BregmanDistance:
         for term in terms:
             with refused_by_name(term):
                 slopes.append(term.slope(b, d))
-        self._slope = Integrals(step, {"slope": Entry("slope", "monitor", _sum(slopes))})
+        self._slope = EntryIntegrals(step, {"slope": Entry("slope", "monitor", _sum(slopes))})
 
     def __call__(self, a: Evolved, b: Evolved) -> dict[str, float]:
         """B(a, b) by ledger columns, J (per metre of thickness in plane strain)."""

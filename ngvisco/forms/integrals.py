@@ -10,7 +10,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry
 
 
-class Integrals:
+class EntryIntegrals:
     """Integrals of entries at the present state of a step, compiled together."""
 
     def __init__(self, step: Step, entries: Mapping[str, Entry]) -> None:

@@ -65,7 +65,9 @@ def square(A: CoefficientFunction) -> CoefficientFunction:
 
 
 def log(a: CoefficientFunction) -> CoefficientFunction:
-    """Natural logarithm of a scalar."""
+    """Natural logarithm of a scalar, or of an array of numbers."""
+    if isinstance(a, np.ndarray):
+        return np.log(a)
     return a.log() if hasattr(a, "log") else ngsolve.log(a)
 
 

@@ -23,7 +23,7 @@ from ngsolve import CF, CoefficientFunction, Det, sqrt
 
 from ngvisco.errors import NgviscoWarning, ParameterError, UnknownNameError
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
-from ngvisco.forms.integrals import Integrals
+from ngvisco.forms.integrals import EntryIntegrals
 from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand, Kind
@@ -128,8 +128,8 @@ class Ledger:
         of_damage = () if step.damage is None else step.damage.entries
         self.entries = [*step.entries(), *own, *of_damage]
         _check_names(self.entries)
-        self._state = Integrals(step, self._state_integrands())
-        self._rates = Integrals(step, {e.name: e for e in self.entries if e.kind in RATES})
+        self._state = EntryIntegrals(step, self._state_integrands())
+        self._rates = EntryIntegrals(step, {e.name: e for e in self.entries if e.kind in RATES})
         theta = temperature(step.model.material, step.now.zeta_tensors)
         power = step.context.rates.dissipation(step.now)
         watched = {"temperature_min": theta, CREEP_POWER: power}

@@ -2,8 +2,8 @@
 
 Every mesh of a run is the first one, bisected by need, so that a cell of one is the same, a part or a union
 of cells of another, and what has moved on leaves coarse cells behind.  A state is carried over by
-``ngvisco.run.transfer``, without loss onto finer cells and by L2 projection onto coarser ones; the energy
-that this takes is the ledger's column ``transfer``.
+``ngvisco.run.transfer``, without loss onto finer cells if these are straight, and by L2 projection onto
+coarser ones; the energy that this takes is the ledger's column ``transfer``.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Annotated
 
 import numpy as np
 from ngsolve import CF, VOL, Integrate, Mesh
+from scipy.spatial import cKDTree
 
 from ngvisco.errors import (
     MeshError,
@@ -101,7 +102,7 @@ def run_refined(simulation: Simulation, refinement: Refinement, until: float) ->
     Parameters
     ----------
     simulation : Simulation
-        Before its first step, on the coarsest mesh, of triangles or tetrahedra; on one process.
+        At its own start, on the coarsest mesh, of triangles or tetrahedra; on one process.
     refinement : Refinement
     until : float
         End of the run, s.
@@ -152,7 +153,7 @@ def _moved(simulation: Simulation, first: _First, refinement: Refinement) -> Sim
 
 
 def _require_fit(simulation: Simulation) -> None:
-    if simulation.number:
+    if simulation.number or simulation.ledger.balance is not None:  # begun, or carried over
         raise ParameterError(
             "run_refined.simulation", f"at step {simulation.number}", "before its first step"
         )
@@ -207,7 +208,13 @@ def _volumes(mesh: Mesh) -> np.ndarray:
 
 
 def _cells_at(mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    return np.asarray(mesh(*points.T)["nr"], dtype=int) if len(points) else np.zeros(0, dtype=int)
+    """Cells that points are in; beside a curved wall, where one may be in none, the nearest."""
+    if not len(points):
+        return np.zeros(0, dtype=int)
+    found = np.asarray(mesh(*points.T)["nr"], dtype=int)
+    outside = found < 0
+    found[outside] = cKDTree(_centres(mesh)).query(points[outside])[1]
+    return found
 
 
 def _are_same(one: Mesh, other: Mesh) -> bool:

@@ -162,17 +162,9 @@ class Simulation:
         ranks = Communicator.world() if mesh.comm.size == 1 else Communicator.of(mesh)
         require_petsc(ranks)
         mesh = distributed(mesh, ranks) if mesh.comm.size == 1 else mesh
-        self._others: dict[str, Any] = {
-            "time": steps,
-            "initial": initial,
-            "walls": walls,
-            "discretisation": discretisation,
-            "newton": newton,
-            "solver": solver,
-            "sources": sources,
-            "terms": terms,
-            "passive": passive,
-        }
+        self._others: dict[str, Any] = dict(time=steps, initial=initial, walls=walls, solver=solver)
+        self._others |= dict(discretisation=discretisation, newton=newton, passive=passive)
+        self._others |= dict(sources=sources, terms=terms)
         self.mesh, self.model, self.dt = mesh, model, float(steps.dt)
         self.stepper = make_stepper(self.dt, steps.adaptive, steps.halvings)
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)

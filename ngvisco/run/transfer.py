@@ -215,7 +215,7 @@ class _Unions:
         x_old, x_new = old.coordinates, points.coordinates
         self._old, self._degree = old, target.rothe_step.discretisation.m
         count = target.mesh.ne
-        of_old, of_new = (np.asarray(target.mesh(*x.T)["nr"], dtype=int) for x in (x_old, x_new))
+        of_old, of_new = np.asarray(target.mesh(*x_old.T)["nr"], dtype=int), points.cells
         here = of_old >= 0
         volumes = np.bincount(of_new, points.weights, count)
         filled = np.bincount(of_old[here], old.weights[here], count)

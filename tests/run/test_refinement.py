@@ -115,6 +115,10 @@ def test_a_periodic_mesh_checkpoints_and_a_run_under_way_are_refused(tmp_path):
     begun.run(0.02)
     with pytest.raises(nv.ParameterError, match="before its first step"):
         nv.run_refined(begun, refinement, 0.08)
+    carried = bodies()
+    nv.transfer(bodies(), carried)
+    with pytest.raises(nv.ParameterError, match="before its first step"):
+        nv.run_refined(carried, refinement, 0.08)
     foundation = {"right": nv.Open(density=1.0, stiffness=(1.0, 0.0))}
     with pytest.raises(nv.ParameterError, match="displacements of walls"):
         nv.run_refined(pulse(walls=foundation), nv.Refinement(field="pressure", every=0.1), 0.2)

@@ -75,13 +75,13 @@ class Carried(PointTerm):
             kinetic = c.upwinding.share * kinetic
         return [(c.given(self.indicator) * self._stored(u)) * (w.v * c.normal), kinetic * (w.v * u.v)]
 
-    def held_back(self, u: Fields, w: Fields) -> list[CoefficientFunction]:
+    def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         """What ``backflow`` adds, -1/2 n^- rho_hat (v . n) v . w."""
         flux = u.context.upwinding.inflow * u.rho_hat * self._through(u)
         return [-0.5 * flux * (u.v * w.v)] if self.backflow else []
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
-        return {f"dissipation_backflow_{self.name}": part for part in self.held_back(u, u)}
+        return {f"dissipation_backflow_{self.name}": part for part in self.on_body(u, u)}
 
     def entries(self, u: Fields) -> list[Entry]:
         through = self._through(u)
@@ -130,6 +130,9 @@ class GivenStress(PointTerm):
         if any(self.impedance):
             parts.append(self.indicator * (self._resistance(u) * w.v))
         return parts
+
+    def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return self.facets(u, w)
 
     def _resistance(self, u: Fields) -> CoefficientFunction:
         """Z_p (v . n) n + Z_s v_t, Pa."""

@@ -18,6 +18,7 @@ so that each keeps its own pressure, and equally where all n_i are zero.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, GridFunction, LinearForm, ds, specialcf, x, y, z
@@ -25,9 +26,6 @@ from ngsolve import CF, CoefficientFunction, GridFunction, LinearForm, ds, speci
 from ngvisco.errors import UnknownNameError
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.moving_walls import MovingWalls
-from ngvisco.forms.boundary.passages import Carried, GivenStress
-from ngvisco.forms.boundary.springs import Springs
-from ngvisco.forms.boundary.wall_terms import TangentialStress
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.start.interpolation import Interpolation
 from ngvisco.forms.system import Step
@@ -36,6 +34,17 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.walls import HELD
+
+
+@runtime_checkable
+class WallStress(Protocol):
+    """A term by which a wall acts on the body, beside what it constrains."""
+
+    name: str
+    """Of the wall."""
+
+    def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        """Its rows of v, -t . w with the stress t, Pa, on the facets of the wall."""
 
 
 class WallReactions:
@@ -117,19 +126,16 @@ class WallReactions:
         step, u = self.step, self.step.now
         found = []
         for motion in self.motions.values():
-            w, parts = Fields(step.layout, {"v": motion}), []
+            w = Fields(step.layout, {"v": motion})
+            parts: list[CoefficientFunction] = []
             for term in step.terms:
-                if isinstance(term, (TangentialStress, GivenStress)) and term.name == name:
-                    parts += [part.facets for part in term.form(u, w)]
-                if isinstance(term, Springs) and term.name == name:
-                    parts.append(term.on_velocity(u, w))
-                if isinstance(term, Carried) and term.name == name:
-                    parts += term.held_back(u, w)
+                if isinstance(term, WallStress) and term.name == name:
+                    parts += term.on_body(u, w)
             if name in step.walls.multiplied:
                 indicator = facet_indicator(step.mesh, [name])
                 excess = u.wall_stress - step.energy.anywhere(u)
                 parts.append(indicator * excess * (motion * step.context.normal))
-            found.append([part for part in parts if part is not None])
+            found.append(parts)
         return found
 
     def of_rows(self, rows: np.ndarray) -> np.ndarray:

@@ -68,14 +68,14 @@ class Springs(PointTerm):
         force = self._force(a.parts[self.displacement], a.context.normal)
         return self.indicator * (force * b.parts[self.displacement])
 
-    def on_velocity(self, u: Fields, w: Fields) -> CoefficientFunction:
+    def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         """K w . u, the rows of v."""
-        return self.indicator * (self._force(u.parts[self.displacement], u.context.normal) * w.v)
+        return [self.indicator * (self._force(u.parts[self.displacement], u.context.normal) * w.v)]
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         q, old = w.parts[self.displacement], u.context.old.parts[self.displacement]
         change = u.context.rate(u.parts[self.displacement] - old)
-        return [self.on_velocity(u, w), self.indicator * (change * q), -self.indicator * (u.v * q)]
+        return [*self.on_body(u, w), self.indicator * (change * q), -self.indicator * (u.v * q)]
 
     def entries(self, u: Fields) -> list[Entry]:
         return [Entry(f"stored_springs_{self.name}", "monitor", self.energy(u).integrand)]

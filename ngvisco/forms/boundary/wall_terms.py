@@ -67,6 +67,9 @@ class TangentialStress(PointTerm):
             parts.append(self.indicator * self.friction * (_tangential(u.v, u.context.normal) * w.v))
         return parts
 
+    def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return self.facets(u, w)
+
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
         if self.friction is None:
             return {}

@@ -36,6 +36,13 @@ class QuadraturePoints:
         return self._loaded(f) / self.weights
 
     @property
+    def cells(self) -> np.ndarray:
+        """Numbers of the cells that the points are in, (points,)."""
+        number = GridFunction(L2(self.mesh, order=0))
+        number.vec.FV().NumPy()[:] = np.arange(self.mesh.ne)
+        return np.rint(self.values(number)).astype(int)
+
+    @property
     def coordinates(self) -> np.ndarray:
         """Where the points are, (points, dim), m."""
         return np.array([self.values(c) for c in (x, y, z)[: self.mesh.dim]]).T

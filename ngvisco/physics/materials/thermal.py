@@ -205,10 +205,9 @@ class Thermal(Material):
         excess = theta - (0.0 if self.is_absolute else self.theta_R)
         slope = self.coupling * (1 / J if self.is_absolute else np.ones_like(J))
         curvature = excess * self.coupling / J**2 if self.is_absolute else np.zeros_like(J)
-        ratio = np.log(theta / self.theta_R)
-        g = self._Gamma * (np.log(J) if self.is_absolute else J - 1)
-        value = self.c * (theta - self.theta_R - theta * ratio - excess * g)
-        return value, -excess * slope, curvature, self.c * (ratio + g), slope
+        S = self.entropy_of(theta, J)
+        value = self.c * (theta - self.theta_R + (theta - excess) * self.g(J)) - theta * S
+        return value, -excess * slope, curvature, S, slope
 
     def pressure(self, theta: float, J: float = 1.0) -> float:
         """The thermal pressure, Pa."""
