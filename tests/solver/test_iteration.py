@@ -21,7 +21,8 @@ class Posed(Problem):
 class Increments:
     """What ``iterate`` asks of a split solver: increments of given sizes, by their number."""
 
-    has_converged, wear, is_steep = Split.has_converged, lambda self, f, size: None, False
+    has_converged, wear = Split.has_converged, lambda self, f, size: None
+    is_steep, sharpness = False, 1.0
 
     def __init__(self, sizes):
         self.sizes, self.is_factorised = sizes, True

@@ -21,9 +21,15 @@ from ngvisco.solver.problem import NewtonIteration, Problem, Status
 if TYPE_CHECKING:
     from ngvisco.solver.split.solver import Split
 
-_TOLERANCE, _DIRECTIONS = 0.01, 40
+TOLERANCE, _DIRECTIONS = 0.01, 40
 """Of Newton-Krylov's linear systems, and derivatives taken for one at most; with 0.1 one of six long steps
 failed."""
+INNER = 3e-4, 1e-6
+"""Tolerances of the flow's and the fields' systems in P, which has to be a linear map: where a flow rule is
+steep, P times the derivative has single eigenvalues of 1e2 to 1e4, which multiply what is not linear."""
+_ROUNDED = 0.01
+"""Tolerances to which an increment has fallen where nothing shortens it any more but rounding, at a steep
+flow rule; elsewhere one."""
 _WINDOW, _MIN_DAMPING = 4, 0.05
 """Iterations that shorten an increment to a fifth, or it gives up; smallest step length tried."""
 
@@ -31,11 +37,10 @@ _WINDOW, _MIN_DAMPING = 4, 0.05
 def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[NewtonIteration]) -> Status:
     """Iterate from ``x``, where the tangent is made anew; the state becomes the solution, or some iterate."""
     options, tolerance = split.options.split, split.options.tolerance
-    wanted = options.margin * tolerance
-    scale = split.unknowns.scales(x, split.residual.exchange)
+    scale, inner = split.unknowns.scales(x, split.residual.exchange), INNER[split.is_steep]
 
     def solved(at: Evaluation) -> np.ndarray:
-        return split.preconditioner(at, _TOLERANCE * options.forcing)
+        return split.preconditioner(at, inner, inner)
 
     def renewed(at: Evaluation) -> tuple[np.ndarray, float]:
         split.renew(problem, at)
@@ -46,13 +51,15 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
     f, size = renewed(at)
     sizes = [size]
     while len(history) < split.options.max_iterations:
+        sharp = split.sharpness
+        rounded = max(sharp, _ROUNDED) * tolerance
         derivative = split.residual.derivative(at)
 
         def along(d: np.ndarray, derivative: Any = derivative, at: Evaluation = at) -> np.ndarray:
             return solved(replace(at, residual=derivative(scale * d))) / scale
 
         products = split.residual.exchange.products
-        d, _ = gmres(along, f / scale, rtol=_TOLERANCE, directions=_DIRECTIONS, products=products)
+        d, _ = gmres(along, f / scale, rtol=TOLERANCE, directions=_DIRECTIONS, products=products)
         damping = 1.0
         while True:
             new_x = x - damping * scale * d
@@ -62,20 +69,20 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
             if new_size <= (1 - 0.25 * damping) * size:
                 break
             damping /= 2
-            if damping < _MIN_DAMPING:
-                return _ends_at(split, x, size <= tolerance)  # by rounding
+            if damping < _MIN_DAMPING or size <= rounded:
+                return _ends_at(split, x, size <= rounded)
         history.append(NewtonIteration(new_size, new_size / size, damping, True))
         at, x, f, size = new, new_x, new_f, new_size
         if problem.changes(size):
             split.residual.start()
             at = split.residual(x)
-        elif size <= wanted:
+        elif size <= options.margin * sharp * tolerance:
             return _ends_at(split, x - f, True)
         sizes.append(size)
         window = _WINDOW * (3 if split.norm.shared else 1)  # increments of Pi rise in between
         before = sizes[max(len(sizes) - 1 - window, 0)]
         if len(sizes) > window and size > max(0.2 * before, options.rounding):
-            return _ends_at(split, x, size <= tolerance)
+            return _ends_at(split, x, size <= rounded)
         f, size = renewed(at)
     return Status.TOO_MANY_ITERATIONS
 

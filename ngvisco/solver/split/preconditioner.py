@@ -46,7 +46,7 @@ class FieldsSystem:
 
     def __init__(self, operator: FlowSchurComplement) -> None:
         self.operator, self.sweep = operator, operator.sweep
-        self.tolerance, self.iterations = TOLERANCE, ITERATIONS
+        self.iterations = ITERATIONS
         self.points, self.op = operator.points, operator.points.op
         self._swept_is_enough: set[str] = set()
         """Fields for which one application of the approximate inverse did, at this operator."""
@@ -55,29 +55,25 @@ class FieldsSystem:
         """The operator was made anew: whether sweeps are enough is to be seen again."""
         self._swept_is_enough.clear()
 
-    def z(self, rows: np.ndarray) -> np.ndarray:
+    def z(self, rows: np.ndarray, tolerance: float) -> np.ndarray:
         """Increments of z, of rows: both (cells' unknowns, n)."""
-        return self._solved("z", self._rows, self._approximate, rows)
+        return self._solved("z", self._rows, self._approximate, rows, tolerance)
 
-    def density(self, rows: np.ndarray) -> np.ndarray:
+    def density(self, rows: np.ndarray, tolerance: float) -> np.ndarray:
         """Increments of the density's unknowns, of rows."""
         sweep = self.sweep
         if sweep.density_is_factorised:
             return sweep.density(rows)
-        return self._solved("rho", sweep.density_rows, sweep.density, rows[:, None])[:, 0]
+        return self._solved("rho", sweep.density_rows, sweep.density, rows[:, None], tolerance)[:, 0]
 
-    def _solved(self, name: str, apply: Map, approximate: Map, rows: np.ndarray) -> np.ndarray:
-        if name in self._swept_is_enough:
+    def _solved(
+        self, name: str, apply: Map, approximate: Map, rows: np.ndarray, tolerance: float
+    ) -> np.ndarray:
+        if name in self._swept_is_enough and tolerance >= TOLERANCE:
             return approximate(rows)
-        found, iterations = improved(
-            apply,
-            approximate,
-            rows,
-            self.tolerance,
-            self.iterations,
-            ENOUGH,
-            self.operator.residual.ranks.products,
-        )
+        enough = ENOUGH if tolerance >= TOLERANCE else 0.0
+        products = self.operator.residual.ranks.products
+        found, iterations = improved(apply, approximate, rows, tolerance, self.iterations, enough, products)
         if not iterations:
             self._swept_is_enough.add(name)
         return found
@@ -215,8 +211,8 @@ class Preconditioner:
         if everything:
             self.fields.renew()
 
-    def __call__(self, at: Evaluation, tolerance: float) -> np.ndarray:
-        """The increment, packed; ``tolerance`` is that of the flow's linear system."""
+    def __call__(self, at: Evaluation, tolerance: float, of_fields: float = TOLERANCE) -> np.ndarray:
+        """The increment, packed; tolerances are those of the flow's linear system and of the fields' own."""
         op, operator, dim, size = self.op, self.operator, self.dim, self.operator.nv
         r, rho, u = at.residual, at.coefficients["rho"], self.unknowns
         dz = self.sweep.fields(np.ascontiguousarray(r.z.T))
@@ -227,13 +223,13 @@ class Preconditioner:
         dPi = None
         if "Pi" in u.slices:
             dPi = op.of("Pi")[0](dflow[u.slices["Pi"]].reshape(u.components["Pi"], -1))
-        dz = self.fields.z(np.ascontiguousarray(r.z.T) - operator.fields_rows(dv, dPi))
+        dz = self.fields.z(np.ascontiguousarray(r.z.T) - operator.fields_rows(dv, dPi), of_fields)
         dv_q, L = op.v(dv), op.velocity_gradient(dv)
         drho = op.z(rho) * sum(L[i * (dim + 1)] for i in range(dim))
         drho += sum(D(rho) * dv_q[j] for j, D in enumerate(op.dz))
         density = r.density.copy()
         density[: rho.size] -= op.z.test(drho)
-        return np.concatenate([dflow, self.fields.density(density), dz.T.ravel()])
+        return np.concatenate([dflow, self.fields.density(density, of_fields), dz.T.ravel()])
 
     def _flow(self, right: np.ndarray, tolerance: float) -> np.ndarray:
         """The flow's unknowns by its tangent with the hyperviscosity's own derivative, by GMRES."""

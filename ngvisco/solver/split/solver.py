@@ -138,6 +138,8 @@ class Split:
     @property
     def sharpness(self) -> float:
         """How much less than of others may be left of increments of z, by which a steep rate is wrong."""
+        if not self.is_steep:
+            return 1.0
         points = self.preconditioner.operator.points
         steepest = self.residual.ranks.most(abs(points.rate_slope).max(initial=0.0))
         return max(1 / (1 + points.tau * steepest), 1e-4)
@@ -153,7 +155,7 @@ class Split:
         options, tolerance = self.options.split, self.options.tolerance
         # of all increments after f, if the contraction stays what it is; of a first one it is not known
         contraction = 0.5 if last == np.inf else min(size / last, 1.0)
-        sharp = self.sharpness if self.is_steep else 1.0
+        sharp = self.sharpness
         if size <= tolerance and size * contraction <= (1 - contraction) * options.margin * sharp * tolerance:
             return True
         if not 0.5 * last < size <= options.rounding:
