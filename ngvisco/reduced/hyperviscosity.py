@@ -51,7 +51,6 @@ class SideJumps:
         mesh = points.mesh
         self.points, self.weights, self._layout = points, points.weights, hyper.step.layout
         self.matrix = points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
-        self.of_v, self.of_a = hyper.of_v_and_a(self.matrix)
         self.h = np.repeat(hyper.step.context.h.vec.FV().NumPy(), points.count // max(mesh.ne, 1))
         self._context = hyper.step.context
         if not hyper.law.is_linear:
@@ -122,7 +121,7 @@ class MatrixHyperviscosity:
         self.points = CellPoints(step.mesh, 0) if constant else points
         self.fields = L2(step.mesh, order=layout.discretisation.m)
         velocity, normal = layout.scalar_space("v"), NormalFacetFESpace(step.mesh, order=k - 1)
-        self._velocities = velocity.ndof
+        self.velocities = velocity.ndof
         self.component = FESpace([velocity, Periodic(normal) if layout.periodic else normal])
         """(v_i, a_i): what is linear in these is the same for every component."""
         self.squares = L2(step.mesh, order=2 * k - 4)
@@ -153,12 +152,8 @@ class MatrixHyperviscosity:
         names = ("v", self.step.layout.names_of("normals")[0])
         return Fields(self.step.layout, dict(zip(names, parts, strict=True)), rows=1)
 
-    def of_v_and_a(self, matrix: sp.csr_matrix) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        """The columns of a component of v and of its normal derivative."""
-        return matrix[:, : self._velocities].tocsr(), matrix[:, self._velocities :].tocsr()
-
     def _lifting(self, k: int) -> None:
-        """L_v, L_a with mass Hs_i = L_v v_i + L_a a_i, by the term's own form, and the lifting of (v, a)."""
+        """The lifting of (v_i, a_i), by the term's own form."""
         step, mesh = self.step, self.step.mesh
         scalar, size = L2(mesh, order=k - 2), hessian_basis(self.dim).shape[1]
         tests = VectorValued(scalar, size)
@@ -166,15 +161,13 @@ class MatrixHyperviscosity:
         X = Fields(step.layout, {"hyperstress": tests.TestFunction()}, rows=1)
         step.quadrature.add(form, self.term.lifting(self.fields_of(self.component.TrialFunction()), X))
         loads = pruned(csr(form.Assemble().mat))
-        self.L_v, self.L_a = self.of_v_and_a(loads)
         self.h_values = self._local(self.points.values(scalar))
         mass = mass_matrix(self.h_values.matrix, self.points.weights)
         self.h_inverse = BlockInverse(mass)
         self.h_inverse.update(mass)
-        self.h_inverse_matrix = self.h_inverse.matrix()
         self.size, self.h_count = size, scalar.ndof
         # rows cell by cell, the components of Hs after each other in a cell
-        inverse = sp.block_diag([self.h_inverse_matrix] * size, format="csr")
+        inverse = sp.block_diag([self.h_inverse.matrix()] * size, format="csr")
         order = np.arange(size * self.h_count).reshape(size, mesh.ne, self.h_values.local)
         self.lift = LocalMatrix((inverse @ loads).tocsr()[order.transpose(1, 0, 2).ravel()], mesh.ne)
 

@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from ngvisco.algebra import precision
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
+from ngvisco.algebra.sparse import ElementAssembly
 from ngvisco.forms.mesh.side_points import SidePoints
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity, SideJumps, value_of
@@ -35,7 +36,7 @@ class HyperDerivative:
         self._volume = hyper.points.weights.max(initial=0.0) or 1.0
         self._side_weights = self.sides.weights.reshape(self.cells, self.sides.jump.per_cell)
         self.dtype = precision.SINGLE
-        self._values = self._together()
+        self.of_component = self._together()
         self._at_points = hyper.h_values.blocks.astype(self.dtype)
         if not hyper.law.is_linear:
             squares = (hyper.s_values.blocks, self.sides.scalar.blocks)
@@ -104,7 +105,7 @@ class HyperDerivative:
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """The rows' derivative in the direction x = (v, a) side by side, (dim, unknowns)."""
         length = _largest(x)
-        values = self._values.by_cells(x.T / length)
+        values = self.of_component.by_cells(x.T / length)
         dH, dj = self._parts(values)
         of_H, of_j = self._c * dH, self._penalty[..., None] * dj
         if not self.hyper.law.is_linear:
@@ -113,7 +114,7 @@ class HyperDerivative:
         tested = _at_each(self._at_points.transpose(0, 2, 1), of_H)
         loads[:, :split] = tested.reshape(self.cells, split, values.shape[2])
         loads[:, split:] = of_j
-        return np.float64(self._unit * length) * self._values.tested(loads).T
+        return np.float64(self._unit * length) * self.of_component.tested(loads).T
 
     def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
         """Add what the changes of s = P |Hs|^2 and of q = |j|^2 make, to the loads of Hs and j."""
@@ -185,44 +186,43 @@ class HyperTangent:
 
     def __init__(self, derivative: HyperDerivative, kept: np.ndarray) -> None:
         """``kept`` are the unknowns of a component of a that are not eliminated."""
-        self.derivative, self.hyper = derivative, derivative.hyper
-        h, sides = self.hyper, derivative.sides
-        self.h_cell = np.arange(h.h_count) // h.h_values.local
-        width = sides.of_a.shape[1]
-        self.kept, self.eliminated = kept, np.setdiff1d(np.arange(width), kept)
-        pattern = abs(sides.of_a[:, self.eliminated])
-        pattern = pattern.T @ pattern
-        self._facets = BlockInverse(pattern.tocsr())
+        self.derivative, self.kept = derivative, kept
+        values, h = derivative.of_component, derivative.hyper
+        count = values.width - h.velocities
+        self.eliminated = np.setdiff1d(np.arange(count), kept)
+        order = np.concatenate([np.arange(h.velocities), h.velocities + kept, h.velocities + self.eliminated])
+        number = np.empty_like(order)
+        number[order] = np.arange(len(order))
+        self._assembled = ElementAssembly(number[values.unknowns], values.width)
+        lifted, self._jump = np.split(values.blocks, [h.lift.per_cell], axis=1)
+        at_points = _at_each(
+            h.h_values.blocks, lifted.reshape(values.cells, h.size, h.h_values.local, values.local)
+        )
+        of_each = at_points.reshape(values.cells, h.size * h.h_values.per_cell, values.local)
+        weights = np.tile(h.points.weights.reshape(values.cells, h.h_values.per_cell), (1, h.size))
+        self._of_hessians = _squared(of_each, weights).astype(precision.SINGLE)
+        """Cells' matrices of |Hs|^2."""
+        pattern = _squared(abs(self._jump), np.ones(self._jump.shape[:2]))
+        self._facets = BlockInverse(self._in_parts(pattern)[2])
+
+    def _in_parts(self, elements: np.ndarray) -> tuple[sp.csr_matrix, sp.csr_matrix, sp.csr_matrix]:
+        """Of v with the kept a by these and by the other a, and of the others, of a sum over the cells."""
+        matrix, n = self._assembled(elements), self._assembled.width - len(self.eliminated)
+        return matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
 
     def update(self) -> None:
         """Form E, the matrix of v and the facets' blocks where the derivative was last updated."""
-        h, sides = self.hyper, self.derivative.sides
         cell, penalty = self.derivative.tangent_coefficients()
-        J_v, J_a = sides.of_v, sides.of_a[:, self.eliminated]
-        L_v, L_a = h.L_v, h.L_a[:, self.eliminated]
-        if len(self.kept):  # beside v
-            J_v, L_v = (
-                sp.hstack([of_v, of_a[:, self.kept]], format="csr")
-                for of_v, of_a in ((J_v, sides.of_a), (L_v, h.L_a))
-            )
-        J_a_t = (sp.diags(sides.weights * penalty) @ J_a).T.tocsr()
-        facets = (J_a_t @ J_a).tocsr()
+        weights = (self.derivative.sides.weights * penalty).reshape(self._jump.shape[:2])
+        of_jumps = _squared(self._jump, weights)
+        _, coupling, facets = self._in_parts(of_jumps)
         self._facets.update(facets)
-        E = -(self._facets.matrix() @ (J_a_t @ J_v)).tocsr()
+        E = -(self._facets.matrix() @ coupling.T).tocsr()
         self.E_t = E.T.tocsr().astype(precision.SINGLE)
-        L, J = (L_v + L_a @ E).tocsr(), (J_v + J_a @ E).tocsr()
-        inverse = _scaled(h.h_inverse_matrix, cell[self.h_cell])
-        own = (J.T @ sp.diags(sides.weights * penalty) @ J).tocsr()
-        blocks = facets
-        cross = (J_a_t @ J).tocsr()
-        for b in range(h.size):
-            rows = slice(b * h.h_count, (b + 1) * h.h_count)
-            weighted = inverse @ L[rows]
-            own = own + L[rows].T @ weighted
-            blocks = blocks + L_a[rows].T @ inverse @ L_a[rows]
-            cross = cross + L_a[rows].T @ weighted
-        self.matrix = own.tocsr()
-        self._facets.update(blocks.tocsr())
+        own, coupling, others = self._in_parts(of_jumps + cell[:, None, None] * self._of_hessians)
+        cross = (coupling.T + others @ E).tocsr()
+        self.matrix = (own + coupling @ E + E.T @ cross).tocsr()
+        self._facets.update(others)
         # a = E v + (blocks)^{-1} (r - cross v), of (v, r) side by side, v with the kept a
         solved = self._facets.matrix()
         of_a = sp.hstack([E - solved @ cross, solved], format="csr")
@@ -238,7 +238,6 @@ class HyperTangent:
         return sp.bmat([[matrix, right], [below, sp.kron(each, own[width:, width:])]], format="csr")
 
 
-def _scaled(matrix: sp.csr_matrix, rows: np.ndarray) -> sp.csr_matrix:
-    scaled = matrix.copy()
-    scaled.data *= np.repeat(rows, np.diff(matrix.indptr))
-    return scaled
+def _squared(matrices: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """B^T W B of stacked matrices B and weights of their rows, (cells, rows)."""
+    return product(matrices.transpose(0, 2, 1), weights[:, :, None] * matrices)

@@ -119,8 +119,8 @@ class Preconditioner:
         places, kept = np.arange(unknowns.flow_slice.stop), np.zeros(0, dtype=np.int64)
         self.hyper_tangent: HyperTangent | None = None
         if derivative is not None:
-            width = derivative.sides.of_a.shape[1]
-            of_a = places.size + np.arange(self.dim * width).reshape(self.dim, width)
+            normals = unknowns.normal_slice.stop - unknowns.normal_slice.start
+            of_a = (places.size + np.arange(normals)).reshape(self.dim, -1)
             kept = self.exchange.part(of_a[0]).places
             places = np.concatenate([places, of_a[:, kept].ravel()])
             self.hyper_tangent = HyperTangent(derivative, kept)
