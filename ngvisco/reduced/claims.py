@@ -121,11 +121,10 @@ class Claims:
         """Terms of dv/dt, whose matrix is that of the whole rule: a coarse one makes it singular."""
         return [term for term in self.at_points if type(term) is Inertia]
 
-    def of_fields(self) -> list[PointTerm]:
-        """Terms with rows of z of their own, beside its transport, rates and creep."""
-        return [
-            term for term in self.at_points if "z" in self.rows[id(term)] and type(term) is not Kinematics
-        ]
+    def of_state(self) -> list[PointTerm]:
+        """Terms with rows of z, and stresses, which may read z and zeta: not the elastic force."""
+        stresses = {id(term) for term in self.of_gradients()}
+        return [term for term in self.at_points if "z" in self.rows[id(term)] or id(term) in stresses]
 
     def _claim(self, step: Step, term: Term) -> None:
         kind = type(term)

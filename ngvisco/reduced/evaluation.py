@@ -26,6 +26,7 @@ from ngvisco.forms.tabulated_rates import TabulatedRates
 from ngvisco.forms.term import PointTerm
 from ngvisco.forms.upwinding import Incoming, SideMean, Upwinding
 from ngvisco.physics.arrays import Array, Linear, slots
+from ngvisco.physics.increments import TINY
 from ngvisco.reduced.operators import Operators, SideOperators
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
 
@@ -195,6 +196,12 @@ class CellTerms:
                 stress = _product_with(matrix, u.grad_v.value)
                 summands.append(self._tests.grad_v.InnerProduct(Array(stress, None)))
         return _slots(summands)
+
+    def derivative(self, terms: Iterable[PointTerm], u: Fields, **along: np.ndarray) -> dict[str, np.ndarray]:
+        """The slots' derivative in a direction of values, of unknowns by name or of ``grad_v``."""
+        changed = {name: getattr(u, name).value + (TINY * 1j) * d for name, d in along.items()}
+        found = self.slots(terms, with_values(u, **changed))
+        return {name: values.imag / TINY for name, values in found.items()}
 
     def constant_matrix(self, term: PointTerm) -> np.ndarray | None:
         """The matrix (dim^2, dim^2) of a term that is grad v : C grad w with the same C everywhere, or None.

@@ -12,9 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.algebra.sparse import ElementAssembly
-from ngvisco.physics.increments import TINY
 from ngvisco.reduced.by_forms import RestrictedForm
-from ngvisco.reduced.evaluation import with_values
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.split.flow_elements import FlowElements, PointTangent
 from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
@@ -64,34 +62,24 @@ class FlowSchurComplement:
 
     def _inertia(self, at: Evaluation) -> np.ndarray:
         """What multiplies w . dv by inertia, (points of the residual's rule,)."""
-        u, terms = at.cells, self.residual.cell_terms
-        v = u.v.value.astype(complex)
-        v[0] += 1j * TINY
-        slots = terms.slots(self.inertial, with_values(u, v=v))
-        return slots["v"][0].imag / TINY
+        along = np.zeros_like(at.cells.v.value)
+        along[0] = 1.0
+        return self.residual.cell_terms.derivative(self.inertial, at.cells, v=along)["v"][0]
 
     def _base(self) -> np.ndarray:
         """dR/d(v, grad v) of convection and viscosity: (points, 0 or 1 + j, i, k, 0 or 1 + l)."""
-        d, u = self.dim, self.points.values
-        v, L = u.v.value, u.grad_v.value
+        d, u, terms = self.dim, self.points.values, self.points.terms
         A = np.zeros((self.op.points.count, 1 + d, d, d, 1 + d))
-        varying = [term for term in self.leading if self.points.terms.constant_matrix(term) is None]
-        for k in range(d):
-            for column in range(1 + d):
-                if column == 0:
-                    changed = v.astype(complex)
-                    changed[k] += 1j * TINY
-                    at = with_values(u, v=changed)
-                else:
-                    changed = L.astype(complex)
-                    changed[k, column - 1] += 1j * TINY
-                    at = with_values(u, grad_v=changed)
-                slots = self.points.terms.slots(varying, at)
-                A[:, 0, :, k, column] = slots["v"].imag.T
-                A[:, 1:, :, k, column] = slots["grad v"].imag.transpose(2, 1, 0)
-        A /= TINY
+        varying = [term for term in self.leading if terms.constant_matrix(term) is None]
+        for k, column in np.ndindex(d, 1 + d):
+            name, where = ("grad_v", (k, column - 1)) if column else ("v", (k,))
+            along = np.zeros_like(getattr(u, name).value)
+            along[where] = 1.0
+            slots = terms.derivative(varying, u, **{name: along})
+            A[:, 0, :, k, column] = slots["v"].T
+            A[:, 1:, :, k, column] = slots["grad v"].transpose(2, 1, 0)
         for term in self.leading:
-            matrix = self.points.terms.constant_matrix(term)
+            matrix = terms.constant_matrix(term)
             if matrix is not None:  # by (i, j) and (k, l)
                 A[:, 1:, :, :, 1:] += matrix.reshape(d, d, d, d).swapaxes(0, 1)
         return A
