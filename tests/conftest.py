@@ -24,7 +24,7 @@ QUICK = [
     "timestepping/test_scheme.py",
     "case/test_energies.py",
     "case/test_key_reference.py",
-    "case/test_meshfile.py",
+    "run/test_meshfile.py",
     "case/test_outputs.py",
     "case/test_schema.py",
     "case/test_units.py",

@@ -1,8 +1,9 @@
 """Case files: a run described in TOML, validated completely before anything is computed."""
 
 from ngvisco.case.build import Case, load_case
-from ngvisco.case.directory import Results, RunDirectory, RunDirectoryError, load, resume, run
+from ngvisco.case.directory import RunDirectory, RunDirectoryError
 from ngvisco.case.errors import CaseError, Fault
+from ngvisco.case.runs import Results, load, resume, run
 from ngvisco.expressions import Expression, ExpressionError, parse
 
 __all__ = [

@@ -45,6 +45,7 @@ class Blame:
         except UnknownNameError as error:
             where = (*_SECTION_OF_NAME.get(error.kind, path), error.name)
             key = (*path, "names") if error.kind == "subdomain" else where
+            key = key_of(error.kind, path, self.sections) if "." in error.kind else key
             raise self.error(key, str(error)) from error
         except InitialDataError as error:
             material: Any = self.sections.material

@@ -40,6 +40,7 @@ from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.inputs import times_of
 from ngvisco.run.observers import LedgerCSV, VTKSeries
+from ngvisco.run.refinement import Refinement
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.shapes.fractions import MISSED, volumes
 from ngvisco.shapes.shape import Shape
@@ -135,6 +136,12 @@ class Case:
         return self.sections.time.until
 
     @property
+    def refinement(self) -> Refinement | None:
+        """How the mesh follows a field; None for one that stays."""
+        adapt = self.sections.domain.adapt  # type: ignore[attr-defined]
+        return None if adapt is None else made(adapt)
+
+    @property
     def stops(self) -> tuple[float, ...]:
         """Output times that steps meet exactly, s."""
         return self.output_times(self.until)
@@ -169,6 +176,8 @@ class Case:
             table["path"] = digest_of(file)
         for name in ("title", "units", "output", "domain"):  # the mesh has a hash of its own
             del data[name]
+        if self.refinement is not None:
+            data["adapt"] = str(self.refinement)
         del data["time"]["until"]
         return hashlib.sha256(toml.write(data).encode()).hexdigest()
 
@@ -298,6 +307,9 @@ class Case:
                 observers=observers,
             )
             run.check_data(times_of(0.0, self.until))
+        if self.refinement is not None:
+            with self.blame.located("domain", "adapt"):
+                self.refinement.check(run)
         self._check_output(run)
         return run
 

@@ -10,7 +10,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from ngvisco.case.errors import Fault, Wrong
-from ngvisco.case.section import Section
+from ngvisco.case.table import Section
 from ngvisco.case.toml import line_of, value_text
 from ngvisco.errors import ParameterError
 

@@ -22,15 +22,14 @@ from numpy.typing import ArrayLike
 from pydantic import (
     BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
-    ValidationInfo,
     create_model,
     model_validator,
 )
 
 from ngvisco.case.energies import parse_law
 from ngvisco.case.laws import EnergyText
+from ngvisco.case.table import Section
 from ngvisco.case.values import (
     FIELDS,
     LawValue,
@@ -50,20 +49,6 @@ from ngvisco.physics.rheology import Viscosity
 from ngvisco.run.stepping import AdaptiveSteps
 
 _LAWS: tuple[type, ...] = (MaterialObject, FlowRule, Viscosity)
-
-
-class Section(BaseModel):
-    """A table of a case file: unknown keys and wrong types are refused.
-
-    The context of a validation, if there is one, converts the table's data before (``ngvisco.case.units``).
-    """
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _converted(cls, data: Any, info: ValidationInfo) -> Any:
-        return info.context(cls, data) if info.context and isinstance(data, dict) else data
 
 
 def _annotation(hint: Any) -> Any:
@@ -129,6 +114,7 @@ def section(
     tag: tuple[str, str] | None = None,
     wrapped: Mapping[Any, Any] | None = None,
     is_default: bool = False,
+    base: type[Section] = Section,
 ) -> type[Section]:
     """The section that holds a dataclass's (or function's) parameters.
 
@@ -141,6 +127,8 @@ def section(
         The schema's types of parameters that are laws, by their class; default any section.
     is_default : bool
         Whether the section is this one where the tag's key is left out.
+    base : class
+        With the keys that it has besides.
     """
     # of a dataclass its fields', each with the names that its own class's module knows
     hints = get_type_hints(target)
@@ -156,7 +144,7 @@ def section(
                 raise TypeError(f"{target.__qualname__}.{name}: a case file cannot give a {hints.get(name)}")
             continue
         fields[name] = (annotation, ... if required else _default(annotation, parameter.default))
-    base = _checked_section(target) if _is_plain(target, fields, hints.get("return")) else Section
+    base = _checked_section(target) if _is_plain(target, fields, hints.get("return")) else base
     model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
     _TARGETS[model] = target
     _ANNOTATIONS[model] = {name: annotation for name, (annotation, _) in fields.items()}
@@ -256,9 +244,9 @@ def moduli(model: type[BaseModel]) -> set[str]:
     return {name for name, annotation in found if annotation in (ModulusValue, ModulusValue | None)}
 
 
-def tagged(key: str, table: Mapping[str, Any]) -> Any:
-    """One of the sections of a table, by ``key``."""
-    return _choice(key, tuple(section(table[name], (key, name)) for name in table))
+def tagged(key: str, table: Mapping[str, Any], base: type[Section] = Section) -> Any:
+    """One of the sections of a table, by ``key``, with the keys of ``base`` besides."""
+    return _choice(key, tuple(section(table[name], (key, name), base=base) for name in table))
 
 
 def laws(base: type, table: Mapping[str, Any], wrappers: Mapping[str, Any], has_default: bool = True) -> Any:

@@ -9,7 +9,8 @@ from pathlib import Path
 from ngsolve import CoefficientFunction, SetNumThreads
 
 from ngvisco import case as cases
-from ngvisco.case.directory import Results, RunDirectory
+from ngvisco.case.directory import RunDirectory
+from ngvisco.case.runs import Results
 from ngvisco.errors import ParameterError
 from ngvisco.run.comparison import plot_comparison
 from ngvisco.run.fields import scalar_fields, title_of

@@ -75,6 +75,14 @@ class Snapshot:
         )
 
 
+@dataclasses.dataclass(frozen=True)
+class ChosenMesh:
+    """A mesh that a run came to: a .vol file's content, and the number of the state that chose it."""
+
+    image: bytes
+    step: int
+
+
 class Checkpoints:
     """Writes the run's HDF5 file every so many steps and at the end.
 
@@ -106,13 +114,16 @@ class Checkpoints:
         self.path = require_file("Checkpoints.path", path)
         self.every, self.keep = int(every), int(keep)
         self.attributes = dict(attributes or {})
+        self.chosen: ChosenMesh | None = None
+        """The mesh of the present state where that is not the run's first one."""
         self._kept: dict[int, Snapshot] = {}
 
     def start(self, simulation: Simulation) -> None:
         self._kept = {}
         if simulation.ranks.is_first and simulation.number > 0 and self.path.exists():
             earlier = _read_snapshots(self.path)
-            self._kept = {n: kept for n, kept in earlier.items() if n < simulation.number}
+            since = 0 if self.chosen is None else self.chosen.step  # states before are of another mesh
+            self._kept = {n: kept for n, kept in earlier.items() if since <= n < simulation.number}
         self._write(simulation)
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
@@ -134,6 +145,10 @@ class Checkpoints:
         image = io.BytesIO()
         with h5py.File(image, "w") as file:
             file.attrs.update(identity(simulation) | self.attributes | {"units": UNITS})
+            if self.chosen is not None:
+                content = np.frombuffer(self.chosen.image, dtype=np.uint8)
+                mesh = file.create_dataset("mesh", data=content, compression="gzip")
+                mesh.attrs["step"] = self.chosen.step
             group = file.create_group("ledger")
             for column in simulation.ledger.columns:
                 data = group.create_dataset(column, data=simulation.ledger.column(column))
@@ -207,6 +222,20 @@ def _opened(path: Path) -> Iterator[h5py.File]:
         raise
     except _UNREADABLE as error:
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
+
+
+def mesh_of_checkpoints(path: str | os.PathLike[str]) -> ChosenMesh | None:
+    """The mesh of a run's states where it is not the run's first one.
+
+    Raises
+    ------
+    CheckpointError
+        If the file cannot be read.
+    """
+    with _opened(require_path("mesh_of_checkpoints.path", path)) as file:
+        if "mesh" not in file:
+            return None
+        return ChosenMesh(file["mesh"][()].tobytes(), int(file["mesh"].attrs["step"]))
 
 
 def _read_snapshots(path: Path) -> dict[int, Snapshot]:

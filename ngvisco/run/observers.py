@@ -93,8 +93,8 @@ class Progress:
 
     def finish(self, simulation: Simulation) -> None:
         finished = simulation.t >= self.until * (1 - 1e-9)
-        word = "finished" if finished else "stopped"
-        self._print(f"{word} at t = {simulation.t:g} s after {steps_in_words(simulation)}")
+        word = "finished at" if finished else "stopped at" if simulation.stop_requested else "reached"
+        self._print(f"{word} t = {simulation.t:g} s after {steps_in_words(simulation)}")
         advice = dissipation_advice(simulation)
         if advice is not None:
             self._print(advice)

@@ -9,6 +9,9 @@ coarser ones; the energy that this takes is the ledger's column ``transfer``.
 from __future__ import annotations
 
 import math
+import os
+import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -18,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from ngvisco.errors import (
     MeshError,
+    NgviscoWarning,
     ParameterError,
     Quantity,
     UnknownNameError,
@@ -28,12 +32,15 @@ from ngvisco.errors import (
 )
 from ngvisco.forms.context import periodic_facets
 from ngvisco.forms.mesh.mesh_arrays import coordinates, is_simplicial, vertices
-from ngvisco.run.checkpoint import Checkpoints
+from ngvisco.run.checkpoint import Checkpoints, ChosenMesh, mesh_of_checkpoints
+from ngvisco.run.meshfile import mesh_image, mesh_of
 from ngvisco.run.simulation import Simulation
 from ngvisco.run.transfer import go_on, require_fit, transfer
 
 _TOO_LARGE = 1.5
 """Volume of a cell over that asked for from which it is divided: bisection gives powers of two."""
+_SAME_TIME = 1e-9
+"""Of ``every``, up to which a time is one at which the mesh is chosen."""
 _FLAT = 1e-9
 """Of its largest value; a field that varies by less over the domain is steep nowhere."""
 
@@ -47,8 +54,8 @@ class Refinement:
     field : str
         A scalar among the run's ``fields``, e.g. ``"disc_fraction"`` or ``"von_mises"``.
     above : float
-        A cell is divided where the field varies by more than this share of its range over the domain, in the
-        cell and those that it shares a vertex with.
+        Divided are cells in which, with those around them, the field varies by more than this share of its
+        range over the domain.
     levels : int
         How often the edges of a cell of the first mesh are halved at most.
     every : float
@@ -60,7 +67,7 @@ class Refinement:
         For a number out of its range.
     """
 
-    field: str
+    field: Annotated[str, Quantity(example="pressure")]
     above: Annotated[float, Quantity("1", "in (0, 1)", 0.1)] = 0.1
     levels: Annotated[int, Quantity("1", ">= 1")] = 1
     every: Annotated[float, Quantity("s", "> 0", 0.1)]
@@ -71,6 +78,19 @@ class Refinement:
             raise ParameterError("Refinement.above", self.above, "a share of the field's range, < 1")
         if (levels := as_integer(self.levels)) is None or not 1 <= levels <= 8:
             raise ParameterError("Refinement.levels", self.levels, "a whole number from 1 to 8")
+
+    def check(self, simulation: Simulation) -> None:
+        """Raise MeshError, ParameterError or UnknownNameError unless a run can follow its field."""
+        mesh = simulation.mesh
+        if mesh.comm.size > 1:
+            raise MeshError("meshes are refined on one process; here are several ranks")
+        if not is_simplicial(mesh):
+            raise MeshError("only triangles and tetrahedra are bisected; this mesh has other cells")
+        if periodic_facets(mesh):
+            raise MeshError("a periodic mesh cannot be refined: opposite walls would not fit each other")
+        simulation.stepper.check("Refinement.every", self.every)
+        self.steep(simulation)
+        require_fit(simulation, simulation)  # as it will have to on the first other mesh
 
     def steep(self, simulation: Simulation) -> np.ndarray:
         """Which cells are to be divided, (cells,)."""
@@ -94,7 +114,12 @@ class Refinement:
         return most[corners].max(axis=1) - least[corners].min(axis=1) > self.above * extent
 
 
-def run_refined(simulation: Simulation, refinement: Refinement, until: float) -> Simulation:
+def run_refined(
+    simulation: Simulation,
+    refinement: Refinement,
+    until: float,
+    checkpoint: str | os.PathLike[str] | None = None,
+) -> Simulation:
     """Run on meshes that follow a field, refined from that of ``simulation``.
 
     Its observers are told of every mesh by ``start``, as of a run that is resumed, and the ledger goes on.
@@ -106,6 +131,8 @@ def run_refined(simulation: Simulation, refinement: Refinement, until: float) ->
     refinement : Refinement
     until : float
         End of the run, s.
+    checkpoint : path, optional
+        The HDF5 file of such a run, which then goes on from its last state.
 
     Returns
     -------
@@ -114,61 +141,92 @@ def run_refined(simulation: Simulation, refinement: Refinement, until: float) ->
 
     Raises
     ------
-    ParameterError, UnknownNameError, MeshError
+    ParameterError, UnknownNameError, MeshError, CheckpointError
         For what does not fit, before a step is made.
     StepError
         As ``Simulation.run``.
     """
     require_type("run_refined.simulation", simulation, Simulation)
     require_type("run_refined.refinement", refinement, Refinement)
+    if simulation.number or simulation.ledger.balance is not None:  # begun, or carried over
+        expected = "before its first step"
+        raise ParameterError("run_refined.simulation", f"at step {simulation.number}", expected)
+    refinement.check(simulation)
+    first, chosen = simulation.mesh, None
+    if checkpoint is not None:
+        chosen = mesh_of_checkpoints(checkpoint)
+        simulation = simulation if chosen is None else simulation.on(mesh_of(chosen.image))
+        simulation.restore(checkpoint)
     end = as_number(until)
     if end is None or end < simulation.t:
         raise ParameterError("until", until, f"a finite number >= {simulation.t:g}")
-    _require_fit(simulation)
-    simulation.stepper.check("Refinement.every", refinement.every)
-    first = _First(simulation.mesh)
-    for _ in range(refinement.levels):  # the start values anew, as sharp as the mesh
-        finer = first.refined(simulation.mesh, refinement.steep(simulation), refinement.levels)
-        if finer.ne == simulation.mesh.ne:
-            break
-        simulation = simulation.on(finer)
-    for stop in (*np.arange(1, math.ceil(end / refinement.every - 1e-9)) * refinement.every, end):
-        simulation.run(float(stop))
-        if simulation.stop_requested:
-            break
-        if stop < end:
-            simulation = _moved(simulation, first, refinement)
+    for simulation, stop in stretches(simulation, refinement, end, first, chosen):  # noqa: B020
+        simulation.run(stop)
     return simulation
 
 
-def _moved(simulation: Simulation, first: _First, refinement: Refinement) -> Simulation:
+def stretches(
+    simulation: Simulation, refinement: Refinement, until: float, first: Mesh, chosen: ChosenMesh | None
+) -> Iterator[tuple[Simulation, float]]:
+    """A run on each of its meshes, and until when it is to go on there, s.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        At its start on the first mesh, or at a later state on a later one.
+    refinement : Refinement
+    until : float
+        End of the run, s.
+    first : Mesh
+        Of which all meshes are refinements.
+    chosen : ChosenMesh or None
+        The mesh of the present state, where it is not the first one.
+    """
+    cells, every = _First(first), refinement.every
+    if simulation.number == 0 and simulation.ledger.balance is None:
+        for _ in range(refinement.levels):  # the start values anew, as sharp as the mesh
+            image, finer = cells.refined(simulation.mesh, refinement.steep(simulation), refinement.levels)
+            if finer.ne == simulation.mesh.ne:
+                break
+            simulation = _on(simulation, finer)
+            _tell_checkpoints(simulation, ChosenMesh(image, 0))
+    else:
+        _tell_checkpoints(simulation, chosen)
+        periods = simulation.t / every
+        at_choice = abs(periods - round(periods)) < _SAME_TIME
+        if at_choice and (chosen is None or chosen.step != simulation.number) and simulation.t < until:
+            simulation = _moved(simulation, cells, refinement)
+    while True:
+        stop = min((math.floor(simulation.t / every + _SAME_TIME) + 1) * every, until)
+        stop = until if stop > until * (1 - _SAME_TIME) else stop
+        yield simulation, stop
+        if simulation.stop_requested or stop == until:
+            return
+        simulation = _moved(simulation, cells, refinement)
+
+
+def _moved(simulation: Simulation, cells: _First, refinement: Refinement) -> Simulation:
     """The run on the mesh that its present state wants; the same one where that is the one it has."""
-    mesh = first.refined(simulation.mesh, refinement.steep(simulation), refinement.levels)
+    image, mesh = cells.refined(simulation.mesh, refinement.steep(simulation), refinement.levels)
     if _are_same(mesh, simulation.mesh):
         return simulation
-    target = simulation.on(mesh)
+    target = _on(simulation, mesh)
     transfer(simulation, target)
     go_on(simulation, target)
+    _tell_checkpoints(target, ChosenMesh(image, target.number))
     return target
 
 
-def _require_fit(simulation: Simulation) -> None:
-    if simulation.number or simulation.ledger.balance is not None:  # begun, or carried over
-        raise ParameterError(
-            "run_refined.simulation", f"at step {simulation.number}", "before its first step"
-        )
-    mesh = simulation.mesh
-    if mesh.comm.size > 1:
-        raise MeshError("meshes are refined on one process; here are several ranks")
-    if not is_simplicial(mesh):
-        raise MeshError("only triangles and tetrahedra are bisected; this mesh has other cells")
-    if periodic_facets(mesh):
-        raise MeshError("a periodic mesh cannot be refined: opposite walls would not fit each other")
+def _on(simulation: Simulation, mesh: Mesh) -> Simulation:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NgviscoWarning)  # of the start values, given on the first mesh
+        return simulation.on(mesh)
+
+
+def _tell_checkpoints(simulation: Simulation, chosen: ChosenMesh | None) -> None:
     for observer in simulation.observers:
         if isinstance(observer, Checkpoints):
-            expected = "observers without checkpoints: their states are of one mesh"
-            raise ParameterError("run_refined.simulation.observers", "Checkpoints", expected)
-    require_fit(simulation, simulation)  # as it will have to on the first other mesh
+            observer.chosen = chosen
 
 
 class _First:
@@ -179,8 +237,11 @@ class _First:
         self._straight = Mesh(mesh.ngmesh.Copy())  # volumes of straight cells are halved exactly
         self._volumes = _volumes(self._straight)
 
-    def refined(self, present: Mesh, marked: np.ndarray, levels: int) -> Mesh:
-        """The first mesh with cells divided that lie in marked ones of ``present``, or have such in them."""
+    def refined(self, present: Mesh, marked: np.ndarray, levels: int) -> tuple[bytes, Mesh]:
+        """The first mesh with cells divided that lie in marked ones of ``present``, or have such in them.
+
+        It is read back from its file, which comes first, as it will be when the run is resumed.
+        """
         mesh, straight = Mesh(self._mesh.ngmesh.Copy()), Mesh(present.ngmesh.Copy())
         places = _centres(straight)[marked]
         for _ in range(mesh.dim * levels):
@@ -196,7 +257,8 @@ class _First:
             mesh.Refine()
         if self._order > 1:
             mesh.Curve(self._order)
-        return mesh
+        image = mesh_image(mesh)
+        return image, mesh_of(image)
 
 
 def _centres(mesh: Mesh) -> np.ndarray:

@@ -8,7 +8,7 @@ import pytest
 from ngsolve import Integrate, pi
 
 import ngvisco as nv
-from ngvisco.case import directory, reference
+from ngvisco.case import reference, runs
 from ngvisco.case.build import parse_case
 from ngvisco.case.errors import CaseError
 from ngvisco.case.places import place_of
@@ -231,12 +231,12 @@ def test_run_directory_goes_on_without_the_shape_s_file(tmp_path):
     picture = 'where = { kind = "Image", path = "disc.png", low = [0, 0], high = [1, 1] } #'
     text = HEAD + BODIES.replace("where = {", picture) + GRAVITY
     loaded = case(text.replace("until = 0.04", "until = 0.02"), tmp_path)
-    directory.run(loaded, tmp_path / "run")
+    runs.run(loaded, tmp_path / "run")
     (tmp_path / "disc.png").unlink()
     for setting, message in [("bodies.1.density=3.0", "cannot change"), ("bodies.1.where='x < 1'", "cannot")]:
         with pytest.raises(CaseError, match=message):
-            directory.resume(tmp_path / "run", until=0.04, settings=[setting])
-    directory.resume(tmp_path / "run", until=0.04, settings=["bodies.1.viscosity.G_v=0.02"])
+            runs.resume(tmp_path / "run", until=0.04, settings=[setting])
+    runs.resume(tmp_path / "run", until=0.04, settings=["bodies.1.viscosity.G_v=0.02"])
     rows = np.genfromtxt(tmp_path / "run" / "bodies.csv", delimiter=",", names=True)
     assert (np.diff(rows["time"]) > 0).all()
     assert rows["time"][[0, 1, -1]] == pytest.approx([0, 0.02, 0.04])
@@ -251,7 +251,7 @@ def test_run_directory_goes_on_without_the_shape_s_file(tmp_path):
 def test_a_scene_without_outlines_of_bodies_says_what_the_series_leaves_out(tmp_path, capsys, fields):
     output = f"[output.vtk]\nfields = {fields}\nsubdivision = 0\n"
     text = HEAD.replace("until = 0.04", "until = 0.02").replace("maxh = 0.3", "maxh = 0.5")
-    directory.run(case(text + BODIES + output), tmp_path / "run")
+    runs.run(case(text + BODIES + output), tmp_path / "run")
     assert main(["scene", str(tmp_path / "run")]) == 0
     said = "no outlines of bodies: output.vtk.fields leaves out fluid_fraction, disc_fraction, body"
     assert (said in capsys.readouterr().err) == ("body" not in fields)
@@ -289,7 +289,7 @@ def test_place_that_does_not_fit_is_refused_before_anything_is_written(tmp_path,
     )
     text = BODIES.replace('{ kind = "Ball", centre = [0.6, 0.5], radius = 0.2 }', where)
     with pytest.raises(CaseError) as caught:
-        directory.run(case(HEAD + text, tmp_path), tmp_path / "run")
+        runs.run(case(HEAD + text, tmp_path), tmp_path / "run")
     assert key in str(caught.value)
     assert message in str(caught.value)
     assert not (tmp_path / "run").exists()

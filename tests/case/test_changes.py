@@ -73,10 +73,10 @@ def test_the_directory_holds_both_cases_and_the_change(run):
 
 def test_a_change_that_was_interrupted_is_taken_up(run, monkeypatch):
     """Killed between the new case.toml and the first checkpoint with it."""
-    from ngvisco.case import directory
+    from ngvisco.case import runs
 
     with monkeypatch.context() as patch:
-        patch.setattr(directory, "_go", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(runs, "_go", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             nv.case.resume(run, settings=["material.G_e=6"])
     assert nv.case.resume(run, 0.06).model.material.G_e == 6

@@ -5,6 +5,7 @@ import pytest
 from ngsolve import CF, Integrate, Mesh, exp, x
 
 import ngvisco as nv
+from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.geometries import box
 from ngvisco.physics.variables import Jacobian
 
@@ -92,6 +93,23 @@ def test_a_union_of_cells_has_what_its_parts_had():
         assert abs(found - wanted).max() < 1e-13
 
 
+@pytest.mark.parametrize("interrupted", [0.04, 0.12])
+def test_a_run_goes_on_from_a_checkpoint_to_the_bit(tmp_path, interrupted):
+    refinement = nv.Refinement(field="disc_fraction", every=0.06)
+    whole = nv.run_refined(bodies(nv.Checkpoints(tmp_path / "whole.h5")), refinement, 0.16)
+    half = nv.run_refined(bodies(nv.Checkpoints(tmp_path / "half.h5")), refinement, interrupted)
+    assert half.mesh.ne != bodies().mesh.ne
+    later = bodies(nv.Checkpoints(tmp_path / "half.h5"))
+    later = nv.run_refined(later, refinement, 0.16, checkpoint=tmp_path / "half.h5")
+    assert later.number == whole.number == 8
+    assert np.array_equal(coordinates(later.mesh), coordinates(whole.mesh))
+    assert (
+        later.rothe_step.state.vec.FV().NumPy().tobytes() == whole.rothe_step.state.vec.FV().NumPy().tobytes()
+    )
+    for name in ("kinetic", "stored", "transfer", "closure", "step"):
+        assert np.array_equal(later.ledger.column(name), whole.ledger.column(name)), name
+
+
 @pytest.mark.parametrize(
     ("options", "named"),
     [
@@ -107,10 +125,8 @@ def test_what_does_not_fit_is_named(options, named):
         nv.run_refined(bodies(), nv.Refinement(**{"every": 0.04} | options), 0.08)
 
 
-def test_a_periodic_mesh_checkpoints_and_a_run_under_way_are_refused(tmp_path):
+def test_a_periodic_mesh_and_a_run_under_way_are_refused():
     refinement = nv.Refinement(field="J", every=0.04)
-    with pytest.raises(nv.ParameterError, match="one mesh"):
-        nv.run_refined(bodies(nv.Checkpoints(tmp_path / "run.h5")), refinement, 0.08)
     begun = bodies()
     begun.run(0.02)
     with pytest.raises(nv.ParameterError, match="before its first step"):

@@ -1,4 +1,4 @@
-"""Mesh files of cases and of run directories."""
+"""Meshes as files: of cases, run directories, checkpoints."""
 
 from __future__ import annotations
 

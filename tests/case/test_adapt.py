@@ -1,0 +1,92 @@
+"""[domain.adapt]: cases on meshes that follow a field."""
+
+import pytest
+
+import ngvisco as nv
+from ngvisco.case.build import parse_case
+from ngvisco.case.errors import CaseError
+from ngvisco.run.checkpoint import mesh_of_checkpoints
+from ngvisco.solver.rothe import RotheSolver
+
+PULSE = """
+[domain]
+geometry = "box"
+size = [3.0, 0.5]
+maxh = 0.5
+[domain.adapt]
+field = "pressure"
+above = 0.05
+every = 0.2
+[material]
+kind = "LinearElastic"
+K_e = 4.0
+G_e = 0.01
+[time]
+dt = 0.05
+until = 0.8
+scheme = "midpoint"
+[initial]
+velocity = ["2e-3*exp(-((x - 1)/0.2)**2)", 0.0]
+[output.checkpoint]
+every = 3
+"""
+
+
+def case(tmp_path, *settings):
+    return parse_case(PULSE, "pulse.toml", tmp_path, settings)
+
+
+@pytest.mark.parametrize("until", [0.2, 0.3])
+def test_a_run_that_ended_early_goes_on_to_the_bit(tmp_path, until):
+    whole = nv.case.run(case(tmp_path), tmp_path / "whole")
+    nv.case.run(case(tmp_path, f"time.until={until}"), tmp_path / "parts")
+    parts = nv.case.resume(tmp_path / "parts", 0.8)
+    assert parts.mesh.ne == whole.mesh.ne > case(tmp_path).mesh().ne
+    for file in ("ledger.csv", "vtk/fields.pvd"):
+        assert (tmp_path / "parts" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
+    loaded = [nv.load(tmp_path / name) for name in ("whole", "parts")]
+    states = [one.simulation.rothe_step.state.vec.FV().NumPy() for one in loaded]
+    assert states[0].tobytes() == states[1].tobytes()
+    assert mesh_of_checkpoints(tmp_path / "whole" / "run.h5").step > 0
+    taken = whole.ledger.column("transfer").sum()
+    assert taken > 0 and loaded[0].ledger["transfer"].sum() == pytest.approx(taken)
+    assert "reached t = 0.2 s" in (tmp_path / "whole" / "log.txt").read_text()
+
+
+def test_another_run_takes_over_its_last_state(tmp_path):
+    nv.case.run(case(tmp_path, "time.until=0.3"), tmp_path / "first")
+    later = nv.case.run(case(tmp_path, "time.until=0.6"), tmp_path / "later", source=tmp_path / "first")
+    assert later.t == pytest.approx(0.6) and later.number == 6
+    assert abs(later.ledger.column("closure_relative")).max() < 1e-11
+
+
+def test_a_step_that_fails_on_a_later_mesh_leaves_the_steps_before(tmp_path, monkeypatch):
+    solve = RotheSolver.solve
+
+    def fails(self, interval):
+        if interval.end > 0.27:
+            raise nv.StepError("refused", [])
+        return solve(self, interval)
+
+    monkeypatch.setattr(RotheSolver, "solve", fails)
+    with pytest.raises(nv.StepError):
+        nv.case.run(case(tmp_path), tmp_path / "out")
+    kept = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"case.toml", "ledger.csv", "run.h5", "failed.txt"} <= kept
+    assert nv.load(tmp_path / "out").time > 0.2  # on the second mesh
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("domain.adapt.field=vorticity", "domain.adapt.field .*unknown"),
+        ("domain.adapt.field=velocity", "domain.adapt.field .*scalar"),
+        ("domain.adapt.every=0.03", "domain.adapt.every .*multiple of dt"),
+        ("domain.adapt.levels=9", "domain.adapt.levels .*from 1 to 8"),
+        ("domain.periodic=x", "domain: a periodic mesh"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_the_run(tmp_path, setting, said):
+    with pytest.raises(CaseError, match=said):
+        one = case(tmp_path, setting)
+        one.simulation(one.mesh())
