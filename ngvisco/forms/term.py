@@ -56,6 +56,8 @@ class Entry:
     integrand: Integrand
     evaluate: Callable[[], float] | None = None
     """Gives the value where it is no integral: the reaction of a wall."""
+    is_outside: bool = False
+    """Whether what is dissipated is so beyond a wall, as by a dashpot: no heat of the material."""
 
 
 @runtime_checkable

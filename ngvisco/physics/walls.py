@@ -144,11 +144,16 @@ class Passage(Wall):
     values: Annotated[Mapping[str, CoefficientFunction], Quantity("1", example={"J": "1 + 0.1*sin(t)"})] = (
         field(default_factory=dict)
     )
+    amounts: Annotated[Mapping[str, CoefficientFunction], Quantity("1", example={"water": 1.0})] = field(
+        default_factory=dict
+    )
+    temperature: Annotated[Function | None, Quantity("K", "> 0", 300.0)] = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.values, Mapping):
-            expected = "a mapping of variable names to functions"
-            raise ParameterError(f"{type(self).__name__}.values", self.values, expected)
+        for name in ("values", "amounts"):
+            if not isinstance(value := getattr(self, name), Mapping):
+                expected = f"a mapping of {'variable' if name == 'values' else 'body'} names to functions"
+                raise ParameterError(f"{type(self).__name__}.{name}", value, expected)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,6 +171,11 @@ class Inflow(Passage):
     values : mapping of names to coefficient functions, optional
         The material's variables of what flows in, by name, averaged over the step; those of rest where
         nothing is said, and of parameters their start values.
+    amounts : mapping of names to coefficient functions, optional
+        With bodies, which of them flow in: by their names n_i, the volumes that they have at rest in a unit
+        of volume, 0 where nothing is said. The density is sum rho_i n_i then.
+    temperature : number or coefficient function, optional
+        Of what flows in, of a material that has one; its reference temperature where nothing is said.
 
     Raises
     ------
@@ -197,7 +207,7 @@ class Open(Passage):
     backflow : bool
         Whether the kinetic energy of what flows in is taken from it, -rho (v.n) |v|^2/2 where v.n < 0:
         without that a given stress may feed such a flow without bound.
-    density, values
+    density, values, amounts, temperature
         As for ``Inflow``.
 
     Raises

@@ -184,7 +184,7 @@ def test_what_the_diffusion_of_fields_dissipates_is_heat_in_the_coupled_solver()
 
 @pytest.mark.parametrize(
     ("curvature", "said"),
-    [(0.0, r"Initial\.values.*the start of 's'"), (-3.0, r"Model\.material.*convex in the entropy")],
+    [(0.0, r"Initial\.values.*a value of 's'"), (-3.0, r"Model\.material.*convex in the entropy")],
 )
 def test_an_energy_of_the_user_s_own_has_a_temperature_that_rises(curvature, said):
     good = nv.Thermal(material=nv.LinearElastic(K_e=10.0, G_e=5.0), c=3.0, theta_R=1.0)

@@ -387,9 +387,7 @@ def test_what_flows_in_is_looked_at(wall, message):
     [
         ({"material": ELASTIC, "regularisation": nv.Regularisation(rho_max=2.0)}, "a cut-off"),
         ({"material": ELASTIC, "regularisation": nv.Regularisation(delta_density=1.0)}, "diffuses"),
-        ({"material": nv.Thermal(material=ELASTIC, c=1.0, theta_R=300.0)}, "with heat"),
         ({"material": nv.Yosida(material=ELASTIC, eps=0.1)}, "no expression"),
-        ({"bodies": [nv.Body(name="a", density=1.0, material=ELASTIC)]}, "with bodies"),
     ],
 )
 def test_models_whose_fluxes_through_walls_are_not_known_are_refused(physics, message):

@@ -35,7 +35,7 @@ def test_an_energy_that_means_something_else_with_arrays_is_found_out_at_rest():
 
 
 def test_rounding_at_rest_is_no_difference():
-    """As of a run that starts there; one that is resumed later would take the other way, to other last bits."""
+    """As of a run that starts there; one that is resumed later would get other last bits."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J + 1 / J - 2))
     both = {"material": fluid, "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1)}
     disc = nv.Body(name="disc", where=nv.Ball((0.4, 0.5), 0.2), density=2.0, **both)

@@ -12,24 +12,28 @@ twice cancels with these facets too:
     E - E_old + tau (D - P) + R = -tau int (phi_hat + 1/2 rho_hat |v|^2) (v . n) + tau int t . v,
     int rho - int rho_old = -tau int rho_hat (v . n),
 
-exactly, whatever flows in.  What enters brings energy: at an inlet no sign is promised.
+exactly, whatever flows in; of a material with heat the entropy changes by -tau int s_hat (v . n) besides.
+What enters brings energy: at an inlet no sign is promised.  Of bodies each density n_i is carried so.
 """
 
 from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Sequence
+from functools import reduce
+from operator import add
 
 from ngsolve import CF, CoefficientFunction, Id
 
-from ngvisco.errors import ParameterError
+from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.start.variables import as_shape, starting_values
+from ngvisco.forms.start.variables import as_shape, entropy_at, given_temperature, starting_values
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
 from ngvisco.physics.material import volume_ratio
 from ngvisco.physics.materials.thermal import entropy_in
+from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.model import Model, as_vector
 from ngvisco.physics.parameters import value_at
 from ngvisco.physics.walls import Open, Passage
@@ -50,12 +54,17 @@ class Carried(PointTerm):
         self.indicator = facet_indicator(walls.mesh, [name])
         wall, owner = walls.conditions[name], f"walls[{name!r}]"
         assert isinstance(wall, Passage)
+        self.entropy = entropy_in(model.material)
         self.backflow = isinstance(wall, Open) and wall.backflow
-        z = starting_values(model.material, wall.values, Id(3), owner=owner)
-        self.values = {
-            "rho": _density(wall, owner, model, z),
-            "z": model.material.states(walls.mesh.dim).components(z),
-        }
+        z, rho = _entering(wall, owner, model)
+        self.temperature: CoefficientFunction | None = None
+        if self.entropy is not None and self.entropy.name not in wall.values:
+            self.temperature = given_temperature(model.material, wall.temperature, owner)
+            z[self.entropy.name] = entropy_at(model.material, self.temperature, z)
+        elif wall.temperature is not None:
+            expected = "none: the material has no temperature, or its entropy is among the values"
+            raise ParameterError(f"{owner}.temperature", wall.temperature, expected)
+        self.values = {"rho": rho, "z": model.material.states(walls.mesh.dim).components(z)}
         """Of what flows in, of the place and the time."""
 
     def _through(self, u: Fields) -> CoefficientFunction:
@@ -80,18 +89,57 @@ class Carried(PointTerm):
         flux = u.context.upwinding.inflow * u.rho_hat * self._through(u)
         return [-0.5 * flux * (u.v * w.v)] if self.backflow else []
 
-    def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
-        return {f"dissipation_backflow_{self.name}": part for part in self.on_body(u, u)}
-
     def entries(self, u: Fields) -> list[Entry]:
         through = self._through(u)
         flux = u.rho_hat * through
-        return [
+        found = [
             Entry(f"power_kinetic_{self.name}", "power", Integrand(facets=-0.5 * flux * (u.v * u.v))),
             Entry(f"power_stored_{self.name}", "power", Integrand(facets=-self._stored(u) * through)),
-            *super().entries(u),
+            *(_beyond(f"dissipation_backflow_{self.name}", part) for part in self.on_body(u, u)),
             Entry(f"inflow_{self.name}", "flux", Integrand(facets=-flux)),
         ]
+        if self.entropy is not None:
+            s = self.entropy.unit * u.layout.states.tensors(lambda: u.z_hat)[self.entropy.name]
+            found.append(
+                Entry(f"entropy_supply_{self.name}_carried", "production", Integrand(facets=-s * through))
+            )
+        return found
+
+
+def _entering(
+    wall: Passage, owner: str, model: Model
+) -> tuple[dict[str, CoefficientFunction], CoefficientFunction]:
+    """Variables, an entropy at rest, and density, kg/m^3, of what flows in."""
+    if model.bodies:
+        return _entering_bodies(wall, owner, model)
+    if wall.amounts:
+        raise ParameterError(f"{owner}.amounts", dict(wall.amounts), "none where there are no bodies")
+    z = starting_values(model.material, wall.values, Id(3), owner=owner)
+    return z, _density(wall, owner, model, z)
+
+
+def _entering_bodies(
+    wall: Passage, owner: str, model: Model
+) -> tuple[dict[str, CoefficientFunction], CoefficientFunction]:
+    names = [body.name for body in model.bodies]
+    for name in wall.amounts:
+        if name not in names:
+            raise UnknownNameError(f"{owner}.amounts", name, names)
+    if not wall.amounts:
+        expected = f"which of the bodies flows in, as {{{names[0]!r}: 1.0}}"
+        raise ParameterError(f"{owner}.amounts", {}, expected)
+    if wall.density is not None:
+        raise ParameterError(f"{owner}.density", wall.density, "none with bodies: it is sum rho_i n_i")
+    n = {name: as_shape(f"{owner}.amounts[{name!r}]", wall.amounts.get(name, 0.0), ()) for name in names}
+    given: dict[str, CoefficientFunction] = {AMOUNT + name: value for name, value in n.items()}
+    assert isinstance(model.material, Mixture)
+    for name, value in n.items():
+        given |= {X.name: value * X.tensor.from_distortion(Id(3)) for X in model.material.contents(name)}
+    for name in wall.values:
+        if name.startswith(AMOUNT):
+            raise ParameterError(f"{owner}.values", name, f"{name.removeprefix(AMOUNT)!r} in {owner}.amounts")
+    z = starting_values(model.material, given | dict(wall.values), Id(3), owner=owner)
+    return z, reduce(add, (body.density * n[body.name] for body in model.bodies))
 
 
 def _density(
@@ -139,14 +187,17 @@ class GivenStress(PointTerm):
         (Z_p, Z_s), n = self.impedance, u.context.normal
         return Z_s * u.v + ((Z_p - Z_s) * (u.v * n)) * n
 
-    def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
-        if not any(self.impedance):
-            return {}
-        return {f"dissipation_impedance_{self.name}": self.indicator * (self._resistance(u) * u.v)}
-
     def entries(self, u: Fields) -> list[Entry]:
         power = Integrand(facets=self.indicator * (self._traction(u) * u.v))
-        return [Entry(f"power_traction_{self.name}", "power", power), *super().entries(u)]
+        found = [Entry(f"power_traction_{self.name}", "power", power)]
+        if any(self.impedance):
+            resisted = self.indicator * (self._resistance(u) * u.v)
+            found.append(_beyond(f"dissipation_impedance_{self.name}", resisted))
+        return found
+
+
+def _beyond(name: str, dissipated: CoefficientFunction) -> Entry:
+    return Entry(name, "dissipation", Integrand(facets=dissipated), is_outside=True)
 
 
 def passage_terms(walls: Walls, model: Model) -> tuple[Term, ...]:
@@ -169,10 +220,6 @@ def passage_terms(walls: Walls, model: Model) -> tuple[Term, ...]:
 def _refused(model: Model, dim: int) -> str | None:
     """Why nothing can cross a wall with this model, or None."""
     law = model.regularisation
-    if model.bodies:
-        return "with bodies the density is the sum of theirs, and which of them flows in is not said"
-    if entropy_in(model.material) is not None:
-        return "of a material with heat the heat that is carried through is not in the balance of entropy"
     if model.material.response(dim) is not None:
         return "its energy has no expression, and is not known of what is carried through"
     if law is not None and law.rho_max is not None:

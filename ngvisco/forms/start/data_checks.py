@@ -30,6 +30,7 @@ from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material
+from ngvisco.physics.mixture import AMOUNT
 from ngvisco.physics.model import BodyForce, CentralGravity, VectorLike, as_vector, force_of
 from ngvisco.physics.tensors import square
 from ngvisco.physics.time import time
@@ -112,17 +113,34 @@ def _check_incoming(step: Step, term: Carried, t: float) -> None:
     """Raise ParameterError where what flows in is not finite, or its density, J, ... not positive."""
     owner, ranks = f"walls[{term.name!r}]", Communicator.of(step.mesh)
     z = step.layout.states.tensors(lambda: term.values["z"])
+    if term.temperature is not None:  # before the entropy, which has its logarithm
+        where = f"{owner}.temperature"
+        _require_positive(step.mesh, term.name, "temperature", term.temperature, where, t)
     positive = {f"{owner}.density": {"density": term.values["rho"]}}
     for variable in step.model.material.variables:
         where = f"{owner}.values[{variable.name!r}]"
         _require_finite(step.mesh, term.name, z[variable.name], where, z[variable.name], t)
-        positive[where] = dict(variable.positive(z[variable.name]))
+        if not step.model.bodies:  # whose variables vanish where they are not
+            positive[where] = dict(variable.positive(z[variable.name]))
+    if step.model.bodies:
+        positive[f"{owner}.amounts"] = dict(step.model.material.bounds(z)[""])
+        for body in step.model.bodies:
+            where, n = f"{owner}.amounts[{body.name!r}]", z[AMOUNT + body.name]
+            least = ranks.least(_require_finite(step.mesh, term.name, n, where, n, t).min(initial=np.inf))
+            if least < 0:
+                raise ParameterError(where, f"{least:.4g} at t = {t:g} s", ">= 0 everywhere on the wall")
     for where, of_field in positive.items():
         for name, function in of_field.items():
-            values = _require_finite(step.mesh, term.name, function, where, function, t)
-            if (least := ranks.least(values.min(initial=np.inf))) <= 0:
-                found = f"{name} = {least:.4g} somewhere on the wall at t = {t:g} s"
-                raise ParameterError(where, found, f"{name} > 0 of what flows in")
+            _require_positive(step.mesh, term.name, name, function, where, t)
+
+
+def _require_positive(
+    mesh: Mesh, wall: str, name: str, function: CoefficientFunction, where: str, t: float
+) -> None:
+    values = _require_finite(mesh, wall, function, where, function, t)
+    if (least := Communicator.of(mesh).least(values.min(initial=np.inf))) <= 0:
+        found = f"{name} = {least:.4g} somewhere on the wall at t = {t:g} s"
+        raise ParameterError(where, found, f"{name} > 0 of what flows in")
 
 
 def warn_of_normal_parts(step: Step, velocity: VectorLike | None) -> None:

@@ -28,14 +28,20 @@ from ngvisco.forms.start.data_checks import distortion_of, warn_of_mismatch
 from ngvisco.forms.start.interpolation import Interpolation
 from ngvisco.forms.start.projections import project, set_traces
 from ngvisco.forms.start.starting_bodies import starting_fractions
-from ngvisco.forms.start.variables import as_shape, parameter_values, starting_values
+from ngvisco.forms.start.variables import (
+    as_shape,
+    entropy_at,
+    given_temperature,
+    parameter_values,
+    starting_values,
+)
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material, conjugates, volume_ratio
-from ngvisco.physics.materials.thermal import entropy_in, temperature, thermal_part
+from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.model import VectorLike, as_vector
 from ngvisco.physics.parameters import Parameter, moduli_in, value_at
@@ -279,35 +285,9 @@ def _entropy(
         if initial.temperature is not None:
             raise ParameterError("Initial.temperature", initial.temperature, "None beside a start entropy")
         return {}
-    if isinstance(material, Mixture):
-        return {entropy.name: _entropy_of_bodies(material, initial, values, sampler)}
-    thermal = thermal_part(material)
-    if thermal is None:
-        expected = f"the start of {entropy.name!r}: by a temperature only nv.Thermal knows it"
-        raise ParameterError("Initial.values", initial.values, expected)
-    theta = _temperature(initial, thermal.theta_R, sampler)
-    return {entropy.name: thermal.start(theta, values["A"])}
-
-
-def _entropy_of_bodies(
-    material: Mixture, initial: Initial, values: Mapping[str, CoefficientFunction], sampler: Sampler
-) -> CoefficientFunction:
-    """By the volume that all have at a point at the start; where bodies meet they share it then."""
-    heat = material.heat
-    assert heat is not None
-    if heat.reference_temperature is None and initial.temperature is None:
-        expected = "a temperature: those of reference, theta_R, differ from body to body"
-        raise ParameterError("Initial.temperature", None, expected)
-    theta = _temperature(initial, heat.reference_temperature, sampler)
-    return heat.start(theta, material.amounts(values), 1 / material.fractions.total(values))
-
-
-def _temperature(initial: Initial, default: float | None, sampler: Sampler) -> CoefficientFunction:
-    """theta of the start, K."""
-    given = default if initial.temperature is None else initial.temperature
-    theta = as_shape("Initial.temperature", given, ())
+    theta = given_temperature(material, initial.temperature, "Initial")
     sampler.require(theta, "temperature theta_0", minimum=0.0)
-    return theta
+    return {entropy.name: entropy_at(material, theta, values)}
 
 
 def _check_density_range(density: CoefficientFunction, sampler: Sampler) -> None:

@@ -9,6 +9,8 @@ from ngsolve import CF, CoefficientFunction
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.damaged import DamageSlope
+from ngvisco.physics.materials.thermal import entropy_in, thermal_part
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import as_tensor
 from ngvisco.physics.parameters import Parameter
 
@@ -52,6 +54,41 @@ def starting_values(
     for name in set(names) & set(given):
         values[name] = as_shape(f"{owner}.values[{name!r}]", given[name], tuple(values[name].dims))
     return values
+
+
+def given_temperature(material: Material, given: object, owner: str) -> CoefficientFunction:
+    """``owner.temperature``, K, which where it is None is the one of reference.
+
+    Raises
+    ------
+    ParameterError
+        For a material whose entropy no temperature tells, and bodies that have not one of reference.
+    """
+    known: float | None = None
+    if isinstance(material, Mixture):
+        known = None if material.heat is None else material.heat.reference_temperature
+    elif (thermal := thermal_part(material)) is not None:
+        known = thermal.theta_R
+    else:
+        entropy = entropy_in(material)
+        assert entropy is not None
+        expected = f"a value of {entropy.name!r}: by a temperature only nv.Thermal knows it"
+        raise ParameterError(f"{owner}.values", "no entropy", expected)
+    if given is None and known is None:
+        expected = "a temperature: those of reference, theta_R, differ from body to body"
+        raise ParameterError(f"{owner}.temperature", None, expected)
+    return as_shape(f"{owner}.temperature", known if given is None else given, ())
+
+
+def entropy_at(material: Material, theta: CoefficientFunction, values: Given) -> CoefficientFunction:
+    """The entropy of a temperature, K, and the other variables' values; where bodies meet they share the
+    volume that all have at a point."""
+    if isinstance(material, Mixture):
+        assert material.heat is not None
+        return material.heat.start(theta, material.amounts(values), 1 / material.fractions.total(values))
+    thermal = thermal_part(material)
+    assert thermal is not None
+    return thermal.start(theta, values["A"])
 
 
 def as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> CoefficientFunction:

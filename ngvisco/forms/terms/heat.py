@@ -181,7 +181,7 @@ class Heating(_OfEntropy):
         """Raise ParameterError for a term whose dissipation stands in its columns alone."""
         for term in u.context.terms:
             for entry in () if term is self else term.entries(u):
-                if entry.kind == "dissipation" and entry.name not in known:
+                if entry.kind == "dissipation" and entry.name not in known and not entry.is_outside:
                     name = type(term).__name__
                     expected = f"{name}: {entry.name!r} stated by ``dissipated``, from which heat is made"
                     raise ParameterError("Simulation.terms", name, expected)

@@ -1,0 +1,122 @@
+"""Bodies and heat that cross walls: their balances close, and what comes in is what was given."""
+
+import numpy as np
+import pytest
+from ngsolve import IfPos, Integrate, y
+
+import ngvisco as nv
+from ngvisco.geometries import box, structured_box
+from ngvisco.physics.variables import Jacobian
+
+FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J + 1 / J - 2))
+ELASTIC = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
+VISCOUS = nv.StokesViscosity(K_v=0.1, G_v=0.1)
+WARM = nv.Thermal(material=ELASTIC, c=2.0, expansion=1e-3, theta_R=300.0)
+
+
+def stream(*observers, **options):
+    """A soft disc of density 2 in a medium of 1 that flows through at 1 m/s."""
+    what = {"viscosity": VISCOUS}
+    disc = nv.Body(name="disc", where=nv.Ball((0.5, 0.5), 0.2), material=ELASTIC, density=2.0, **what)
+    model = nv.Model(bodies=[disc, nv.Body(name="medium", material=FLUID, density=1.0, **what)])
+    walls = {
+        "left": nv.Inflow(velocity=(1.0, 0.0), amounts={"medium": 1.0}),
+        "right": nv.Open(amounts={"medium": 1.0}, stiffness=(2.0, 1.0), impedance=(0.5, 0.5)),
+    }
+    options = {"initial": nv.Initial(velocity=(1.0, 0.0)), "walls": walls, "observers": observers, **options}
+    return nv.Simulation(box((1.5, 1.0), 0.2), model, dt=0.02, **options)
+
+
+def test_bodies_are_carried_through_a_window_and_keep_their_masses():
+    states = []
+    for solver in ("split", "coupled"):
+        table = nv.Bodies()
+        run = stream(table, solver=solver)
+        ledger = run.run(0.12)
+        assert abs(ledger.column("closure_relative")).max() < 1e-10
+        assert abs(ledger.column("mass_drift")).max() < 1e-12
+        disc, medium = (table.column(f"{name}_mass") for name in ("disc", "medium"))
+        assert abs(disc / disc[0] - 1).max() < 1e-6  # it is far from the walls
+        came = 0.02 * sum(ledger.column(f"inflow_{wall}") for wall in ("left", "right")).cumsum()
+        assert came[-1] > 0.005  # a body on springs holds back
+        assert np.allclose(disc + medium - disc[0] - medium[0], came, atol=1e-12)
+        moved = table.column("disc_x")[-1] - 0.5
+        assert 0.08 < moved < 0.12
+        states.append(run.rothe_step.state.vec.FV().NumPy().copy())
+    assert abs(states[0] - states[1]).max() < 1e-9 * abs(states[0]).max()
+
+
+def test_two_bodies_flow_in_beside_each_other():
+    what = {"material": FLUID, "viscosity": VISCOUS, "density": 1.0}
+    corner = nv.Block((0.0, 0.0), (0.25, 0.25))
+    bodies = [nv.Body(name="lower", where=corner, **what), nv.Body(name="upper", **what)]
+    amounts = {"lower": IfPos(y - 0.5, 0.0, 1.0), "upper": IfPos(y - 0.5, 1.0, 0.0)}
+    walls = {
+        "left": nv.Inflow(velocity=(1.0, 0.0), amounts=amounts),
+        "right": nv.Open(amounts={"upper": 1.0}),
+    }
+    run = nv.Simulation(
+        structured_box((1, 1), (4, 4)),
+        nv.Model(bodies=bodies),
+        dt=0.1,
+        walls=walls,
+        initial=nv.Initial(velocity=(1.0, 0.0)),
+    )
+    ledger = run.run(3.0)
+    assert abs(ledger.column("closure_relative")).max() < 1e-10
+    lower = run.fields["lower_fraction"]
+    assert abs(Integrate(lower * IfPos(y - 0.5, 0, 1), run.mesh) - 0.5) < 5e-3
+    assert abs(Integrate(lower * IfPos(y - 0.5, 1, 0), run.mesh)) < 5e-3
+
+
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_heat_is_carried_through(solver):
+    walls = {
+        "left": nv.Inflow(velocity=(1.0, 0.0), density=1.0, temperature=330.0),
+        "right": nv.Open(density=1.0, impedance=(1.0, 1.0)),
+    }
+    model = nv.Model(material=WARM, viscosity=VISCOUS, heat=nv.Heat(conductivity=0.05))
+    start = nv.Initial(density=1.0, velocity=(1.0, 0.0), temperature=300.0)
+    run = nv.Simulation(box((1, 1), 0.5), model, dt=0.2, walls=walls, initial=start, solver=solver)
+    ledger = run.run(3.0)
+    assert abs(ledger.column("closure_relative")).max() < 1e-10
+    rates = [name for name in ledger.columns if name.startswith("entropy_")]
+    assert "entropy_supply_left_carried" in rates and "entropy_supply_right_carried" in rates
+    supplied = ledger.column("dt") * sum(ledger.column(name) for name in rates)
+    entropy = ledger.column("entropy")
+    assert abs(np.diff(entropy) - supplied[1:]).max() < 1e-11 * abs(entropy).max()
+    theta = run.fields["temperature"]
+    assert abs(Integrate(theta, run.mesh) - 330.0) < 0.3  # three times what was there has left
+
+
+@pytest.mark.parametrize(
+    ("wall", "message"),
+    [
+        ({}, r"amounts = \{\}: expected which of the bodies flows in"),
+        ({"amounts": {"medium": 1.0}, "density": 1.0}, "density = 1.0: expected none with bodies"),
+        ({"amounts": {"medium": -1.0}}, r"amounts.*expected the sum of the amounts > 0|>= 0"),
+        ({"amounts": {"medium": 1.0, "disc": -0.1}}, r"amounts\['disc'\] = .*>= 0"),
+        ({"amounts": {"medium": 1.0}, "values": {"n_disc": 0.1}}, r"'disc' in walls"),
+        ({"amounts": {"medium": 1.0}, "temperature": 300.0}, "temperature = 300.0: expected none"),
+    ],
+)
+def test_bodies_that_flow_in_are_looked_at(wall, message):
+    with pytest.raises(nv.ParameterError, match=r"walls\['right'\]\." + ".*(" + message + ")"):
+        stream(walls={"right": nv.Open(**wall)})
+
+
+def test_other_faults_of_what_flows_in_are_named():
+    with pytest.raises(nv.UnknownNameError, match="did you mean 'medium'"):
+        stream(walls={"right": nv.Open(amounts={"medum": 1.0})})
+    with pytest.raises(nv.ParameterError, match=r"Open\.amounts = 1\.0: expected a mapping of body names"):
+        nv.Open(amounts=1.0)
+    with pytest.raises(nv.ParameterError, match=r"walls\['right'\].amounts = .*no bodies"):
+        nv.Simulation(
+            box((1, 1), 1),
+            nv.Model(material=ELASTIC),
+            dt=0.1,
+            walls={"right": nv.Open(density=1, amounts={"a": 1})},
+        )
+    with pytest.raises(nv.ParameterError, match=r"walls\['right'\].temperature = .*-3.*temperature > 0"):
+        walls = {"right": nv.Open(density=1.0, temperature=-3.0)}
+        nv.Simulation(box((1, 1), 1), nv.Model(material=WARM), dt=0.1, walls=walls)
