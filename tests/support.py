@@ -212,6 +212,7 @@ def randomise(step: Step, seed: int = 0, size: float = 0.15) -> None:
         target.vec.FV().NumPy()[:] += size * rng.uniform(-1, 1, step.layout.space.ndof)
     step.start_from_old()
     step.wind.vec.FV().NumPy()[:] = step.state_old.vec.FV().NumPy()[step.layout.ranges["v"]]
+    step.follow_wind()
     positive = {"rho": step.now.rho, "J": step.now.z_tensors.get("J")}
     if "hess_square" in step.layout.names:
         positive["|Hs|^2"] = step.now.hess_square

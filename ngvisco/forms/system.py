@@ -36,6 +36,7 @@ from ngvisco.forms.context import Context
 from ngvisco.forms.damage import DamageGrowth, damage_growth
 from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
+from ngvisco.forms.facet_flux import FacetFlux
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Discretisation, Layout
@@ -155,11 +156,13 @@ class Step:
         self._momentum = GridFunction(VectorValued(points, mesh.dim))
         self.wind = GridFunction(self.layout.blocks["v"], name="wind")
         """v*, which says what side of a facet is upstream, m/s; known before a step is solved."""
+        self.through = FacetFlux(mesh, self.wind, k) if m == 0 else None
+        """Of it what goes through facets, where a trace has one value of each."""
         self.context = self.layout.context = Context(
             mesh,
             model,
             self.old,
-            self.wind,
+            self.wind if self.through is None else self.through.function,
             self.energy,
             self.momentum_old,
             self.quadrature.volume_degree,
@@ -217,6 +220,11 @@ class Step:
         for name in self.layout.evolving:
             old[ranges[name]] = sum(weight * part.values[name] for weight, part in parts)
         self.momentum_old.vec.FV().NumPy()[:] = sum(weight * part.momentum for weight, part in parts)
+
+    def follow_wind(self) -> None:
+        """Let the sides of upwinding be those of the present ``wind``."""
+        if self.through is not None:
+            self.through()
 
     def start_from_old(self) -> None:
         """Let the step start from the state that ``state_old`` holds: m_old = rho_old v_old."""

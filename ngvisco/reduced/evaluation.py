@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
+from functools import cached_property, partial
 from types import SimpleNamespace
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, GridFunction
+import scipy.sparse as sp
+from ngsolve import CF, CoefficientFunction, GridFunction, specialcf
 
 from ngvisco.algebra.local import by_parts
 from ngvisco.errors import NgviscoError
@@ -144,10 +145,21 @@ class SideContext:
     def start(self) -> None:
         """Let what is given, and the side of upwinding, be that of the step."""
         self._given.clear()
-        wind = self._op.v(self._step.wind.vec.FV().NumPy().reshape(self._step.mesh.dim, -1))
-        through = (self._op.points.normals * wind).sum(axis=0)
+        flux, wind = self._step.through, self._step.wind.vec.FV().NumPy()
+        if flux is None:
+            v = self._op.v(wind.reshape(self._step.mesh.dim, -1))
+            through = (self._points.normals * v).sum(axis=0)
+        else:
+            through = self._through @ flux.function.vec.FV().NumPy()
         eta = self._step.context.eta.Get()
         self.upwinding = Upwinding(Array(through, None), self.crossed, eta, self._incoming())
+
+    @cached_property
+    def _through(self) -> sp.csr_matrix:
+        """Takes what goes through facets to v* . n at the points."""
+        assert self._step.through is not None
+        space, n = self._step.through.function.space, specialcf.normal(self._step.mesh.dim)
+        return self._points.operator(space, lambda v: v * n)
 
     def _incoming(self) -> Incoming | None:
         """What flows in through walls; None where nothing crosses them."""

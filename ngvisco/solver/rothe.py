@@ -230,12 +230,14 @@ class RotheSolver:
         now, kept = time.Get(), {name: vector.copy() for name, vector in self._vectors().items()}
         for name, vector in self._vectors().items():
             vector[:] = arrays[name][self._part(name)]
+        self.step.follow_wind()
         self.step.start_from_old()  # by numerical heating, of backward Euler, the derivative has m_old too
         parameters = {name: numbers[name] for name in _PARAMETERS}
         self.newton.factorise(self.problem(Interval(begin=now, **parameters)))
         self._last_tau = numbers["last_tau"]
         for name, vector in self._vectors().items():
             vector[:] = kept[name]
+        self.step.follow_wind()
         self.step.start_from_old()
         time.Set(now)
 

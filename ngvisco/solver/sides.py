@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 from ngsolve import IfPos
 
+from ngvisco.forms.facet_flux import FacetFlux
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
@@ -51,6 +52,10 @@ class Sides:
         self._provisional = self._is_from_rest = False
         self._prescribed = ~mask_of(step.layout.blocks["v"].FreeDofs())
         c, (v, h) = step.context, (step.now.v, step.context.h)
+        self._through: FacetFlux | None = None
+        if step.through is not None:
+            self._through = FacetFlux(step.mesh, v, step.discretisation.k)
+            v = self._through.function
         through = c.crossed * (v * c.normal)
         fast = IfPos(through * through - (COURANT * h / c.tau) ** 2, 1.0, 0.0)
         downstream = IfPos(through, c.upwinding.inflow, c.upwinding.share)
@@ -60,12 +65,11 @@ class Sides:
         """Take the coefficients ``velocity`` for v*, (unknowns of v,), m/s; a new iteration begins."""
         self.corrections, self._provisional = 0, False
         self._is_from_rest = not self._ranks.any(velocity.any())
-        self.step.wind.vec.FV().NumPy()[:] = velocity
+        self._take(velocity)
 
     def take_walls(self) -> None:
         """Give v* the values that walls prescribe."""
-        wind = self.step.wind.vec.FV().NumPy()
-        wind[self._prescribed] = self._velocity[self._prescribed]
+        self._take(self._velocity, self._prescribed)
 
     def change(self, increment: float) -> bool:
         """Whether v* becomes the velocity of the state, an iterate that was reached by such an increment."""
@@ -80,12 +84,20 @@ class Sides:
         else:
             return False
         if changes:
-            self.step.wind.vec.FV().NumPy()[:] = self._velocity
+            self._take(self._velocity)
         return changes
+
+    def _take(self, velocity: np.ndarray, where: np.ndarray | slice = slice(None)) -> None:
+        self.step.wind.vec.FV().NumPy()[where] = velocity[where]
+        self.step.follow_wind()
 
     def _is_wrong(self) -> bool:
         # a side is wrong where v differs from v* by as much as makes it matter: most steps end here
-        return self._moved(_NEAR * COURANT) and self.step.quadrature.integrate_facets(self._wrong) > 0
+        if not self._moved(_NEAR * COURANT):
+            return False
+        if self._through is not None:
+            self._through()
+        return self.step.quadrature.integrate_facets(self._wrong) > 0
 
     def _moved(self, courant: float) -> bool:
         """Whether v differs from v* by more than this Courant number of the smallest cell."""

@@ -149,6 +149,7 @@ def test_both_sides_weigh_their_conjugates_to_one() -> None:
     step = step_of(Case(dim=2, m=0, p=None))
     randomise(step, 4)
     step.wind.vec[:] = 0.0
+    step.follow_wind()
     inflow = step.context.upwinding.inflow
     of_both = step.quadrature.integrate_facets(inflow) / step.quadrature.integrate_facets(step.context.inner)
     assert of_both == pytest.approx(0.5, rel=1e-14)
@@ -282,6 +283,7 @@ def test_trace_is_the_upwind_value(case: Case) -> None:
     step.context.eta.Set(1e-6)
     try:
         step.wind.Set(CF((1.0, 0.7, 0.4)[: case.dim]))
+        step.follow_wind()
         # the trace's own equation, linear in it
         form = uncondensed(
             step, term_of(step, "UpwindTrace").form(*map(step.layout.fields, step.layout.space.TnT()))

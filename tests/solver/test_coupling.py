@@ -44,6 +44,7 @@ def split(request):
     run.rothe_step.context.tau.Set(0.01)
     where = split.unknowns.slices["v"]
     run.rothe_step.wind.vec.FV().NumPy()[:] = values[where]
+    run.rothe_step.follow_wind()
     split.residual.start()
     at = split.residual(values)
     split.preconditioner.sweep.update(at)

@@ -167,6 +167,7 @@ class _Transport:
         v = GridFunction(layout.blocks["v"])
         v.Set(CF(flow))
         step.wind.Set(CF(flow))
+        step.follow_wind()
         (z, z_hat), (G, G_hat) = space.TnT()
         step.context.set_step(tau, 0.0, 0.0, tau)
         step.context.eta.Set(1e-4)

@@ -46,11 +46,13 @@ def _stokes(viscosity: float) -> nv.StokesViscosity | None:
 
 
 def discs(
-    scheme: Scheme = "midpoint", tau: float = TAU, thickness: float = 1.0
+    scheme: Scheme = "midpoint", tau: float = TAU, thickness: float = 1.0, light: float = LIGHT
 ) -> tuple[nv.Simulation, nv.Bodies]:
-    """The run at its start, and its table; ``thickness`` is that of all viscosities over the setting's."""
+    """The run at its start, and its table.
+
+    ``thickness`` is that of all viscosities over the setting's, ``light`` the medium's density, kg/m^3."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: SOFT / 2 * (J + 1 / J - 2))
-    bodies = [nv.Body(name="medium", material=fluid, viscosity=_stokes(thickness * THIN), density=LIGHT)]
+    bodies = [nv.Body(name="medium", material=fluid, viscosity=_stokes(thickness * THIN), density=light)]
     for name, X in PLACES.items():
         bodies.append(
             nv.Body(
