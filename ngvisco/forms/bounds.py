@@ -15,6 +15,10 @@ for that rule:
 Of bodies rho = sum rho_i n_i is a function of z: both have one s, so that it stays theirs.  Parameters have
 bounds of their own (``ngvisco.forms.ranges``) and are limited first.
 
+The momentum density rho v has the s of rho (``limit_momentum``): |p|^2/(2 rho) is jointly convex, so that
+the kinetic energy falls too, where rho >= 0 before.  What moves as a whole goes on to do so; where rho is
+limited under a momentum that is kept it does not.
+
 Only a mean out of bounds is beyond mending; it ends a step.  Two bounds do not count: those of variables for
 which the material's energy is continued (``Material.continued``: a Yosida approximation, J_min), and in a
 cell those of variables that the energy does not read there, phi'_z = 0 in all of it.  Those of
@@ -31,12 +35,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction
+from ngsolve import CF, L2, CoefficientFunction, GridFunction
 
 from ngvisco.forms.cell_means import SHARE, CellMeans
 from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.ranges import Ranges
+from ngvisco.forms.stretches import Stretches
 from ngvisco.forms.system import Step
 from ngvisco.parallel.mesh import number_of
 
@@ -147,6 +152,8 @@ class Bounds:
         self._where_means_do = np.array([name in material.where_means_do for name in self.names])
         self._present = CF(tuple(present.values()))
         self._slices, self._size = material.states(dim).slices, material.states(dim).size
+        self._share = GridFunction(L2(step.mesh, order=0))
+        """s of rho in the last limited state."""
 
     @cached_property
     def _means(self) -> CellMeans:
@@ -156,6 +163,11 @@ class Bounds:
     def ranges(self) -> Ranges:
         """Those of the parameters."""
         return Ranges(self.step, self.sampler, self._means)
+
+    @cached_property
+    def stretches(self) -> Stretches:
+        """The tensors of bodies whose energies are linear."""
+        return Stretches(self.step, self.sampler, self._means)
 
     @cached_property
     def _bounds_of_means(self) -> CoefficientFunction:
@@ -196,10 +208,16 @@ class Bounds:
 
         Only rho and z change, and only in cells that are out of bounds at a point.
         """
-        out_of_range = self.ranges.limit()
-        found = self._outside()
-        if found is None:
-            return int(self._ranks.total(len(out_of_range)))
+        self._share.vec[:] = 1.0
+        changed, found = self.ranges.limit(), self._outside()
+        if found is not None:
+            self._limit(found)
+            changed = np.union1d(changed, found.cells)
+        changed = np.union1d(changed, self.stretches.limit())
+        return int(self._ranks.total(len(changed)))
+
+    def _limit(self, found: _Outside) -> None:
+        """Scale rho and z in the cells that were found outside."""
         target, _ = SHARE * found.means, self._means.owner  # which all ranks make together
         of_density = np.array([variable is None for variable in self._variables])
         groups: list[tuple[tuple[str, ...], np.ndarray]] = [(("rho",), of_density), (("z",), ~of_density)]
@@ -209,11 +227,16 @@ class Bounds:
             outside = (found.broken & group).any(axis=1)
             if outside.any():
                 self._scale(names, found, outside, found.required & group, target)
-        return int(self._ranks.total(len(np.union1d(out_of_range, found.cells))))
+
+    def limit_momentum(self) -> None:
+        """Scale the momentum density that the step starts from as ``limit`` has scaled rho."""
+        momentum, means = self.step.momentum_old, self._means
+        means.project_momentum()
+        momentum.Interpolate(means.momentum + self._share * (momentum - means.momentum))
 
     def is_exceeded(self) -> bool:
         """Whether ``limit`` would change the present state."""
-        return self.ranges.is_exceeded() or self._outside() is not None
+        return self.ranges.is_exceeded() or self._outside() is not None or self.stretches.is_exceeded()
 
     def _scale(
         self,
@@ -241,6 +264,8 @@ class Bounds:
             holds = (~required | (self._at(found) >= target)).all(axis=1)
             low, high = np.where(holds, middle, low), np.where(holds, high, middle)
         put(low)
+        if "rho" in names:
+            self._share.vec.FV().NumPy()[found.cells[outside]] = low[outside]
 
     def _parts_of(
         self, name: str, dofs: np.ndarray, cells: np.ndarray

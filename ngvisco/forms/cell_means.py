@@ -1,4 +1,4 @@
-"""Means over the cells of a state's density and variables, by the rule of the forms."""
+"""Means over the cells of a state's density, variables and momentum density, by the rule of the forms."""
 
 from __future__ import annotations
 
@@ -44,6 +44,20 @@ class CellMeans:
         """Make them those of the present state."""
         for projection in self._projections:
             projection()
+
+    @cached_property
+    def momentum(self) -> GridFunction:
+        """Of the momentum density that the step starts from, kg/(m^2 s)."""
+        return GridFunction(VectorValued(self.rho.space, self.step.mesh.dim))
+
+    @cached_property
+    def _momentum_projection(self) -> LocalProjection:
+        load = tested(self.step.momentum_old)
+        return LocalProjection(self.momentum.space, self.momentum, self.step.quadrature, load)
+
+    def project_momentum(self) -> None:
+        """Make ``momentum`` that of the present ``momentum_old``."""
+        self._momentum_projection()
 
     def array(self, name: str) -> np.ndarray:
         """Means of ``"rho"`` or ``"z"``, (components, cells)."""

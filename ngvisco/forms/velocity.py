@@ -73,6 +73,10 @@ class VelocityOfMomentum:
         self._dim = layout.mesh.dim
         self._walls = None if term is None else WallProjection(layout, term, quadrature, self.free)
 
+    def functional(self) -> np.ndarray:
+        """<m, .> in this rank's cells, (unknowns of v,)."""
+        return self._load.Assemble().vec.FV().NumPy().copy()
+
     def __call__(self) -> np.ndarray:
         """Solve; returns the rows of int rho v . w - <m, w>, which only walls leave, (unknowns of v,).
 
@@ -85,7 +89,7 @@ class VelocityOfMomentum:
         """
         self._mass.Assemble()
         mass = sp.block_diag([csr(self._mass.mat)] * self._dim, format="csr")
-        rows = self._load.Assemble().vec.FV().NumPy().copy()
+        rows = self.functional()
         free, v, exchange, ranks = self.free, self.v, self._exchange, self._exchange.communicator
         momentum, diagonal = exchange.sum(rows), exchange.sum(mass.diagonal())[free]
         project: Callable[[np.ndarray], np.ndarray] = _same

@@ -231,6 +231,11 @@ class Mixture(Material):
     def where_means_do(self) -> frozenset[str]:
         return frozenset([_LIGHTEST])
 
+    def linear_contents(self, z: Values) -> dict[str, tuple[str, Any]]:
+        linear = (b.name for b, psi in zip(self.bodies, self.energies, strict=True) if psi.is_linear)
+        theta = self.fractions.at(z)
+        return {X.name: (AMOUNT + name, theta[name]) for name in linear for X in self.contents(name)}
+
     def taking_part(self, z: Values) -> Values:
         if len(self.bodies) == 1:
             return {}

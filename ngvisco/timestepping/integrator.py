@@ -8,8 +8,8 @@ without a time derivative (traces, multipliers, the creep rate field) stay those
 
 Bounds.  A step's end that is negative at a point while its means are not is limited
 (``ngvisco.forms.bounds``).  Stages are left as they are solved: they only have to have positive means.
-The momentum functional is kept: v follows from it and the limited density.  With U the last stage, and u_1
-the end before it is limited to u,
+The momentum density is limited as rho is, and v follows from both.  With U the last stage, and u_1 the end
+before it is limited to u,
 
     E(u) - E(u_1) = E'(U)[u - u_1] + B(u, U) - B(u_1, U),
 
@@ -318,7 +318,7 @@ class Integrator:
         if limited:
             moved = [name for name in step.layout.evolving if name != "v"]  # v follows from the momentum
             change = {name: state[ranges[name]] - old[ranges[name]] for name in moved}
-            taken = -self.distance.slope(states[-1], change)
+            taken = -self.distance.slope(states[-1], change) + self._taken_of_momentum(states[-1])
         impulse = self._velocity()
         self.impulse = impulse / tau
         own, through_walls = before if limited else impulse, 0.0
@@ -328,6 +328,14 @@ class Integrator:
             if limited:
                 through_walls -= self.rothe.exchange.communicator.dot((impulse - own)[mask], v)
         return _End(step.evolved(), limited, taken, through_walls)
+
+    def _taken_of_momentum(self, stage: Evolved) -> float:
+        """Limit the momentum density; gives -<change of m, V> with the velocity V of a stage, J."""
+        assert self.bounds is not None and self._velocity is not None
+        before = self._velocity.functional()
+        self.bounds.limit_momentum()
+        change = self._velocity.functional() - before
+        return -self.rothe.exchange.communicator.dot(change, stage.values["v"])
 
     def _impulse_before_limiting(self, otherwise: np.ndarray) -> np.ndarray:
         """The walls' impulse by the density as it is; ``otherwise`` where that has no velocity.

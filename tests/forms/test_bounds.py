@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ngsolve import CF, VOL, Det, Integrate, x, y, z
+from ngsolve import CF, VOL, Det, Integrate, cos, sin, x, y, z
 
 import ngvisco as nv
 from ngvisco.forms.bounds import OF_CUT_OFF, SHARE, Bounds
@@ -10,6 +10,7 @@ from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
+from ngvisco.forms.velocity import VelocityOfMomentum
 from ngvisco.geometries import box, disc
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, LeftCauchyGreen, ReciprocalJacobian
@@ -173,6 +174,45 @@ def test_density_is_limited_by_itself():
     assert bounds_of(step).limit() == 1
     assert (state[ranges["z"]] == before[ranges["z"]]).all()
     assert (state[ranges["rho"]] != before[ranges["rho"]]).any()
+
+
+def kinetic_after_limiting(velocity, seed, is_momentum_limited=True):
+    """Kinetic energies before and after of a body whose density has been shaken, and its velocity."""
+    step = step_of()
+    parts = dict(zip(step.layout.names, step.state.components, strict=True))
+    parts["v"].Set(CF(velocity))
+    shaken(step, seed=seed, size=1.5, share=1.0)
+    u, integral = step.now, step.quadrature.integrate_cells
+    before, bounds = 0.5 * integral(u.rho * square(u.v)), bounds_of(step)
+    step.momentum_old.Interpolate(u.rho * u.v)
+    total = np.array(integral(u.rho * u.v))
+    assert bounds.limit() > 3
+    if is_momentum_limited:
+        bounds.limit_momentum()
+    solve = VelocityOfMomentum(step.layout, step.state, u.rho, step.momentum_old, None, step.quadrature)
+    solve.free[:] = True  # no walls
+    solve()
+    assert np.array(integral(u.rho * u.v)) == pytest.approx(total, abs=1e-12)
+    return before, 0.5 * integral(u.rho * square(u.v)), u.v
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_kinetic_energy_is_taken_and_the_momentum_kept(seed):
+    """With the momentum density scaled as the density; control: under one that is kept."""
+    velocity = (sin(5 * x + seed) + 1.0, cos(7 * y + 3 * x))
+    before, after, _ = kinetic_after_limiting(velocity, seed)
+    assert 1e-6 * before < before - after
+    before, after, _ = kinetic_after_limiting(velocity, seed, is_momentum_limited=False)
+    assert after > before
+
+
+@pytest.mark.parametrize("is_limited", [True, False])
+def test_a_limited_density_does_not_disturb_a_translation(is_limited):
+    """Control: under a momentum density that is not limited with it."""
+    _, _, v = kinetic_after_limiting((1.0, 0.5), 0, is_limited)
+    mesh = box((1, 1), 0.4)
+    away = np.abs([np.array(v(mesh(a, b))) - (1.0, 0.5) for a in (0.1, 0.4, 0.8) for b in (0.2, 0.7)]).max()
+    assert (away <= 1e-12) == is_limited and (away > 1e-3) != is_limited
 
 
 def test_positive_definiteness_of_B_is_restored():

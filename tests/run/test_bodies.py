@@ -242,6 +242,10 @@ def test_the_run_that_ended_at_one_second_goes_on():
     assert run.ledger.rows[-1]["J_min"] > 0.5
 
 
+BY_J_MIN = nv.ReferentialNeoHookean(K_e=20.0, G_e=0.05, J_min=0.1)
+HARDENING = nv.Perzyna(sigma_Y=1.0, G_m=1.0, H=1.0)
+
+
 class SharesOnly:
     """Tells shares of cells, but not where its surface is: that does not lie over other shapes."""
 
@@ -273,7 +277,9 @@ class SharesOnly:
         (lambda: [disc(material=BY_F), rest()], r"bodies\['disc'\].material.*elastic_state"),
         (lambda: [disc(material=VARIED), rest()], "a bulk modulus that is a number"),
         (lambda: [disc(material=nv.Yosida(material=SOLID, eps=0.01)), rest()], "Yosida approximation"),
-        (lambda: [disc(creep=nv.Creep(G_m=1.0, nu=0.1)), rest()], "nu = 0"),
+        (lambda: [disc(material=BY_J_MIN), rest()], "J_min = None: continued below it"),
+        (lambda: [disc(creep=nv.Creep(G_m=1.0, nu=0.1)), rest()], "nu = 0: the creep .* is local"),
+        (lambda: [disc(creep=HARDENING), rest()], "H = 0 and Q = 0: the plastic strain of one body"),
     ],
 )  # fmt: skip
 def test_bad_bodies_are_refused_by_name(make, match):
@@ -329,7 +335,7 @@ def test_what_bodies_say_is_not_said_twice():
 @pytest.mark.parametrize("options", [{"rho_max": 2.0}, {"delta_density": 1e-3}], ids=lambda o: next(iter(o)))
 def test_a_density_that_is_not_the_sum_of_the_bodies_is_refused(options):
     """Cut off or diffused it would not be; their own fluxes know of neither."""
-    with pytest.raises(nv.ParameterError, match=next(iter(options))):
+    with pytest.raises(nv.ParameterError, match=f"{next(iter(options))}.* the density is the sum of theirs"):
         nv.Model(bodies=[disc(), rest()], regularisation=nv.Regularisation(**options))
 
 

@@ -124,8 +124,8 @@ def thin_out(run):
 
 
 @pytest.mark.parametrize("scheme", ["midpoint", *(pytest.param(s, marks=pytest.mark.long) for s in OTHERS)])
-def test_limiter_keeps_the_momentum(scheme):
-    """In all rows of v that no wall prescribes: density is limited, v follows."""
+def test_velocity_is_that_of_the_limited_density_and_momentum(scheme):
+    """In all rows of v that no wall prescribes."""
     run = cavity(scheme=scheme, mesh=coarse())
     run.run(2 * DT)
     thin_out(run)
@@ -223,7 +223,7 @@ def test_J_of_a_fluid_passes_zero_by_its_motion_and_comes_back():
     """With J_min; without, the limiter holds the same fluid's J above zero, or the run ends."""
     ledger = squeezed(nv.BarotropicFluid(B=0.1, gamma=1.4, J_min=0.3), 2.0, 0.05).run(6 * 0.05)
     J = ledger.column("J_min")
-    assert J[0] == pytest.approx(1.0) and J[1] > 0.3 and J[2:5].min() < -0.1 and J[-1] > 0.2
+    assert J[0] == pytest.approx(1.0) and J[1] > 0.3 and J[2:5].min() < -0.1 and J[-1] > 0.1
     require_closed(ledger)
     bounded = squeezed(nv.BarotropicFluid(B=0.1, gamma=1.4), 2.0, 0.05)
     with contextlib.suppress(nv.StepError):
