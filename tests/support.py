@@ -44,6 +44,7 @@ from ngvisco import (
     Material,
     Model,
     NeoHookean,
+    Observer,
     Simulation,
     StokesViscosity,
     time,
@@ -339,18 +340,12 @@ def assert_sound(ledger: Ledger, material: Material) -> None:
     assert (ledger.column("dissipation_creep").max() > 0) == any(v.creeps for v in material.variables)
 
 
-class StopAt:
+class StopAt(Observer):
     """An observer that ends a run after a step."""
 
     def __init__(self, number: float) -> None:
         self.number = number
 
-    def start(self, simulation: Simulation) -> None:
-        """Nothing."""
-
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
         if simulation.number == self.number:
             simulation.request_stop()
-
-    def finish(self, simulation: Simulation) -> None:
-        """Nothing."""

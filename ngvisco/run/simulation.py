@@ -74,18 +74,23 @@ from ngvisco.timestepping.scheme import TimeScheme
 class Observer(Protocol):
     """What wants to know of a run.  Every method may be called with the simulation at rest.
 
+    A class that derives from it needs only those of them that it has a use for.
+
     On several ranks each is called on every rank; one with the attribute ``on_first_rank = True``, as those
     which write a file of the ledger, on the first one only, and it must evaluate no field.
     """
 
     def start(self, simulation: Simulation) -> None:
         """Before the first step of a run; the initial row is ``simulation.ledger.rows[0]``."""
+        return
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
         """After a step was accepted; ``row`` is its ledger row."""
+        return
 
     def finish(self, simulation: Simulation) -> None:
         """After the last step, and when the run ends with an error."""
+        return
 
 
 class Simulation:

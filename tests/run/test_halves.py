@@ -41,18 +41,9 @@ def fails_above(monkeypatch, length, calls=None):
     monkeypatch.setattr(Split, "solve", limited)
 
 
-class Rejections:
+class Rejections(nv.Observer):
     def __init__(self):
         self.seen = []
-
-    def start(self, run):
-        """Nothing."""
-
-    def step(self, run, row):
-        """Nothing."""
-
-    def finish(self, run):
-        """Nothing."""
 
     def rejected(self, run, rejection):
         self.seen.append(rejection)

@@ -27,15 +27,9 @@ def simulation(mesh, *observers):
     return nv.Simulation(mesh, model, dt=DT, observers=observers)
 
 
-class Meddler:
-    def start(self, simulation):
-        """Nothing yet."""
-
+class Meddler(nv.Observer):
     def step(self, simulation, row):
         simulation.t = 0.5
-
-    def finish(self, simulation):
-        """Nothing left."""
 
 
 def test_an_observer_does_not_set_the_time(mesh):

@@ -12,17 +12,11 @@ from ngvisco.physics.variables import Jacobian
 FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J + 1 / J - 2))
 
 
-class Cells:
+class Cells(nv.Observer):
     """The number of cells in every step."""
 
     def start(self, simulation):
         self.counts = [*getattr(self, "counts", []), simulation.mesh.ne]
-
-    def step(self, simulation, row):
-        pass
-
-    def finish(self, simulation):
-        pass
 
 
 def pulse(*observers, **options):

@@ -13,6 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+import numpy as np
+
 from ngvisco.errors import NgviscoError
 
 Relation = Literal["<=", ">="]
@@ -39,21 +41,29 @@ class Bound:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the report; cells are texts or numbers."""
+    """A table of the report; cells are texts or numbers, those of arrays too."""
 
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[str | float]]
 
+    def __post_init__(self) -> None:
+        rows = [[cell if isinstance(cell, str) else float(cell) for cell in row] for row in self.rows]
+        object.__setattr__(self, "rows", rows)
+
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a plot; ``style`` is matplotlib's short form, e.g. ``"o-"``."""
+    """One line of a plot, of sequences or arrays; ``style`` is matplotlib's short form, e.g. ``"o-"``."""
 
     label: str
-    x: Sequence[float]
-    y: Sequence[float]
+    x: Sequence[float] | np.ndarray
+    y: Sequence[float] | np.ndarray
     style: str = "o-"
+
+    def __post_init__(self) -> None:
+        for name in "xy":
+            object.__setattr__(self, name, [float(v) for v in getattr(self, name)])
 
 
 @dataclass(frozen=True)

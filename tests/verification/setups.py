@@ -1,11 +1,11 @@
-"""Problems that several cases share: a block set in rotation in its box, in both models; a box of layers."""
+"""What cases share: a block set in rotation in its box, in both models; layers, materials, balances."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from netgen.geom2d import SplineGeometry
@@ -13,6 +13,7 @@ from ngsolve import CF, CoefficientFunction, Integrate, Mesh, cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
+from ngvisco.physics.variables import Jacobian
 from tests.verification.case import Bound
 from tests.verification.problems import distance
 
@@ -30,6 +31,7 @@ SETTING = (
 )
 
 CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
+DRIFT = Bound("drift of the mass", "<=", 1e-10, "conserved")
 
 
 def material(kind: str) -> nv.Material:
@@ -37,6 +39,24 @@ def material(kind: str) -> nv.Material:
     if kind == "linearised":
         return nv.LinearElastic(K_e=10.0, G_e=5.0)
     return nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
+
+
+def elastic(kind: str, bulk: float, shear: float) -> nv.Material:
+    """The material of a model, "finite-b" by B = F F^T, of usual moduli, Pa; the neo-Hookean G_e is half."""
+    if kind == "linearised":
+        return nv.LinearElastic(K_e=bulk, G_e=shear)
+    state: Literal["F", "B"] = "B" if kind == "finite-b" else "F"
+    return nv.ReferentialNeoHookean(K_e=bulk, G_e=shear / 2, elastic_state=state)
+
+
+def fluid(bulk: float) -> nv.Material:
+    """Without shear, with the bulk modulus, Pa, of a body beside which it is."""
+    return nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: bulk / 2 * (J + 1 / J - 2))
+
+
+def stokes(viscosity: float) -> nv.StokesViscosity:
+    """As large in bulk as in shear, Pa s."""
+    return nv.StokesViscosity(K_v=viscosity, G_v=viscosity)
 
 
 @cache
@@ -85,7 +105,7 @@ def block(
     """The block of ``SETTING``; ``creep`` is G_m or a law, ``of`` a material, ``parts`` of model or run."""
     regularisation, mesh = parts.pop("regularisation", None), mesh or square_mesh(0.5)
     if not isinstance(viscosity, nv.StokesViscosity):
-        viscosity = nv.StokesViscosity(K_v=viscosity, G_v=viscosity)
+        viscosity = stokes(viscosity)
     model = nv.Model(
         material=of or material(kind),
         viscosity=viscosity,
@@ -98,6 +118,20 @@ def block(
     velocity = CF(tuple(speed * v for v in swirl))
     initial = parts.pop("initial", None) or nv.Initial(density=1 + 0.2 * cos(pi * x), velocity=velocity)
     return nv.Simulation(mesh, model, dt=dt, initial=initial, **parts)
+
+
+def around(simulation: nv.Simulation, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means of the velocity about the origin and of the shear stress T_(r phi) on circles of these radii."""
+    angles = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    c, s, means = np.cos(angles), np.sin(angles), []
+    for r in radii:
+        points = simulation.mesh(r * c, r * s)
+        v = simulation.fields["velocity"](points)
+        T_xx, T_xy, T_yy = simulation.fields["cauchy_stress"](points)[:, [0, 1, 4]].T
+        shear = c * s * (T_yy - T_xx) + (c**2 - s**2) * T_xy
+        means.append((np.mean(c * v[:, 1] - s * v[:, 0]), np.mean(shear)))
+    velocities, stresses = np.array(means).T
+    return velocities, stresses
 
 
 def potential(simulation: nv.Simulation, gravity: float) -> float:
@@ -121,4 +155,13 @@ def separation(one: nv.Simulation, other: nv.Simulation) -> dict[str, float]:
 
 def closure(*simulations: nv.Simulation) -> float:
     """The largest |closure| of all steps, relative."""
-    return max(float(np.abs(run.ledger.column("closure_relative")).max()) for run in simulations)
+    return _largest("closure_relative", simulations)
+
+
+def drift(*simulations: nv.Simulation) -> float:
+    """The largest change of the mass, relative."""
+    return _largest("mass_drift", simulations)
+
+
+def _largest(column: str, simulations: Sequence[nv.Simulation]) -> float:
+    return max(float(np.abs(run.ledger.column(column)).max()) for run in simulations)

@@ -17,9 +17,8 @@ from ngsolve import CF, CoefficientFunction, IfPos, x, y
 import ngvisco as nv
 from ngvisco.geometries import structured_box
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.variables import Jacobian
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.setups import CLOSURE, closure
+from tests.verification.setups import CLOSURE, closure, fluid, stokes
 
 SIZE, CELLS, RADIUS = (1.4, 0.8), (14, 8), 0.21
 PLACES = {"left": 0.37, "right": 1.03}
@@ -41,28 +40,18 @@ def thrown(X: float) -> CoefficientFunction:
     return SPEED * CF((left**2 - (y - Y) ** 2 * slope, (x - X) * (y - Y) * slope))
 
 
-def _stokes(viscosity: float) -> nv.StokesViscosity | None:
-    return nv.StokesViscosity(K_v=viscosity, G_v=viscosity) if viscosity else None
-
-
 def discs(
     scheme: Scheme = "midpoint", tau: float = TAU, thickness: float = 1.0, light: float = LIGHT
 ) -> tuple[nv.Simulation, nv.Bodies]:
     """The run at its start, and its table.
 
     ``thickness`` is that of all viscosities over the setting's, ``light`` the medium's density, kg/m^3."""
-    fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: SOFT / 2 * (J + 1 / J - 2))
-    bodies = [nv.Body(name="medium", material=fluid, viscosity=_stokes(thickness * THIN), density=light)]
+    thin, thick = (stokes(thickness * viscosity) if thickness else None for viscosity in (THIN, DAMPING))
+    solid = nv.ReferentialNeoHookean(K_e=BULK, G_e=SHEAR / 2)
+    bodies = [nv.Body(name="medium", material=fluid(SOFT), viscosity=thin, density=light)]
     for name, X in PLACES.items():
-        bodies.append(
-            nv.Body(
-                name=name,
-                where=nv.Ball((X, SIZE[1] / 2), RADIUS),
-                material=nv.ReferentialNeoHookean(K_e=BULK, G_e=SHEAR / 2),
-                viscosity=_stokes(thickness * DAMPING),
-                density=1.0,
-            )
-        )
+        disc = nv.Ball((X, SIZE[1] / 2), RADIUS)
+        bodies.append(nv.Body(name=name, where=disc, material=solid, viscosity=thick, density=1.0))
     table = nv.Bodies()
     run = nv.Simulation(
         structured_box(SIZE, CELLS),
@@ -75,7 +64,7 @@ def discs(
     return run, table
 
 
-class Overlap:
+class Overlap(nv.Observer):
     """Notes int theta_1 theta_2 over the area of a disc, step by step."""
 
     def __init__(self) -> None:
@@ -90,9 +79,6 @@ class Overlap:
         theta = material.fractions.at(step.now.z_tensors)
         both = step.quadrature.integrate_cells(theta["left"] * theta["right"])
         self.values.append(float(both) / (math.pi * RADIUS**2))
-
-    def finish(self, simulation: nv.Simulation) -> None:
-        """Nothing is left to do."""
 
 
 def _collision() -> Outcome:
@@ -136,10 +122,7 @@ def _collision() -> Outcome:
             Table(
                 "the discs",
                 ["t, s", "distance of centroids, m", "gap, m", "momentum of the left, kg m/s", "overlap"],
-                [
-                    [float(v) for v in row]
-                    for row in zip(times, distance, gap, momenta["left"], overlap.values, strict=True)
-                ][::4],
+                list(zip(times, distance, gap, momenta["left"], overlap.values, strict=True))[::4],
             )
         ],
         remarks=[
@@ -153,10 +136,10 @@ def _collision() -> Outcome:
                 "t, s",
                 "momentum, energies over first values",
                 [
-                    Curve("left", list(times), [float(v) / first for v in momenta["left"]], "o-"),
-                    Curve("right", list(times), [float(v) / first for v in momenta["right"]], "s-"),
-                    Curve("kinetic", list(times), [float(v) / float(kinetic[0]) for v in kinetic], "k-"),
-                    Curve("stored", list(times), [float(v) / float(kinetic[0]) for v in stored], "k--"),
+                    Curve("left", times, momenta["left"] / first),
+                    Curve("right", times, momenta["right"] / first, "s-"),
+                    Curve("kinetic", times, kinetic / kinetic[0], "k-"),
+                    Curve("stored", times, stored / kinetic[0], "k--"),
                 ],
             )
         ],

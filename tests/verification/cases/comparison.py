@@ -15,17 +15,14 @@ from tests.verification.setups import (
     SETTING,
     block,
     closure,
+    elastic,
     separation,
     square_mesh,
 )
 
 THEME = "The models against each other"
 MAXH = 0.35
-SMALL = {
-    "linearised": nv.LinearElastic(K_e=10.0, G_e=5.0),
-    "finite": nv.ReferentialNeoHookean(K_e=10.0, G_e=2.5, elastic_state="F"),
-}
-"""Equal bulk and shear moduli: the neo-Hookean G_e is half the usual shear modulus."""
+SMALL = {kind: elastic(kind, 10.0, 5.0) for kind in KINDS}
 
 
 def small_strain() -> Outcome:

@@ -15,7 +15,7 @@ from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.cases.rheology import NAMES
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, KINDS, closure
+from tests.verification.setups import CLOSURE, KINDS, around, closure, elastic, stokes
 
 THEME = "Exact solutions: rotation, Couette flow"
 OMEGA = 1.0
@@ -27,15 +27,9 @@ def rotating(kind: str, h: float, steps: int) -> tuple[nv.Simulation, dict[str, 
     Returns the run and the L2 errors of v and of E or H, relative to the exact fields' norms (E: absolute).
     """
     until = 0.5 * math.pi / OMEGA
-    if kind == "linearised":
-        material: nv.Material = nv.LinearElastic(K_e=10.0, G_e=5.0)
-    else:
-        material = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
-    model = nv.Model(
-        material=material,
-        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
-        loads=(nv.Gravity((-(OMEGA**2) * x, -(OMEGA**2) * y)),),
-    )
+    law = nv.LinearElastic if kind == "linearised" else nv.ReferentialNeoHookean
+    inwards = nv.Gravity((-(OMEGA**2) * x, -(OMEGA**2) * y))
+    model = nv.Model(material=law(K_e=10.0, G_e=5.0), viscosity=stokes(0.1), loads=(inwards,))
     exact_v = CF((-OMEGA * y, OMEGA * x))
     run = nv.Simulation(
         disc(1.0, h), model, dt=until / steps, initial=nv.Initial(density=1.0, velocity=exact_v)
@@ -116,35 +110,21 @@ def _couette(kind: str) -> Outcome:
     """Steady shear stress between a resting and a rotating cylinder, at small Weissenberg number."""
     r = np.linspace(1.1, 1.9, 9)
     exact = 2 * ETA * TURN * R_O**2 / (R_O**2 - R_I**2) * R_I**2 / r**2
-    angles = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-    c, s = np.cos(angles), np.sin(angles)
-    material: nv.Material = (
-        nv.LinearElastic(K_e=2 * MODULUS, G_e=MODULUS)
-        if kind == "linearised"
-        else nv.ReferentialNeoHookean(
-            K_e=2 * MODULUS, G_e=MODULUS / 2, elastic_state="B" if kind == "finite-b" else "F"
-        )
-    )
     curves, rows, runs, errors = [], [], [], []
     for h in COUETTE[kind]:
         model = nv.Model(
-            material=material,
-            viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
-            creep=nv.Creep(G_m=2 * ETA),
+            material=elastic(kind, 2 * MODULUS, MODULUS), viscosity=stokes(0.01), creep=nv.Creep(G_m=2 * ETA)
         )
         walls: Conditions = {"outer": nv.PrescribedTangential((-TURN * y, TURN * x)), "inner": nv.NoSlip()}
         mesh = annulus(R_I, R_O, h)
         run = nv.Simulation(mesh, model, dt=0.5, walls=walls, initial=nv.Initial(density=0.1))
         run.run(2.0)
         runs.append(run)
-        found = []
-        for radius in r:
-            T = run.fields["cauchy_stress"](mesh(radius * c, radius * s)).reshape(-1, 3, 3)
-            found.append(float(np.mean(c * s * (T[:, 1, 1] - T[:, 0, 0]) + (c**2 - s**2) * T[:, 0, 1])))
-        errors.append(float(np.abs(np.array(found) / exact - 1).max()))
+        found = around(run, r)[1]
+        errors.append(float(np.abs(found / exact - 1).max()))
         rows.append([h, mesh.ne, errors[-1], closure(run)])
-        curves.append(Curve(f"h = {h:g} m", [float(v) for v in r], found, "o"))
-    curves.append(Curve("closed form", [float(v) for v in r], [float(v) for v in exact], "k-"))
+        curves.append(Curve(f"h = {h:g} m", r, found, "o"))
+    curves.append(Curve("closed form", r, exact, "k-"))
     return Outcome(
         values={
             "largest relative error of the shear stress on the finer mesh": errors[-1],

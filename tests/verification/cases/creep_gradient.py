@@ -176,8 +176,8 @@ def independent(dim: int, sizes: tuple[float, ...]) -> Outcome:
         distance = float(((weights * without**2).sum() / size) ** 0.5)
     at = np.linspace(0, 1, 51)
     curves = [
-        Curve("reference", at.tolist(), np.interp(at, nodes, a).tolist(), "-"),
-        Curve("without the gradient, M/G_m", at.tolist(), (driving(at) / G_M).tolist(), "--"),
+        Curve("reference", at, np.interp(at, nodes, a), "-"),
+        Curve("without the gradient, M/G_m", at, driving(at) / G_M, "--"),
     ]
     return Outcome(
         values={

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from ngsolve import CF, CoefficientFunction, Cof, Det, cos, log, pi, sin, x, y, z
 
@@ -40,14 +41,21 @@ def defects(run: nv.Simulation) -> dict[str, float]:
     return {name: distance(a, b, run.mesh) for name, (a, b) in pairs.items()}
 
 
+def _run(material: nv.Material, h: float, delta: float, **options: Any) -> nv.Simulation:
+    """The block at its end, tau proportional to h."""
+    law = nv.Regularisation(delta_density=delta, delta_fields=delta) if delta else None
+    mesh = square_mesh(h)
+    run = block("finite", STEP * h, mesh=mesh, of=material, regularisation=law, speed=0.5, **options)
+    run.run(DURATION)
+    return run
+
+
 def in_h_and_tau(material: nv.Material, with_delta: bool) -> tuple[RateTable, list[nv.Simulation]]:
-    """tau proportional to h, delta to h^2."""
+    """delta proportional to h^2."""
     what = "delta, tau and h" if with_delta else "tau and h"
     table, runs = RateTable(f"defects as {what} go to zero"), []
     for h in LEVELS[:3] if with_delta else LEVELS:
-        law = nv.Regularisation(delta_density=0.1 * h * h, delta_fields=0.1 * h * h) if with_delta else None
-        run = block("finite", STEP * h, mesh=square_mesh(h), of=material, regularisation=law, speed=0.5)
-        run.run(DURATION)
+        run = _run(material, h, 0.1 * h * h if with_delta else 0.0)
         runs.append(run)
         table.add(h, **defects(run))
     return table, runs
@@ -58,12 +66,9 @@ def measure(material: nv.Material) -> Outcome:
     plain, runs = in_h_and_tau(material, with_delta=False)
     together, more = in_h_and_tau(material, with_delta=True)
     alone = RateTable("defects as delta alone goes to zero (beyond those of delta = 0)")
-    h = LEVELS[1]
     rest = defects(runs[1])
     for delta in DELTAS:
-        law = nv.Regularisation(delta_density=delta, delta_fields=delta)
-        run = block("finite", STEP * h, mesh=square_mesh(h), of=material, regularisation=law, speed=0.5)
-        run.run(DURATION)
+        run = _run(material, LEVELS[1], delta)
         more.append(run)
         alone.add(delta, **{name: abs(value - rest[name]) for name, value in defects(run).items()})
     return Outcome(
@@ -194,12 +199,7 @@ def measure_printed() -> Outcome:
     table, runs = RateTable("H of the two runs as tau and h go to zero"), []
     materials = COFACTORS, PrintedMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
     for h in LEVELS[:3]:
-        ours, printed = (
-            block("finite", STEP * h, mesh=square_mesh(h), of=of, creep=2.0, speed=0.5, solver="coupled")
-            for of in materials
-        )
-        for run in (ours, printed):
-            run.run(DURATION)
+        ours, printed = (_run(of, h, 0.0, creep=2.0, solver="coupled") for of in materials)
         runs += [ours, printed]
         table.add(
             h,

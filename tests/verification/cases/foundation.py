@@ -71,7 +71,7 @@ def _foundation() -> Outcome:
         energy = run.ledger.column("kinetic") + run.ledger.column("stored")
         springs = float(run.ledger.column("stored_springs_right").max())
         rows.append([share, omega, errors[-1], springs / float(energy[0]), float(energy[-1] / energy[0] - 1)])
-        curves.append(Curve(f"k = {share:g} M", (omega * t).tolist(), v.tolist(), "."))
+        curves.append(Curve(f"k = {share:g} M", omega * t, v, "."))
     run, *_ = _bar(MODULUS, 0.0, q, omega, "backward-euler")
     runs.append(run)
     least = float(run.ledger.column("bregman")[1:].min() / run.ledger.column("kinetic")[0])
@@ -82,8 +82,8 @@ def _foundation() -> Outcome:
     slow = omega * math.sqrt(1 - DAMPING**2)
     exact = np.exp(-DAMPING * omega * t) * (np.cos(slow * t) - DAMPING * omega / slow * np.sin(slow * t))
     curves += [
-        Curve("block with a dashpot", (omega * t).tolist(), v.tolist(), "."),
-        Curve("oscillator", (omega * t).tolist(), exact.tolist(), "k-"),
+        Curve("block with a dashpot", omega * t, v, "."),
+        Curve("oscillator", omega * t, exact, "k-"),
     ]
     return Outcome(
         values={

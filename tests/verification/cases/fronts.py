@@ -14,7 +14,7 @@ from ngvisco.geometries import box
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, closure
+from tests.verification.setups import CLOSURE, closure, elastic, stokes
 
 THEME = "Exact solutions: layers and fronts"
 
@@ -29,10 +29,8 @@ def _stokes(creeping: bool) -> Outcome:
     ys = np.linspace(0.0, 1.0, 41)
     for steps in (5, 10, 20):
         model = nv.Model(
-            material=nv.LinearElastic(K_e=20.0, G_e=10.0)
-            if creeping
-            else nv.LinearElastic(K_e=1e-6, G_e=1e-6),
-            viscosity=None if creeping else nv.StokesViscosity(K_v=eta, G_v=eta),
+            material=elastic("linearised", *((20.0, 10.0) if creeping else (1e-6, 1e-6))),
+            viscosity=None if creeping else stokes(eta),
             creep=nv.Creep(G_m=2 * eta) if creeping else None,
         )
         walls: Conditions = {"bottom": nv.NoSlip(), "top": nv.PrescribedTangential((top, 0.0))}
@@ -49,10 +47,9 @@ def _stokes(creeping: bool) -> Outcome:
         error = distance(run.fields["velocity"][0], exact, mesh) / (top * math.sqrt(0.2))
         table.add(run.dt, v=error)
         closures.append(closure(run))
-        v = [float(run.fields["velocity"](mesh(0.05, min(s, 1 - 1e-12)))[0]) for s in ys]
-        curves.append(Curve(f"{steps} steps", [float(s) for s in ys], v, "."))
-    points = [float(s) for s in ys]
-    curves.append(Curve("exact", points, [top * math.erf(s / 0.2) for s in points], "k-"))
+        v = [run.fields["velocity"](mesh(0.05, min(s, 1 - 1e-12)))[0] for s in ys]
+        curves.append(Curve(f"{steps} steps", ys, v, "."))
+    curves.append(Curve("exact", ys, [top * math.erf(s / 0.2) for s in ys], "k-"))
     return Outcome(
         values={
             "rate in tau": table.last("v"),

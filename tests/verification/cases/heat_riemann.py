@@ -141,10 +141,8 @@ def _profiles() -> Outcome:
         errors = {n: float(abs(values[n] - exact[n]).mean() / np.ptp(exact[n])) for n in names}
         table.add(1 / cells, **errors)
         runs.append(run)
-        curves = [Curve(n, list(places), list(values[n]), "-") for n in ("temperature", "entropy")]
-    curves += [
-        Curve(f"{n}, reference", list(places), list(exact[n]), "k:") for n in ("temperature", "entropy")
-    ]
+        curves = [Curve(n, places, values[n], "-") for n in ("temperature", "entropy")]
+    curves += [Curve(f"{n}, reference", places, exact[n], "k:") for n in ("temperature", "entropy")]
     return Outcome(
         values={
             **{f"rate of {name}": table.last(name) for name in names},

@@ -10,7 +10,7 @@ from ngsolve import CF, cos, pi, sin, x
 import ngvisco as nv
 from ngvisco.geometries import box
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.setups import CLOSURE, KINDS, SETTING, block, closure, square_mesh
+from tests.verification.setups import CLOSURE, KINDS, SETTING, block, closure, square_mesh, stokes
 
 THEME = "Mass, density and Jacobian"
 
@@ -41,7 +41,7 @@ def mass(kind: str) -> Outcome:
             drift = np.abs(ledger.column("mass_drift"))
             runs.append(run)
             rows.append([name, tau, float(drift.max()), closure(run)])
-            curves.append(Curve(f"{name}, tau = {tau:g} s", list(range(7)), [float(d) for d in drift]))
+            curves.append(Curve(f"{name}, tau = {tau:g} s", range(7), drift))
     return Outcome(
         values={
             "largest relative drift of the mass": max(float(row[2]) for row in rows),
@@ -62,7 +62,7 @@ def converging(
     soft = nv.LinearElastic(K_e=1.0, G_e=0.5)
     model = nv.Model(
         material=soft if kind == "linearised" else nv.NeoHookean(K_e=1.0, G_e=0.5, epsilon=0.1),
-        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+        viscosity=stokes(0.1),
         regularisation=law,
     )
     initial = nv.Initial(density=1.0, velocity=(3 * sin(2 * pi * x), *(0.0,) * (dim - 1)))
@@ -103,8 +103,7 @@ def cut_off(kind: str) -> Outcome:
         rows.append(
             [name, delta, maxh, tau, lowest, float(highest.max()), volume, limited, closure(run), end]
         )
-        times = [float(t) for t in ledger.column("time")]
-        curves.append(Curve(name, times, [float(r) for r in highest]))
+        curves.append(Curve(name, ledger.column("time"), highest))
     curves.append(Curve("rho_max + 1", [0.0, 0.3], [RHO_MAX + 1] * 2, "k--"))
     cut, without = rows[:-1], rows[-1]
     return Outcome(
@@ -151,12 +150,10 @@ def positivity(kind: str) -> Outcome:
         J = float(ledger.column("J_min").min())
         lows.append((low, J))
         rows.append([h, tau, low, J, float(ledger.column("rho_max").max())])
-        times = [float(t) for t in ledger.column("time")]
-        curves.append(Curve(f"min rho, h = {h:g} m", times, [float(r) for r in ledger.column("rho_min")]))
+        times = ledger.column("time")
+        curves.append(Curve(f"min rho, h = {h:g} m", times, ledger.column("rho_min")))
         if kind == "finite":
-            curves.append(
-                Curve(f"min J, h = {h:g} m", times, [float(r) for r in ledger.column("J_min")], "s:")
-            )
+            curves.append(Curve(f"min J, h = {h:g} m", times, ledger.column("J_min"), "s:"))
     values = {
         "smallest rho": min(low for low, _ in lows),
         "fall of min rho from the coarser to the finest mesh": lows[-2][0] - lows[-1][0],

@@ -20,10 +20,9 @@ import numpy as np
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.physics.variables import Jacobian
 from ngvisco.run.ledger import NUMERICAL
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.setups import CLOSURE, closure
+from tests.verification.setups import CLOSURE, closure, fluid, stokes
 
 BULK, SHEAR, VISCOSITY = 50.0, 1.0, 1e-3
 """K_e of both, G_e of the jelly, Pa; of both, Pa s."""
@@ -34,12 +33,11 @@ TAU, END, FALLING = 0.005, 5.0, 0.2
 
 def dropped(until: float, ratio: float = LIGHT, tau: float = TAU) -> tuple[nv.Simulation, nv.Bodies]:
     """The run until a time, s, with a medium of density ``ratio``, and its table."""
-    fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: BULK / 2 * (J + 1 / J - 2))
-    jelly, thin = nv.Ball((0.5, 0.5), RADIUS), nv.StokesViscosity(K_v=VISCOSITY, G_v=VISCOSITY)
+    jelly, thin = nv.Ball((0.5, 0.5), RADIUS), stokes(VISCOSITY)
     solid = nv.ReferentialNeoHookean(K_e=BULK, G_e=SHEAR)
     bodies = (
         nv.Body(name="jelly", where=jelly, material=solid, viscosity=thin, density=1.0),
-        nv.Body(name="medium", material=fluid, viscosity=thin, density=ratio),
+        nv.Body(name="medium", material=fluid(BULK), viscosity=thin, density=ratio),
     )
     table = nv.Bodies()
     run = nv.Simulation(
@@ -85,10 +83,7 @@ def _jelly() -> Outcome:
             Table(
                 "the jelly",
                 ["t, s", "height of the centroid, m", "kinetic energy, J/m", "iterations", "limited cells"],
-                [
-                    [float(times[i]), float(height[i]), float(kinetic[i]), *_efforts(run, i)]
-                    for i in range(0, len(times), 40)
-                ],
+                [[times[i], height[i], kinetic[i], *_efforts(run, i)] for i in range(0, len(times), 40)],
             )
         ],
         plots=[
@@ -96,7 +91,7 @@ def _jelly() -> Outcome:
                 "A jelly in a light medium",
                 "t, s",
                 "height of the centroid, m",
-                [Curve("jelly", times.tolist(), height.tolist(), "-")],
+                [Curve("jelly", times, height, "-")],
             )
         ],
         remarks=[

@@ -13,7 +13,7 @@ from ngsolve import CF, GridFunction, Integrate
 
 import ngvisco as nv
 from ngvisco.physics.tensors import IDENTITY, square
-from ngvisco.physics.variables import Jacobian, SmallStrain
+from ngvisco.physics.variables import SmallStrain
 from ngvisco.run.closure import ClosureWarning
 from tests.verification.case import Bound, Case, Outcome
 from tests.verification.functionals import DeltaTerms
@@ -26,9 +26,11 @@ from tests.verification.setups import (
     SWIRL,
     block,
     closure,
+    fluid,
     material,
     separation,
     square_mesh,
+    stokes,
 )
 
 THEME = "Limits"
@@ -70,11 +72,8 @@ def _halved(
     return table, losses, runs
 
 
-class Fading:
+class Fading(nv.Observer):
     """Halves the strain of what takes no part after each step: at the rate 1/tau, which has no limit."""
-
-    def start(self, simulation: nv.Simulation) -> None:
-        """As it starts."""
 
     def step(self, simulation: nv.Simulation, row: dict[str, float]) -> None:
         step, material = simulation.rothe_step, simulation.model.material
@@ -88,24 +87,17 @@ class Fading:
         step.state_old.vec.data = step.state.vec
         step.start_from_old()
 
-    def finish(self, simulation: nv.Simulation) -> None:
-        """As it is."""
-
 
 def smeared(tau: float, fades: bool = False) -> nv.Simulation:
     """A soft disc within an eddy, on cells as large as its radius."""
-    fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J + 1 / J - 2))
-    viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.1)
-    soft = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
-    disc = nv.Ball((0.5, 0.75), 0.2)
+    soft, disc = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0), nv.Ball((0.5, 0.75), 0.2)
+    bodies = (
+        nv.Body(name="disc", where=disc, material=soft, viscosity=stokes(0.1), density=1.0),
+        nv.Body(name="fluid", material=fluid(10.0), viscosity=stokes(0.1), density=1.0),
+    )
     return nv.Simulation(
         square_mesh(0.25),
-        nv.Model(
-            bodies=(
-                nv.Body(name="disc", where=disc, material=soft, viscosity=viscosity, density=1.0),
-                nv.Body(name="fluid", material=fluid, viscosity=viscosity, density=1.0),
-            )
-        ),
+        nv.Model(bodies=bodies),
         time=nv.TimeSteps(dt=tau, velocity_scale=1.0),
         initial=nv.Initial(velocity=CF(SWIRL)),
         observers=[Fading()] if fades else [],

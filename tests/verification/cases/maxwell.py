@@ -99,8 +99,8 @@ def _oscillation() -> Outcome:
         run, t, found, exact = oscillating(steps)
         closures.append(closure(run))
         table.add(8 / steps, tau_12=float(np.abs(found - exact).max()))
-        curves.append(Curve(f"{steps} steps", [float(s) for s in t], [float(s) for s in found], "."))
-    curves.append(Curve("exact", [float(s) for s in t], [float(s) for s in exact], "k-"))
+        curves.append(Curve(f"{steps} steps", t, found, "."))
+    curves.append(Curve("exact", t, exact, "k-"))
     a, b, c = table.errors["tau_12"]
     return Outcome(
         values={

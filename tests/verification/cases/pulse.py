@@ -71,11 +71,11 @@ def _pulse(kind: str) -> Outcome:
         compression = float(run.ledger.column("rho_max").max())
         rows.append([1 / cells, compression, steepest, at, largest])
         label = f"{cells} cells, t = {at:.2g} s"
-        curves.append(Curve(label, [float(s) for s in line], [float(r) for r in front], "-"))
+        curves.append(Curve(label, line, front, "-"))
     slope, when = _steepest(exact, line), max(range(160), key=lambda n: _steepest(exact[n], line))
     rows.append(["Lagrangian", float(exact.max()), slope, times[when], "-"])
     label = f"Lagrangian, t = {times[when]:.2g} s"
-    curves.append(Curve(label, [float(s) for s in line], [float(r) for r in exact[when]], "k--"))
+    curves.append(Curve(label, line, exact[when], "k--"))
     return Outcome(
         values={
             "rate of rho J − rho_0 in h ~ tau": table.last("rho J"),

@@ -18,7 +18,7 @@ from ngvisco.geometries import channel
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot
 from tests.verification.cases.shear import sheared, stresses
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, KINDS, closure
+from tests.verification.setups import CLOSURE, KINDS, closure, elastic, stokes
 
 THEME = "Exact solutions: rheology"
 BY_B = "finite-b"
@@ -32,10 +32,8 @@ Rate = Callable[[np.ndarray, float], np.ndarray]
 
 
 def material(kind: str) -> nv.Material:
-    """Shear modulus G in both models; the neo-Hookean G_e is half of it."""
-    if kind == "linearised":
-        return nv.LinearElastic(K_e=50.0, G_e=G)
-    return nv.ReferentialNeoHookean(K_e=50.0, G_e=G / 2, elastic_state="B" if kind == BY_B else "F")
+    """Shear modulus G in all of ``NAMES``."""
+    return elastic(kind, 50.0, G)
 
 
 G_M = 2 * G * LAMBDA
@@ -106,9 +104,8 @@ def startup(kind: str, scheme: str = "backward-euler") -> Outcome:
         errors = np.abs(rows[:, 1:3] - exact).max(axis=0) / G
         table.add(until / steps, T_12=float(errors[0]), N_1=float(errors[1]))
         closures.append(closure(run))
-        t = [float(s) for s in rows[:, 0]]
-        curves.append(Curve(f"{steps} steps", t, [float(s) + G_V * rate for s in rows[:, 1]], "."))
-    curves.append(Curve("ODE", t, [float(s) + G_V * rate for s in exact[:, 0]], "k-"))
+        curves.append(Curve(f"{steps} steps", rows[:, 0], rows[:, 1] + G_V * rate, "."))
+    curves.append(Curve("ODE", rows[:, 0], exact[:, 0] + G_V * rate, "k-"))
     return Outcome(
         values={
             "rate of T_12": table.last("T_12"),
@@ -125,11 +122,7 @@ def _creep(kind: str) -> Outcome:
     traction, until, density = 0.5, 4.0, 1e-4
     table, curves, closures = RateTable("largest error over the run"), [], []
     for steps in (20, 40, 80):
-        model = nv.Model(
-            material=material(kind),
-            viscosity=nv.StokesViscosity(K_v=G_V, G_v=G_V),
-            creep=nv.Creep(G_m=G_M),
-        )
+        model = nv.Model(material=material(kind), viscosity=stokes(G_V), creep=nv.Creep(G_m=G_M))
         walls: Conditions = {"top": nv.Traction(f=(traction, 0.0)), "bottom": nv.NoSlip()}
         dt = until / steps
         run = nv.Simulation(
@@ -146,9 +139,8 @@ def _creep(kind: str) -> Outcome:
         errors = np.abs(found[:, 1:] - exact).max(axis=0)
         table.add(dt, shear=float(errors[0]), T_12=float(errors[1]))
         closures.append(closure(run))
-        t = [float(s) for s in found[:, 0]]
-        curves.append(Curve(f"{steps} steps", t, [float(s) for s in found[:, 1]], "."))
-    curves.append(Curve("ODE", t, [float(s) for s in exact[:, 0]], "k-"))
+        curves.append(Curve(f"{steps} steps", found[:, 0], found[:, 1], "."))
+    curves.append(Curve("ODE", found[:, 0], exact[:, 0], "k-"))
     return Outcome(
         values={
             "rate of the shear": table.last("shear"),
@@ -179,9 +171,8 @@ def _upper_convected(kind: str) -> Outcome:
         normal = 2 * eta * LAMBDA * rate**2 * (1 - decay * (1 + t / LAMBDA))
         deviation = [float(abs(rows[-1, i] / f[-1] - 1)) for i, f in ((1, shear), (2, normal))]
         table.add(wi, T_12=deviation[0], N_1=deviation[1])
-        xs = [float(s) for s in t]
-        curves.append(Curve(f"Wi = {wi:g}", xs, [float(s) / (eta * rate) for s in rows[:, 1]], "."))
-    curves.append(Curve("upper-convected", xs, [float(s) for s in 1 - decay], "k-"))
+        curves.append(Curve(f"Wi = {wi:g}", t, rows[:, 1] / (eta * rate), "."))
+    curves.append(Curve("upper-convected", t, 1 - decay, "k-"))
     return Outcome(
         values={
             "rate of the deviation of T_12 in Wi": table.last("T_12"),

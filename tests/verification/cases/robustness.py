@@ -13,7 +13,7 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.stepping import Accepted, FixedStepper
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.setups import KINDS, block
+from tests.verification.setups import KINDS, LABELS, block, elastic
 
 THEME = "Robustness of the scheme"
 STIFFNESS = (1.0, 1e2, 1e4, 1e6)
@@ -86,13 +86,6 @@ class Tally:
         return [self.tried, *shares, self.iterations / max(solved, 1), self.closure, self.cfl]
 
 
-def material(kind: str, stiffness: float, ratio: float) -> nv.Material:
-    """Shear modulus ``stiffness``, bulk modulus ``ratio`` times that."""
-    if kind == "linearised":
-        return nv.LinearElastic(K_e=ratio * stiffness, G_e=stiffness)
-    return nv.ReferentialNeoHookean(K_e=ratio * stiffness, G_e=stiffness / 2, elastic_state="F")
-
-
 def attempt(kind: str, stiffness: float, ratio: float, viscosity: float, tau: float) -> tuple[Tally, str]:
     """Three steps of one configuration, and how it failed, if it did."""
     tally = Tally(tried=STEPS)
@@ -100,7 +93,7 @@ def attempt(kind: str, stiffness: float, ratio: float, viscosity: float, tau: fl
         kind,
         tau,
         mesh=drifting_mesh(),
-        of=material(kind, stiffness, ratio),
+        of=elastic(kind, ratio * stiffness, stiffness),
         viscosity=viscosity,
         initial=nv.Initial(density=1 + 0.2 * cos(2 * pi * x), velocity=DRIFT),
     )
@@ -167,9 +160,7 @@ CASES = tuple(
         statement=f"In {KINDS[kind]} steps are solved over six decades of stiffness, four of tau, "
         f"viscosity 0 to "
         "10 Pa s, compressible to nearly incompressible, at CFL numbers up to 20 and beyond.",
-        label="Euler-small-viscoelastodyn+disc"
-        if kind == "linearised"
-        else "Euler-large-viscoelastodyn+disc",
+        label=LABELS[kind],
         setting="A periodic box of 1 m x 1 m, density 1 + 0.2 cos(2 pi x), an eddy of 0.5 m/s in a mean "
         "flow of "
         "(1, 0.5) m/s, cells of 0.4 m, three steps of each of "

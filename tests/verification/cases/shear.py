@@ -13,7 +13,7 @@ from ngvisco.geometries import channel
 from ngvisco.physics.flow_rules import CreepLaw
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, closure
+from tests.verification.setups import CLOSURE, closure, stokes
 
 THEME = "Exact solutions: shear and relaxation"
 G, ETA, RATE = 100.0, 100.0, 0.3
@@ -51,7 +51,7 @@ def sheared(
     model = nv.Model(
         material=material,
         creep=creep if G_m is None else nv.Creep(G_m=G_m, law=law),
-        viscosity=nv.StokesViscosity(K_v=viscosity, G_v=viscosity) if viscosity else None,
+        viscosity=stokes(viscosity) if viscosity else None,
     )
     walls: Conditions = {"top": nv.PrescribedTangential((rate, 0.0)), "bottom": nv.NoSlip()}
     initial = nv.Initial(velocity=(rate * y, 0), density=density)
@@ -73,7 +73,7 @@ def stresses(run: nv.Simulation) -> tuple[float, float, float]:
 
 def _jaumann() -> Outcome:
     material = nv.LinearElastic(K_e=2 * G, G_e=G)
-    rows, largest, closures, marks = [], [0.0, 0.0], [], []
+    rows, largest, closures = [], [0.0, 0.0], []
     for dt, times in ((0.01, (0.01, 0.02, 0.1)), (0.125, (0.25, 0.5, 1.0, 2.0))):
         runs = [sheared(material, dt / n, times[-1], rate=RATE, G_m=2 * ETA) for n in (1, 2, 4)]
         closures += [closure(run) for run, _ in runs]
@@ -84,13 +84,12 @@ def _jaumann() -> Outcome:
             exact = TABLE[t]
             errors = abs(tau_12 / exact[0] - 1), abs(tau_11 / exact[1] - 1)
             largest = [max(pair) for pair in zip(largest, errors, strict=True)]
-            rows.append([t, float(tau_12), exact[0], errors[0], float(tau_11), exact[1], errors[1]])
-            marks.append((t, float(tau_12), float(tau_11)))
+            rows.append([t, tau_12, exact[0], errors[0], tau_11, exact[1], errors[1]])
     fine = np.linspace(0, 2, 100)
     r, decay, scale = RATE, np.exp(-fine), RATE * ETA / (1 + RATE**2)
     curve_12 = scale * (1 - decay * (np.cos(r * fine) - r * np.sin(r * fine)))
     curve_11 = scale * (r - decay * (r * np.cos(r * fine) + np.sin(r * fine)))
-    ts = [m[0] for m in marks]
+    marks = np.array(rows).T
     return Outcome(
         values={
             "largest relative error of tau_12": largest[0],
@@ -106,10 +105,10 @@ def _jaumann() -> Outcome:
                 "t, s",
                 "Pa",
                 [
-                    Curve("tau_12, exact", fine.tolist(), curve_12.tolist(), "-"),
-                    Curve("tau_11, exact", fine.tolist(), curve_11.tolist(), "-"),
-                    Curve("tau_12", ts, [m[1] for m in marks], "o"),
-                    Curve("tau_11", ts, [m[2] for m in marks], "s"),
+                    Curve("tau_12, exact", fine, curve_12, "-"),
+                    Curve("tau_11, exact", fine, curve_11, "-"),
+                    Curve("tau_12", marks[0], marks[1], "o"),
+                    Curve("tau_11", marks[0], marks[4], "s"),
                 ],
             )
         ],
@@ -147,7 +146,6 @@ def _start_up() -> Outcome:
         table.add(until / steps, sigma_12=float(error_12), sigma_11=float(error_11))
         runs.append(run)
     unturned = viscosity * rate * (1 - np.exp(-t / relaxation))
-    xs = [float(value) for value in t]
     return Outcome(
         values={
             "rate of sigma_12": table.last("sigma_12"),
@@ -164,10 +162,10 @@ def _start_up() -> Outcome:
                 "t, s",
                 "Pa",
                 [
-                    Curve("sigma_12, exact", xs, [float(v) for v in sigma_12], "k-"),
-                    Curve("sigma_12", xs, [float(v) for v in rows[:, 1]], "."),
-                    Curve("sigma_11, exact", xs, [float(v) for v in sigma_11], "k--"),
-                    Curve("sigma_11", xs, [float(v) for v in rows[:, 3]], "."),
+                    Curve("sigma_12, exact", t, sigma_12, "k-"),
+                    Curve("sigma_12", t, rows[:, 1], "."),
+                    Curve("sigma_11, exact", t, sigma_11, "k--"),
+                    Curve("sigma_11", t, rows[:, 3], "."),
                 ],
             )
         ],
@@ -184,12 +182,11 @@ def _neo_hookean() -> Outcome:
     gamma = rows[1:, 0]
     error_12 = np.abs(rows[1:, 1] / (1.4 * gamma) - 1).max()
     error_n = np.abs(rows[1:, 2] / (1.4 * gamma**2) - 1).max()
-    xs = [float(g) for g in gamma]
     curves = [
-        Curve("T_12", xs, [float(v) for v in rows[1:, 1]], "o"),
-        Curve("2 G gamma", xs, [1.4 * g for g in xs], "k-"),
-        Curve("T_11 - T_22", xs, [float(v) for v in rows[1:, 2]], "s"),
-        Curve("2 G gamma²", xs, [1.4 * g * g for g in xs], "k--"),
+        Curve("T_12", gamma, rows[1:, 1], "o"),
+        Curve("2 G gamma", gamma, 1.4 * gamma, "k-"),
+        Curve("T_11 - T_22", gamma, rows[1:, 2], "s"),
+        Curve("2 G gamma²", gamma, 1.4 * gamma * gamma, "k--"),
     ]
     return Outcome(
         values={

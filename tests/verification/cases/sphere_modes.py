@@ -109,10 +109,10 @@ def _toroidal() -> Outcome:
             closures.append(closure(found.run))
             rows.append([f"0T{degree}", found.run.mesh.ne, found.frequency, exact, error, found.decay])
         times = found.run.ledger.column("time") * exact / (2 * math.pi)
-        curves.append(Curve(f"0T{degree}", [float(t) for t in times], [float(v) for v in found.values], "o"))
+        curves.append(Curve(f"0T{degree}", times, found.values, "o"))
     fine = np.linspace(0, PERIODS, 200)
     exactly = [math.cos(2 * math.pi * float(t)) for t in fine]
-    curves.append(Curve("exact", [float(t) for t in fine], exactly, "k-"))
+    curves.append(Curve("exact", fine, exactly, "k-"))
     finite = oscillation(2, SIZES[0], nv.ReferentialNeoHookean(K_e=K_E, G_e=G_E / 2, elastic_state="F"))
     closures.append(closure(finite.run))
     of_linear = rows[0][2]

@@ -44,7 +44,7 @@ def measure(
         rise = float(np.diff(energies).max() / scale) if len(energies) > 1 else np.nan
         rises.append(rise)
         closures.append(closure(run))
-        curves.append(Curve(f"tau = {tau:g} s", list(range(len(energies))), [e / scale for e in energies]))
+        curves.append(Curve(f"tau = {tau:g} s", range(len(energies)), [e / scale for e in energies]))
         defect = run.ledger.rows[-1]["J_defect"] if run.ledger.rows else np.nan
         rows.append([tau, len(energies) - 1, energies[-1] / scale, rise, closures[-1], defect, failure])
     return Outcome(

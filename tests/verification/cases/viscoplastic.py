@@ -18,7 +18,7 @@ from ngvisco.geometries import annulus, channel
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.cases.rheology import BY_B, NAMES
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, closure
+from tests.verification.setups import CLOSURE, around, closure, elastic
 
 THEME = "Exact solutions: flow rules"
 TAU_Y, ETA, G = 0.2, 0.1, 100.0
@@ -26,15 +26,9 @@ TAU_Y, ETA, G = 0.2, 0.1, 100.0
 KINDS = ("linearised", BY_B)
 
 
-def stiff(kind: str) -> nv.Material:
-    if kind == "linearised":
-        return nv.LinearElastic(K_e=2 * G, G_e=G)
-    return nv.ReferentialNeoHookean(K_e=2 * G, G_e=G / 2, elastic_state="B")
-
-
 def bingham(kind: str, loads: tuple[nv.BodyForce, ...] = ()) -> nv.Model:
     rule = nv.Perzyna(sigma_Y=math.sqrt(3) * TAU_Y, G_m=2 * ETA)
-    return nv.Model(material=stiff(kind), creep=rule, loads=loads)
+    return nv.Model(material=elastic(kind, 2 * G, G), creep=rule, loads=loads)
 
 
 # --- between plates, driven by a force along them -------------------------------------------------------
@@ -70,8 +64,8 @@ def _channel(kind: str) -> Outcome:
         error = float(np.sqrt(np.mean((v - exact) ** 2))) / fastest
         stress = float(np.sqrt(np.mean((T_12 - FORCE * (0.5 - at)) ** 2))) / (0.5 * FORCE)
         table.add(h, v=error, T_12=stress)
-        curves.append(Curve(f"h = {h:g} m", at.tolist(), v.tolist(), "."))
-    curves.append(Curve("closed form", at.tolist(), exact.tolist(), "k-"))
+        curves.append(Curve(f"h = {h:g} m", at, v, "."))
+    curves.append(Curve("closed form", at, exact, "k-"))
     stronger = float(np.sqrt(np.mean((v - profile(at, 1.1 * TAU_Y)) ** 2))) / fastest
     return Outcome(
         values={
@@ -104,8 +98,6 @@ def _couette(kind: str) -> Outcome:
     r = np.linspace(1.05, 1.95, 19)
     exact, exact_T = r * turning(r), TAU_Y * R_Y**2 / r**2
     Omega = float(turning(np.array(R_I)))
-    angles = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-    c, s = np.cos(angles), np.sin(angles)
     rows, runs, curves, errors = [], [], [], []
     for h in (0.25, 0.125):
         walls: Conditions = {"inner": nv.PrescribedTangential((-Omega * y, Omega * x)), "outer": nv.NoSlip()}
@@ -116,25 +108,18 @@ def _couette(kind: str) -> Outcome:
         run = nv.Simulation(mesh, bingham(kind), dt=0.1, walls=walls, initial=initial, solver="coupled")
         run.run(0.8)
         runs.append(run)
-        v, T = [], []
-        for radius in r:
-            points = mesh(radius * c, radius * s)
-            found = run.fields["velocity"](points)
-            T_xx, T_xy, T_yy = run.fields["cauchy_stress"](points)[:, [0, 1, 4]].T
-            v.append(float(np.mean(c * found[:, 1] - s * found[:, 0])))
-            T.append(float(np.mean(c * s * (T_yy - T_xx) + (c**2 - s**2) * T_xy)))
-        errors.append(float(np.abs(np.array(v) - exact).max()) / Omega)
-        sheared = r < R_Y
-        of_T = float(np.abs(-np.array(T) / exact_T - 1)[sheared].max())
+        v, T = around(run, r)
+        errors.append(float(np.abs(v - exact).max()) / Omega)
+        of_T = float(np.abs(-T / exact_T - 1)[r < R_Y].max())
         rows.append([h, mesh.ne, errors[-1], of_T])
-        curves.append(Curve(f"h = {h:g} m", r.tolist(), v, "o"))
-    curves.append(Curve("closed form", r.tolist(), exact.tolist(), "k-"))
+        curves.append(Curve(f"h = {h:g} m", r, v, "o"))
+    curves.append(Curve("closed form", r, exact, "k-"))
     return Outcome(
         values={
             "largest error of v on the finer mesh, of the wall's": errors[-1],
             "largest relative error of the shear stress where it flows": of_T,
             "error of v on the finer / on the coarser mesh": errors[-1] / errors[0],
-            "largest |v| beyond 1.6 m, of the wall's": float(np.abs(np.array(v)[r > 1.6]).max()) / Omega,
+            "largest |v| beyond 1.6 m, of the wall's": float(np.abs(v[r > 1.6]).max()) / Omega,
             "largest |closure|": closure(*runs),
         },
         tables=[Table("at 19 radii", ["h, m", "cells", "error of v", "error of the stress"], rows)],
@@ -158,7 +143,7 @@ def _creep() -> Outcome:
                 exact = 2 * A * (math.sqrt(2) * tau) ** (n - 1) * tau
                 run = nv.Simulation(
                     channel(1, 1, maxh=1.0),
-                    nv.Model(material=stiff(kind), creep=nv.Norton(A=A, n=n)),
+                    nv.Model(material=elastic(kind, 2 * G, G), creep=nv.Norton(A=A, n=n)),
                     dt=0.01 / exact,
                     walls={"top": nv.Traction(f=(tau, 0.0)), "bottom": nv.NoSlip()},
                     initial=nv.Initial(density=1e-6),

@@ -11,19 +11,12 @@ from ngsolve import CF, Integrate, cos, x
 import ngvisco as nv
 from ngvisco.geometries import box
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.setups import CLOSURE, KINDS, closure
+from tests.verification.setups import CLOSURE, KINDS, closure, elastic
 
 THEME = "Exact solutions: waves"
 K_E, G_E, G_V, K_V, MU = 2.0, 1.0, 0.02, 0.01, 1e-3
 AMPLITUDE = 1e-2
 """m/s: strains of at most 1 %, and well above the width of the smoothed upwinding (1e-4 m/s)."""
-
-
-def material(kind: str) -> nv.Material:
-    """Bulk modulus K_E and shear modulus G_E in both models (the neo-Hookean G_e is half of it)."""
-    if kind == "linearised":
-        return nv.LinearElastic(K_e=K_E, G_e=G_E)
-    return nv.ReferentialNeoHookean(K_e=K_E, G_e=G_E / 2, elastic_state="F")
 
 
 def dispersion(k: float, wave: str, mu: float, viscous: bool = True) -> complex:
@@ -46,7 +39,7 @@ def standing_wave(
     """Amplitudes of the velocity in a strip of one wave length, periodic in x and y, after every step."""
     length = 2 * math.pi / k
     model = nv.Model(
-        material=material(kind),
+        material=elastic(kind, K_E, G_E),
         viscosity=nv.StokesViscosity(K_v=K_V, G_v=G_V) if viscous else None,
         hyperviscosity=nv.HyperViscosity(mu=mu, p=2) if mu else None,
     )
@@ -91,8 +84,7 @@ def _dispersion(kind: str, wave: str) -> Outcome:
         rows.append([k, speed, abs(exact.imag) / k, speeds[-1], decay, -exact.real, decays[-1]])
     fine = np.logspace(0, 1, 60)
     relation = [dispersion(float(k), wave, MU) for k in fine]
-    xs, ks = [float(k) for k in fine], list(WAVE_NUMBERS)
-    exact_speeds = [abs(s.imag) / k for s, k in zip(relation, xs, strict=True)]
+    exact_speeds = [abs(s.imag) / k for s, k in zip(relation, fine, strict=True)]
     head = ["k, 1/m", "speed, m/s", "exact", "error", "decay, 1/s", "exact", "error"]
     return Outcome(
         remarks=[
@@ -114,10 +106,10 @@ def _dispersion(kind: str, wave: str) -> Outcome:
                 "k, 1/m",
                 "m/s and 1/s",
                 [
-                    Curve("phase speed, exact", xs, exact_speeds, "-"),
-                    Curve("decay, exact", xs, [-s.real for s in relation], "-"),
-                    Curve("phase speed", ks, [float(row[1]) for row in rows], "o"),
-                    Curve("decay", ks, [float(row[4]) for row in rows], "s"),
+                    Curve("phase speed, exact", fine, exact_speeds, "-"),
+                    Curve("decay, exact", fine, [-s.real for s in relation], "-"),
+                    Curve("phase speed", WAVE_NUMBERS, [row[1] for row in rows], "o"),
+                    Curve("decay", WAVE_NUMBERS, [row[4] for row in rows], "s"),
                 ],
                 log="xy",
             )

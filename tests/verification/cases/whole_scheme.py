@@ -227,9 +227,7 @@ def estimates(
         values[f"power of 1/delta in {name}"] = float(max(decades))
     for name in (*bounded, *powers):
         rows += [[name, h, *(found[h, size][name] for size in sizes)] for h in meshes]
-    curves = [
-        Curve(name, list(sizes), [found[fine, size][name] for size in sizes]) for name in (*bounded, *powers)
-    ]
+    curves = [Curve(name, sizes, [found[fine, size][name] for size in sizes]) for name in (*bounded, *powers)]
     return Outcome(
         values=values,
         tables=[Table("norms", ["norm", "h, m", *(f"eps = delta = {size:g}" for size in sizes)], rows)],
