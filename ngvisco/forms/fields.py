@@ -28,11 +28,43 @@ def hessian_basis(dim: int) -> np.ndarray:
     return np.array(columns).T
 
 
+class Part:
+    """The part of ``Fields`` that has the attribute's name."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, fields: Fields, owner: type) -> CoefficientFunction:
+        return fields.parts[self.name]
+
+
 class Fields:
     """The unknowns of a step (or tests, or known values) under the paper's symbols.
 
     Everything is lazy: a form takes only what it names.
     """
+
+    v = Part()
+    """Velocity, length dim."""
+    rho = Part()
+    rho_hat = Part()
+    z = Part()
+    """All transported components, a vector."""
+    z_hat = Part()
+    wall_stress = Part()
+    """Multiplier of v.n = 0 on oblique and curved walls, Pa; on cell boundaries only."""
+    zeta = Part()
+    """Projected conjugates, components."""
+    rho_delta_hat = Part()
+    """Trace of rho in the delta-regularisation."""
+    zeta_delta_hat = Part()
+    """Mean of both sides' conjugates in the delta-regularisation."""
+    z_slope_hat = Part()
+    """The jump of the slope's normal part over the sum of both sides' weights."""
+    hess_square = Part()
+    """s = |Hs|^2."""
+    hyper_coefficient = Part()
+    """c_s, the projected coefficient of the hyperstress."""
 
     def __init__(
         self,
@@ -59,11 +91,6 @@ class Fields:
         """What is known where these values are: old fields, step length, normal, upwinding."""
         return self.layout.context if self._context is None else self._context
 
-    @property
-    def v(self) -> CoefficientFunction:
-        """Velocity, length dim."""
-        return self.parts["v"]
-
     @cached_property
     def grad_v(self) -> CoefficientFunction:
         """(grad v)_ij = d_j v_i, dim x dim."""
@@ -75,71 +102,29 @@ class Fields:
         """grad v as a 3x3 tensor."""
         return embed_gradient(self.grad_v, self.dim)
 
-    @property
-    def rho(self) -> CoefficientFunction:
-        return self.parts["rho"]
-
     @cached_property
     def grad_rho(self) -> CoefficientFunction:
         return self.gradient("rho")
-
-    @property
-    def rho_hat(self) -> CoefficientFunction:
-        return self.parts["rho_hat"]
-
-    @property
-    def z(self) -> CoefficientFunction:
-        """All transported components, a vector."""
-        return self.parts["z"]
 
     @cached_property
     def grad_z(self) -> CoefficientFunction:
         """Gradient of the components, (components, dim)."""
         return self.gradient("z")
 
-    @property
-    def z_hat(self) -> CoefficientFunction:
-        return self.parts["z_hat"]
-
     @cached_property
     def z_jump(self) -> CoefficientFunction:
         """z_hat - z; on a cell's boundary only."""
         return self.z_hat - self.z
-
-    @property
-    def wall_stress(self) -> CoefficientFunction:
-        """Multiplier of v.n = 0 on oblique and curved walls, Pa; on cell boundaries only."""
-        return self.parts["wall_stress"]
-
-    @property
-    def zeta(self) -> CoefficientFunction:
-        """Projected conjugates, components."""
-        return self.parts["zeta"]
 
     @cached_property
     def grad_zeta(self) -> CoefficientFunction:
         """Gradient of the conjugates' components, (components, dim)."""
         return self.gradient("zeta")
 
-    @property
-    def rho_delta_hat(self) -> CoefficientFunction:
-        """Trace of rho in the delta-regularisation."""
-        return self.parts["rho_delta_hat"]
-
     @cached_property
     def z_slope(self) -> CoefficientFunction:
         """The slope of z by its conjugates in the delta-regularisation, (components, dim), 1/m."""
         return self.parts["z_slope"].Reshape((self.parts["z_slope"].dim // self.dim, self.dim))
-
-    @property
-    def zeta_delta_hat(self) -> CoefficientFunction:
-        """Mean of both sides' conjugates in the delta-regularisation."""
-        return self.parts["zeta_delta_hat"]
-
-    @property
-    def z_slope_hat(self) -> CoefficientFunction:
-        """The jump of the slope's normal part over the sum of both sides' weights."""
-        return self.parts["z_slope_hat"]
 
     @cached_property
     def Pi(self) -> CoefficientFunction:
@@ -170,16 +155,6 @@ class Fields:
     def hyperstress(self) -> CoefficientFunction:
         """Components of the projected hyperstress, (dim, dim(dim+1)/2)."""
         return self._components("hyperstress")
-
-    @property
-    def hess_square(self) -> CoefficientFunction:
-        """s = |Hs|^2."""
-        return self.parts["hess_square"]
-
-    @property
-    def hyper_coefficient(self) -> CoefficientFunction:
-        """c_s, the projected coefficient of the hyperstress."""
-        return self.parts["hyper_coefficient"]
 
     def hyperstress_normal(self, n: CoefficientFunction) -> CoefficientFunction:
         """(S n)_ij = S_ijk n_k, dim x dim."""
