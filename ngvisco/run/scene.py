@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import html
+import itertools
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -98,19 +99,31 @@ def _write_page(
     In 3D the faces are drawn, and the tetrahedra are there for the plane that cuts them.
     """
     (_, first), frames = states[0], [frame for _, frame in states]
-    faces = (first.cells if first.dim == 2 else first.boundary()).ravel()
-    corners = first.cells.ravel() if first.dim == 3 else faces[:0]
+    drawn, meshes, mesh = [_corners(first)], [first], [0]
+    for last, frame in itertools.pairwise(frames):
+        if not (np.array_equal(frame.points, last.points) and np.array_equal(frame.cells, last.cells)):
+            drawn.append(_corners(frame))
+            meshes.append(frame)
+        mesh.append(len(meshes) - 1)
 
     def packed(values: Sequence[np.ndarray]) -> dict[str, str]:
-        table = np.array(values)  # (states, points)
-        return {"values": _packed(table[:, faces]), "inside": _packed(table[:, corners])}
+        sides = zip(
+            *((v[faces], v[corners]) for v, (faces, corners) in zip(values, of, strict=True)), strict=True
+        )
+        return {
+            name: _packed(np.concatenate(parts))
+            for name, parts in zip(("values", "inside"), sides, strict=True)
+        }
 
+    of = [drawn[i] for i in mesh]
     data = {
         "title": title,
         "dim": first.dim,
-        "triangles": len(faces) // 3,
-        "points": _packed(first.points[faces]),
-        "cells": _packed(first.points[corners]),
+        "meshes": [
+            {"points": _packed(frame.points[faces]), "cells": _packed(frame.points[corners])}
+            for frame, (faces, corners) in zip(meshes, drawn, strict=True)
+        ],
+        "mesh": mesh,
         "times": [float(time) for time, _ in states],
         "fields": [
             {"name": name, "unit": field_unit(name)} | packed([frame.scalar(name) for frame in frames])
@@ -123,6 +136,12 @@ def _write_page(
     page = _VIEWER.read_text(encoding="utf-8")
     page = page.replace("__TITLE__", html.escape(title)).replace("__DATA__", text)
     write_atomically(Path(path), page.encode())
+
+
+def _corners(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the triangles that are drawn, and of the tetrahedra that are cut."""
+    faces = frame.cells if frame.dim == 2 else frame.boundary()
+    return faces.ravel(), frame.cells.ravel() if frame.dim == 3 else faces.ravel()[:0]
 
 
 def _packed(array: np.ndarray) -> str:

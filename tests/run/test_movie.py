@@ -116,14 +116,28 @@ def test_a_scene_of_a_series_has_its_times_and_the_inside(written, tmp_path):
     write_scene_of_series(place, tmp_path / "scene.html", ["density", "velocity"], "a body")
     data = data_of(tmp_path / "scene.html")
     assert data["times"] == [0, 0.02, 0.04] and data["dim"] == run.mesh.dim
-    corners = 3 * data["triangles"]
-    density = unpacked(data["fields"][0]["values"]).reshape(3, corners)
-    points = unpacked(data["points"]).reshape(corners, 3)
+    assert data["mesh"] == [0, 0, 0] and len(data["meshes"]) == 1
+    points = unpacked(data["meshes"][0]["points"]).reshape(-1, 3)
+    density = unpacked(data["fields"][0]["values"]).reshape(3, len(points))
     assert density[0] == pytest.approx(1 + points @ [1, 2, 0], rel=1e-5)
     inside = unpacked(data["fields"][0]["inside"])
     assert len(inside) == (3 * 4 * run.mesh.ne if run.mesh.dim == 3 else 0)
     write_scene_of_series(place, tmp_path / "two.html", most=2)
     assert data_of(tmp_path / "two.html")["times"] == [0, 0.04]
+
+
+def test_pictures_follow_a_mesh_that_changes(tmp_path):
+    place, start = tmp_path / "vtk", nv.Initial(velocity=(0.1 * sin(pi * x), 0))
+    model = nv.Model(material=nv.LinearElastic(K_e=4.0, G_e=1.0))
+    run = nv.Simulation(box((1, 1), 0.5), model, dt=0.1, initial=start)
+    run.observers.append(nv.VTKSeries(place))
+    run = nv.run_refined(run, nv.Refinement(field="pressure", above=0.3, every=0.1), 0.3)
+    write_scene_of_series(place, tmp_path / "scene.html", ["density"])
+    data = data_of(tmp_path / "scene.html")
+    sizes = [len(unpacked(data["meshes"][i]["points"])) // 3 for i in data["mesh"]]
+    assert len(set(sizes)) > 1 and len(unpacked(data["fields"][0]["values"])) == sum(sizes)
+    write_movie(place, tmp_path / "movie.gif", ["density"])
+    assert (tmp_path / "movie.gif").exists()
 
 
 @pytest.mark.parametrize(

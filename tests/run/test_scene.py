@@ -35,8 +35,8 @@ def test_scene_holds_mesh_and_values(tmp_path, size):
     field.Set(f)
     write_scene(mesh, {"f": field, "other": CF(1.0)}, tmp_path / "scene.html", "a </script> title")
     data = data_of(tmp_path / "scene.html")
-    points = unpacked(data["points"]).reshape(-1, 3, 3)
-    assert len(points) == data["triangles"] and data["title"] == "a </script> title"
+    points = unpacked(data["meshes"][0]["points"]).reshape(-1, 3, 3)
+    assert data["mesh"] == [0] and data["title"] == "a </script> title"
     values = unpacked(data["fields"][0]["values"]).reshape(-1, 3)
     assert values == pytest.approx(points @ [1, 2, 3 if len(size) == 3 else 0], abs=1e-5)
     areas = np.linalg.norm(np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]), axis=1) / 2
