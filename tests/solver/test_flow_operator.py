@@ -9,6 +9,7 @@ from ngsolve import CF
 import ngvisco as nv
 from ngvisco.forms.terms.transport import ElasticForce
 from ngvisco.geometries import box
+from ngvisco.solver.split.flow_elements import _resolvents
 
 STEP = 1e-5
 
@@ -16,15 +17,30 @@ STEP = 1e-5
 pytestmark = pytest.mark.usefixtures("double_precision")
 
 
+def bodies(viscosity):
+    """Two, whose densities go by their flux."""
+    inner, outer = (nv.ReferentialNeoHookean(K_e=10.0, G_e=G) for G in (5.0, 2.0))
+    return [
+        nv.Body(
+            name="ball", material=inner, viscosity=viscosity, density=1.0, where=nv.Ball((0.5, 0.5), 0.3)
+        ),
+        nv.Body(name="rest", material=outer, viscosity=viscosity, density=1.0),
+    ]
+
+
 @pytest.fixture
 def run(request):
-    """A box at rest in z, with v linear and density one; with the flow rule that is asked for."""
+    """A box at rest in z, with v linear and density one; with the flow rule, or of the bodies, asked for."""
+    asked, viscosity = getattr(request, "param", None), nv.StokesViscosity(K_v=0.1, G_v=0.2)
+    matter = {
+        "material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        "viscosity": viscosity,
+        "creep": asked,
+    }
     model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
-        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.2),
+        **({"bodies": bodies(viscosity)} if asked == "bodies" else matter),
         hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
         loads=[nv.Gravity((0.0, -1.0))],
-        creep=getattr(request, "param", None),
     )
     run = nv.Simulation(
         box((1, 1), maxh=0.4), model, dt=0.5, initial=nv.Initial(velocity=CF((0.0, 0.0))), solver="split"
@@ -108,6 +124,56 @@ def test_the_force_of_the_fields(run):
     stress = np.einsum("pxn,np->xp", operator.points.force[:, :4], resolved).reshape(2, 2, -1)
     expected = sum(D.test(np.ascontiguousarray(stress[:, j])) for j, D in enumerate(op.dv))
     assert np.abs(operator.force(dz) - expected).max() <= 1e-12 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("run", [None, "bodies"], indirect=True)
+def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run):
+    """At rest, of a linear change of a uniform state: no facet takes part; phi'' is by differences."""
+    place, rng = linear(run, lambda x, y: (x, y)), np.random.default_rng(3)
+    split, at, operator = prepared(run, 0 * place)
+    residual, z = split.residual, split.unknowns.slices["z"]
+    op, u = residual.op, at.x.copy()
+
+    def coefficients(values):
+        return residual.inverse_mass(op.z.test(values))
+
+    mean = at.cells.z.value.mean(axis=1, keepdims=True)
+    uniform = mean * (1 + 0.02 * rng.standard_normal(mean.shape))
+    u[z] = coefficients(np.broadcast_to(uniform, at.cells.z.value.shape).copy()).ravel()
+    at = residual(u)
+    operator.update(at)
+    operator.points.resolvent[:] = np.eye(operator.points.resolvent.shape[1])
+    operator.elements.update(operator._base(), operator._inertia(at))
+    direction = np.zeros(len(u))
+    direction[z] = coefficients(rng.standard_normal((len(mean), 2)) @ op.v(place)).ravel()
+    expected = residual.derivative(at)(direction).flow[: operator.nv]
+    found = operator.force(np.ascontiguousarray(direction[z].reshape(len(mean), -1).T)).ravel()
+    free = split.preconditioner.free[: operator.nv]
+    assert np.abs(found - expected)[free].max() <= 1e-5 * np.abs(expected[free]).max()
+
+
+@pytest.mark.parametrize("run", [None, "bodies"], indirect=True)
+def test_the_fields_rows_are_the_derivative(run):
+    """Densities by their flux too, along walls: what flows through these would be another thing to them."""
+    v = linear(run, lambda x, y: (4 * x * (1 - x) * (1 + y), -3 * y * (1 - y) * (1 + x)))
+    split, at, _ = prepared(run, v)
+    z = split.unknowns.slices["z"]
+    direction = np.zeros(len(at.x))
+    direction[z] = np.random.default_rng(2).standard_normal(z.stop - z.start)
+    expected = split.residual.derivative(at)(direction).z
+    dz = direction[z].reshape(expected.shape)
+    found = split.preconditioner.fields._rows(np.ascontiguousarray(dz.T)).T
+    assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
+def test_resolvents_by_products_and_by_factorisation():
+    """What products leave is below 1e-4 wherever they are taken."""
+    noise = np.random.default_rng(0).uniform(-1, 1, (7, 12, 12))
+    for size in (1e-3, 0.1, 0.49, 0.51, 3.0):
+        matrices = size / 12 * noise
+        exact = np.linalg.inv(np.eye(12) - matrices)
+        assert np.abs(_resolvents(matrices) - exact).max() <= 1e-4
+    assert np.abs(_resolvents(0.4 / 12 * noise) - np.eye(12) - 0.4 / 12 * noise).max() > 1e-3
 
 
 @pytest.mark.parametrize("run", [None, nv.Creep(G_m=4.0)], indirect=True)
