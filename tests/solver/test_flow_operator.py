@@ -37,8 +37,13 @@ def run(request):
         "viscosity": viscosity,
         "creep": asked,
     }
+    if asked == "bodies":
+        matter = {"bodies": bodies(viscosity)}
+    if asked == "heat":
+        solid = nv.Thermal(material=nv.LinearElastic(K_e=10.0, G_e=5.0), c=2.0, theta_R=100.0)
+        matter = {"material": solid, "viscosity": viscosity, "heat": nv.Heat(conductivity=5.0)}
     model = nv.Model(
-        **({"bodies": bodies(viscosity)} if asked == "bodies" else matter),
+        **matter,
         hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
         loads=[nv.Gravity((0.0, -1.0))],
     )
@@ -164,6 +169,21 @@ def test_the_fields_rows_are_the_derivative(run):
     dz = direction[z].reshape(expected.shape)
     found = split.preconditioner.fields._rows(np.ascontiguousarray(dz.T)).T
     assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("run", ["heat"], indirect=True)
+def test_conduction_is_the_rows_derivative_at_a_uniform_temperature(run):
+    """From cell to cell, by the lifting of the gradient and the penalty."""
+    split, at, _ = prepared(run, np.zeros_like(linear(run, lambda x, y: (x, y))))
+    z, entropy = split.unknowns.slices["z"], split.preconditioner.sweep._conduction.component
+    direction = np.zeros(len(at.x))
+    dz = direction[z].reshape(at.coefficients["z"].shape)
+    dz[entropy] = np.random.default_rng(2).standard_normal(dz.shape[1])
+    expected = split.residual.derivative(at)(direction).z[entropy]
+    found = split.preconditioner.fields._rows(np.ascontiguousarray(dz.T))[:, entropy]
+    storage = split.preconditioner.sweep._applied(split.preconditioner.sweep._blocks, dz.T)[:, entropy]
+    assert np.abs(expected - storage).max() > 0.1 * np.abs(expected).max()
+    assert np.abs(found - expected).max() <= 1e-5 * np.abs(expected).max()
 
 
 def test_resolvents_by_products_and_by_factorisation():
