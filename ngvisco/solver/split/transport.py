@@ -18,9 +18,8 @@ from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import direct_solver
 from ngvisco.algebra.sparse import of_blocks
 from ngvisco.parallel.halo import HaloUnknowns
-from ngvisco.reduced.facet_coupling import FacetCoupling
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
-from ngvisco.solver.split.conduction import ConductionBlocks
+from ngvisco.solver.split.facet_coupling import ConductionBlocks, FacetCoupling
 from ngvisco.threads import product
 
 LEAST, MOST = 3, 30
