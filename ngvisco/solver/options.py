@@ -72,7 +72,7 @@ class SplitOptions(_Checked):
     renewed_at_once_above: float = 0.1
     """Increment, it or the one before, above which a worn preconditioner is made anew before the increment is
     taken: an impulsive start with p = 4 fails otherwise, while a smooth run wastes a twentieth on it."""
-    linearised_above: float = 1e-2
+    linearised_above: float = 0.05
     """Increment below which only hyperviscosity, which changes suddenly, is linearised anew."""
     stale_above: float = 0.1
     """Share of the increment before, above which everything is linearised anew for a steep flow rule."""

@@ -30,6 +30,8 @@ steep, P times the derivative has single eigenvalues of 1e2 to 1e4, which multip
 _ROUNDED = 0.01
 """Tolerances to which an increment has fallen where nothing shortens it any more but rounding, at a steep
 flow rule; elsewhere one."""
+_FAR = 0.01
+"""Increment up to which ``growth`` is over the smallest one."""
 _WINDOW, _MIN_DAMPING = 4, 0.05
 """Iterations that shorten an increment to a fifth, or it gives up; smallest step length tried."""
 
@@ -105,7 +107,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
         fresh = not split.is_factorised
         f, size = split.increment(problem, x, last)
         history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, fresh))
-        if size <= options.growth * max(best[0], options.linearised_above):
+        if size <= options.growth * max(best[0], _FAR):
             new = x - f
             split.unknowns.unpack(new)
             if problem.changes(size):
