@@ -78,7 +78,8 @@ class ProgressBar:
         )
 
     def finish(self, simulation: Simulation) -> None:
-        advice = dissipation_advice(simulation)
+        is_over = simulation.stop_requested or simulation.t >= self.until * (1 - 1e-9)
+        advice = dissipation_advice(simulation) if is_over else None
         streams.write("\n" if advice is None else f"\n{advice}\n")
 
     def _draw(self, simulation: Simulation, row: dict[str, float]) -> None:

@@ -95,7 +95,7 @@ class Progress:
         finished = simulation.t >= self.until * (1 - 1e-9)
         word = "finished at" if finished else "stopped at" if simulation.stop_requested else "reached"
         self._print(f"{word} t = {simulation.t:g} s after {steps_in_words(simulation)}")
-        advice = dissipation_advice(simulation)
+        advice = dissipation_advice(simulation) if word != "reached" else None
         if advice is not None:
             self._print(advice)
 
