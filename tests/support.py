@@ -267,6 +267,18 @@ ALL_BY_CI = [
 ]
 """Names of all materials, of which one of each kind is run by default."""
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+A_BODY = """\
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 0.6
+[material]
+kind = "NeoHookean"
+K_e = 10
+G_e = 5
+epsilon = 0.1
+"""
+"""A box and a material of a case file."""
 OF_MODELS = {field.name for field in fields(Model)}
 
 

@@ -5,20 +5,14 @@ import shutil
 
 import numpy as np
 import pytest
+from support import A_BODY
 
 import ngvisco as nv
 from ngvisco.case.build import parse_case
 
-CASE = """\
-[domain]
-geometry = "box"
-size = [1, 1]
-maxh = 0.6
-[material]
-kind = "NeoHookean"
-K_e = 10
-G_e = 5
-epsilon = 0.1
+CASE = (
+    A_BODY
+    + """\
 [[loads]]
 kind = "Gravity"
 g = [0, -1]
@@ -30,6 +24,7 @@ until = 0.04
 [output.vtk]
 enabled = false
 """
+)
 
 
 def case(place, *settings):

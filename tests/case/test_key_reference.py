@@ -8,6 +8,7 @@ from pathlib import Path
 
 import jsonschema
 import pytest
+from support import A_BODY
 
 import ngvisco as nv
 from ngvisco.case import reference, template, toml
@@ -25,20 +26,14 @@ COMPANIONS = {
 }
 """Keys of [time] that are refused without others, and those."""
 NUMBERS = ("number", "array of numbers", "table of numbers")
-BASE = """\
-[domain]
-geometry = "box"
-size = [1, 1]
-maxh = 0.6
-[material]
-kind = "NeoHookean"
-K_e = 10
-G_e = 5
-epsilon = 0.1
+BASE = (
+    A_BODY
+    + """\
 [time]
 dt = 0.02
 until = 0.04
 """
+)
 OF_BODY = {"kind": "ReferentialNeoHookean", "K_e": 10, "G_e": 5}
 
 

@@ -2,20 +2,14 @@
 
 import numpy as np
 import pytest
+from support import A_BODY
 
 import ngvisco as nv
 from ngvisco.case.build import parse_case
 
-CASE = """\
-[domain]
-geometry = "box"
-size = [1, 1]
-maxh = 0.6
-[material]
-kind = "NeoHookean"
-K_e = 10
-G_e = 5
-epsilon = 0.1
+CASE = (
+    A_BODY
+    + """\
 [[loads]]
 kind = "Gravity"
 g = [0, -1]
@@ -40,6 +34,7 @@ walls = ["bottom"]
 name = "momentum"
 of = "density*velocity_2"
 """
+)
 
 
 def case(text, tmp_path, *settings):

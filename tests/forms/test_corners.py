@@ -9,17 +9,12 @@ from ngsolve import x
 import ngvisco as nv
 from ngvisco.forms.boundary.corners import warn_of_corners
 from ngvisco.geometries import split_corner_cells, structured_box
+from tests.verification.setups import lid_driven
 
 
 def cavity(mesh, lid, **options):
-    model = nv.Model(
-        material=nv.BarotropicFluid(B=20.0, gamma=1.4),
-        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
-    )
-    velocity = (lid, 0.0) if mesh.dim == 2 else (lid, 0.0, 0.0)
-    others = tuple(set(mesh.GetBoundaries()) - {"top"})
-    walls = {"top": nv.PrescribedTangential(velocity), others: nv.NoSlip()}
-    return nv.Simulation(mesh, model, dt=0.05, walls=walls, **options)
+    fluid, velocity = nv.BarotropicFluid(B=20.0, gamma=1.4), (lid, 0.0, 0.0)[: mesh.dim]
+    return lid_driven(mesh, fluid, lid=velocity, mu=0.0, dt=0.05, **options)
 
 
 def warnings_of(run, until):

@@ -7,25 +7,15 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.failure import FailureReport, showing, write_failure
 from ngvisco.solver.problem import Attempt, NewtonIteration, Solution, Status
+from tests.verification.setups import lid_driven
 
 DT = 0.05
 
 
 def cavity(limiter=True, **options):
-    model = nv.Model(
-        material=nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1),
-        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
-        hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
-    )
-    walls = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
     steps = nv.AdaptiveSteps(dt_min=0.9 * DT, dt_max=DT)
-    return nv.Simulation(
-        box((1, 1), 0.25),
-        model,
-        time=nv.TimeSteps(dt=DT, adaptive=steps, limiter=limiter),
-        walls=walls,
-        **options,
-    )
+    time = nv.TimeSteps(dt=DT, adaptive=steps, limiter=limiter)
+    return lid_driven(box((1, 1), 0.25), time=time, **options)
 
 
 @pytest.fixture(scope="module")

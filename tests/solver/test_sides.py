@@ -6,18 +6,13 @@ import pytest
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.solver import sides
+from tests.verification.setups import lid_driven
 
 
 def cavity(solver):
     """A body at rest under a lid that has full speed at once: Courant number 0.3."""
-    model = nv.Model(
-        material=nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1, elastic_state="F"),
-        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
-    )
-    mesh = box((1, 1), 0.3)
-    others = tuple(sorted(set(mesh.GetBoundaries()) - {"top"}))
-    walls = {"top": nv.PrescribedTangential((1.0, 0.0)), others: nv.NoSlip()}
-    return nv.Simulation(mesh, model, dt=0.1, walls=walls, solver=solver)
+    of = nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1, elastic_state="F")
+    return lid_driven(box((1, 1), 0.3), of, mu=0.0, dt=0.1, solver=solver)
 
 
 def velocity(run):

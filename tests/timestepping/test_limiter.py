@@ -10,6 +10,7 @@ import ngvisco as nv
 from ngvisco.geometries import box, structured_box
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian
+from tests.verification.setups import lid_driven
 
 SCHEMES = ["backward-euler", "midpoint", "sdirk2"]
 MARKS = {("midpoint", "split"): (), ("sdirk2", "coupled"): (pytest.mark.long, pytest.mark.ci)}
@@ -26,16 +27,7 @@ LIMITED = 7
 
 def cavity(material=None, scheme="backward-euler", lid=(1.0, 0.0), mesh=None, **options):
     """A body under a lid of full speed up to the corners: 34 triangles."""
-    dim = len(lid)
-    model = nv.Model(
-        material=material or nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1),
-        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
-        hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
-    )
-    mesh = mesh or box((1,) * dim, 0.25)
-    others = tuple(sorted(set(mesh.GetBoundaries()) - {"top"}))
-    walls = {"top": nv.PrescribedTangential(lid), others: nv.NoSlip()}
-    return nv.Simulation(mesh, model, dt=DT, walls=walls, scheme=scheme, **options)
+    return lid_driven(mesh or box((1, 1), 0.25), material, lid=lid, dt=DT, scheme=scheme, **options)
 
 
 def require_closed(ledger, bound=1e-10):

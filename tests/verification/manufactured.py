@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, cos, sin, x, y, z
+from ngsolve import CF, CoefficientFunction, cos, exp, sin, x, y, z
 
 import ngvisco as nv
 from ngvisco.physics.bodies import AMOUNT
@@ -31,10 +31,11 @@ class Functions:
 
     sin: Callable[[Any], Any]
     cos: Callable[[Any], Any]
+    exp: Callable[[Any], Any]
 
 
-SYMBOLIC = Functions(sin, cos)
-NUMERIC = Functions(np.sin, np.cos)
+SYMBOLIC = Functions(sin, cos, exp)
+NUMERIC = Functions(np.sin, np.cos, np.exp)
 
 
 def plateau(s: Any) -> Any:
@@ -62,26 +63,24 @@ def density(X: Sequence[Any], t: Any, m: Functions) -> Any:
     return 1.2 + value
 
 
-def jacobian(X: Sequence[Any], t: Any, m: Functions) -> Any:
-    value = 0.2 * m.cos(t)
+def wave(X: Sequence[Any], amplitude: Any, m: Functions) -> Any:
+    """Without a slope on the walls."""
     for s in X:
-        value = value * m.cos(PI * s)
-    return 1.1 + value
+        amplitude = amplitude * m.cos(PI * s)
+    return amplitude
+
+
+def jacobian(X: Sequence[Any], t: Any, m: Functions) -> Any:
+    return 1.1 + wave(X, 0.2 * m.cos(t), m)
 
 
 def reciprocal(X: Sequence[Any], t: Any, m: Functions) -> Any:
-    value = 0.15 * m.sin(1 + t)
-    for s in X:
-        value = value * m.cos(PI * s)
-    return 0.9 + value
+    return 0.9 + wave(X, 0.15 * m.sin(1 + t), m)
 
 
 def entropy(X: Sequence[Any], t: Any, m: Functions) -> Any:
     """In units of the heat capacity; as J and A without a slope on the walls, which are insulated by that."""
-    value = 0.25 * m.cos(2 * t)
-    for s in X:
-        value = value * m.cos(PI * s)
-    return 0.1 + value
+    return 0.1 + wave(X, 0.25 * m.cos(2 * t), m)
 
 
 def tensor(X: Sequence[Any], t: Any, m: Functions, identity: float) -> list[list[Any]]:

@@ -12,6 +12,7 @@ from netgen.geom2d import SplineGeometry
 from ngsolve import CF, CoefficientFunction, Integrate, Mesh, cos, pi, sin, x, y, z
 
 import ngvisco as nv
+from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.geometries import box
 from ngvisco.physics.variables import Jacobian
 from tests.verification.case import Bound
@@ -132,6 +133,23 @@ def around(simulation: nv.Simulation, radii: np.ndarray) -> tuple[np.ndarray, np
         means.append((np.mean(c * v[:, 1] - s * v[:, 0]), np.mean(shear)))
     velocities, stresses = np.array(means).T
     return velocities, stresses
+
+
+def lid_driven(
+    mesh: Mesh,
+    material: nv.Material | None = None,
+    *,
+    lid: Sequence[Any] = (1.0, 0.0),
+    mu: float = 1e-5,
+    **options: Any,
+) -> nv.Simulation:
+    """A soft body under a lid of full speed up to the corners; ``options`` are the run's."""
+    of = material or nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1)
+    hyper = nv.HyperViscosity(mu=mu, p=4) if mu else None
+    model = nv.Model(material=of, viscosity=stokes(0.01), hyperviscosity=hyper)
+    others = tuple(sorted(set(mesh.GetBoundaries()) - {"top"}))
+    walls: Conditions = {"top": nv.PrescribedTangential(tuple(lid)), others: nv.NoSlip()}
+    return nv.Simulation(mesh, model, walls=walls, **options)
 
 
 def potential(simulation: nv.Simulation, gravity: float) -> float:

@@ -9,12 +9,11 @@ volume, of mass 1,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, IfPos, Integrate, exp, sin, x
+from ngsolve import CF, CoefficientFunction, IfPos, Integrate, x
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -25,6 +24,7 @@ from ngvisco.physics.variables import Cofactor, Distortion, Jacobian
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.cases import riemann
 from tests.verification.cases.heat import THEME
+from tests.verification.manufactured import NUMERIC, SYMBOLIC, Functions
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, closure
 
@@ -55,17 +55,6 @@ def strip(cells: int, start: CoefficientFunction, nu: float, kappa: float, end: 
 
 SPEED, WIDTH, NU, KAPPA, END = 0.3 * SOUND, 0.03, 0.04, 0.02, 0.05
 """Of the start -SPEED tanh(sin(2 pi (x - 1/2))/(2 pi WIDTH)); it steepens to a shock of about NU/SPEED."""
-
-
-@dataclass(frozen=True)
-class Functions:
-    """Of numbers, or of coefficient functions."""
-
-    sin: Callable[[Any], Any]
-    exp: Callable[[Any], Any]
-
-
-NUMERIC, SYMBOLIC = Functions(np.sin, np.exp), Functions(sin, exp)
 
 
 def _lagrangian(n: int, is_heated: bool = True) -> dict[str, np.ndarray]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 import ngvisco as nv
-from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.geometries import box
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.setups import CLOSURE, closure, drift, stokes
+from tests.verification.setups import CLOSURE, closure, drift, lid_driven
 
 THEME = "Robustness of the scheme"
 DT, END = 0.02, 0.4
@@ -17,19 +16,10 @@ SCHEMES = ("backward-euler", "midpoint", "sdirk2")
 
 def cavity(scheme: str, limiter: bool) -> nv.Simulation:
     """The body of demos/cavity; without a limiter steps are not tried in other ways."""
-    model = nv.Model(
-        material=nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1, elastic_state="F"),
-        viscosity=stokes(0.01),
-        hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
-    )
-    walls: Conditions = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
     steps = None if limiter else nv.AdaptiveSteps(dt_min=DT, dt_max=DT)
-    return nv.Simulation(
-        box((1, 1), 0.1),
-        model,
-        time=nv.TimeSteps(dt=DT, scheme=scheme, limiter=limiter, adaptive=steps),  # type: ignore[arg-type]
-        walls=walls,
-    )
+    time = nv.TimeSteps(dt=DT, scheme=scheme, limiter=limiter, adaptive=steps)  # type: ignore[arg-type]
+    of = nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1, elastic_state="F")
+    return lid_driven(box((1, 1), 0.1), of, time=time)
 
 
 def _measured() -> Outcome:
