@@ -19,7 +19,6 @@ import numpy as np
 import scipy.sparse as sp
 from ngsolve import CF, CoefficientFunction, GridFunction, specialcf
 
-from ngvisco.algebra.local import by_parts
 from ngvisco.errors import NgviscoError
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
@@ -190,7 +189,6 @@ class CellTerms:
         self.layout, self.op = step.layout, operators
         self.context = CellContext(step, operators, rates)
         self._tests = _tests(step, True, self.context)
-        self._step, self._constant = step, dict[int, np.ndarray | None]()
 
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with these coefficients at the points."""
@@ -199,30 +197,13 @@ class CellTerms:
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """What multiplies each test and its gradient, (..., points)."""
-        summands: list[Linear] = []
-        for term in terms:
-            matrix = self.constant_matrix(term)
-            if matrix is None:
-                summands += term.cells(u, self._tests)
-            else:
-                stress = _product_with(matrix, u.grad_v.value)
-                summands.append(self._tests.grad_v.InnerProduct(Array(stress, None)))
-        return _slots(summands)
+        return _slots([part for term in terms for part in term.cells(u, self._tests)])
 
     def derivative(self, terms: Iterable[PointTerm], u: Fields, **along: np.ndarray) -> dict[str, np.ndarray]:
         """The slots' derivative in a direction of values, of unknowns by name or of ``grad_v``."""
         changed = {name: getattr(u, name).value + (TINY * 1j) * d for name, d in along.items()}
         found = self.slots(terms, with_values(u, **changed))
         return {name: values.imag / TINY for name, values in found.items()}
-
-    def constant_matrix(self, term: PointTerm) -> np.ndarray | None:
-        """The matrix (dim^2, dim^2) of a term that is grad v : C grad w with the same C everywhere, or None.
-
-        Read off at unit arguments, as the rates are: many times faster than the law at every point.
-        """
-        if id(term) not in self._constant:
-            self._constant[id(term)] = _constant_matrix(self._step, term, self._tests)
-        return self._constant[id(term)]
 
     def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
         """Rows of the terms' integrals over the cells."""
@@ -349,41 +330,6 @@ def _rate(step: Step, difference: Any) -> Any:
 def _full(values: np.ndarray, count: int) -> np.ndarray:
     """Values at all points, of values that may be the same at all."""
     return values if values.shape[-1] == count else np.broadcast_to(values, (*values.shape[:-1], count))
-
-
-def _product_with(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """A matrix times the entries of values (dim, dim, points)."""
-    entries = values.reshape(len(matrix), -1)
-    product = by_parts(matrix.__matmul__, entries) if np.iscomplexobj(entries) else matrix @ entries
-    return product.reshape(values.shape)
-
-
-def _constant_matrix(step: Step, term: PointTerm, tests: Fields) -> np.ndarray | None:
-    """See ``CellTerms.constant_matrix``: of unit arguments, if it is right for others of all sizes too.
-
-    The term finds nothing but grad v: one that asks for other values may differ from point to point.
-    """
-    d = step.mesh.dim
-    others = np.random.default_rng(0).standard_normal((d, d, len(_SIZES))) * _SIZES
-    gradients = np.concatenate([np.eye(d * d).reshape(d, d, -1), others], axis=2)
-    slopes = Lazy({"v": lambda: Array(gradients, None)}, _CELLS)
-    try:
-        u = Fields(step.layout, Lazy({}, _CELLS), SimpleNamespace(), lambda name: slopes[name])  # type: ignore
-        with np.errstate(all="ignore"):  # laws of such sizes may overflow
-            found = _slots(list(term.cells(u, tests)))
-    except Exception:  # whatever a term raises at values that it does not know
-        return None
-    if set(found) != {"grad v"} or found["grad v"].shape != gradients.shape:
-        return None
-    slots = found["grad v"].reshape(d * d, -1)
-    matrix, expected = slots[:, : d * d], slots[:, d * d :]
-    scale = np.abs(expected).max(axis=0)
-    defect = np.abs(expected - matrix @ others.reshape(d * d, -1)).max(axis=0)
-    return matrix if (defect <= 1e-13 * d * d * scale).all() else None
-
-
-_SIZES = 10.0 ** np.arange(-15, 16, 2)
-"""Sizes of velocity gradients, 1/s, at which a term is asked whether it is linear."""
 
 
 def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:

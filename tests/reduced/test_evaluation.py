@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from ngsolve import CF, BilinearForm, cos, pi, sin, x, y, z
@@ -11,7 +9,6 @@ from ngsolve import CF, BilinearForm, cos, pi, sin, x, y, z
 import ngvisco as nv
 from ngvisco.geometries import box, disc
 from ngvisco.physics.increments import TINY
-from ngvisco.physics.tensors import if_positive, square
 from ngvisco.reduced.claims import Claims
 from ngvisco.reduced.evaluation import NotAtPointsError, asked_slots
 
@@ -134,36 +131,6 @@ def test_complex_increments_are_the_form_s_linearisation(mesh):
         assert np.abs(found - expected)[free].max() <= 1e-12 * np.abs(expected).max(), term
     assert len(forms) == 4
     assert at.residual.is_finite
-
-
-@dataclass(frozen=True, kw_only=True)
-class Thickening(nv.StokesViscosity):
-    """Thicker where the shear rate is large."""
-
-    def stress(self, eps, z):
-        factor = if_positive(square(eps) - 1e4, 2.0, 1.0)
-        return factor * super().stress(eps, z)
-
-
-@dataclass(frozen=True, kw_only=True)
-class OfTheState(nv.StokesViscosity):
-    """Differs only where the material is stretched twice."""
-
-    def moduli(self, s, z):
-        factor = if_positive(z["J"] - 2.0, 2.0, 1.0)
-        return self.K_v * factor, self.G_v * factor
-
-
-@pytest.mark.parametrize(
-    ("law", "is_constant"), [(nv.StokesViscosity, True), (Thickening, False), (OfTheState, False)]
-)
-def test_only_what_has_constant_coefficients_is_tabulated(law, is_constant):
-    residual = step_of(MESHES["2D"](), viscosity=law(K_v=0.1, G_v=0.2))
-    found = {
-        type(term).__name__: residual.cell_terms.constant_matrix(term) is not None
-        for term in residual.claims.at_points
-    }
-    assert found == dict.fromkeys(found, False) | {"Stokes": is_constant}
 
 
 def test_what_a_term_asks_for_is_found_without_values():

@@ -70,18 +70,13 @@ class FlowSchurComplement:
         """dR/d(v, grad v) of convection and viscosity: (points, 0 or 1 + j, i, k, 0 or 1 + l)."""
         d, u, terms = self.dim, self.points.values, self.points.terms
         A = np.zeros((self.op.points.count, 1 + d, d, d, 1 + d))
-        varying = [term for term in self.leading if terms.constant_matrix(term) is None]
         for k, column in np.ndindex(d, 1 + d):
             name, where = ("grad_v", (k, column - 1)) if column else ("v", (k,))
             along = np.zeros_like(getattr(u, name).value)
             along[where] = 1.0
-            slots = terms.derivative(varying, u, **{name: along})
+            slots = terms.derivative(self.leading, u, **{name: along})
             A[:, 0, :, k, column] = slots["v"].T
             A[:, 1:, :, k, column] = slots["grad v"].transpose(2, 1, 0)
-        for term in self.leading:
-            matrix = terms.constant_matrix(term)
-            if matrix is not None:  # by (i, j) and (k, l)
-                A[:, 1:, :, :, 1:] += matrix.reshape(d, d, d, d).swapaxes(0, 1)
         return A
 
     def _rest(self) -> sp.csr_matrix | None:
