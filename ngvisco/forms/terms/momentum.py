@@ -89,7 +89,7 @@ class Inertia(PointTerm):
         return Entry("kinetic", "energy", Integrand(0.5 * u.rho * square(u.v)))
 
     def slope(self, b: Fields, d: Fields) -> Integrand:
-        """-1/2 |v_b|^2 rho_d: of the momentum functional, which is kept, there is no part."""
+        """-1/2 |v_b|^2 rho_d, under a momentum functional that is kept."""
         return Integrand(-0.5 * d.rho * square(b.v))
 
     def distance(self, a: Fields, b: Fields) -> Entry:
