@@ -47,7 +47,7 @@ class Rates:
                 parts.append(inner(rate, tensors[variable.name]))
         return parts
 
-    @property
+    @cached_property
     def flows(self) -> tuple[Flow, ...]:
         """What creeps."""
         return self.model.flows

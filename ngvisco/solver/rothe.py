@@ -43,6 +43,10 @@ _TOO_FAR = 0.5
 """Change of the velocity, |dv| tau/h, above which extrapolation leads it too far: after the first of some
 long steps."""
 
+_HELD = "from the last state, increments held by their power"
+"""What is tried last where a steep flow rule creeps: of yield with little inertia increments are else as long
+as the velocity, to and fro.  Near the rate-independent limit it takes more iterations than without."""
+
 
 class RotheSolver:
     """Solves a Step, the implicit Euler formula (paper: Euler-large-viscoelastodyn+disc).
@@ -137,7 +141,7 @@ class RotheSolver:
         attempts: list[Attempt] = []
         try:
             for name, guess in self._guesses(interval):
-                attempts.append(Attempt(name, self._attempt(interval, guess)))
+                attempts.append(Attempt(name, self._attempt(interval, guess, name == _HELD)))
                 if attempts[-1].solution.converged:
                     self.extrapolation.keep(interval.end)
                     return attempts
@@ -161,6 +165,8 @@ class RotheSolver:
         if self.method == "split" and courant > _TOO_FAST:
             guess.FV().NumPy()[self.step.layout.ranges["v"]] *= _TOO_FAST / courant
         yield "from the last state", guess
+        if isinstance(self.newton, Split) and self.newton.is_steep:
+            yield _HELD, guess
 
     def _grows(self, interval: Interval, attempts: list[Attempt]) -> bool:
         """Whether steps of growing length, each the start value of the next, lead to the whole one.
@@ -191,7 +197,9 @@ class RotheSolver:
         fastest = self.exchange.communicator.most(abs(v).max(initial=0.0))
         return fastest * interval.tau / self.h_min
 
-    def _attempt(self, interval: Interval, guess: BaseVector) -> Solution:
+    def _attempt(self, interval: Interval, guess: BaseVector, holds: bool = False) -> Solution:
+        if isinstance(self.newton, Split):
+            self.newton.holds = holds
         self.step.energy.last_failure = None
         self.exchange.communicator.forget_notes()
         velocity = self.extrapolation.velocity(interval.end)

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.benchmarks import answers, schemes
+from tests.benchmarks import answers, creep, schemes
 from tests.benchmarks.__main__ import main
 from tests.benchmarks.table import against, summary, summary_of_schemes
 
@@ -27,6 +27,14 @@ def test_quick_run_saves_its_table(tmp_path, capsys):
     assert "coupled over split" in text
     assert "backward-euler over midpoint" in text
     assert "one thread over two" in capsys.readouterr().out
+
+
+def test_what_creep_costs_is_over_linear_creep():
+    rows = creep.measured(turns=1, steps=1, maxh=0.5)
+    assert len(rows) == len(creep.SIZES) * len(creep.MATERIALS) * len(creep.RULES)
+    for row in rows:
+        assert row["iterations"] > 1
+        assert (row["over linear"] == 1) == (row["rule"] == "linear")
 
 
 def test_exponents_are_fitted():

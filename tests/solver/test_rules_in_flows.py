@@ -8,10 +8,10 @@ from itertools import product
 import numpy as np
 import pytest
 from flow_rules import EXAMPLES
-from ngsolve import CF, x
+from ngsolve import CF, x, y
 
 import ngvisco as nv
-from ngvisco.geometries import box
+from ngvisco.geometries import annulus, box
 from ngvisco.physics.tensors import if_positive
 from ngvisco.solver.split.iteration import INNER, TOLERANCE
 
@@ -133,6 +133,22 @@ def test_the_preconditioner_of_newton_krylov_is_linear():
         return np.linalg.norm(total - solved(first) - solved(second)) / np.linalg.norm(total)
 
     assert defect(INNER[1]) <= 0.01 * TOLERANCE < defect()
+
+
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize("material", ["E", "B"])
+def test_yield_with_little_inertia_is_solved(material):
+    """A stiff, light body around a cylinder that turns: increments of the whole length go to and fro."""
+    walls = {"inner": nv.PrescribedTangential((-y, x)), "outer": nv.NoSlip()}
+    linear = (4 / (x * x + y * y) - 1) / 3
+    initial = nv.Initial(density=0.01, velocity=(-linear * y, linear * x))
+    stiff = replace(MATERIALS[material], K_e=200.0, G_e=100.0 if material == "E" else 50.0)
+    model = nv.Model(material=stiff, creep=nv.Perzyna(sigma_Y=0.35, G_m=0.2))
+    run = nv.Simulation(annulus(1.0, 2.0, 0.25), model, dt=0.1, walls=walls, initial=initial, solver="split")
+    ledger = run.run(0.2)
+    assert not ledger.column("rejections").any()
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,10 +1,11 @@
 """The split solver's iteration x - f(x), until the increment f is small, and Newton-Krylov where it is slow.
 
 f(x) = P^{-1} R(x) is Newton's increment of the unknowns x but for a coarser rule and a fixed number of
-sweeps.  An iterate at which it is no number, or much longer than the smallest one, is given up for one nearer
-to the best.  In Newton-Krylov GMRES takes P^{-1} dR d with complex increments of R
-(``ReducedResidual.derivative``), to which P is the preconditioner.  What needs it are creep rate fields
-(nu > 0), whose coupling to v P leaves out.
+sweeps.  Its length is held by its power where a steep flow rule bends it (``Split.evaluated``).  Elsewhere an
+iterate at which it is no number, or much longer than the smallest one, is given up for one nearer to the
+best.  In Newton-Krylov GMRES takes P^{-1} dR d with complex increments of R (``ReducedResidual.derivative``),
+to which P is the preconditioner.  What needs it are creep rate fields (nu > 0), whose coupling to v P leaves
+out.
 """
 
 from __future__ import annotations
@@ -104,10 +105,11 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
     while len(history) < split.options.max_iterations:
         if len(history) > options.slow and last <= options.krylov_below:
             return newton_krylov(split, problem, x, history)
+        x, at, held = split.evaluated(x)
         fresh = not split.is_factorised
-        f, size = split.increment(problem, x, last)
+        f, size = split.increment(problem, x, at, last)
         history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, fresh))
-        if size <= options.growth * max(best[0], _FAR):
+        if held or size <= options.growth * max(best[0], _FAR):
             new = x - f
             split.unknowns.unpack(new)
             if problem.changes(size):
@@ -128,5 +130,5 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
         else:
             halvings += 1
             x, last = best[1] - 0.5**halvings * best[2], np.inf
-            split.reset()
+            split.give_up()
     return Status.TOO_MANY_ITERATIONS

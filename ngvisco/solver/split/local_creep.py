@@ -39,6 +39,9 @@ small beside an increment."""
 _NEAR, _EXACT, _ROUNDING = 1e-2, 1e-8, 1e-15
 """Relative defects at which iterations end: at single points, where the cells' begin, and of these, whose
 rest is for Newton's method of the step; and increments of softened stresses."""
+_NOISE = 10 * _EXACT
+"""Share of what creep does within the step below which an increment is not corrected: that would leave what
+the cells' equations are not solved by."""
 
 
 class LocalCreep:
@@ -61,20 +64,46 @@ class LocalCreep:
         t = self.tangent
         columns, force = t.columns[:, :, self.own], t.force[:, self.own]
         self._read = self.rates.read_values(self.flow.rule, t.values)
-        kappa, change = t.tau * force @ columns, t.op.z(dz)
         M = self.space.components(self.rates.mandel(t.values, self.flow)).value.T
-        tangent = -np.einsum("pij,pjm,mp->ip", self._slope(M), force, change, optimize=True)
-        held, z, added = self._projected(self._rate(M).T + tangent), t.z + change, np.zeros_like(dz)
+        change, added = t.op.z(dz), np.zeros_like(dz)
+        z = t.z + change
+        stress = self._stress(z)
+        rate, slope = self._along(M, stress.T - M)
+        new = self._rate(stress.T).T
+        found, missed = self._taken(columns, new), self._taken(columns, new - rate - slope)
+        small = max(_SETTLED * abs(dz).max(initial=0.0), _NOISE * abs(found).max(initial=0.0))
+        on = self._cells_above(missed, small)
+        if not len(on):  # the rule is straight within the increment
+            return added
+        kappa = t.tau * force @ columns
+        held = self._projected(rate + self._along(M, -np.einsum("pjm,mp->pj", force, change))[1])
+        by_cells, solved = kappa.reshape(*self.shapes.shape[:2], *kappa.shape[1:])[on], None
         for _ in range(_STRESSES):
-            Y = self._stress(z) + np.einsum("pij,jp->ip", kappa, held)
-            Pi = self._projected(self._solved(kappa, Y.T).T)
-            extra = t.tau * self._coefficients(np.einsum("pni,ip->np", columns, Pi - held))
+            Y, Pi = stress + np.einsum("pij,jp->ip", kappa, held), held.copy()
+            solved = self._solved(by_cells, self._by_cells(Y)[:, on].transpose(1, 2, 0), on, solved)
+            self._by_cells(Pi)[:, on] = solved.transpose(2, 0, 1)
+            Pi = self._projected(Pi)
+            extra = self._taken(columns, Pi - held)
             if not np.isfinite(extra).all():
                 return np.zeros_like(dz)
             added, z, held = added + extra, z + t.op.z(extra), Pi
-            if abs(extra).max(initial=0.0) <= _SETTLED * abs(dz).max(initial=0.0):
+            if abs(extra).max() <= small:
                 break
+            stress = self._stress(z)
         return added
+
+    def _taken(self, columns: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """What z takes within the step from a change of the rate, (p, points); coefficients."""
+        return self.tangent.tau * self._coefficients(np.einsum("pni,ip->np", columns, change))
+
+    def _by_cells(self, values: np.ndarray) -> np.ndarray:
+        """A view of values (..., points) by (..., cells, points of a cell)."""
+        return values.reshape(*values.shape[:-1], *self.shapes.shape[:2])
+
+    def _cells_above(self, coefficients: np.ndarray, size: float) -> np.ndarray:
+        """Cells of which some coefficient is above ``size``."""
+        by_cells = coefficients.reshape(len(coefficients), *self.shapes.shape[::2])
+        return np.flatnonzero(abs(by_cells).max(axis=(0, 2)) > size)
 
     def _coefficients(self, values: np.ndarray) -> np.ndarray:
         """Of the projection of values at the points."""
@@ -103,7 +132,7 @@ class LocalCreep:
         """Values at the points of some cells."""
         if value.value.shape[-1] == 1:
             return value
-        by_cells = value.value.reshape(*value.value.shape[:-1], *self.shapes.shape[:2])
+        by_cells = self._by_cells(value.value)
         return Array(by_cells[..., cells, :].reshape(*value.value.shape[:-1], -1), None)
 
     def _softened(self, X: np.ndarray, c: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -123,69 +152,75 @@ class LocalCreep:
                 break
         return s[:, None] * along
 
+    def _along(self, M: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The rate at stresses and its derivative along a change of them, both (p, points)."""
+        found = self._rate(M + 1j * TINY * change).T
+        return found.real, found.imag / TINY
+
     def _slope(self, M: np.ndarray, cells: np.ndarray | None = None) -> np.ndarray:
         """The rate's derivative by the stress, (points, p, p)."""
         units = np.eye(M.shape[1])
         return np.stack([self._rate(M + 1j * TINY * unit, cells).imag / TINY for unit in units], axis=2)
 
-    def _solved(self, kappa: np.ndarray, Y: np.ndarray) -> np.ndarray:
-        """rate(Y - kappa Pi_h) at the points, (points, p), with Pi_h its projection in every cell.
+    def _solved(
+        self, kappa: np.ndarray, Y: np.ndarray, chosen: np.ndarray, start: np.ndarray | None
+    ) -> np.ndarray:
+        """rate(Y - kappa Pi_h) at the points of the ``chosen`` cells, (cells, points of one, p).
 
-        Newton's method for the cells' components, (cells, q, p), from the solutions at the points.  Its
-        length is held by the defect's power along kappa d, kappa the mean of the cell, which grows along an
-        increment d by the rule's monotonicity and is zero with the defect.  Solved cells are left alone.
+        Pi_h is its projection in every cell, of Newton's method for the cells' components, (cells, q, p),
+        from rates ``start`` or those that solve the equation at the points.  Its length is held by the
+        defect's power along kappa d, kappa the mean of the cell, which grows along an increment d by the
+        rule's monotonicity and is zero with the defect.  Solved cells are left alone.
         """
-        shape, p = self.shapes.shape, Y.shape[1]
-        weights = self.tangent.op.weights.reshape(shape[:2])
-        weighted = self.shapes * weights[:, :, None]
-        kappa, Y = kappa.reshape(*shape[:2], p, p), Y.reshape(*shape[:2], p)
-        mass = np.einsum("cki,ckj->cij", weighted, self.shapes)
+        shapes, count, p = self.shapes[chosen], self.shapes.shape[1], Y.shape[2]
+        weights = self.tangent.op.weights.reshape(-1, count)[chosen]
+        weighted = shapes * weights[:, :, None]
+        mass = np.einsum("cki,ckj->cij", weighted, shapes)
         mean = np.einsum("ck,ckij->cij", weights, kappa) / weights.sum(axis=1)[:, None, None]
-        x = np.linalg.solve(mass, np.einsum("cki,ckp->cip", weighted, self._at_points(kappa, Y)))
+        at_points = self._at_points(kappa, Y, chosen) if start is None else start
+        x = np.linalg.solve(mass, np.einsum("cki,ckp->cip", weighted, at_points))
 
         def stress(x: np.ndarray, on: np.ndarray) -> np.ndarray:
-            values = self.shapes[on] @ x
-            return (Y[on] - np.einsum("ckij,ckj->cki", kappa[on], values)).reshape(-1, p)
+            return (Y[on] - (kappa[on] @ (shapes[on] @ x)[..., None])[..., 0]).reshape(-1, p)
 
         def defect(x: np.ndarray, on: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            Pi = self._rate(self._softened(stress(x, on), c, on), on).reshape(len(on), shape[1], p)
-            tested = np.einsum("cki,ckp->cip", weighted[on], Pi)
-            return mass[on] @ x - tested, np.einsum("cki,ckp->cip", abs(weighted[on]), abs(Pi))
+            Pi = self._rate(self._softened(stress(x, on), c, chosen[on]), chosen[on])
+            Pi, tests = Pi.reshape(len(on), count, p), weighted[on].swapaxes(1, 2)
+            return mass[on] @ x - tests @ Pi, np.linalg.norm(abs(tests) @ abs(Pi), axis=(1, 2))
 
         def newton(on: np.ndarray, c: np.ndarray) -> np.ndarray:
             """Iterate in the cells ``on``; those that are left unsolved."""
+            wrong, size = defect(x[on], on, c)
             for _ in range(_ITERATIONS):
-                wrong, size = defect(x[on], on, c)
-                left = np.linalg.norm(wrong, axis=(1, 2)) > _EXACT * np.linalg.norm(size, axis=(1, 2))
+                left = np.linalg.norm(wrong, axis=(1, 2)) > _EXACT * size
                 on, wrong, c = on[left], wrong[left], c[left]
                 if not len(on):
                     break
-                slope = self._slope(self._softened(stress(x[on], on), c, on), on)
+                slope = self._slope(self._softened(stress(x[on], on), c, chosen[on]), chosen[on])
                 if c.any():  # of rate_c, by that of the rate
-                    by_points = np.repeat(c, shape[1])[:, None, None]
+                    by_points = np.repeat(c, count)[:, None, None]
                     slope = np.linalg.solve(np.eye(p) + by_points * slope, slope)
-                bent, w, n = (
-                    np.eye(p) + slope.reshape(kappa[on].shape) @ kappa[on],
-                    weighted[on],
-                    shape[2] * p,
-                )
-                matrix = np.einsum("cka,ckij,ckb->caibj", w, bent, self.shapes[on], optimize=True)
+                bent, w = np.eye(p) + slope.reshape(kappa[on].shape) @ kappa[on], weighted[on]
+                matrix = np.einsum("cka,ckij,ckb->caibj", w, bent, shapes[on], optimize=True)
+                n = shapes.shape[2] * p
                 d = -np.linalg.solve(matrix.reshape(-1, n, n), wrong.reshape(-1, n, 1)).reshape(wrong.shape)
                 along = np.einsum("cij,caj->cai", mean[on], d)
-                before = (along * wrong).sum(axis=(1, 2))
+                enough = 0.5 * abs((along * wrong).sum(axis=(1, 2)))
                 length, low, high = np.ones(len(on)), np.zeros(len(on)), np.ones(len(on))
                 for _ in range(_BISECTIONS):
-                    power = (along * defect(x[on] + length[:, None, None] * d, on, c)[0]).sum(axis=(1, 2))
-                    far, near = power > 0.5 * abs(before), (power < -0.5 * abs(before)) & (high < 1)
+                    new = x[on] + length[:, None, None] * d
+                    wrong, size = defect(new, on, c)
+                    power = (along * wrong).sum(axis=(1, 2))
+                    far, near = power > enough, (power < -enough) & (high < 1)
                     if not (far | near).any():
                         break
                     low, high = np.where(near, length, low), np.where(far, length, high)
                     length = np.where(far | near, 0.5 * (low + high), length)
-                x[on] += length[:, None, None] * d
+                x[on] = new
             return on
 
-        start = x.copy()
-        hard = newton(np.arange(shape[0]), np.zeros(shape[0]))
+        start, every = x.copy(), np.arange(len(chosen))
+        hard = newton(every, np.zeros(len(chosen)))
         if len(hard):
             x[hard] = start[hard]
             size = np.trace(mean[hard], axis1=1, axis2=2) / p
@@ -194,10 +229,9 @@ class LocalCreep:
                 hard, size = hard[~unsolved], size[~unsolved]
                 if not len(hard):
                     break
-        every = np.arange(shape[0])
-        return self._rate(stress(x, every))
+        return self._rate(stress(x, every), chosen).reshape(Y.shape)
 
-    def _at_points(self, kappa: np.ndarray, Y: np.ndarray) -> np.ndarray:
+    def _at_points(self, kappa: np.ndarray, Y: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """rate(M) of the M along Y with M + kappa rate(M) = Y: Newton's method held by a bracket."""
         shape, Y, kappa = Y.shape, Y.reshape(-1, Y.shape[-1]), kappa.reshape(-1, *kappa.shape[-2:])
         size = np.linalg.norm(Y, axis=1)
@@ -205,11 +239,11 @@ class LocalCreep:
         stiffness = np.einsum("pi,pij,pj->p", along, kappa, along)
         low, high, s = np.zeros_like(size), size.copy(), 0.5 * size
         for _ in range(_BISECTIONS):
-            value = (self._rate((s + 1j * TINY)[:, None] * along) * along).sum(axis=1)
+            value = (self._rate((s + 1j * TINY)[:, None] * along, cells) * along).sum(axis=1)
             defect = s + stiffness * value.real - size
             if (abs(defect) <= _NEAR * size).all():
                 break
             low, high = np.where(defect < 0, s, low), np.where(defect < 0, high, s)
             newton = s - defect / (1 + stiffness * value.imag / TINY)
             s = np.where((newton > low) & (newton < high), newton, 0.5 * (low + high))
-        return self._rate(s[:, None] * along).reshape(shape)
+        return self._rate(s[:, None] * along, cells).reshape(shape)

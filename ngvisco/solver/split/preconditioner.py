@@ -35,17 +35,19 @@ from ngvisco.solver.split.transport import TransportSweeps
 TOLERANCE, ITERATIONS = 0.05, 20
 """Of z's and rho's increments, by GMRES at most; 0.1 takes an iteration of Newton more in twenty, 0.01 no
 fewer."""
-ENOUGH = 0.15
+ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
 """What sweeps may leave of them: Newton's iteration contracts by as much.  0.05 takes the same iterations and
-a tenth more time in a smooth run with creep."""
+a tenth more time in a smooth run with creep; with a steep flow rule fewer, and fewer operators, which are
+made anew where an increment is above a tenth of the one before."""
 _IN_WORDS = {"wall_stress": "stresses of oblique or curved walls", "Pi": "a creep rate field"}
 
 
 class FieldsSystem:
     """Solves the fields' equations where the operator was last updated."""
 
-    def __init__(self, operator: FlowSchurComplement) -> None:
-        self.operator, self.sweep = operator, operator.sweep
+    def __init__(self, operator: FlowSchurComplement, enough: float) -> None:
+        """``enough`` is what sweeps may leave of an increment."""
+        self.operator, self.sweep, self.enough = operator, operator.sweep, enough
         self.iterations = ITERATIONS
         self.points, self.op = operator.points, operator.points.op
         self._swept_is_enough: set[str] = set()
@@ -71,7 +73,7 @@ class FieldsSystem:
     ) -> np.ndarray:
         if name in self._swept_is_enough and tolerance >= TOLERANCE:
             return approximate(rows)
-        enough = ENOUGH if tolerance >= TOLERANCE else 0.0
+        enough = self.enough if tolerance >= TOLERANCE else 0.0
         products = self.operator.residual.ranks.products
         found, iterations = improved(apply, approximate, rows, tolerance, self.iterations, enough, products)
         if not iterations:
@@ -141,7 +143,7 @@ class Preconditioner:
             self._rows = np.concatenate([self.free, free_normals])
         self._lengths = [self.exchange.length(where) for where in self._blocks]
         self._of_velocity = self.exchange.part(np.arange(residual.op.v.width))
-        self.fields = FieldsSystem(self.operator)
+        self.fields = FieldsSystem(self.operator, ENOUGH_WHERE_STEEP if steep else ENOUGH)
         self.iterations = 0
         """What the last linear system of the flow took."""
 
@@ -215,10 +217,7 @@ class Preconditioner:
         """The increment, packed; tolerances are those of the flow's linear system and of the fields' own."""
         op, operator, dim, size = self.op, self.operator, self.dim, self.operator.nv
         r, rho, u = at.residual, at.coefficients["rho"], self.unknowns
-        dz = self.sweep.fields(np.ascontiguousarray(r.z.T))
-        right = np.concatenate([r.flow, *([] if r.normals is None else [r.normals.ravel()])])
-        right[:size] -= self._of_velocity.sum(operator.force(dz)).ravel()
-        dflow = self._flow(right, tolerance)
+        dflow = self._flow(self._rows_of_flow(at), tolerance)
         dv = dflow[:size].reshape(dim, size // dim)
         dPi = None
         if "Pi" in u.slices:
@@ -231,9 +230,22 @@ class Preconditioner:
         density[: rho.size] -= op.z.test(drho)
         return np.concatenate([dflow, self.fields.density(density, of_fields), dz.T.ravel()])
 
+    def _rows_of_flow(self, at: Evaluation) -> np.ndarray:
+        """What is left of the flow's and the normal derivatives' equations where the fields follow."""
+        r, size = at.residual, self.operator.nv
+        dz = self.sweep.fields(np.ascontiguousarray(r.z.T))
+        rows = np.concatenate([r.flow, *([] if r.normals is None else [r.normals.ravel()])])
+        rows[:size] -= self._of_velocity.sum(self.operator.force(dz)).ravel()
+        return np.where(self._rows, rows, 0.0)
+
+    def power(self, at: Evaluation, f: np.ndarray) -> float:
+        """That of what is left of the flow's equations along the flow's part of an increment."""
+        rows = self._rows_of_flow(at)
+        return float(self.exchange.products(rows[None], f[: rows.size])[0])
+
     def _flow(self, right: np.ndarray, tolerance: float) -> np.ndarray:
         """The flow's unknowns by its tangent with the hyperviscosity's own derivative, by GMRES."""
-        start = self._block(np.where(self._rows, right, 0.0))
+        start = self._block(right)
         # lengths in units of each block's first increment, so that stresses do not drown velocities
         scale = np.ones_like(start)
         for where, length in zip(self._blocks, self._lengths, strict=True):

@@ -31,6 +31,9 @@ from ngvisco.solver.split.iteration import iterate
 from ngvisco.solver.split.preconditioner import Preconditioner
 from ngvisco.threads import on_arrays
 
+_REVERSED, _LENGTHS = 0.5, 10
+"""Share of an increment's power that may be left with the other sign, and lengths tried for less."""
+
 
 class Split:
     """Solves R(u; .) = 0 for the state of a step; keeps its tangent between solves."""
@@ -49,10 +52,19 @@ class Split:
         """Relative increment of a creep rate field, the last one."""
         self._stale = False
         """Whether the last increment by the operator of a steep flow rule was too long beside that before."""
+        self.holds = False
+        """Whether increments of a steep flow rule are shortened by their power (``evaluated``)."""
+        self._last: tuple[np.ndarray, np.ndarray, float] | None = None
+        """A long increment of a steep flow rule: where from, without what follows creep, and its power."""
 
     def reset(self) -> None:
         """Drop the tangent, so that the next solve makes a new one."""
         self.is_factorised = False
+
+    def give_up(self) -> None:
+        """The last increment is not taken."""
+        self._last = None
+        self.reset()
 
     def factorise(self, problem: Problem) -> None:
         """Make the tangent at the present state; raises StepError if it is singular."""
@@ -71,7 +83,7 @@ class Split:
     def solve(self, problem: Problem, guess: BaseVector) -> Solution:
         """Iterate from ``guess``; the step's state is then the solution, or some iterate."""
         history: list[NewtonIteration] = []
-        self._turned, self._stale = 0.0, False
+        self._turned, self._stale, self._last = 0.0, False, None
         self._relax()
         self.step.state.vec.data = guess
         problem.pose()
@@ -99,12 +111,38 @@ class Split:
         )
         return Solution(status, tuple(history), reason)
 
-    def increment(self, problem: Problem, x: np.ndarray, last: float) -> tuple[np.ndarray, float]:
-        """The increment at the unknowns x and its size, infinite where R is no number.
+    def evaluated(self, x: np.ndarray) -> tuple[np.ndarray, Evaluation, bool]:
+        """x or an iterate nearer to the one before, R there, and whether the last increment was held by it.
+
+        What begins to yield gives way to a velocity that its elastic tangent did not know of.  An increment
+        is shortened, with creep as it follows, until the flow's power along it is not reversed: of a
+        monotone rule there is such a length.
+        """
+        at = self.residual(x)
+        if self._last is None:
+            return x, at, False
+        start, f, before = self._last
+        length = 1.0
+        for _ in range(_LENGTHS):
+            share = self.preconditioner.power(at, f) / before
+            if share >= -_REVERSED:
+                return x, at, True
+            length *= min(max(1 / (1 - share), 0.1), 0.5) if share > -np.inf else 0.1  # also of NaN
+            part = length * f
+            self._follow_creep(part)
+            x = start - part
+            self.unknowns.unpack(x)
+            at = self.residual(x)
+        return x, at, False
+
+    def increment(
+        self, problem: Problem, x: np.ndarray, at: Evaluation, last: float
+    ) -> tuple[np.ndarray, float]:
+        """The increment at the unknowns x, with R there, and its size, infinite where R is no number.
 
         ``last`` is the size of the one before.
         """
-        at = self.residual(x)
+        self._last = None
         if not self.residual.ranks.all(at.residual.is_finite):
             return np.zeros_like(x), np.inf
         options, fresh = self.options.split, not self.is_factorised
@@ -117,8 +155,6 @@ class Split:
         with self._clock("solves"):
             f = self.preconditioner(at, options.forcing)
         size = self.size(f)
-        if fresh or everything:
-            self._follow_creep(f)
         worn = self.preconditioner.iterations > options.renewed_after[self.step.mesh.dim - 2]
         matters = max(size, last) > options.renewed_at_once_above
         if not fresh and ((worn and matters) or self._may_be_better):
@@ -126,6 +162,10 @@ class Split:
         if self._may_be_better:
             self.preconditioner.strengthen()
             f, size = self._with_anew(problem, at)
+        if self.is_steep and (fresh or everything):
+            if self.holds and size > options.linearised_above:
+                self._last = x, f.copy(), self.preconditioner.power(at, f)
+            self._follow_creep(f)
         # where points begin to yield a steep rule changes suddenly, however small the increment
         self._stale = self.is_steep and size > options.stale_above * last
         return f, size
