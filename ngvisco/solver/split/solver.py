@@ -31,6 +31,9 @@ from ngvisco.solver.split.iteration import iterate
 from ngvisco.solver.split.preconditioner import Preconditioner
 from ngvisco.threads import on_arrays
 
+_STEEP = 0.01
+"""The option ``linearised_above`` of a steep flow rule, at most: with 0.05 one of three steps of yield with
+G_m = 1e-6 Pa s is rejected."""
 _REVERSED, _LENGTHS = 0.5, 10
 """Share of an increment's power that may be left with the other sign, and lengths tried for less."""
 
@@ -146,7 +149,8 @@ class Split:
         if not self.residual.ranks.all(at.residual.is_finite):
             return np.zeros_like(x), np.inf
         options, fresh = self.options.split, not self.is_factorised
-        everything = last > options.linearised_above or self._stale
+        far = min(options.linearised_above, _STEEP if self.is_steep else np.inf)
+        everything = last > far or self._stale
         if fresh:
             self.renew(problem, at)
         else:
