@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from support import demo as load
 
+from tests.verification.cases.shear import TABLE
+
 LONG = (pytest.mark.long, pytest.mark.ci)
 
 
@@ -12,22 +14,11 @@ def assert_exact_balance(run):
     assert np.abs(run.ledger.column("mass_drift")).max() <= 1e-12
 
 
-SHEAR_TABLE = {  # tau_12 and tau_11 of Farrington et al. 2014 (ASPECT, simple_shear), Pa
-    0.01: (0.298505, 0.000447),
-    0.02: (0.594036, 0.001776),
-    0.1: (2.854460, 0.042106),
-    0.25: (6.630142, 0.238383),
-    0.5: (11.765275, 0.810418),
-    1.0: (18.747691, 2.362833),
-    2.0: (25.079664, 5.231418),
-}
-
-
 def test_shear_demo_has_the_curve_of_the_published_table():
     """The table has six decimals, which is 0.1 % in its smallest entry."""
     demo = load("shear")
-    assert list(demo.TIMES) == list(SHEAR_TABLE)
-    assert np.abs(demo.exact(np.array(demo.TIMES)) - list(SHEAR_TABLE.values())).max() < 1e-6
+    assert list(demo.TIMES) == list(TABLE)
+    assert np.abs(demo.exact(np.array(demo.TIMES)) - list(TABLE.values())).max() < 1e-6
 
 
 @pytest.mark.long
