@@ -154,6 +154,8 @@ class Bounds:
         self._slices, self._size = material.states(dim).slices, material.states(dim).size
         self._share = GridFunction(L2(step.mesh, order=0))
         """s of rho in the last limited state."""
+        self.takes_energy = False
+        """Whether more than tensors of linear energies was limited there."""
 
     @cached_property
     def _means(self) -> CellMeans:
@@ -213,6 +215,7 @@ class Bounds:
         if found is not None:
             self._limit(found)
             changed = np.union1d(changed, found.cells)
+        self.takes_energy = self._ranks.total(len(changed)) > 0
         changed = np.union1d(changed, self.stretches.limit())
         return int(self._ranks.total(len(changed)))
 

@@ -410,7 +410,9 @@ class Integrator:
             return numerical, of_end, end
 
         omega = 2.0
-        if self.bounds is not None and end_at(omega)[2].limited:
+        if self.bounds is not None:
+            end_at(omega)
+        if self.bounds is not None and self.bounds.takes_energy:
             # R jumps where cells begin to be limited, and such a step is not without dissipation anyway
             omega = 2.0 if wanted is None else wanted
         elif lost > noise:

@@ -321,8 +321,8 @@ LINEAR: list[int] = []
 """Iterations of the split solver's linear systems of the flow."""
 
 
-def counted(self: Preconditioner, at: Evaluation, tolerance: float) -> np.ndarray:
-    increment = solved(self, at, tolerance)
+def counted(self: Preconditioner, at: Evaluation, *tolerances: float) -> np.ndarray:
+    increment = solved(self, at, *tolerances)
     LINEAR.append(self.iterations)
     return increment
 
