@@ -519,7 +519,8 @@ def test_a_run_that_fails_says_what_it_says_on_one_process(tmp_path):
         lines = [line for line in failed.stderr.splitlines() if line.startswith("ngvisco: ")]
         said[ranks] = [line.replace(str(place), "").replace(".pvtu", ".vtu") for line in lines]
         report = (place / "failed.txt").read_text().replace(".pvtu", ".vtu")
-        reports[ranks] = re.sub(r"\d\.\de-(0[89]|1\d)", "small", report)  # increments that linear systems leave
+        # increments that linear systems leave
+        reports[ranks] = re.sub(r"\d\.\de-(0[89]|1\d)", "small", report)
         ended = (place / "log.txt").read_text().splitlines()[-1]
         assert "ended by StepError: no step of at least dt_min" in ended
     assert said[1] == said[3] and reports[1] == reports[3]
