@@ -45,7 +45,7 @@ def _surface(s: float) -> float:
 PLUME = nv.Ball((0.0, 3e5), 5e4)
 LIGHTER, THIN, STICKY = 3200.0, 1e20, 1e19
 """Of the plume, kg/m3 and Pa s; of the air above it, Pa s."""
-PLUME_MAXH, STEP, RISEN, MYR = 50e3, 0.1, 3.0, 1e3 * KYR
+PLUME_MAXH, STEP, RISEN, MYR = 50e3, 0.05, 3.0, 1e3 * KYR
 PUBLISHED = 396.0, 441.0
 """Heights at ``RISEN`` Myr by two codes, m."""
 WAVES = 12
