@@ -167,7 +167,7 @@ class Split:
             self.preconditioner.strengthen()
             f, size = self._with_anew(problem, at)
         if self.is_steep and (fresh or everything):
-            if self.holds and size > options.linearised_above:
+            if self.holds and size > options.rounding:
                 self._last = x, f.copy(), self.preconditioner.power(at, f)
             self._follow_creep(f)
         # where points begin to yield a steep rule changes suddenly, however small the increment
