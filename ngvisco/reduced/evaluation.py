@@ -165,7 +165,10 @@ class SideContext:
         incoming = self._step.context.upwinding.incoming
         if incoming is None:
             return None
-        parts = {name: self.given(value) for name, value in incoming.parts.items()}
+        parts = {}
+        for name, value in incoming.parts.items():  # NGSolve has no vectors of one component, as z may be
+            values = self.given(value).value
+            parts[name] = Array(values.reshape(*self._step.layout.unknowns[name].shape, -1), None)
         return Incoming(self.given(incoming.where), parts)
 
     def given(self, value: CoefficientFunction) -> Array:

@@ -46,6 +46,17 @@ def test_bodies_are_carried_through_a_window_and_keep_their_masses():
     assert abs(states[0] - states[1]).max() < 1e-9 * abs(states[0]).max()
 
 
+def test_a_fluid_of_one_variable_flows_in_in_both_solvers():
+    model = nv.Model(material=nv.IsentropicFluid(a=5.0, gamma=1.4, rho_R=1.0, form="A"), viscosity=VISCOUS)
+    walls = {"left": nv.Inflow(velocity=(0.5 * y * (1 - y), 0.0), density=1.1), "right": nv.Open(density=1.0)}
+    states = []
+    for solver in ("split", "coupled"):
+        run = nv.Simulation(structured_box((1, 1), (2, 2)), model, dt=0.05, walls=walls, solver=solver)
+        assert abs(run.run(0.1).column("closure_relative")).max() < 1e-10
+        states.append(run.rothe_step.state.vec.FV().NumPy().copy())
+    assert abs(states[0] - states[1]).max() < 1e-9 * abs(states[1]).max()
+
+
 def test_two_bodies_flow_in_beside_each_other():
     what = {"material": FLUID, "viscosity": VISCOUS, "density": 1.0}
     corner = nv.Block((0.0, 0.0), (0.25, 0.25))
