@@ -1,7 +1,5 @@
 """Boxes, channels, bars and a block with a hole."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 

@@ -6,8 +6,6 @@ meets a wall at rest, div v = +-U/h there.  No pressure can change that: the mat
 corner is compressed or expanded without end.  With one edge into the interior more div v is free again.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from netgen.meshing import Element2D, Element3D, ElementId2D, ElementId3D, MeshPoint, Pnt
 from ngsolve import EDGE, FACE, Mesh, NodeId

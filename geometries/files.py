@@ -4,8 +4,6 @@ Netgen ends the whole process on some files that are cut short; so a file is rea
 first, and only then by this one.
 """
 
-from __future__ import annotations
-
 import warnings
 from os import PathLike
 from pathlib import Path
@@ -18,14 +16,7 @@ from ngsolve import Mesh
 
 from ngvisco.errors import MeshError, ParameterError, Quantity, require_path, require_type
 from ngvisco.geometries.corners import split_corner_cells
-from ngvisco.geometries.meshing import (
-    CURVE_ORDER,
-    as_length,
-    check_order,
-    mesh_of,
-    try_apart,
-    unit_of,
-)
+from ngvisco.geometries.meshing import CURVE_ORDER, as_length, check_order, mesh_of, try_apart, unit_of
 
 _FLAT = 1e-6  # of a sheet's width, above and below z = 0; OCC's bounding boxes have a margin
 

@@ -6,8 +6,6 @@ far from order one is built and meshed in a unit of length of its own, a power o
 scaled back: nothing is rounded by that.
 """
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Round domains: discs, annuli, cylinders, spheres, spherical shells.  Their cells are curved."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated
 

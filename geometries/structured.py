@@ -1,7 +1,5 @@
 """Boxes of triangles or tetrahedra in rows, evenly spaced or graded: thin strips, columns, layers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated

@@ -5,8 +5,6 @@ strains in the Eulerian frame" (2024) on Netgen/NGSolve.  Labels such as ED-Eule
 docstrings are those of the paper's equations.
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import importlib.util
 import sys
@@ -32,15 +30,7 @@ from ngvisco.notices import print_own
 from ngvisco.physics.activation import Activated, ActivatedViscosity
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
-from ngvisco.physics.flow_rules import (
-    Composite,
-    Creep,
-    DruckerPrager,
-    Eyring,
-    FlowRule,
-    Norton,
-    Perzyna,
-)
+from ngvisco.physics.flow_rules import Composite, Creep, DruckerPrager, Eyring, FlowRule, Norton, Perzyna
 from ngvisco.physics.heat import Heat, WallHeat
 from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
 from ngvisco.physics.material import Material

@@ -4,8 +4,6 @@
 ``NgviscoWarning`` that of the warnings.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import math

@@ -15,8 +15,6 @@ a comparison, ``"x - 0.5"``, it is none, and is refused.
 Constant parts are computed at once, so that ``1/0`` or ``log(-1)`` is an error with its position.
 """
 
-from __future__ import annotations
-
 import ast
 import difflib
 import math

@@ -5,8 +5,6 @@ package, and prints it again where a filter has changed in between.  All others 
 Filters, ``pytest.warns`` and ``warnings.catch_warnings(record=True)`` see every warning as ever.
 """
 
-from __future__ import annotations
-
 import sys
 import warnings
 from collections.abc import Callable

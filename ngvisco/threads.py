@@ -8,8 +8,6 @@ place of 0.2 for a factorisation's solution with 2,754 unknowns.  Results do not
 threads: every row of a product is the work of one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager

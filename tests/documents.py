@@ -1,7 +1,5 @@
 """The project's Markdown: its files, the blocks of code in them, their lists."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """An example of every flow rule, by the class; stresses of order 1 to 10 Pa, rates of order 1/s."""
 
-from __future__ import annotations
-
 import ngvisco as nv
 
 EXAMPLES: dict[str, nv.FlowRule] = {

@@ -3,8 +3,6 @@
 The table of MATERIALS.md is ``table()``; a test runs every example.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Small tools of the unit tests: constant tensors in and out of NGSolve, random states, differences."""
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields

@@ -1,7 +1,5 @@
 """The project's Markdown: its links lead somewhere, what is cited is there, its versions are the code's."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 

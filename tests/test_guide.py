@@ -1,7 +1,5 @@
 """The guide's recipes: their changes are made to a copy of the sources, and their programs run there."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

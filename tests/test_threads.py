@@ -1,7 +1,5 @@
 """Work shared among threads gives the same bits, and work within work does not wait for itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, SetNumThreads

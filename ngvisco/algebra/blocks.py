@@ -1,7 +1,5 @@
 """Block-diagonal inverses of sparse matrices whose blocks are cells or facets."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components

@@ -1,7 +1,5 @@
 """The least value of a convex quadratic function in a box, by projected Newton steps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,11 +24,7 @@ class Minimum:
 
 
 def minimise_in_box(
-    H: sp.csr_matrix,
-    f: np.ndarray,
-    drag: tuple[np.ndarray, np.ndarray],
-    low: np.ndarray,
-    high: np.ndarray,
+    H: sp.csr_matrix, f: np.ndarray, drag: tuple[np.ndarray, np.ndarray], low: np.ndarray, high: np.ndarray
 ) -> Minimum:
     """The minimum of x.Hx/2 + f.x + sum_i drag_i x_i^2/2 for low <= x <= high, low <= 0 <= high.
 

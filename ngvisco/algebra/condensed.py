@@ -1,7 +1,5 @@
 """The linearisation of a form whose local unknowns are condensed: with its inverse."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ngsolve import BaseMatrix, BaseVector, BilinearForm, BitArray, SetHeapSize

@@ -1,7 +1,5 @@
 """Preconditioned conjugate gradients with an inner product of the caller's, as one over ranks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

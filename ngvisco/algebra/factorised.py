@@ -1,7 +1,5 @@
 """Direct solution with a matrix of scipy's by NGSolve's factorisations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache, partial
 from typing import Any, Protocol

@@ -1,7 +1,5 @@
 """GMRES with inner products of the caller's, as those over ranks, and where one application is not enough."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -15,12 +13,7 @@ _BREAKDOWN = 1e-14
 
 
 def gmres(
-    operator: Map,
-    right: np.ndarray,
-    *,
-    rtol: float,
-    directions: int,
-    products: Products = np.matmul,
+    operator: Map, right: np.ndarray, *, rtol: float, directions: int, products: Products = np.matmul
 ) -> tuple[np.ndarray, int]:
     """x with |right - operator(x)| <= ``rtol`` |right|, or the least in ``directions``, and how many it took.
 

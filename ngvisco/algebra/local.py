@@ -5,8 +5,6 @@ of its own cell only.  Products for all components of a field are one small dens
 many times faster than a sparse product for each component.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 from math import prod

@@ -5,8 +5,6 @@ precision as all that the equations and the ledger are made of.  Only what acts 
 what is known of the state - jumps, which are small differences - is evaluated in double and rounded then.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 SINGLE = np.float32

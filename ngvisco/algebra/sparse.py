@@ -1,7 +1,5 @@
 """Small operations with scipy's sparse matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.sparse as sp
 

@@ -1,7 +1,5 @@
 """Whom to blame: what ngvisco raises while a case is built, as faults of the case's keys."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -25,11 +25,7 @@ from ngvisco.case.section import Section, field_names, made, owner_of, parameter
 from ngvisco.case.timetables import with_tables
 from ngvisco.case.units import SI, Converter
 from ngvisco.case.values import as_function, is_table
-from ngvisco.errors import (
-    ParameterError,
-    UnknownNameError,
-    require_path,
-)
+from ngvisco.errors import ParameterError, UnknownNameError, require_path
 from ngvisco.expressions import ExpressionError
 from ngvisco.forms.boundary.boundaries import check_boundary_names
 from ngvisco.forms.context import time

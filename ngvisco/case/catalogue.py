@@ -3,8 +3,6 @@
 Keys of a section are the parameters of the dataclass or function, read from its annotations.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -111,10 +109,7 @@ FLOW_RULES: dict[str, type] = {
 }
 """What [rheology.creep] can be; the first where its kind is not said."""
 
-FLOW_RULE_WRAPPERS: dict[str, type] = {
-    "Activated": Activated,
-    "Composite": Composite,
-}
+FLOW_RULE_WRAPPERS: dict[str, type] = {"Activated": Activated, "Composite": Composite}
 """Rules of other ones: of those above, and of wrappers before them here."""
 
 VISCOSITIES: dict[str, type] = {
@@ -130,11 +125,7 @@ VISCOSITY_WRAPPERS: dict[str, type] = {"ActivatedViscosity": ActivatedViscosity}
 
 CREEPS, ALL_VISCOSITIES = {**FLOW_RULES, **FLOW_RULE_WRAPPERS}, {**VISCOSITIES, **VISCOSITY_WRAPPERS}
 
-LOADS: dict[str, type] = {
-    "BodyForce": BodyForce,
-    "CentralGravity": CentralGravity,
-    "Gravity": Gravity,
-}
+LOADS: dict[str, type] = {"BodyForce": BodyForce, "CentralGravity": CentralGravity, "Gravity": Gravity}
 
 WALLS: dict[str, type] = {
     "Inflow": Inflow,

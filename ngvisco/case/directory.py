@@ -22,8 +22,6 @@ behind and removes nothing.  The first three files are complete before the first
 them, never the user's case.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

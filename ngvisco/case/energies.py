@@ -11,8 +11,6 @@ this package, never by Python.  Written are
 * ``exp log sqrt abs sinh cosh tanh min max`` of scalars, ``a if condition else b`` and ``where``.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,27 +19,9 @@ from typing import Any
 import numpy as np
 from ngsolve import CoefficientFunction, x
 
-from ngvisco.expressions import (
-    CONSTANTS,
-    FUNCTIONS,
-    Evaluator,
-    ExpressionError,
-    shifted,
-    syntax_tree,
-)
+from ngvisco.expressions import CONSTANTS, FUNCTIONS, Evaluator, ExpressionError, shifted, syntax_tree
 from ngvisco.physics.materials.thermal import Entropy
-from ngvisco.physics.tensors import (
-    IDENTITY,
-    cof,
-    det,
-    dev,
-    entry,
-    inner,
-    sph,
-    square,
-    sym,
-    tr,
-)
+from ngvisco.physics.tensors import IDENTITY, cof, det, dev, entry, inner, sph, square, sym, tr
 from ngvisco.physics.variables import Variable
 
 UNIT = "I"

@@ -1,7 +1,5 @@
 """The error of a case file: every fault found, each with its place, value and remedy."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

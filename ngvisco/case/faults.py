@@ -1,7 +1,5 @@
 """What pydantic and ngvisco found wrong, in the words of a case file's user."""
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Iterable, Iterator
@@ -30,12 +28,7 @@ _TYPES = {
 }
 
 
-_LIMITS = {
-    "greater_than": ">",
-    "greater_than_equal": ">=",
-    "less_than": "<",
-    "less_than_equal": "<=",
-}
+_LIMITS = {"greater_than": ">", "greater_than_equal": ">=", "less_than": "<", "less_than_equal": "<="}
 
 
 class Locator:

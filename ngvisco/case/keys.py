@@ -5,8 +5,6 @@ of its bases); unit, range and example are the ``Quantity`` of its annotation.  
 that of the same parameter of NAME, another of the catalogue.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Mapping

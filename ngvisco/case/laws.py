@@ -1,7 +1,5 @@
 """Materials of case files that are written otherwise than in scripts: by texts, or by other parameters."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal, NewType
@@ -10,12 +8,7 @@ from ngvisco.case.energies import RESERVED, UNIT, EnergyExpression, parse_energy
 from ngvisco.errors import ParameterError, Quantity, require_names
 from ngvisco.expressions import ExpressionError, number
 from ngvisco.physics.material import Material
-from ngvisco.physics.materials import (
-    CustomMaterial,
-    IsotropicStrainEnergy,
-    PerMass,
-    PerReferentialVolume,
-)
+from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, PerMass, PerReferentialVolume
 from ngvisco.physics.variables import (
     Cofactor,
     CofactorLeftCauchyGreen,

@@ -1,7 +1,5 @@
 """The log of a run: progress and warnings with their dates."""
 
-from __future__ import annotations
-
 import contextlib
 import time as clock
 import warnings

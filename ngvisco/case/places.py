@@ -1,7 +1,5 @@
 """The places of a case's bodies: shapes from sections, and the files that some of them are in."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ A path such as ``walls.NAME.velocity`` has NAME for a name that the user gives a
 of tables; keys that only some kinds of a section have are listed with these kinds.
 """
 
-from __future__ import annotations
-
 import difflib
 import json
 import types

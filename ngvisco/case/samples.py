@@ -1,7 +1,5 @@
 """What a case measures while it runs: the tables of ``[output]`` as observers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ngvisco.case.schema import CaseSections

@@ -5,8 +5,6 @@ parameters that are functions of space and time are numbers, expressions or arra
 dataclass refuses is a fault of its section, with the parameter's name.
 """
 
-from __future__ import annotations
-
 import collections.abc
 import dataclasses
 import functools
@@ -19,13 +17,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from ngsolve import CoefficientFunction
 from numpy.typing import ArrayLike
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    Field,
-    create_model,
-    model_validator,
-)
+from pydantic import BaseModel, BeforeValidator, Field, create_model, model_validator
 
 from ngvisco.case.energies import parse_law
 from ngvisco.case.laws import EnergyText

@@ -1,7 +1,5 @@
 """A table of a case file, what all sections are."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationInfo, model_validator

@@ -1,7 +1,5 @@
 """Case files to start from: a demo's, with every key explained and every optional one shown."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 A case that was read has the numbers themselves, so that its run's directory needs no further file.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

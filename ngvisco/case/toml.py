@@ -1,7 +1,5 @@
 """TOML in and out: lines of keys, overrides by key path, and a writer for resolved cases."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

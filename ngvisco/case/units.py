@@ -8,8 +8,6 @@ still, unless ``velocity`` is named).  And any number may be a text with its own
 value in the unit of ``pressure``, and is multiplied as a whole; one per mass is in J/kg.
 """
 
-from __future__ import annotations
-
 import ast
 import math
 import re

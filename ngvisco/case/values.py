@@ -1,7 +1,5 @@
 """Values of case files that are more than a number: functions of place and time, moduli, regions, arrays."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from ngsolve import CF, CoefficientFunction

@@ -1,7 +1,5 @@
 """What a run was made with: versions of packages, commit, machine."""
 
-from __future__ import annotations
-
 import platform
 import subprocess
 import sys

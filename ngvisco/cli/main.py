@@ -4,8 +4,6 @@ What a user can cause never shows a
 traceback, and has an exit code of ``ngvisco.cli.exits``.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys
@@ -73,9 +71,7 @@ def parser() -> argparse.ArgumentParser:
     _add_run_options(run)
 
     resume = commands.add_parser(
-        "resume",
-        help="go on from a directory's last checkpoint",
-        description=_RESUME,
+        "resume", help="go on from a directory's last checkpoint", description=_RESUME
     )
     resume.add_argument("directory", metavar="DIR", help="run directory")
     _add_set(resume)

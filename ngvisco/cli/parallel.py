@@ -1,7 +1,5 @@
 """``ngvisco info --parallel``: what distributed runs need, whether it is there, and a step on three ranks."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import os

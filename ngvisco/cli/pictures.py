@@ -1,7 +1,5 @@
 """``ngvisco plot`` and ``ngvisco scene``: what a run looks like."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

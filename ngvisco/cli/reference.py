@@ -1,7 +1,5 @@
 """``ngvisco list``, ``explain`` and ``new``: what there is, what a key means, a case to start from."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """``ngvisco check`` and ``info``: what a case would need, what a run has."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time as clock

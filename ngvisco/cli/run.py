@@ -1,7 +1,5 @@
 """``ngvisco run`` and ``ngvisco resume``: progress on the terminal, signals."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil

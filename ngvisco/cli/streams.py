@@ -1,7 +1,5 @@
 """Standard output that may be closed, full, gone or of another encoding: it never ends a run."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

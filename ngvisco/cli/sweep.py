@@ -1,7 +1,5 @@
 """``ngvisco sweep``: a case with some of its keys varied."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import signal

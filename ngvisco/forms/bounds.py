@@ -28,8 +28,6 @@ With a cut-off rho_max + width - rho is such a quantity too (paper: Euler-small-
 the bounds are made for, that of a run's start, has it positive.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property

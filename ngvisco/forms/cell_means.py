@@ -1,7 +1,5 @@
 """Means over the cells of a state's density, variables and momentum density, by the rule of the forms."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

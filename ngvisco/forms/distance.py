@@ -7,8 +7,6 @@ numerical dissipation of every time scheme is summed of (``ngvisco.timestepping.
 with an unknown that evolves adds its share of E.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import add

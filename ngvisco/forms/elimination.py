@@ -6,17 +6,9 @@ condensed.  Newton on all of them at once may leave c_s negative and the velocit
 recomputed from (v, a, z) after every update, it is Newton on the reduced, convex potential.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
-from ngsolve import (
-    BaseMatrix,
-    BilinearForm,
-    FESpace,
-    GridFunction,
-    LinearForm,
-)
+from ngsolve import BaseMatrix, BilinearForm, FESpace, GridFunction, LinearForm
 
 from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.quadrature import Quadrature

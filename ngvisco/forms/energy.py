@@ -13,8 +13,6 @@ in a triangle and 240 in a tetrahedron.  Measured, of the two equations z -> zet
 tetrahedra): 6 (124) ms for a linearisation against 0.5 (12) ms here and 7 (22) ms for the minimisers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial, reduce

@@ -1,7 +1,5 @@
 """A velocity as what goes through each facet: the mean of its normal component, one number a facet."""
 
-from __future__ import annotations
-
 from ngsolve import CoefficientFunction, GridFunction, HDiv, Mesh
 
 

@@ -1,7 +1,5 @@
 """Integrals of entries over cells and facets, compiled together."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from ngsolve import CF

@@ -6,8 +6,6 @@ a cell, its mean there is put back into the range, if need be, and it is scaled 
 Shu, J. Comput. Phys. 229, 2010).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from ngsolve import CF
 

@@ -5,8 +5,6 @@ the same methods for arrays of values, with the constant tensors that the rates 
 ``u.context.rates`` and need not know which of them it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Literal, TypeAlias

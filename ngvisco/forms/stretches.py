@@ -10,8 +10,6 @@ with the largest s that leaves ``SHARE`` of the second at each such point.  n_i,
 an energy that is linear in X_i are kept, and so are rho and v: the limiter takes nothing by it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from ngsolve import CF
 

@@ -1,7 +1,5 @@
 """The rates of a material's variables and their power for arrays of values."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

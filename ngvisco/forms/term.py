@@ -15,8 +15,6 @@ What a term reads besides u, w and ``u.context`` has to stay as it is through th
 out of a Parameter by ``Get()`` is that of the moment when the form was made.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ break that is known (``ngvisco.physics.signals``) is seen where it lasts for a t
 All ranks find the same rule.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from heapq import heapify, heappop, heappush

@@ -1,7 +1,5 @@
 """The unknowns that a term of the system brings with it: their names, spaces and what they are traces of."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable

@@ -13,8 +13,6 @@ step's own velocity the equations of the step are smooth. With those of the step
 force would jump by [z] : [zeta] where v . n changes its sign, and the step could fold.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

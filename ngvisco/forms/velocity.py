@@ -7,8 +7,6 @@ its diagonal take 30 to 60 iterations whatever the mesh.  With multipliers they 
 walls' condition, by the projection onto it in the inner product of that diagonal (``WallProjection``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

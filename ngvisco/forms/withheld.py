@@ -1,7 +1,5 @@
 """Fields of which some are withheld: a term that asks for one is found out, and refused by its name."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn

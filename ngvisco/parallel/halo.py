@@ -4,8 +4,6 @@ Cells take values from these; what they give to the rows of these goes back to t
 across two shared facets is counted twice.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

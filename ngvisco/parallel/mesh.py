@@ -1,7 +1,5 @@
 """Meshes over the ranks: a part of the cells each, none on the first, as NGSolve has it."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

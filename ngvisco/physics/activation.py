@@ -1,7 +1,5 @@
 """Laws that temperature and pressure speed up: the factor of Arrhenius, of flow rules and of viscosities."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, Any

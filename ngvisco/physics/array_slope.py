@@ -6,8 +6,6 @@ points at once (``ngvisco.physics.arrays``).  An energy can be written with coef
 that have no counterpart there; it is then left to NGSolve.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TypeAlias
 

@@ -11,8 +11,6 @@ and of those the ones that another such state b shows: a violation elsewhere mat
 discrete variables drift apart.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ positive definite, with ``WithQuadratic`` for every convex energy.  Parameters a
 by the strains.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ slowly in a solid and without end where F winds up (``materials.elastic_state``)
 it: the scheme's energy identity takes them for independent variables.
 """
 
-from __future__ import annotations
-
 from ngsolve import CoefficientFunction, Cof, log, sqrt
 
 from ngvisco.physics.flow_rules import FlowRule

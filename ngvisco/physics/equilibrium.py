@@ -16,8 +16,6 @@ two equations, sum n_i J_i = 1 and sum n_i S_i = s.  dW/dn_i = G_i, dW/ds = thet
 a_k . Q^-1 a_l with a_i = (J_i, -S_i), a_s = (0, 1), and Q = -sum n_i G_i'' by (p, theta).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """What creeps in a model: flow rules and the variables that each of them acts on."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -7,8 +7,6 @@
   the matrix of D in an orthonormal basis, whose eigenvalues are those of D.
 """
 
-from __future__ import annotations
-
 from typing import Literal, TypeAlias
 
 import numpy as np

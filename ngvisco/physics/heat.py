@@ -5,8 +5,6 @@ dissipate.  ``Heat`` is what a model says besides, and ``WallHeat`` what a wall 
 conducted, and walls are insulated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeAlias

@@ -1,7 +1,5 @@
 """Derivatives of analytic functions of arrays by complex increments."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

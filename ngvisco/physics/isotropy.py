@@ -5,8 +5,6 @@ Q E Q^T of spatial tensors.  For these the same condition says that phi is an is
 what makes S E = E S, the Cauchy stress symmetric, and B = F F^T enough to know of F.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

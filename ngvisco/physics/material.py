@@ -25,15 +25,7 @@ from ngsolve import CF, CoefficientFunction
 from ngvisco.errors import ParameterError
 from ngvisco.physics.parameters import Modulus, require_ranges
 from ngvisco.physics.state_space import StateSpace
-from ngvisco.physics.tensors import (
-    IDENTITY,
-    constant,
-    inner,
-    skw,
-    sym,
-    tr,
-    trace_free_tensors,
-)
+from ngvisco.physics.tensors import IDENTITY, constant, inner, skw, sym, tr, trace_free_tensors
 from ngvisco.physics.variables import Values, Variable
 
 if TYPE_CHECKING:
@@ -182,11 +174,7 @@ def conjugates(material: Material, z: Values) -> dict[str, CoefficientFunction]:
 
 
 def rate_power(
-    material: Material,
-    z: Values,
-    zeta: Values,
-    L: CoefficientFunction,
-    Pi: CoefficientFunction,
+    material: Material, z: Values, zeta: Values, L: CoefficientFunction, Pi: CoefficientFunction
 ) -> CoefficientFunction:
     """sum_i zeta_i : rate_i(z; L, Pi): power per volume of the conjugates, Pa/s."""
     total = 0.0 * tr(L)
@@ -197,10 +185,7 @@ def rate_power(
 
 
 def cauchy_stress(
-    material: Material,
-    z: Values,
-    zeta: Values | None = None,
-    phi: CoefficientFunction | None = None,
+    material: Material, z: Values, zeta: Values | None = None, phi: CoefficientFunction | None = None
 ) -> CoefficientFunction:
     """Cauchy stress T, 3x3, Pa (paper: Cauchy-stress-polyconvex).
 

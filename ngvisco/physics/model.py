@@ -1,7 +1,5 @@
 """The model of a run: a material, its dissipative mechanisms and its loads."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -326,10 +324,7 @@ class Model:
         law = self.regularisation
         if not isinstance(law, Regularisation):
             return
-        for name, value, none in (
-            ("rho_max", law.rho_max, None),
-            ("delta_density", law.delta_density, 0.0),
-        ):
+        for name, value, none in (("rho_max", law.rho_max, None), ("delta_density", law.delta_density, 0.0)):
             if value != none:
                 expected = (
                     f"{none} with bodies: the density is the sum of theirs, which nothing cuts off or mixes"
@@ -344,10 +339,7 @@ solver that sees both in one cell."""
 _MIXED = (Mixture, MixedViscosity)
 """What a model with bodies has already, where it is made of another one."""
 
-_EXPECTED = {
-    "viscosity": "a StokesViscosity or another viscosity",
-    "creep": "a Creep or another FlowRule",
-}
+_EXPECTED = {"viscosity": "a StokesViscosity or another viscosity", "creep": "a Creep or another FlowRule"}
 
 
 def default_elastic_state(creep: FlowRule | None) -> ElasticState:

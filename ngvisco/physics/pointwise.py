@@ -4,8 +4,6 @@ A state is the vector of all components of a material's variables (``StateSpace`
 whose energy has no expression, such as a Yosida approximation, supplies a ``Respond`` in its place.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

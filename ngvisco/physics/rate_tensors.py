@@ -21,13 +21,7 @@ from ngsolve import L2, GridFunction, VectorValued
 from ngvisco.errors import ParameterError
 from ngvisco.physics.pointwise import squares
 from ngvisco.physics.state_space import StateSpace
-from ngvisco.physics.tensors import (
-    IDENTITY,
-    constant,
-    embed_gradient,
-    symmetric_tensors,
-    trace_free_tensors,
-)
+from ngvisco.physics.tensors import IDENTITY, constant, embed_gradient, symmetric_tensors, trace_free_tensors
 from ngvisco.physics.variables import Variable
 
 _ROUNDING = 1e-10

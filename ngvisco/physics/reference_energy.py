@@ -6,8 +6,6 @@ by n psi(X/n, alpha/n) (``ngvisco.physics.mixture``), which is convex where psi 
 convex in (B, J) are no energies of bodies.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any

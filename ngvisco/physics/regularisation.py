@@ -6,8 +6,6 @@ the linear continuation of a singular part is the parameter ``J_min`` of the mat
 Gravity is averaged over the step in every run.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated

@@ -4,8 +4,6 @@ A viscosity is a stress D(eps; z), the derivative by eps of a convex potential (
 Those linear in eps are here; those that change with the strain rate in ``viscosities``.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,17 +14,9 @@ import numpy as np
 from ngsolve import CoefficientFunction
 from numpy.typing import ArrayLike
 
-from ngvisco.errors import (
-    ParameterError,
-    Quantity,
-    require_choice,
-)
+from ngvisco.errors import ParameterError, Quantity, require_choice
 from ngvisco.physics.fourth_order import Notation, full_tensor, mandel_matrix, require_semidefinite
-from ngvisco.physics.parameters import (
-    Modulus,
-    require_ranges,
-    value_at,
-)
+from ngvisco.physics.parameters import Modulus, require_ranges, value_at
 from ngvisco.physics.tensors import (
     Scalar,
     dev,

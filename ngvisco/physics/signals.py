@@ -4,8 +4,6 @@ Their means over a step are exact: the rule in time (``ngvisco.forms.time_means`
 Of any other function it looks for the signs of what its ``IfPos`` decides by.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from os import PathLike, fspath

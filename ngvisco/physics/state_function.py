@@ -4,8 +4,6 @@ The ledger's conjugates are derivatives by the state.  An energy that also depen
 on a grid function or on the mesh has a rate that no term of the equations holds.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 

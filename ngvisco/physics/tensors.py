@@ -8,8 +8,6 @@ their components in an orthonormal basis and all algebra is done on the full 3x3
 What energies are written with also takes the arrays of ``ngvisco.physics.arrays``.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache

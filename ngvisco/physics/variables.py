@@ -26,8 +26,6 @@ The paper's line for Mooney-Rivlin prints (Cof' F)((grad v)H - H Pi) - (7/6)(div
 differentiating H = J^{-7/6} Cof F gives the row above with b = -7/6.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass

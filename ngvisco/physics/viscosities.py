@@ -4,8 +4,6 @@ Each is G_v(s) of the squared shear rate s = 2 |dev eps|^2 (``IsotropicViscosity
 rising, so that its potential is convex (paper: dissipation-pot).  Derivatives are never written.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Any
 

@@ -4,8 +4,6 @@ crosses those that are a ``Passage``.
 The tangential part of a vector is a_t = a - (a.n) n.  Names of walls are the mesh's boundary names.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, TypeAlias

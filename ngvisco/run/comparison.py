@@ -1,7 +1,5 @@
 """Pictures of several runs, each quantity in an axis of its own: energies, probes, bodies over time."""
 
-from __future__ import annotations
-
 import csv
 import os
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The fields of a run under their names, for output, plots and users."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from ngsolve import CF, CoefficientFunction, sqrt

@@ -1,7 +1,5 @@
 """Writing files so that nothing is lost: whole or not at all, with the file's name in every error; locks."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io

@@ -10,8 +10,6 @@
 | principal_stretches  | singular values of the elastic F, the largest first; 1 + those of E   | 1    |
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

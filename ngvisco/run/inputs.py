@@ -1,7 +1,5 @@
 """What a simulation is given, checked before anything is computed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -9,11 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ngvisco.errors import (
-    ParameterError,
-    require_collection,
-    require_names,
-)
+from ngvisco.errors import ParameterError, require_collection, require_names
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.convexity import check_convexity

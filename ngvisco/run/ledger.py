@@ -11,8 +11,6 @@ latter >= 0 where the energy is convex; of either sign for schemes of second ord
 limiting the step's end takes (``ngvisco.forms.bounds``), ``limiter_walls`` that of it through moved walls.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -213,12 +211,7 @@ class Ledger:
         self._pending[name] = value
 
     def record(
-        self,
-        number: int,
-        time: float,
-        taken: StepTaken,
-        rejections: int = 0,
-        error: float | None = None,
+        self, number: int, time: float, taken: StepTaken, rejections: int = 0, error: float | None = None
     ) -> dict[str, float]:
         """The row of the step ``taken`` to the present state, which is that of ``time``, s.
 

@@ -1,7 +1,5 @@
 """Meshes as files: of cases, run directories, checkpoints."""
 
-from __future__ import annotations
-
 import gzip
 import tempfile
 from pathlib import Path

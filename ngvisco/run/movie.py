@@ -1,7 +1,5 @@
 """Animations of a run from its VTK series, by matplotlib's writers: gif by Pillow, mp4 by ffmpeg."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Sequence

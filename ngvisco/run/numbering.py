@@ -39,11 +39,7 @@ class Numbers:
     """
 
     def __init__(
-        self,
-        own: np.ndarray,
-        space: FESpace | None,
-        ranks: Communicator,
-        chosen: np.ndarray | None = None,
+        self, own: np.ndarray, space: FESpace | None, ranks: Communicator, chosen: np.ndarray | None = None
     ) -> None:
         self.count, self.ranks = 0 if space is None else space.ndof, ranks
         self._parts = ranks.mpi.gather(own)

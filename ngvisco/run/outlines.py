@@ -5,8 +5,6 @@ the lines are those of the fraction that is averaged at points where cells meet,
 follow a smooth function through its values, not the edges of cells.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Sequence
 from itertools import takewhile

@@ -1,7 +1,5 @@
 """A run with the usual files and pictures in one call: what demos and short scripts do."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 

@@ -5,8 +5,6 @@ An energy per actual volume has the stress phi(I) I at rest, on top of what its 
 does not feel it; a drop of it in another body is pulled together or driven apart from the first step on.
 """
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -6,8 +6,6 @@ viewer (viewer.html) draws with a depth buffer of its own on a canvas: it needs 
 card.
 """
 
-from __future__ import annotations
-
 import base64
 import html
 import itertools

@@ -57,12 +57,7 @@ from ngvisco.run.passive import PassiveFields
 from ngvisco.run.ranks import ending_all_ranks, is_to_stop, tell
 from ngvisco.run.rest_stresses import warn_of_rest_stresses
 from ngvisco.run.scales import diameter, typical_velocity
-from ngvisco.run.stepping import (
-    AdaptiveStepper,
-    Rejection,
-    RejectionObserver,
-    make_stepper,
-)
+from ngvisco.run.stepping import AdaptiveStepper, Rejection, RejectionObserver, make_stepper
 from ngvisco.run.time_steps import TimeSteps, time_steps
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
@@ -281,10 +276,7 @@ class Simulation:
 
     @ending_all_ranks()
     def restore(
-        self,
-        path: str | PathLike[str],
-        step: int | None = None,
-        attributes: Mapping[str, str] | None = None,
+        self, path: str | PathLike[str], step: int | None = None, attributes: Mapping[str, str] | None = None
     ) -> None:
         """Go on from a checkpoint in a run's HDF5 file, by default its last one.
 

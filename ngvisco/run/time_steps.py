@@ -1,7 +1,5 @@
 """How a run goes through time: scheme, step lengths and what belongs to them, checked as a whole."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Mapping
@@ -9,14 +7,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
-from ngvisco.errors import (
-    InputWarning,
-    ParameterError,
-    Quantity,
-    as_integer,
-    require_positive,
-    require_type,
-)
+from ngvisco.errors import InputWarning, ParameterError, Quantity, as_integer, require_positive, require_type
 from ngvisco.run.stepping import HALVINGS, MOST_HALVINGS, AdaptiveSteps
 from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
 

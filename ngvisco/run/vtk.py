@@ -1,7 +1,5 @@
 """Fields of a mesh as a .vtu file, which ParaView opens, and the list of a series of them."""
 
-from __future__ import annotations
-
 import errno
 import re
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 Cells have their own points, so that fields may jump between them.  The mesh is the same in every file.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 from collections.abc import Mapping, Sequence

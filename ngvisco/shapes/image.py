@@ -1,7 +1,5 @@
 """Shapes from pictures: where a PNG file is dark."""
 
-from __future__ import annotations
-
 import importlib
 import os
 from dataclasses import dataclass

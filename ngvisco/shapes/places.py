@@ -1,7 +1,5 @@
 """Places of a mesh: reference points in chosen cells, where functions and shapes are evaluated."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations

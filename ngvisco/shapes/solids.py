@@ -1,7 +1,5 @@
 """Shapes of few numbers: balls, boxes, half-spaces, polygons."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

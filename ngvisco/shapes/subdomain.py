@@ -1,7 +1,5 @@
 """Shapes that the mesh itself has: its named subdomains."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Shapes from STL files: closed surfaces of triangles."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator

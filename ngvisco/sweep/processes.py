@@ -5,8 +5,6 @@ belong to a process, one run's crash is its failure alone, and a run that is sto
 Dask's workers only wait for them, so that those of the local cluster are threads.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import os

@@ -7,8 +7,6 @@
 | NAME/                  | its run directory (``ngvisco.case.directory``)                     |
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -1,7 +1,5 @@
 """The table of a study's results: a line a run, what became of it and the last row of its ledger."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Sequence

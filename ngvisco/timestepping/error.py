@@ -14,8 +14,6 @@ domain: a relative error.  s_u is the unknown's scale (``ngvisco.forms.unknowns`
 scale, 0 of rho, 1 of z.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

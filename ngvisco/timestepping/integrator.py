@@ -21,8 +21,6 @@ stages' momenta: the difference is an impulse of the wall, which works on the la
 added to the wall's power.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -208,13 +206,7 @@ class Integrator:
         for one in self.carried:
             one.end(self._end)
 
-    def _taken(
-        self,
-        scheme: TimeScheme,
-        t: float,
-        tau: float,
-        history: list[Attempt],
-    ) -> StepTaken:
+    def _taken(self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt]) -> StepTaken:
         states, rates = self._stages(scheme, t, tau, history)
         numerical = self._stage_distances(scheme, states)
         self._end = scheme.end
@@ -238,11 +230,7 @@ class Integrator:
         return replace(taken, rates=taken.rates | rates, numerical=taken.numerical | numerical)
 
     def _stages(
-        self,
-        scheme: TimeScheme,
-        t: float,
-        tau: float,
-        history: list[Attempt],
+        self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt]
     ) -> tuple[list[Evolved], dict[str, float]]:
         """y_0 ... y_s and the weighted rates of the stages; the state is that of the last one."""
         states = [self.step.evolved()]
@@ -364,12 +352,7 @@ class Integrator:
             raise StepError(f"{reason} at the end of the step: take a smaller step or a finer mesh")
 
     def _relaxed(
-        self,
-        scheme: TimeScheme,
-        t: float,
-        tau: float,
-        history: list[Attempt],
-        meets: bool,
+        self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt], meets: bool
     ) -> StepTaken:
         """A midpoint step that ends at u_0 + omega (U - u_0), omega near 2, where R = 0."""
         own = scheme.A[0][0] * tau
@@ -387,12 +370,7 @@ class Integrator:
         raise StepError("the relaxed step does not meet its end: take a smaller step")
 
     def _relaxed_end(
-        self,
-        states: Sequence[Evolved],
-        t: float,
-        own: float,
-        rates: dict[str, float],
-        wanted: float | None,
+        self, states: Sequence[Evolved], t: float, own: float, rates: dict[str, float], wanted: float | None
     ) -> tuple[float, dict[str, float], dict[str, float], int]:
         """omega with R = 0, R's parts and the limiter's, the rates and the number of limited cells there.
 

@@ -21,8 +21,6 @@ For the paper's scheme, a = b = 1, R is B(u_0, U) (Euler-ED-basic-energy-balance
 remainder).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The minimum of a convex quadratic function in a box."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp

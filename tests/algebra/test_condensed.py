@@ -1,7 +1,5 @@
 """The Jacobian of the coupled solver asks for more of NGSolve's memory where a cell's matrix needs it."""
 
-from __future__ import annotations
-
 import pytest
 
 from ngvisco.algebra import condensed

@@ -7,8 +7,6 @@ memory is its own.  Times compare within one call only: ratios are what is meant
 The series "schemes" is the time to a given error in time (see ``schemes``), in a process of its own too.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

@@ -7,8 +7,6 @@ processor's, of one thread, set-up left out; only their ratios within one call t
 runs those are marked that no cheaper one beats.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

@@ -1,7 +1,5 @@
 """One row of the benchmark; prints it as JSON."""
 
-from __future__ import annotations
-
 import json
 import resource
 import sys
@@ -60,12 +58,7 @@ def swirl_on(mesh: Mesh, newton: nv.NewtonOptions) -> nv.Simulation:
 
 
 def swirl(
-    dim: int,
-    maxh: float,
-    method: str,
-    creeping: str = "",
-    dt: float = 0.02,
-    scheme: str = "backward-euler",
+    dim: int, maxh: float, method: str, creeping: str = "", dt: float = 0.02, scheme: str = "backward-euler"
 ) -> nv.Simulation:
     """``creeping`` is "F" or "B": with creep, the elastic state by F or by B; "" is without creep.
 

@@ -4,8 +4,6 @@ A box with linear elasticity (E) or a neo-Hookean solid (B), whose lid starts at
 2 to 4, the least of runs that take turns, so that what else the machine does tells on all of them.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -10,8 +10,6 @@ Each run is a process of its own, which knows ngvisco by its public names alone,
 meshes are handed over in files.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

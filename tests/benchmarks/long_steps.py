@@ -5,8 +5,6 @@ c dt/h that it reaches, the dearest step over the median, of processor time, and
 beginnings of families: "grid 2D, linearised", "grid 3D, finite", cavity, recoil, impact, "shear wave", creep.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Iterator

@@ -7,8 +7,6 @@ Times compare within one call, and only up to as many ranks as there are process
 bytes and memory do in all.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

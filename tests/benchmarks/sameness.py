@@ -6,8 +6,6 @@ on so many ranks with cells.  Ends with 1 where a ledger differs by more than 1e
 iterations grow by more than 1.3 from the fewest ranks to the most.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

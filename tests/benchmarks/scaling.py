@@ -6,8 +6,6 @@ of its part, (cells)^(2/3).  Messages to a neighbour and reductions are counted;
 measured but given.  The result is a MODEL: nothing in it beyond the measured ranks has been run.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

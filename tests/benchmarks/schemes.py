@@ -5,8 +5,6 @@ is a run whose error is within a tolerance, with as few steps as that takes.  Al
 one thread, and times are the processor's, which other processes disturb less than the clock's.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys

@@ -1,7 +1,5 @@
 """The benchmark's rows as a table, and the ratios that they make."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Energies of case files: what they compute by both backends, what they refuse and where, and their units."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -183,9 +181,7 @@ def test_any_text_is_an_energy_or_refused(text):
 def test_the_material_by_text_is_the_material():
     """The neo-Hookean energy, by its variables of the text and by the package's own class."""
     by_text = custom_material(
-        ["F", "J"],
-        "K/2*(J - 1 + e/K)**2 - e*log(J) + G*norm2(F)/J**(2/3)",
-        {"K": 10.0, "G": 5.0, "e": 0.1},
+        ["F", "J"], "K/2*(J - 1 + e/K)**2 - e*log(J) + G*norm2(F)/J**(2/3)", {"K": 10.0, "G": 5.0, "e": 0.1}
     )
     own = NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
     states = np.array([[1.1, 0.1, -0.2, 0.9, 1.0, 1.05]])

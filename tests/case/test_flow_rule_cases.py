@@ -1,7 +1,5 @@
 """Flow rules and viscosities in case files, by kind, of a material and of a body."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -71,11 +71,7 @@ WRONGLY_ACCEPTED = [
         ("epsilon = 0.1", "epsilon = 0.1\nJ_min = 2.0"),
         "material.J_min: 2.0: expected less than J at the start",
     ),
-    (
-        TWO,
-        (LAW_OF_DISC, LAW_OF_DISC + ", J_min = 2.0"),
-        "expected no J_min: continued below it",
-    ),
+    (TWO, (LAW_OF_DISC, LAW_OF_DISC + ", J_min = 2.0"), "expected no J_min: continued below it"),
     (
         ONE,
         ("density = 1", 'density = "1+t"'),

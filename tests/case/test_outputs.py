@@ -66,10 +66,7 @@ def test_what_is_measured_does_not_change_the_case(tmp_path):
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        (
-            "output.probes.0.point=[2, 2]",
-            r"output.probes.0.point .*expected a point of the domain",
-        ),
+        ("output.probes.0.point=[2, 2]", r"output.probes.0.point .*expected a point of the domain"),
         ("output.probes.0.point=[1]", r"output.probes.0.point .*points of 2 finite coordinates"),
         ("output.probes.0.point=[inf, 1]", r"output.probes.0.point .*points of 2 finite coordinates"),
         ("output.probes.0.fields=['veloctiy']", "output.probes.0.fields .*did you mean 'velocity'"),

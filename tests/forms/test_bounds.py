@@ -82,10 +82,7 @@ def means_of(step):
         return np.array(Integrate(f, step.mesh, element_wise=True, order=degree))
 
     u = step.now
-    return {
-        "rho": integrals(u.rho)[None],
-        "z": np.array([integrals(u.z[i]) for i in range(u.z.dim)]),
-    }
+    return {"rho": integrals(u.rho)[None], "z": np.array([integrals(u.z[i]) for i in range(u.z.dim)])}
 
 
 def bounds_of(step, **options):

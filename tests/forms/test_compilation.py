@@ -1,7 +1,5 @@
 """Integrands as programs, and as machine code where that is asked for."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from pathlib import Path

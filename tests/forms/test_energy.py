@@ -1,7 +1,5 @@
 """A stored energy that is kept at the quadrature points, in the residual and in its Jacobian."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

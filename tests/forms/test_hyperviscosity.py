@@ -1,7 +1,5 @@
 """The lifted C0 interior penalty: exact Hessians, a gradient of its potential, its dissipation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, CoefficientFunction, x, y, z

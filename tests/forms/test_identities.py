@@ -1,20 +1,9 @@
 """Identities of the discrete forms on which mass and energy balances rest, on random states."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, BaseVector, BilinearForm, BitArray, Id, IfPos, OuterProduct, x, y
-from support import (
-    Case,
-    block,
-    parts_of,
-    randomise,
-    residual,
-    small_box,
-    step_of,
-    uncondensed,
-)
+from support import Case, block, parts_of, randomise, residual, small_box, step_of, uncondensed
 
 from ngvisco import Discretisation, Gravity, Model, StokesViscosity, time
 from ngvisco.forms.start.initial import complete

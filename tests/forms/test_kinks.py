@@ -1,7 +1,5 @@
 """Straight facets on curved slip walls are refused; curved cells, corners and declared polyhedra pass."""
 
-from __future__ import annotations
-
 import netgen.occ as occ
 import numpy as np
 import pytest

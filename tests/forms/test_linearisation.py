@@ -1,19 +1,9 @@
 """Every term's Jacobian, as NGSolve assembles it, against central differences of its residual."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import GridFunction
-from support import (
-    Case,
-    difference_times,
-    jacobian_times,
-    random_direction,
-    randomise,
-    step_of,
-    uncondensed,
-)
+from support import Case, difference_times, jacobian_times, random_direction, randomise, step_of, uncondensed
 
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand, Term

@@ -1,7 +1,5 @@
 """Arrays of meshes and spaces, against NGSolve's own objects one by one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import ET, H1, VOL, Mesh

@@ -1,7 +1,5 @@
 """One rule for a form and for the ledger's integral of the same thing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

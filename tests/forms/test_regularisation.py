@@ -25,10 +25,7 @@ from ngvisco.geometries import box
 from ngvisco.physics.regularisation import Regularisation
 from tests.verification.cases.invariants import converging
 
-MATERIALS = {
-    "linear": nv.LinearElastic(K_e=10, G_e=5),
-    "finite": nv.ReferentialNeoHookean(K_e=10, G_e=5),
-}
+MATERIALS = {"linear": nv.LinearElastic(K_e=10, G_e=5), "finite": nv.ReferentialNeoHookean(K_e=10, G_e=5)}
 CASES = {
     "delta_density r = 4": Regularisation(delta_density=0.05),
     "delta_density r = 3.5": Regularisation(delta_density=0.05, r=3.5),

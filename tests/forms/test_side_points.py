@@ -1,7 +1,5 @@
 """Values at the sides' points: NGSolve's integrals over element boundaries are met to rounding."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import H1, L2, FacetFESpace, GridFunction, cos, grad, specialcf, x, y, z

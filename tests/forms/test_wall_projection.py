@@ -1,7 +1,5 @@
 """The projection onto the velocities that oblique and curved walls admit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from netgen.occ import OCCGeometry, WorkPlane

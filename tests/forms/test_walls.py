@@ -1,7 +1,5 @@
 """Walls by name, and meshes that the scheme refuses."""
 
-from __future__ import annotations
-
 import netgen.occ as occ
 import numpy as np
 import pytest

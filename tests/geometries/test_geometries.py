@@ -14,11 +14,7 @@ from ngvisco import geometries as g
 CASES = {
     "box": (lambda: g.box((1, 2), 0.5), 2.0, {"left", "right", "bottom", "top"}),
     "channel": (lambda: g.channel(2, 1, 0.5), 2.0, {"left", "right", "bottom", "top"}),
-    "bar3d": (
-        lambda: g.bar(2, 0.5, 0.5, dim=3),
-        0.5,
-        {"left", "right", "front", "back", "bottom", "top"},
-    ),
+    "bar3d": (lambda: g.bar(2, 0.5, 0.5, dim=3), 0.5, {"left", "right", "front", "back", "bottom", "top"}),
     "hole": (
         lambda: g.block_with_hole((2, 1), 0.25, 0.3),
         2 - math.pi / 16,

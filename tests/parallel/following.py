@@ -1,7 +1,5 @@
 """The first of three ranks waits for sums of the others, who are late; it prints what it got and took."""
 
-from __future__ import annotations
-
 import json
 import time
 

@@ -1,7 +1,5 @@
 """Scripts under mpirun, by a Python that has petsc4py: this one, or that of NGVISCO_PARALLEL_PYTHON."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """A matrix factorised by PETSc time and again: prints what memory grew by, and what one takes, GB."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.sparse as sp
 

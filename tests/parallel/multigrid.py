@@ -5,8 +5,6 @@ solver.  Then what this does with a matrix that is not positive definite: the re
 its words.
 """
 
-from __future__ import annotations
-
 import json
 import warnings
 

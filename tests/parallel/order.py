@@ -4,8 +4,6 @@ Run by ``test_order_of_sums``.  Ranks are late, one after another, with all that
 ranks, and with our own sums.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

@@ -1,7 +1,5 @@
 """Small cases with what users bring along, an energy, a term, a tableau, and with the choices of schemes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ngsolve import cos, pi, sin, x, y

@@ -3,8 +3,6 @@
 Run by ``test_reduced``: the first rank writes them into a file, in the numbering of one process.
 """
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

@@ -3,8 +3,6 @@
 Run by ``test_runs``.  Everything is as in a script for one process: ``Simulation`` distributes the mesh.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable

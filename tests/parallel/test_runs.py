@@ -113,13 +113,7 @@ SPLIT = (
     "split, all regularisations",
     "split crowded",
 )
-PERIODIC = (
-    "channel",
-    "split channel",
-    "split channel, two levels",
-    "split crystal",
-    "split crystal, delta",
-)
+PERIODIC = ("channel", "split channel", "split channel, two levels", "split crystal", "split crystal, delta")
 WALLS = ("slip disc", "quadrilateral, k = 3", "turned", "quadrilateral", "ball", "turned ball", "leaning")
 SPLIT_WALLS = (
     "split turned",

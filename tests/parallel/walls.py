@@ -1,7 +1,5 @@
 """Small cases with walls that no component of v belongs to: oblique, curved, and some of them moving."""
 
-from __future__ import annotations
-
 import numpy as np
 from netgen.occ import Axis, Box, OCCGeometry, Pnt, WorkPlane, X, Z
 from ngsolve import Mesh, x, y

@@ -1,7 +1,5 @@
 """Energies by arrays: the derivative is NGSolve's for every material, and what is not supported is said."""
 
-from __future__ import annotations
-
 import ngsolve
 import numpy as np
 import pytest

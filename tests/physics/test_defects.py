@@ -1,7 +1,5 @@
 """Relative defects: zero for variables of one distortion, the perturbation's size for others."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from materials import examples

@@ -1,7 +1,5 @@
 """Flow rules at a point: what a model refuses of them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The sampled check that energies do not depend on the observer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

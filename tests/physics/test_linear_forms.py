@@ -1,7 +1,5 @@
 """What multiplies a test function in a form that is linear in it, against the form's values at tests."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

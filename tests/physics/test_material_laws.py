@@ -12,13 +12,7 @@ from scipy.integrate import solve_ivp
 import ngvisco as nv
 from ngvisco.physics.material import cauchy_stress, conjugates, mandel_stress
 from ngvisco.physics.tensors import square
-from ngvisco.physics.variables import (
-    Cofactor,
-    Distortion,
-    Jacobian,
-    LogJacobian,
-    ReciprocalJacobian,
-)
+from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, LogJacobian, ReciprocalJacobian
 
 MESH = Mesh(unit_square.GenerateMesh(maxh=2))
 EXAMPLES = {example.constructor: example.material for example in examples()}

@@ -1,7 +1,5 @@
 """Derived stresses against closed forms and differences of the energy; invariance; convexity."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parameters that travel with the matter: expressions of them, and what knows that they are no strains."""
 
-from __future__ import annotations
-
 import operator
 
 import ngsolve

@@ -1,7 +1,5 @@
 """Energies per referential volume and per mass: the paper's stresses, convexity, and what is refused."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rules at a point: what they are, against the formulas of the literature, and what they refuse."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tensor spaces and the algebra on 3x3 coefficient functions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF
@@ -23,11 +21,7 @@ from ngvisco.physics.tensors import (
 
 SPACES = {
     (make.__name__, dim): (make(dim), size)
-    for make, sizes in (
-        (full_tensors, (5, 9)),
-        (symmetric_tensors, (4, 6)),
-        (trace_free_tensors, (3, 5)),
-    )
+    for make, sizes in ((full_tensors, (5, 9)), (symmetric_tensors, (4, 6)), (trace_free_tensors, (3, 5)))
     for dim, size in zip((2, 3), sizes, strict=True)
 }
 

@@ -1,7 +1,5 @@
 """Kinematic rates against the time-integrated equation of the distortion they belong to."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CoefficientFunction

@@ -1,7 +1,5 @@
 """Viscosities of the state at a point: the formulas of the literature, convexity, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

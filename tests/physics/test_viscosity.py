@@ -1,7 +1,5 @@
 """General linear viscosity: one D in three notations, its checks, and its powers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support import tensor, value

@@ -1,7 +1,5 @@
 """The Yosida approximation as a function of states: definition, bounds, derivatives, limit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from materials import examples

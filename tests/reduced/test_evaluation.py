@@ -1,7 +1,5 @@
 """Rows by arrays are those of the same term's form, term by term; derivatives are those of the forms too."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, BilinearForm, cos, pi, sin, x, y, z

@@ -1,7 +1,5 @@
 """The energy's slope by arrays is NGSolve's, or is not taken."""
 
-from __future__ import annotations
-
 import numpy as np
 from ngsolve import CoefficientFunction
 

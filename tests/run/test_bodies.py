@@ -1,7 +1,5 @@
 """Bodies of different material in one domain: mass, fractions, the ledger, both solvers, refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, IfPos, cos, pi, sin, x, y

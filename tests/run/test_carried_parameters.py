@@ -1,7 +1,5 @@
 """Runs with carried parameters: the ledger, both solvers, another observer, ranges, start values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, IfPos, cos, pi, sin, x, y
@@ -135,8 +133,7 @@ def test_a_parameter_stays_within_the_range_of_its_start():
     for limiter in (True, False):
         theta = nv.Parameter("theta", start=IfPos(x - 0.45, 1.0, 0.0))
         model = nv.Model(
-            material=nv.LinearElastic(K_e=10.0, G_e=1 + theta),
-            viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+            material=nv.LinearElastic(K_e=10.0, G_e=1 + theta), viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1)
         )
         mesh, initial = box((1, 1), maxh=0.25), nv.Initial(velocity=SWIRL)
         run = nv.Simulation(mesh, model, time=nv.TimeSteps(dt=0.05, limiter=limiter), initial=initial)

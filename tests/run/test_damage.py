@@ -1,7 +1,5 @@
 """Damage: the ledger of both halves of a step, exact curves of stress, bounds, heat, restart, refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, GridFunction, IfPos, Integrate, cos, exp, pi, sin, sqrt, x, y

@@ -1,7 +1,5 @@
 """The elastic state by F and by B = F F^T: the same material where nothing winds up; what each one loses."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

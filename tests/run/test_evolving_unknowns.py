@@ -1,7 +1,5 @@
 """Unknowns of further terms that evolve: schemes, ledger, error estimate, restart and transfer count them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, Integrate, exp, x, y
@@ -83,12 +81,7 @@ class Swelling(Pores):
 def simulation(term: object, model: nv.Model = MODEL, maxh: float = 0.6, theta=0.7, **options) -> Simulation:
     values = {} if theta is None else {"theta": theta}
     return Simulation(
-        box((1, 1), maxh=maxh),
-        model,
-        dt=0.05,
-        terms=[term],
-        initial=nv.Initial(values=values),
-        **options,
+        box((1, 1), maxh=maxh), model, dt=0.05, terms=[term], initial=nv.Initial(values=values), **options
     )
 
 

@@ -1,7 +1,5 @@
 """Stresses, rates and stretches that are written by name: against closed forms and the ledger."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, Integrate, Norm, pi, sin, x, y

@@ -1,7 +1,5 @@
 """The energy ledger: every entry is its form's power, and all together close to rounding."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

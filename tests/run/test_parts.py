@@ -1,7 +1,5 @@
 """Parts with fillets and a hole: slip on walls that bend from plane to curved, energy and mass."""
 
-from __future__ import annotations
-
 import netgen.occ as occ
 import numpy as np
 import pytest

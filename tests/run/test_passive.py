@@ -59,8 +59,7 @@ def test_F_tot_is_the_inverse_gradient_of_the_reference_map():
 def through_a_periodic_cell(maxh=0.3, dt=0.02):
     """A shear wave that is carried through the cell's ends."""
     model = nv.Model(
-        material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1),
-        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+        material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1), viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1)
     )
     wave = nv.Initial(velocity=(1.0, 0.3 * sin(2 * pi * x)))
     mesh = box((1, 1), maxh=maxh, periodic="x")

@@ -3,8 +3,6 @@
 The meshes are so coarse that cells meet their own image: two of their vertices are one.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, Integrate, cos, pi, sin, x, y, z

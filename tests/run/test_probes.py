@@ -241,11 +241,7 @@ def test_a_foreign_or_damaged_table_is_refused(tmp_path, text):
 @pytest.mark.parametrize(
     ("make", "error", "message"),
     [
-        (
-            lambda: nv.Probes({"a": (2, 2)}),
-            nv.ParameterError,
-            r"points\['a'\].*which lies in \[0, 1\] x",
-        ),
+        (lambda: nv.Probes({"a": (2, 2)}), nv.ParameterError, r"points\['a'\].*which lies in \[0, 1\] x"),
         (lambda: nv.Probes([(1, 1, 1)]), nv.ParameterError, "points of 2 finite coordinates"),
         (lambda: nv.Probes([(math.nan, 1)]), nv.ParameterError, "finite"),
         (lambda: nv.Probes([("a", "b")]), nv.ParameterError, "finite coordinates"),

@@ -1,7 +1,5 @@
 """Density and J of materials with a referential density, and further laws of case files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

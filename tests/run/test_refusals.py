@@ -1,7 +1,5 @@
 """Bad input: a typed error that names the field, the value and what is right."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 
@@ -124,12 +122,7 @@ PARAMETERS = {
             ("Model.viscosity", lambda v: Model(material=LINEAR, viscosity=v), (1.0,), "a StokesViscosity"),
             ("Model.hyperviscosity", lambda v: Model(material=LINEAR, hyperviscosity=v), (1,), "a HyperVisc"),
             ("Model.creep", lambda v: Model(material=LINEAR, creep=v), (1.0,), "a Creep"),
-            (
-                "Model.loads",
-                lambda v: Model(material=LINEAR, loads=v),
-                (9.81,),
-                "Gravity or BodyForce",
-            ),
+            ("Model.loads", lambda v: Model(material=LINEAR, loads=v), (9.81,), "Gravity or BodyForce"),
             (
                 "loads['gravity'].g",
                 lambda v: loaded(Gravity(v))(),

@@ -84,12 +84,7 @@ def test_advice_names_the_scheme_and_is_not_given_for_the_step_that_it_advises()
     from ngvisco.run.scales import Scales
     from ngvisco.timestepping.scheme import midpoint
 
-    values = {
-        "length": 1.0,
-        "cell": 0.1,
-        "velocity": 0.1,
-        "speeds": (math.sqrt(20.0), math.sqrt(10.0)),
-    }
+    values = {"length": 1.0, "cell": 0.1, "velocity": 0.1, "speeds": (math.sqrt(20.0), math.sqrt(10.0))}
     values |= {"kinematic_viscosity": 0.0, "maxwell": 0.1 * (1 - 1e-9), "dt": 0.02}
     (said,) = Scales(**values).advice
     assert "the scheme backward-euler damps them" in said

@@ -1,7 +1,5 @@
 """Runs with Yosida approximations: the ledger, the limit eps -> 0, output, restarts and failures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, VOL, Id, Integrate

@@ -1,7 +1,5 @@
 """Blocks of cells and sides against the rows that the transport forms point by point."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, x, y, z
@@ -19,8 +17,7 @@ def split(request):
     dim = 3 if request.param == "3D" else 2
     m = {"constants": 0, "quadratic": 2}.get(request.param, 1)
     model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
-        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.2),
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.2)
     )
     periodic = "x" if request.param == "periodic" else ""
     mesh = box((1,) * dim, maxh=0.6 if dim == 3 else 0.35, periodic=periodic)

@@ -1,7 +1,5 @@
 """The flow's linear operator against differences of the rows, on fields that the coarse rule integrates."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF
@@ -43,9 +41,7 @@ def run(request):
         solid = nv.Thermal(material=nv.LinearElastic(K_e=10.0, G_e=5.0), c=2.0, theta_R=100.0)
         matter = {"material": solid, "viscosity": viscosity, "heat": nv.Heat(conductivity=5.0)}
     model = nv.Model(
-        **matter,
-        hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
-        loads=[nv.Gravity((0.0, -1.0))],
+        **matter, hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4), loads=[nv.Gravity((0.0, -1.0))]
     )
     run = nv.Simulation(
         box((1, 1), maxh=0.4), model, dt=0.5, initial=nv.Initial(velocity=CF((0.0, 0.0))), solver="split"

@@ -1,7 +1,5 @@
 """Flow rules in both solvers, local and with a gradient, alone and of bodies, against a step at a point."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``NewtonOptions.coarse``: refused by name, said where it has no part, and what is done where it fails."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

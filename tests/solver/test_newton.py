@@ -1,7 +1,5 @@
 """Newton's iteration on small problems, its norm, and the condensed solve."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

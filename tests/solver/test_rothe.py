@@ -1,7 +1,5 @@
 """A Rothe step: solved from a rough start, or the old state with a typed error."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, Id, IfPos, Integrate, OuterProduct, cos, pi, sin, x, y

@@ -1,7 +1,5 @@
 """Every rule with every elastic state, solver, dimension and scheme: the ledger closes, M : Pi >= 0."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -21,10 +19,7 @@ MATERIALS = {
     "B": nv.ReferentialNeoHookean(K_e=50.0, G_e=5.0, elastic_state="B"),
 }
 EULER, MIDPOINT = "backward-euler", "midpoint"
-DEFAULT = {
-    ("Norton, n = 10", "E", "split", 2, EULER),
-    ("Drucker-Prager", "E", "coupled", 2, EULER),
-}
+DEFAULT = {("Norton, n = 10", "E", "split", 2, EULER), ("Drucker-Prager", "E", "coupled", 2, EULER)}
 CI = {
     ("Bingham", "B", "split", 2, EULER),
     ("Perzyna, n = 2.5", "F", "coupled", 2, MIDPOINT),

@@ -1,7 +1,5 @@
 """The split solver meets the coupled one: the same residual, the same solution, the same ledger."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -116,10 +114,7 @@ BY_B = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B")
 
 @pytest.mark.parametrize(
     "material",
-    [
-        pytest.param(None, id="F"),
-        pytest.param(BY_B, marks=[pytest.mark.long, pytest.mark.ci], id="B"),
-    ],
+    [pytest.param(None, id="F"), pytest.param(BY_B, marks=[pytest.mark.long, pytest.mark.ci], id="B")],
 )
 def test_in_three_dimensions(material):
     assert_both_agree(box((1, 1, 1), maxh=1), model(material, dim=3), steps=1)

@@ -1,7 +1,5 @@
 """The derivative of the split solver's residual, against differences of the residual itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, cos, pi, sin, x, y

@@ -1,7 +1,5 @@
 """The split solver's own duties: failures that are said, the choice of the solver, its parts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The smoother of the two-level solver, and the facets of which the flow's operator takes notice."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

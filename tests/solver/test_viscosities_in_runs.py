@@ -1,7 +1,5 @@
 """Viscosities of the state in a flow: both solvers agree, the ledger closes, with and without heat."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, x

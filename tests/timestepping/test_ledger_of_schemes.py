@@ -43,12 +43,7 @@ def closes(run, until=0.06, bound=1e-12):
 
 
 WALLS = {
-    "curved slip walls": (
-        lambda: block_with_hole((1, 1), 0.25, 1),
-        {},
-        nv.Initial(velocity=(0.5, 0.3)),
-        (),
-    ),
+    "curved slip walls": (lambda: block_with_hole((1, 1), 0.25, 1), {}, nv.Initial(velocity=(0.5, 0.3)), ()),
     "no slip and slip": (
         lambda: annulus(1, 2, 1),
         {"inner": nv.NoSlip()},

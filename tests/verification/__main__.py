@@ -4,8 +4,6 @@ Exit codes: 0 every case holds; 1 one does not, or ended in an error; 2 the inpu
 not be read or written; 130 interrupted: results so far are kept, go on with ``--resume``.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

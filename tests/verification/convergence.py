@@ -1,7 +1,5 @@
 """Tables of errors against the manufactured solutions: transport alone, the coupled system, and in time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

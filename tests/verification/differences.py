@@ -3,8 +3,6 @@
 An independent look at ``sources``: textbook formulas, no form and no derivative in common with it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -10,8 +10,6 @@
 Every file is written beside its name and renamed.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Norms of the scheme's terms as functions: Riesz representatives in the discontinuous spaces."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -10,8 +10,6 @@ cells between nodes and grid, velocities on the sides of N x N cells, Heun's met
 cosine transforms.  It shares no line of code with the solver.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

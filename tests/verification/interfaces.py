@@ -5,8 +5,6 @@ M/tau + |c| K^+-, with K of the flow or of its reverse, linearised once from the
 step is one sparse solve.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias

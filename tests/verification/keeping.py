@@ -4,8 +4,6 @@ The whole report takes longer than a change does.  Cases that are gone are left 
 not have are said to be missing.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Sequence

@@ -4,8 +4,6 @@
 comments, cases by the labels that they name, so that neither is written down twice.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ With f = sin(pi x) and g = 1 - 2S, S the smooth step of degree 7 (g', g'', g''' 
 v_i = c_i(t) f(x_i) prod_{j != i} g(x_j), and shear components of E and F vanish where they must.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

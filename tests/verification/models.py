@@ -1,7 +1,5 @@
 """The two models of the manufactured solutions, with all the mechanisms asked for."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import partial
@@ -98,9 +96,7 @@ def model(
     own.  With heat there is conduction.
     """
     law = nv.Regularisation(
-        delta_density=DELTA if delta else 0.0,
-        delta_fields=DELTA_FIELDS if delta else 0.0,
-        epsilon=EPSILON,
+        delta_density=DELTA if delta else 0.0, delta_fields=DELTA_FIELDS if delta else 0.0, epsilon=EPSILON
     )
     own: dict[str, Any] = {"bodies": bodies()}
     if kind != "two bodies":

@@ -1,7 +1,5 @@
 """Plots as PNG, by matplotlib."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Single equations of a step, with the other unknowns given; and sequences of meshes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -54,11 +52,7 @@ class PartialLayout(Layout):
     """Some of a step's blocks; the other fields are given functions."""
 
     def __init__(
-        self,
-        mesh: Mesh,
-        model: Model,
-        discretisation: Discretisation,
-        names: Sequence[str],
+        self, mesh: Mesh, model: Model, discretisation: Discretisation, names: Sequence[str]
     ) -> None:
         terms = equations(model, mesh.dim)
         super().__init__(mesh, model.material, discretisation, terms, slip_constraints(mesh))

@@ -8,8 +8,6 @@ a minimises int (G_m a^2/2 + nu |a'|^q/q - m a) r^{d-1} dr.  Here that is done b
 of intervals and a damped Newton iteration, in NumPy, with nothing of the package's forms or spaces.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

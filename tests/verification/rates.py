@@ -1,7 +1,5 @@
 """Errors on a sequence of meshes or steps, and their rates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """All cases by name, theme by theme in the report's order."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ngvisco.errors import UnknownNameError

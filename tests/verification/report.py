@@ -1,7 +1,5 @@
 """One report of all results: Markdown, with its pictures beside it."""
 
-from __future__ import annotations
-
 import platform
 from collections.abc import Sequence
 from pathlib import Path

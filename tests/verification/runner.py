@@ -1,7 +1,5 @@
 """Runs cases, one after the other or some at once; the error of one is its result, not the end of others."""
 
-from __future__ import annotations
-
 import sys
 import time as clock
 import traceback

@@ -1,7 +1,5 @@
 """What cases share: a block set in rotation in its box, in both models; layers, materials, balances."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import pairwise

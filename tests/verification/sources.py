@@ -4,8 +4,6 @@ With the *discrete* time derivative (z(t) - z(t - tau))/tau what remains is the 
 tau of the sources that is far shorter than the run's, the error in time is in it too.
 """
 
-from __future__ import annotations
-
 from unittest.mock import patch
 
 from ngsolve import CF, CoefficientFunction, specialcf

@@ -1,7 +1,5 @@
 """Creep with nu > 0: its manufactured source, an independent creep rate on a disc, and that reference."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

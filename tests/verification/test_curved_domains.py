@@ -11,8 +11,6 @@ keep the shape f: with E = e(t) eps(f), viscosity G_v and creep,
 What a run differs by is then the error in space alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

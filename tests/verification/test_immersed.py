@@ -1,7 +1,5 @@
 """The reference for soft discs, by itself: its fluid, its solid, and what ties them together."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The table of the paper's labels: complete, true of the package, and no test in it that there is not."""
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """The whole system with creep, gravity and viscosity, without and with hyperviscosity."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -126,12 +124,7 @@ def energy_itself(system: Model, dim: int, tau: float, curved: bool = False) -> 
     ],
 )
 def test_wrong_sources_do_not_converge(
-    kind: str,
-    dim: int,
-    k: int,
-    curved: bool,
-    wrong: Callable[..., Sources],
-    name: str,
+    kind: str, dim: int, k: int, curved: bool, wrong: Callable[..., Sources], name: str
 ) -> None:
     """Negative control: what the sources leave out stays, and the rate falls below what is asked for."""
     levels, maxh = (3, 0.4) if dim == 2 else (2, 1.0)

@@ -1,7 +1,5 @@
 """The momentum equation with density given, and the stationary hyperviscous problem alone."""
 
-from __future__ import annotations
-
 import pytest
 
 from ngvisco import Discretisation, Model, StokesViscosity, time
@@ -32,12 +30,7 @@ def test_velocity_rate_is_k_plus_1_without_hyperviscosity(k: int) -> None:
             model,
             Discretisation(k=k),
             ("v",),
-            [
-                Inertia(),
-                Convection(),
-                Stokes(VISCOSITY),
-                Source(lambda w: [Integrand(-inner(force, w.v))]),
-            ],
+            [Inertia(), Convection(), Stokes(VISCOSITY), Source(lambda w: [Integrand(-inner(force, w.v))])],
             TAU,
         )
         exact = Exact(model, 2, time)

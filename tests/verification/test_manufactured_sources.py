@@ -1,7 +1,5 @@
 """The sources against finite differences of the exact fields in plain numpy, at random points."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -5,8 +5,6 @@ m + 1 is what is measured (finest pair in 2D: 0.9-1.0, 1.9-2.0, 2.9 for m = 0, 1
 up to 3 on the finest meshes, so that errors are carried and not only projected.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from tests.verification.convergence import transport_rates

@@ -1,8 +1,6 @@
 """Walls that matter crosses, against exact solutions: waves that leave, bodies under a given stress or on
 springs, a step of the density that is carried out, flow between plates."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, GridFunction, IfPos, Integrate, exp, sin, x, y

@@ -1,7 +1,5 @@
 """Reference solutions: relaxation of a Maxwell body, units, neo-Hookean shear."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import CF, x

@@ -1,7 +1,5 @@
 """The verification's framework: what fails is reported, nothing is lost or half written."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

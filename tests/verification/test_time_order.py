@@ -1,7 +1,5 @@
 """First order in tau: one mesh, steps tau, tau/2, tau/4 against tau/8 of the midpoint rule."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.verification.convergence import free_solution, separation

@@ -1,7 +1,5 @@
 """The Lagrangian reference of a tube against the damped standing wave of small amplitude."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.verification.tube import densities

@@ -5,8 +5,6 @@ that at which G_v(rate) rate = tau, and v its integral, with c such that v(1) = 
 P2 interpolates v within h^3/(72 sqrt 3) max |v'''|, below 1 per cent of max v for h = 1/4; allowed are 2.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ngsolve import y
@@ -17,10 +15,7 @@ from ngvisco.geometries import box
 
 FORCE, BOUND = 1.0, 0.02
 LAWS = {
-    "power law": (
-        nv.PowerLaw(K_v=0.1, consistency=0.5, n=0.5, floor=1e-4),
-        lambda rate, y: 0.5 * rate**-0.5,
-    ),
+    "power law": (nv.PowerLaw(K_v=0.1, consistency=0.5, n=0.5, floor=1e-4), lambda rate, y: 0.5 * rate**-0.5),
     "thickening": (nv.PowerLaw(K_v=0.1, consistency=0.5, n=1.5), lambda rate, y: 0.5 * rate**0.5),
     "Carreau": (
         nv.Carreau(K_v=0.1, G_0=1.0, G_inf=0.1, relaxation=5.0, n=0.4),

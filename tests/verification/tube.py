@@ -6,8 +6,6 @@ with W the energy per referential volume of F = diag(lambda, 1, 1) and rho = rho
 of code with the solver.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

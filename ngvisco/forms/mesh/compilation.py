@@ -6,8 +6,6 @@ integrands was ready after 135 s instead of 455 s (230 triangles, coupled; half 
 hits).
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """Which facets lie between two cells."""
 
-from __future__ import annotations
-
 import numpy as np
 from ngsolve import CoefficientFunction, FacetFESpace, LinearForm, Mesh, dx, specialcf
 

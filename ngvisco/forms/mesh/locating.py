@@ -1,7 +1,5 @@
 """Points of space as points of a mesh, where coefficient functions are evaluated, and the walls near them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

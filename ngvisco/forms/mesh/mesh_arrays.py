@@ -1,7 +1,5 @@
 """What NGSolve's meshes and spaces know one by one, as arrays: no loop of Python's over cells or unknowns."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

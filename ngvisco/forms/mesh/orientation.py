@@ -1,16 +1,7 @@
 """Inverted cells: NGSolve integrates with |det|, so that a cell's volume never shows one."""
 
-from __future__ import annotations
-
 import numpy as np
-from ngsolve import (
-    ET,
-    VOL,
-    Det,
-    IntegrationRule,
-    Mesh,
-    specialcf,
-)
+from ngsolve import ET, VOL, Det, IntegrationRule, Mesh, specialcf
 
 from ngvisco.errors import MeshError
 from ngvisco.forms.mesh.facets import boundary_facets, facets_with_two_sides

@@ -9,8 +9,6 @@ curved cells, of identified unknowns and of NGSolve's numbering.
 Arrays are (components, points), points cell by cell.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

@@ -11,14 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from ngsolve import (
-    ET,
-    CoefficientFunction,
-    Integrate,
-    IntegrationRule,
-    Mesh,
-    dx,
-)
+from ngsolve import ET, CoefficientFunction, Integrate, IntegrationRule, Mesh, dx
 
 from ngvisco.forms.mesh.compilation import compiled
 

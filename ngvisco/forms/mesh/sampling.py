@@ -1,7 +1,5 @@
 """Pointwise checks and extrema, at the vertices and interior points of every cell."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any
 

@@ -7,8 +7,6 @@ assembly for each point of the rule, with a rule of that point alone and one con
 Arrays are (components, points), points side by side, sides cell by cell in the cell's own order.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 

@@ -4,8 +4,6 @@ What cannot be right is refused.  What the model has no place for, a normal part
 velocity through a wall, is left out by the projections, and that is said by an ``InputWarning``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np

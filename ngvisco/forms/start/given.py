@@ -4,8 +4,6 @@ The values are taken at the quadrature points of every cell and projected in L2,
 may lie between cells, and what is polynomial of the order asked for is met exactly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

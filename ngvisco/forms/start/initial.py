@@ -1,20 +1,11 @@
 """Initial data on the spaces of a step, and start values of the unknowns that follow from them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, TypeAlias
 
 import numpy as np
-from ngsolve import (
-    CF,
-    CoefficientFunction,
-    Det,
-    Id,
-    TaskManager,
-    specialcf,
-)
+from ngsolve import CF, CoefficientFunction, Det, Id, TaskManager, specialcf
 
 from ngvisco.errors import InitialDataError, ParameterError, Quantity
 from ngvisco.forms.bounds import Bounds

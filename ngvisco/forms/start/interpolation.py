@@ -5,8 +5,6 @@ the order in which they come, which rounds three of them in one way or another. 
 unknown with a third one set in turns, in which the others have zeros, and the turns are added in their order.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from ngsolve import CoefficientFunction, FESpace, GridFunction, Parameter, Region
 

@@ -4,8 +4,6 @@ A facet unknown's mass matrix is one block a facet, a cell unknown's one block a
 of a vector share it.  The velocity's is in ``velocity``.
 """
 
-from __future__ import annotations
-
 from ngsolve import (
     BaseVector,
     BilinearForm,

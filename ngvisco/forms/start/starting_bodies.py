@@ -1,7 +1,5 @@
 """Where bodies are at the start: amounts and density, from their places."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A material's variables by name from what is given of them, at the start or where matter flows in."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 from ngsolve import CF, CoefficientFunction

@@ -9,8 +9,6 @@ Pi is continuous, in the components of an orthonormal basis of R^{3x3}_dev (plan
 it is symmetric and trace-free by construction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """delta Laplace z, by the slope of the conjugates: dissipative for every convex energy."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -91,10 +89,7 @@ class FieldDiffusion(PointTerm):
         self, u: Fields, across: CoefficientFunction, jump: CoefficientFunction, G: CoefficientFunction
     ) -> list[CoefficientFunction]:
         delta, C = self.law.delta_fields, constant(self.curvature.compliance)
-        return [
-            delta * inner(self._of_strains(across), G),
-            -delta * self._weight(u) * inner(C * jump, G),
-        ]
+        return [delta * inner(self._of_strains(across), G), -delta * self._weight(u) * inner(C * jump, G)]
 
     def of_one_component(self, u: Fields, w: Fields) -> list[Integrand]:
         """What of the form has constant matrices, the same for all components, without delta and C.

@@ -11,8 +11,6 @@ and the total energy changes by the power of loads and walls alone.  q = 1 gives
 int xi/theta - a(theta, 1/theta), and what comes with the heat through walls.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import reduce
 from operator import add

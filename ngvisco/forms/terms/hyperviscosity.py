@@ -28,8 +28,6 @@ Jacobian that couples all components of Hs, grad v and a costs four times as muc
 On walls a stays free, which is the natural condition.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

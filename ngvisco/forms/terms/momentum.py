@@ -12,8 +12,6 @@ m_old the old momentum.  With m_old = rho_old v_old, w = v returns exactly the c
 E(rho, m) = max_w <m, w> - 1/2 int rho |w|^2, which is convex.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -10,8 +10,6 @@ s = penalty (m + 1)^2.  The test w_hat makes the flux single-valued, so that w =
 That of the fields is in ``ngvisco.forms.terms.field_diffusion``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -21,8 +21,6 @@ the momentum equation *is* the rate of the stored energy (paper: ED-Euler-large-
 For smooth fields B_h(w; z, zeta) = int T : grad w with T of the paper.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -15,8 +15,6 @@ K_e is the usual bulk modulus and G_e half the usual shear modulus; T(I) = 0.  T
 ``StokesViscosity``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """A material of the user's own: variables and an energy given in a script."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -18,8 +18,6 @@ damage of the step's start (``Material.lagged``), and damage itself grows after 
 (``ngvisco.forms.damage``; the staggered scheme of Roubicek, arXiv:2510.10355).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -31,14 +29,7 @@ from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.parameters import Modulus, Parameter, expressions_in, parameters_in, require_ranges
 from ngvisco.physics.tensors import identity_like, if_positive, log, square, tr
 from ngvisco.physics.time import sampled
-from ngvisco.physics.variables import (
-    Jacobian,
-    LogJacobian,
-    ReciprocalJacobian,
-    SmallStrain,
-    Values,
-    Variable,
-)
+from ngvisco.physics.variables import Jacobian, LogJacobian, ReciprocalJacobian, SmallStrain, Values, Variable
 
 
 @dataclass(frozen=True)

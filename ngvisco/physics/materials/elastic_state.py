@@ -6,8 +6,6 @@ mean of two rotations has a determinant below one: F and J part, and the stress 
 still closes.  B has no Q, and isotropic energies need nothing else.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Annotated, Self
 

@@ -1,7 +1,5 @@
 """Materials that harden: the plastic strain is one more variable, with an energy of its own."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from ngsolve import CoefficientFunction

@@ -1,7 +1,5 @@
 """Materials whose moduli are functions of carried parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Materials of the linearised convective model (paper: Section 2), in the small strain E."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated

@@ -1,8 +1,6 @@
 """Mooney-Rivlin materials, which feel the cofactor of F too (paper: rem-polyconvex-general and the
 Mooney-Rivlin example after it)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated

@@ -1,7 +1,5 @@
 """The actual neo-Hookean material of the finite-strain model (paper: Section 3)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -9,11 +7,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.errors import Quantity
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
-from ngvisco.physics.materials.singular import (
-    continued_in_J,
-    inverse_power,
-    minus_log,
-)
+from ngvisco.physics.materials.singular import continued_in_J, inverse_power, minus_log
 from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen, Values, Variable

@@ -13,8 +13,6 @@ So every polyconvex energy of the Lagrangian theory is an energy of this one, wi
 convexity, without a growth or a volumetric part of its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Annotated, Self
 

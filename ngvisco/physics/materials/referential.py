@@ -13,8 +13,6 @@ With ``elastic_state="B"`` all three have G_e tr B with the one B = J^{-5/3} F F
 so that there is no second form by B.)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Any
 

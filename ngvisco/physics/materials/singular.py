@@ -5,8 +5,6 @@ part is changed, s(J_min) + s'(J_min)(J - J_min) for J < J_min, which keeps it c
 inactive as long as J >= J_min.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeAlias
 

@@ -10,8 +10,6 @@ where g is Gamma (J - 1) with the term in brackets (``expansion``), or Gamma ln 
 Both are perspectives of convex functions of (S, J): jointly convex with phi_m, the energy without heat.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Self
 

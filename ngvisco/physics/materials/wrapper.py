@@ -1,7 +1,5 @@
 """Materials that are another one with something added to it or done to it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Self
 

@@ -1,7 +1,5 @@
 """The Yosida approximation of a stored energy (paper: varphi-regularized)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

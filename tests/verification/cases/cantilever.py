@@ -14,8 +14,6 @@ beam's), bent by 2 % it is 1.42.  The fit sees 0.44 of a period, in which dampin
 hard to tell apart.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

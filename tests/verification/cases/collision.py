@@ -6,8 +6,6 @@ about the middle, and so is the motion: momentum and places of both are opposite
 decide differently at a threshold.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

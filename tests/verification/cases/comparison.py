@@ -1,7 +1,5 @@
 """The models against each other: small strains, Kelvin–Voigt and Jeffreys."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import ngvisco as nv

@@ -1,7 +1,5 @@
 """Fluids by a conformation tensor in shear: Oldroyd-B, FENE-P and Leonov against closed forms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -103,9 +101,7 @@ def _steady(name: str) -> Outcome:
             "largest |closure|": closure(*runs),
         },
         tables=[Table("steady stresses, Pa", ["Wi", "T_12", "exact", "N_1", "exact", "closure"], rows)],
-        plots=[
-            Plot(f"Steady shear, {name}", "Wi", "Pa", _curves(exact, WEISSENBERG, found), log="xy"),
-        ],
+        plots=[Plot(f"Steady shear, {name}", "Wi", "Pa", _curves(exact, WEISSENBERG, found), log="xy")],
     )
 
 

@@ -1,7 +1,5 @@
 """A disc in rigid rotation, and Couette flow of a Maxwell fluid between cylinders."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

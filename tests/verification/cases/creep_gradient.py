@@ -1,7 +1,5 @@
 """Creep with a gradient term, nu > 0: manufactured solutions of the whole system, and an independent Pi."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Any

@@ -3,8 +3,6 @@
 The scheme transports them independently, as the paper does; they are consistent in the limit only.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -115,11 +113,7 @@ def _case(name: str, what: tuple[str, str], label: str, material: nv.Material) -
         setting=f"{SETTING}; {type(material).__name__}, 0.5 m/s; h = 0.8, 0.4, 0.2 m with tau = 0.02 h and "
         f"delta = 0.1 h² or 0 (then also h = 0.1 m), until {DURATION} s; delta alone from 0.1 to 1e-4 at "
         "h = 0.4 m.",
-        bounds=(
-            *rates,
-            CLOSURE,
-            Bound("least J", ">=", 0.5, "far from folding over"),
-        ),
+        bounds=(*rates, CLOSURE, Bound("least J", ">=", 0.5, "far from folding over")),
         run=lambda: measure(material),
     )
 

@@ -3,8 +3,6 @@
 The rates are written here once more, in NumPy and by the literature's formulas, and SciPy integrates them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -4,8 +4,6 @@ Of small amplitude and length 1 it has u = cos(q x) sin(omega t), omega = q sqrt
 M the modulus of longitudinal waves; a stiff one is a block on a spring, omega^2 = k/rho.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 
@@ -81,10 +79,7 @@ def _foundation() -> Outcome:
     runs.append(run)
     slow = omega * math.sqrt(1 - DAMPING**2)
     exact = np.exp(-DAMPING * omega * t) * (np.cos(slow * t) - DAMPING * omega / slow * np.sin(slow * t))
-    curves += [
-        Curve("block with a dashpot", omega * t, v, "."),
-        Curve("oscillator", omega * t, exact, "k-"),
-    ]
+    curves += [Curve("block with a dashpot", omega * t, v, "."), Curve("oscillator", omega * t, exact, "k-")]
     return Outcome(
         values={
             "largest relative error of the frequency": max(errors),

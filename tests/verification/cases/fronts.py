@@ -1,7 +1,5 @@
 """The first Stokes problem."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

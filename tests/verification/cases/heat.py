@@ -1,7 +1,5 @@
 """Heat against theory: expansion, adiabats, conduction, viscous heating, thermoelastic waves."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -158,10 +156,7 @@ def _brinkman() -> Outcome:
             heat=nv.Heat(conductivity=kappa),
         )
         held = nv.WallHeat(temperature=300.0, coefficient=coefficient)
-        walls: Any = {
-            "top": nv.PrescribedTangential((V, 0.0), heat=held),
-            "bottom": nv.NoSlip(heat=held),
-        }
+        walls: Any = {"top": nv.PrescribedTangential((V, 0.0), heat=held), "bottom": nv.NoSlip(heat=held)}
         start = nv.Initial(density=1.0, velocity=(V * y, 0.0))
         run = nv.Simulation(channel(1, 1, maxh=h), model, dt=0.05, walls=walls, initial=start)
         run.run(0.5)

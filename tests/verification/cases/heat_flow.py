@@ -1,7 +1,5 @@
 """Heat of flows against theory: shear that heats and weakens, a stream that is heated on its way."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

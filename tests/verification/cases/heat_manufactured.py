@@ -1,7 +1,5 @@
 """Heat in motion against manufactured solutions: rates in space and time, with a negative control."""
 
-from __future__ import annotations
-
 from functools import partial
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The onset of convection between plates that slip and that do not, against the linear theory."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ volume, of mass 1,
     e = W(stretch) + c (theta - theta_R) + Gamma c theta_R (stretch - 1),  P = W' - Gamma c (theta - theta_R).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The role of hyperviscosity: mu -> 0, and exponents at which the analysis does not work (p <= 3)."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
@@ -12,16 +10,7 @@ from ngvisco.forms.mesh.sampling import Sampler
 from ngvisco.physics.tensors import square
 from tests.verification.case import Bound, Case, Outcome, Table
 from tests.verification.rates import RateTable
-from tests.verification.setups import (
-    CLOSURE,
-    KINDS,
-    LABELS,
-    SETTING,
-    block,
-    closure,
-    separation,
-    square_mesh,
-)
+from tests.verification.setups import CLOSURE, KINDS, LABELS, SETTING, block, closure, separation, square_mesh
 
 THEME = "The role of hyperviscosity"
 TAU, STEPS, MAXH = 0.02, 8, 0.35

@@ -1,7 +1,5 @@
 """The themes of the plane in three dimensions, small: stability, estimates, limits."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from tests.verification.case import Case, Outcome

@@ -1,7 +1,5 @@
 """How far interfaces between bodies smear: rigid rotation, Zalesak's disc, a vortex and back."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

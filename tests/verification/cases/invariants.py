@@ -1,7 +1,5 @@
 """Mass, and the range of density and Jacobian: 0 < rho <= rho_max + 1, min rho and min J away from 0."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -14,8 +14,6 @@ To 5 s it comes by the tensors' own limiter (``ngvisco.forms.stretches``): witho
 Where traces bear stress as the body does (``taking_part`` = {}) there is no step from 0.13 s on at 0.1.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 import ngvisco as nv

@@ -1,7 +1,5 @@
 """Limits: tau -> 0, with the energy balance as an equality; the Yosida approximation; the delta-terms."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Manufactured solutions: rates of the transport alone."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot

@@ -1,7 +1,5 @@
 """The whole system against manufactured solutions: rates in space for k = 2 and 3, m = 0, 1, 2."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 
@@ -71,9 +69,7 @@ def _measure(kind: str, series: Series) -> Outcome:
     title = "rates between the two finest meshes"
     plot = Plot(f"All terms, {kind}, {series.dim}D, k = {series.k}", "h, m", "L2 error", curves, log="xy")
     return Outcome(
-        values=values,
-        tables=[Table(title, ["k", "m", "v", "rho", "z"], summary), *tables],
-        plots=[plot],
+        values=values, tables=[Table(title, ["k", "m", "v", "rho", "z"], summary), *tables], plots=[plot]
     )
 
 

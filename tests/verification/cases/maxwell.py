@@ -1,7 +1,5 @@
 """A Maxwell body: relaxation in a box and oscillatory shear."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -79,10 +77,7 @@ def oscillating(steps: int) -> tuple[nv.Simulation, np.ndarray, np.ndarray, np.n
     model = nv.Model(material=material, creep=nv.Creep(G_m=2.0), loads=(nv.Gravity((force, 0.0)),))
     wall = nv.PrescribedTangential((AMPLITUDE * sin(OMEGA * time), 0.0))
     run = nv.Simulation(
-        channel(1, 1, maxh=0.5),
-        model,
-        dt=8 / steps,
-        walls={"top": wall, "bottom": nv.NoSlip()},
+        channel(1, 1, maxh=0.5), model, dt=8 / steps, walls={"top": wall, "bottom": nv.NoSlip()}
     )
     rows = []
     for _ in range(steps):

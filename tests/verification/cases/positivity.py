@@ -1,7 +1,5 @@
 """Runs that leave their bounds at points: limited, and ended where they are not."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import ngvisco as nv

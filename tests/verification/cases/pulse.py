@@ -1,7 +1,5 @@
 """A compression pulse with a steep front, against the Lagrangian solution."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

@@ -13,8 +13,6 @@ least at a = 2.12, where it is 6.22 (Mora, Phou, Fromental and Pomeau, Phys. Rev
 softer layer falls, a stiffer one oscillates.  The fluid's depth and inertia do not matter for the threshold.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 
@@ -124,7 +122,7 @@ def _rayleigh_taylor() -> Outcome:
                 "t, s",
                 "amplitude of v",
                 [Curve(f"G = {ratio:g} G_c", times, a) for ratio, (_, a, _) in found.items()],
-            ),
+            )
         ],
     )
 

@@ -9,8 +9,6 @@ Pressures of 9e7 Pa are rounded to 1e-6 Pa where K_e = 1e10 Pa, which moves the 
 1e-6 of its velocity: the iteration ends there.
 """
 
-from __future__ import annotations
-
 import math
 
 from ngsolve import Id, IfPos, Integrate, cos, x, y

@@ -1,7 +1,5 @@
 """A compression pulse on meshes that follow it, against d'Alembert's solution and a fine mesh."""
 
-from __future__ import annotations
-
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Integrate, exp, x
 

@@ -4,8 +4,6 @@ In a homogeneous simple shear every field equation is an ODE for the tensor (E, 
 integrates independently of the package's variables and rates.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Riemann problems of an elastic solid: star states of impact and expansion against exact ones."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Time schemes: waves and their energy over long runs, what the schemes dissipate of a swirl."""
 
-from __future__ import annotations
-
 import cmath
 import math
 from functools import partial

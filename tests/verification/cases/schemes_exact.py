@@ -1,7 +1,5 @@
 """Time schemes: order against exact solutions of shear and flow, and against manufactured ones."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The paper's sequence of limits with all terms: tau -> 0, then delta -> 0, then epsilon -> 0."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import pairwise
@@ -151,7 +149,7 @@ SOLVED: dict[str, dict[str, dict[str, str]]] = {
             "v": "Euler-small-viscoelastodyn+1eps",
             "z": "Euler-small-viscoelastodyn+2eps",
             "hess v": "Euler-small-strong-hyper+++",
-        },
+        }
     },
     "finite": {
         "tau": {

@@ -1,7 +1,5 @@
 """Homogeneous simple shear against closed forms."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -171,7 +169,7 @@ def _start_up() -> Outcome:
         ],
         remarks=[
             "The error of the midpoint rule for exp(a t), a = (−1 + iW)/lambda, is (|a| tau)²/12 times "
-            "|a| t exp(−t/lambda), at most |a| lambda/e: 4.1e-4 with 200 steps; bounds are twice that.",
+            "|a| t exp(−t/lambda), at most |a| lambda/e: 4.1e-4 with 200 steps; bounds are twice that."
         ],
     )
 

@@ -18,8 +18,6 @@ such a matrix for singular, though with its rows and columns scaled its conditio
 which meshes of this size have by default, scales by itself.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from ngsolve import CF, IfPos
 

@@ -13,8 +13,6 @@ on.  The medium's viscosity matters: as thin as 1e-4 Pa s it is thrown about on 
 found after 0.2 T; of 1e-2 Pa s it holds the surface (-5 %, 8 rows).
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

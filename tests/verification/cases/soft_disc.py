@@ -1,7 +1,5 @@
 """A soft disc in a fluid: carried round a lid-driven cavity, and oscillating in a Taylor-Green vortex."""
 
-from __future__ import annotations
-
 import numpy as np
 from ngsolve import cos, pi, sin, x, y
 

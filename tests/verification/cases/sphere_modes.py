@@ -10,8 +10,6 @@ and tau_{r phi} = 0 at r = R is (l - 1) j_l(x) = x j_{l+1}(x) for x = k R (Lamb 
 Theoretical Global Seismology, 1998, Section 8.6).  The least roots are 2.5011, 3.8647, 5.0946.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -129,11 +127,7 @@ def _toroidal() -> Outcome:
             "largest |closure|": max(closures),
         },
         tables=[
-            Table(
-                "frequencies",
-                ["mode", "tetrahedra", "omega, 1/s", "exact", "error", "decay, 1/s"],
-                rows,
-            )
+            Table("frequencies", ["mode", "tetrahedra", "omega, 1/s", "exact", "error", "decay, 1/s"], rows)
         ],
         remarks=[
             "In the picture the values fall behind by the midpoint rule's own error of the phase, "

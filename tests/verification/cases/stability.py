@@ -1,7 +1,5 @@
 """Stability for every step length: four decades of tau, without and with a load."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 

@@ -13,8 +13,6 @@ bottom, rises and lifts the lithosphere.  There is no solution but those of code
 at 3.363 Myr, in a digitised curve of Underworld's (examples of Mandyoc); 800 m are reached at 10 Myr.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -8,8 +8,6 @@ The control is an energy by fractions, sum theta_i f_i(X/N) N of one tensor X = 
 for each body, but not jointly so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import reduce
@@ -221,7 +219,7 @@ def _collision() -> Outcome:
             "The controls are those of the cases above.  The bounds were written before it was run, but that "
             "of rejected steps, after a trial by backward Euler until 1.4 s.  The largest remainder of the "
             "midpoint rule is that of the first step, in which the discs are thrown: its order is 1.98 from "
-            "2.5 to 1.25 ms, which were to be the steps, 2.27 to 0.625 ms, and here.",
+            "2.5 to 1.25 ms, which were to be the steps, 2.27 to 0.625 ms, and here."
         ],
     )
 

@@ -4,8 +4,6 @@ The fluid is an elastoviscoplastic one: Bingham's flow rule (``Perzyna``, n = 1)
 no viscosity of the state.  What is elastic is of the size of stress/G.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

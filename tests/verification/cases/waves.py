@@ -1,7 +1,5 @@
 """Waves of small amplitude against the dispersion relation, with viscosity and hyperviscosity."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

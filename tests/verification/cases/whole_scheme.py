@@ -1,7 +1,5 @@
 """The whole scheme at once, as the paper's proof has it: each of its estimates, on refined meshes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import pairwise
@@ -191,10 +189,7 @@ POWERS = {
 
 
 def estimates(
-    kind: str,
-    meshes: Mapping[float, Mesh] | None = None,
-    sizes: Sequence[float] = SIZES,
-    steps: int = STEPS,
+    kind: str, meshes: Mapping[float, Mesh] | None = None, sizes: Sequence[float] = SIZES, steps: int = STEPS
 ) -> Outcome:
     """All norms for a sequence of epsilon = delta, on meshes by their h, m (default: of ``MESHES``)."""
     meshes = meshes or {h: square_mesh(h) for h in MESHES}

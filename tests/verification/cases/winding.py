@@ -1,7 +1,5 @@
 """Creeping flow that goes on: what F loses and B keeps, over a hundred Maxwell times."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Literal
 
@@ -115,10 +113,7 @@ def _side_by_side() -> Outcome:
                 rows,
             )
         ],
-        remarks=[
-            "The ledger closes in every row: closure is not correctness.",
-            *([ends] if ends else []),
-        ],
+        remarks=["The ledger closes in every row: closure is not correctness.", *([ends] if ends else [])],
     )
 
 
