@@ -95,8 +95,6 @@ class Case:
     ----------
     name : str
         Unique, in lower case with dashes; what the command line takes.
-    theme : str
-        Heading of the report under which it stands.
     statement : str
         What is claimed, in one or two sentences.
     label : str
@@ -111,10 +109,11 @@ class Case:
         Where a bound is known not to be kept: why.  Printed with the failure, which stays a failure.
     reduced : bool
         Whether the case belongs to the reduced set.
+    theme : str
+        Heading of the report under which it stands, by the list of ``cases/``.
     """
 
     name: str
-    theme: str
     statement: str
     label: str
     setting: str
@@ -122,6 +121,7 @@ class Case:
     run: Callable[[], Outcome]
     explanation: str = ""
     reduced: bool = False
+    theme: str = ""
 
     def __post_init__(self) -> None:
         if not self.bounds:

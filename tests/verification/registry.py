@@ -14,9 +14,8 @@ def all_cases() -> tuple[Case, ...]:
     VerificationError
         If two cases share a name.
     """
-    from tests.verification import cases
+    from tests.verification.cases import CASES as found
 
-    found = tuple(case for module in cases.MODULES for case in module.CASES)
     names = [case.name for case in found]
     double = sorted({name for name in names if names.count(name) > 1})
     if double:

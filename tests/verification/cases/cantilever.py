@@ -133,7 +133,6 @@ def _cantilever() -> Outcome:
 CASES = (
     Case(
         name="cantilever-in-soft-medium",
-        theme="Bodies and their interfaces",
         statement="In a light fluid a clamped bar bends under its weight as beam theory says of empty space; "
         "an elastic medium that is 1e-2 times as stiff carries a part of the weight.",
         label="benchmark: beams after Euler and Bernoulli, and Timoshenko",

@@ -147,7 +147,6 @@ def _collision() -> Outcome:
 CASES = (
     Case(
         name="discs-that-meet",
-        theme="Bodies and their interfaces",
         statement="Two elastic discs that are thrown at each other meet, do not overlap, and part again; "
         "what they lose is what is dissipated.",
         label="benchmark: after Sulsky, Chen and Schreyer (1994)",

@@ -18,7 +18,6 @@ from tests.verification.setups import (
     square_mesh,
 )
 
-THEME = "The models against each other"
 MAXH = 0.35
 SMALL = {kind: elastic(kind, 10.0, 5.0) for kind in KINDS}
 
@@ -112,7 +111,6 @@ def _case(kind: str) -> Case:
     moduli = "K_e = 10 Pa, shear modulus 5 Pa, 0.2 m/s; cells of 0.35 m"
     return Case(
         name=f"kelvin-voigt-{kind}",
-        theme=THEME,
         statement=f"In {KINDS[kind]} a Jeffreys material goes to the Kelvin–Voigt one as G_m -> "
         f"infinity; with "
         "creep the deviatoric stress under a lasting load relaxes, without it stays.",
@@ -133,7 +131,6 @@ def _case(kind: str) -> Case:
 CASES = (
     Case(
         name="small-strain",
-        theme=THEME,
         statement="The linearised and the finite-strain model agree as strains go to zero: their relative "
         "difference is of first order in the strain.",
         label="ZJ, ED-Euler-large2",

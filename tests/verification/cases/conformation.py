@@ -14,7 +14,6 @@ from ngvisco.geometries import channel, structured_box
 from ngvisco.physics.flow_rules import CreepLaw
 from ngvisco.physics.materials import FENEP
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.cases.rheology import THEME
 from tests.verification.cases.shear import sheared
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, closure, stokes
@@ -238,7 +237,6 @@ _STARTUP = (
 def _case(name: str) -> Case:
     return Case(
         name=f"{name}-shear",
-        theme=THEME,
         statement=FLUIDS[name][3],
         label="Bird, Armstrong, Hassager 1987; Leonov 1976",
         setting="Channel of 1 m x 1 m between a resting and a sliding wall, lambda = 1 s, eta = 1 Pa s, "
@@ -257,7 +255,6 @@ CASES = (
     *(_case(name) for name in FLUIDS),
     Case(
         name="leonov-shear",
-        theme=THEME,
         statement="A Leonov fluid in steady shear has the stresses of its closed form; its shear stress has "
         "a bound.",
         label="Leonov 1976",
@@ -272,7 +269,6 @@ CASES = (
     ),
     Case(
         name="waters-king",
-        theme=THEME,
         statement="The start-up of plane channel flow of an Oldroyd-B fluid overshoots as the series says.",
         label="Waters and King 1970",
         setting="Channel of height 1 m, density 1, body force 1 N/m3, eta_s = 0.1 and eta_p = 1 Pa s, "
@@ -282,7 +278,6 @@ CASES = (
     ),
     Case(
         name="waters-king-in-and-out",
-        theme=THEME,
         statement="The same between an inlet and an outlet: a height from each the flow is that of the "
         "endless channel.",
         label="Waters and King 1970",

@@ -15,7 +15,6 @@ from tests.verification.problems import distance
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, KINDS, around, closure, elastic, stokes
 
-THEME = "Exact solutions: rotation, Couette flow"
 OMEGA = 1.0
 
 
@@ -81,7 +80,6 @@ def _rotation_case(kind: str) -> Case:
         )
     return Case(
         name=f"rotation-{kind}",
-        theme=THEME,
         statement="A disc in rigid rotation stays so: "
         + (
             "F = R(t), to first order in tau."
@@ -138,7 +136,6 @@ def _case(kind: str) -> Case:
     finite = kind != "linearised"
     return Case(
         name=f"couette-{kind}",
-        theme=THEME,
         statement=f"The shear stress of a Maxwell fluid between cylinders in {NAMES[kind]} is eta times "
         f"that of the closed form.",
         label="Euler-small-flow-rule" if not finite else "ED-Euler-large3",

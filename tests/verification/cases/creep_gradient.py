@@ -22,7 +22,6 @@ from tests.verification.rates import RateTable
 from tests.verification.setups import KINDS
 from tests.verification.sources import Sources
 
-THEME = "Creep with a gradient"
 NU = 0.1
 LABEL = {
     "linear": "Euler-small-flow-rule",
@@ -195,7 +194,6 @@ def _manufactured_case(kind: str, dim: int) -> Case:
     name = NAMES[kind]
     return Case(
         name=f"creep-gradient-{dim}d-{name}",
-        theme=THEME,
         statement=f"With nu > 0 the whole system of {KINDS[name]} with all its terms converges in space in "
         f"{dim}D, the creep rate too; its source is the independent residual.",
         label=f"{LABEL[kind]}, {LABELS[kind]}",
@@ -222,7 +220,6 @@ def _independent_case(dim: int, sizes: tuple[float, ...], largest: float, rate: 
     shape = "disc" if dim == 2 else "ball"
     return Case(
         name=f"creep-gradient-{shape}",
-        theme=THEME,
         statement=f"The creep rate of a driving stress that varies along the radius of a {shape} is the "
         "minimiser of its potential, found in one dimension without the package.",
         label="ED-Euler-large3, Euler-large-viscoelastodyn+4disc",
@@ -249,7 +246,6 @@ CASES = (
     *(_manufactured_case(kind, dim) for kind in NAMES for dim in (2, 3)),
     Case(
         name="creep-gradient-flow-rules",
-        theme=THEME,
         statement="With nu > 0 and a creep rate that varies in space, flow rules whose potential is not "
         "quadratic converge in space, by E, by F and by B; their sources are the literature's formulas.",
         label="Euler-small-flow-rule, ED-Euler-large3, Euler-large-viscoelastodyn+4disc",

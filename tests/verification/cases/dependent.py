@@ -16,7 +16,6 @@ from tests.verification.problems import distance, refinements
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, SETTING, block, closure, square_mesh
 
-THEME = "Dependent variables"
 COFACTORS = nv.MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
 LOGARITHMIC = nv.LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 DURATION = 0.096
@@ -106,7 +105,6 @@ def _case(name: str, what: tuple[str, str], label: str, material: nv.Material) -
     ]
     return Case(
         name=f"dependent-{name}",
-        theme=THEME,
         statement=f"{what[0]} and {what[1]} vanish as delta, tau and h go to zero, though each variable "
         f"is transported on its own.",
         label=label,
@@ -150,7 +148,6 @@ def measure_in_space() -> Outcome:
 
 IN_SPACE = Case(
     name="dependent-cofactor-3d",
-    theme=THEME,
     statement="In three dimensions J - det F and H - Cof F vanish as tau and h go to zero.",
     label="DT-det-extended, H-flow-rule, rem-polyconvex-general",
     setting="A cube of 1 m with slip, density 1 + 0.2 cos(pi x) kg/m3, MooneyRivlin with K_e = 10 Pa, "
@@ -215,7 +212,6 @@ def measure_printed() -> Outcome:
 
 PRINTED = Case(
     name="dependent-cofactor-printed",
-    theme=THEME,
     statement="The row of H as it is printed, with F^k in it, and ours, with H^k, are two schemes of first "
     "order for one equation: their difference vanishes with their distances from Cof F.",
     label="Euler-large-viscoelastodyn-H, H-flow-rule",

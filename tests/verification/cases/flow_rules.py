@@ -18,8 +18,6 @@ from tests.verification.cases.shear import sheared
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, closure
 
-THEME = "Exact solutions: flow rules"
-
 Rate = Callable[[float, float, float], float]
 """|Pi|, 1/s, of |M|, Pa, the plastic strain k and the pressure p, Pa."""
 
@@ -226,7 +224,6 @@ def _flow_curve() -> Outcome:
 CASES = (
     Case(
         name="flow-rules-startup",
-        theme=THEME,
         statement="Start-up of shear by every flow rule, in the linearised model and at finite strain by F "
         "and by B, follows the ordinary differential equations of the tensor and of the plastic strain.",
         label="Euler-small-flow-rule, ED-Euler-large2, ED-Euler-large3",
@@ -246,7 +243,6 @@ CASES = (
     ),
     Case(
         name="flow-rules-midpoint",
-        theme=THEME,
         statement="The midpoint rule is of second order with creep, and with yield too, although that begins "
         "within a step.",
         label="Euler-small-flow-rule, ED-Euler-large3",
@@ -265,7 +261,6 @@ CASES = (
     ),
     Case(
         name="norton-relaxation",
-        theme=THEME,
         statement="A stress relaxes by power-law creep as the closed form says.",
         label="Euler-small-flow-rule",
         setting="n = 3, A = 0.3/(s Pa^3), G = 1 Pa; a box that cannot move, stretched by 0.5, until 1 s.",
@@ -278,7 +273,6 @@ CASES = (
     ),
     Case(
         name="viscoplastic-flow-curve",
-        theme=THEME,
         statement="The shear stress of a steady flow is that of Bingham's and Perzyna's fluids at its rate.",
         label="Bingham 1916, Perzyna 1966",
         setting="sigma_Y = 1.5 Pa, G_m = 0.2 Pa s, G = 200 Pa; a channel of 1 m sheared by 0.1 in 20 steps.",

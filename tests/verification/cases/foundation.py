@@ -101,7 +101,6 @@ def _foundation() -> Outcome:
 CASES = (
     Case(
         name="bar-on-springs",
-        theme="Waves",
         statement="A bar on a foundation that gives swings with the frequency of the closed form, from soft "
         "springs to hard ones; a heavy block on springs with a dashpot is a damped oscillator.",
         label="benchmark: M q sin qL = k cos qL; the damped oscillator",

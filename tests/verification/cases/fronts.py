@@ -14,8 +14,6 @@ from tests.verification.problems import distance
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, closure, elastic, stokes
 
-THEME = "Exact solutions: layers and fronts"
-
 
 def _stokes(creeping: bool) -> Outcome:
     """Viscosity 1e-2 Pa s, as a Stokes viscosity or as the creep of a Maxwell fluid (lambda = 1 ms)."""
@@ -63,7 +61,6 @@ CASES = (
     *(
         Case(
             name=f"stokes-layer-{name}",
-            theme=THEME,
             statement=f"The first Stokes problem, v = 0.1 erf(x/(2 sqrt(mu t))), is met by {what}.",
             label="Euler-small-viscoelastodyn+; benchmarks: first Stokes problem",
             setting="Column of 0.2 m x 1 m, periodic in x, at rest below, 0.1 m/s above, rho = 1, mu = "

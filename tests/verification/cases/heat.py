@@ -14,8 +14,6 @@ from tests.verification.case import Bound, Case, Outcome, Table
 from tests.verification.problems import distance
 from tests.verification.setups import CLOSURE, closure
 
-THEME = "Heat"
-
 # an elastic body whose heat matters: COUPLING^2 THETA_R/C is a quarter of its stiffness
 STIFFNESS, C, THETA_R, COUPLING = 4.0, 2.0, 5.0, 0.6
 SMALL = 1e-4
@@ -293,7 +291,6 @@ _AFTER = "set after a first run"
 CASES = (
     Case(
         name="heat-clamped",
-        theme=THEME,
         statement="A clamped body that is heated does not move, and has the pressure K beta dtheta.",
         label="Duhamel and Neumann's law; heat-energy of FORMULATION",
         setting="Box of 1 m with walls all around, 3 W/m^3 for 1 s, c = 2 J/(m^3 K); midpoint rule.",
@@ -314,7 +311,6 @@ CASES = (
     ),
     Case(
         name="heat-sound",
-        theme=THEME,
         statement="Without conduction waves are isentropic, faster than isothermal ones.",
         label="c^2 = (M + (Gamma c)^2 theta_R/c)/rho, gamma p/rho of an ideal gas",
         setting="Standing waves of 2 m, amplitude 1e-4 m/s, cells of 0.2 m, steps of 0.01 s, midpoint rule.",
@@ -329,7 +325,6 @@ CASES = (
     ),
     Case(
         name="heat-slab",
-        theme=THEME,
         statement="A slab cools through a wall in its slowest mode, at second order, by both solvers.",
         label="Carslaw and Jaeger, b tan b = Bi; heat-wall",
         setting="Slab of 1 m, Bi = 1.5, 50 K above its surroundings, until 0.4 s; dt = h/5, midpoint rule.",
@@ -342,7 +337,6 @@ CASES = (
     ),
     Case(
         name="heat-brinkman",
-        theme=THEME,
         statement="Viscous heating of plane Couette flow between plates that cool.",
         label="Brinkman 1951; heat-entropy",
         setting="Periodic channel of 1 m, eta V^2/kappa = 8 K, plates with 100 W/(m^2 K), until 0.5 s.",
@@ -354,7 +348,6 @@ CASES = (
     ),
     Case(
         name="heat-thermoelastic",
-        theme=THEME,
         statement="Thermoelastic damping and dispersion, from adiabatic to isothermal waves.",
         label="Zener 1937; Chadwick 1960: (rho s^2 + M k^2)(c s + kappa k^2) + (Gamma c)^2 theta_R s k^2 = 0",
         setting="Standing waves of 2 m started in their modes, until 0.5 s; five conductivities.",
@@ -370,7 +363,6 @@ CASES = (
     ),
     Case(
         name="heat-manufactured",
-        theme=THEME,
         statement="Conduction with kappa(theta) converges at second order to a manufactured temperature.",
         label="heat-conduction",
         setting="Square of 1 m, kappa = theta/theta_R, theta varies by 25 %; cells to 0.1 m, dt = h/4.",
@@ -382,7 +374,6 @@ CASES = (
     ),
     Case(
         name="heat-order",
-        theme=THEME,
         statement="Of second order in time with everything on: viscosity, hyperviscosity, creep, conduction.",
         label="heat-weak",
         setting="A swirl of 0.3 m/s in a warm box, cells of 0.5 m, midpoint rule with 0.02 to 0.0025 s.",

@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 import ngvisco as nv
 from ngvisco.geometries import structured_box
 from tests.verification.case import Bound, Case, Outcome, Table
-from tests.verification.cases.heat import THEME
 from tests.verification.setups import CLOSURE, closure
 
 C, THETA_R, RATE, ENERGY = 2.0, 300.0, 2.0, 2e4
@@ -173,7 +172,6 @@ def _heated_stream() -> Outcome:
 CASES = (
     Case(
         name="heat-carried-through",
-        theme=THEME,
         statement="A stream brings heat through an inlet, is heated on its way, and takes it out: its "
         "temperature, and the balances of energy and entropy.",
         label="heat-entropy; c V theta' = q + kappa theta'' with the conditions of Danckwerts (1953)",
@@ -204,7 +202,6 @@ CASES = (
     ),
     Case(
         name="heat-shear",
-        theme=THEME,
         statement="Adiabatic shear of a power-law fluid and of a body that creeps: heat weakens both.",
         label="heat-entropy; c theta' = tau rate with Arrhenius's factor, by SciPy's LSODA",
         setting="Homogeneous shear at 2/s for 1 s from 300 K, E = 20 kJ/mol; two cells, midpoint rule.",

@@ -6,7 +6,6 @@ from itertools import pairwise
 from ngsolve import CF, CoefficientFunction
 
 from tests.verification.case import Bound, Case, Outcome
-from tests.verification.cases.heat import THEME
 from tests.verification.convergence import coupled_rates, free_solution, separation
 from tests.verification.rates import RateTable
 from tests.verification.sources import Sources
@@ -54,7 +53,6 @@ def _in_time() -> Outcome:
 def _space(name: str, p: float | None, terms: str, least: dict[str, float]) -> Case:
     return Case(
         name=name,
-        theme=THEME,
         statement=f"A moving body that is heated by {terms}, and conducts it, converges to a manufactured "
         "solution of v, rho, F, J, A and s.",
         label="heat-entropy, heat-temperature",
@@ -80,7 +78,6 @@ CASES = (
     ),
     Case(
         name="heat-moving-time",
-        theme=THEME,
         statement="With manufactured sources that drive every mechanism and heat, the midpoint rule is of "
         "order 2 in v, rho and z, the entropy among these.",
         label="heat-weak",

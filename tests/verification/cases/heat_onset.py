@@ -15,7 +15,6 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.physics.variables import Jacobian
 from tests.verification.case import Bound, Case, Outcome, Table
-from tests.verification.cases.heat import THEME
 
 POINTS = 24
 """Chebyshev intervals of the eigenvalue problem."""
@@ -173,7 +172,6 @@ _BOUNDS = (
 CASES = (
     Case(
         name="heat-onset",
-        theme=THEME,
         statement="Convection between plates that slip sets in at the critical Rayleigh number.",
         label="Rayleigh 1916: 657.5 between walls that slip",
         setting=_SETTING,
@@ -182,7 +180,6 @@ CASES = (
     ),
     Case(
         name="heat-onset-no-slip",
-        theme=THEME,
         statement="Convection between plates that hold the fluid sets in at the critical Rayleigh number.",
         label="Jeffreys 1928, Chandrasekhar 1961: 1707.762 between walls without slip",
         setting=_SETTING,

@@ -21,7 +21,6 @@ from ngvisco.physics.materials.thermal import bulk_modulus
 from ngvisco.physics.variables import Cofactor, Distortion, Jacobian
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.cases import riemann
-from tests.verification.cases.heat import THEME
 from tests.verification.manufactured import NUMERIC, SYMBOLIC, Functions
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, closure
@@ -264,7 +263,6 @@ def _stars() -> Outcome:
 CASES = (
     Case(
         name="heat-impact",
-        theme=THEME,
         statement="Impact and parting of an elastic body that is heated by compression and viscosity and "
         "conducts: profiles with entropy are those of a Lagrangian method of lines in numpy.",
         label="heat-entropy, heat-temperature, ED-Euler-large2",
@@ -289,7 +287,6 @@ CASES = (
     ),
     Case(
         name="heat-riemann",
-        theme=THEME,
         statement="Star states of an impact and of a parting at 20 % of the sound speed agree with the shock "
         "relations, energy's among them, and with the integral over the isentropic fan.",
         label="heat-entropy; Rankine and Hugoniot",

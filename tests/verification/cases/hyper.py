@@ -12,7 +12,6 @@ from tests.verification.case import Bound, Case, Outcome, Table
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, KINDS, LABELS, SETTING, block, closure, separation, square_mesh
 
-THEME = "The role of hyperviscosity"
 TAU, STEPS, MAXH = 0.02, 8, 0.35
 SIZES = (1e-3, 1e-4, 1e-5, 1e-6)
 MESHES = (0.5, 0.25, 0.125)
@@ -110,7 +109,6 @@ def measure(kind: str) -> Outcome:
 CASES = tuple(
     Case(
         name=f"hyperviscosity-{kind}",
-        theme=THEME,
         statement=f"In {KINDS[kind]} runs with mu -> 0 go to the run without hyperviscosity, and the energy "
         "closes for exponents p <= 3 too, where the analysis does not apply.",
         label=f"Euler-small-viscoelastodyn+1, {LABELS[kind]}",

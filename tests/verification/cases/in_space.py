@@ -6,7 +6,6 @@ from tests.verification.case import Case, Outcome
 from tests.verification.cases import sequence, stability, whole_scheme
 from tests.verification.setups import KINDS, LABELS, cube_mesh
 
-THEME = "Three dimensions"
 CUBE = (
     "The block of the plane's cases as a cube of 1 m, its eddy multiplied by 1 + 0.3 cos(pi z), gravity, "
     "where there is any, along -z; "
@@ -50,7 +49,6 @@ def _cases(kind: str) -> tuple[Case, ...]:
     return (
         Case(
             name=f"space-stability-{kind}",
-            theme=THEME,
             statement=f"In three dimensions too energy never rises in a step of {KINDS[kind]}.",
             label="Euler-large-energy-balance-disc" if finite else "Euler-ED-basic-energy-balance-disc",
             setting=f"{CUBE}cells of {FINE} m, three steps each of tau = 1e-3, "
@@ -60,7 +58,6 @@ def _cases(kind: str) -> tuple[Case, ...]:
         ),
         Case(
             name=f"space-estimates-{kind}",
-            theme=THEME,
             statement=f"In three dimensions too the estimates of {KINDS[kind]} hold with all its terms.",
             label="Euler-large-est, Euler-large-est+" if finite else "Euler-small-est, Euler-small-est+",
             setting=f"{CUBE}all terms of the scheme; cells of {COARSE} and {FINE} m, four steps of "
@@ -70,7 +67,6 @@ def _cases(kind: str) -> tuple[Case, ...]:
         ),
         Case(
             name=f"space-limits-{kind}",
-            theme=THEME,
             statement=f"In three dimensions too {KINDS[kind]} converges as tau, delta and epsilon -> 0 in "
             "turn.",
             label=f"{LABELS[kind]}, "

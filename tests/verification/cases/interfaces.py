@@ -12,7 +12,6 @@ from ngvisco.shapes.shape import Where
 from tests.verification.case import Bound, Case, Outcome, Table
 from tests.verification.interfaces import Carrier, Level, carried
 
-THEME = "Bodies and their interfaces"
 MAXH = 0.0625
 _RADIUS = 0.15
 
@@ -115,7 +114,6 @@ _FLOWS = {
 CASES = tuple(
     Case(
         name=f"interface-{name}",
-        theme=THEME,
         statement=f"Of {what} the fraction stays near [0, 1], the area is kept, the interface smears over "
         "a few cells.",
         label="benchmarks: rigid rotation, Zalesak (1979), LeVeque (1996)",

@@ -10,8 +10,6 @@ from ngvisco.geometries import box
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.setups import CLOSURE, KINDS, SETTING, block, closure, square_mesh, stokes
 
-THEME = "Mass, density and Jacobian"
-
 REGULARISATIONS = {
     "none": None,
     "delta": nv.Regularisation(delta_density=1e-2, delta_fields=1e-2),
@@ -171,7 +169,6 @@ def _cases(kind: str) -> tuple[Case, ...]:
     finite = kind == "finite"
     kept = Case(
         name=f"mass-{kind}",
-        theme=THEME,
         statement=f"In {KINDS[kind]} mass is conserved to rounding, with each of the scheme's "
         "regularisations.",
         label="Euler-small-est-1+",
@@ -183,7 +180,6 @@ def _cases(kind: str) -> tuple[Case, ...]:
     )
     cut = Case(
         name=f"cut-off-{kind}",
-        theme=THEME,
         statement=f"With the cut-off 0 < rho <= rho_max + 1 in {KINDS[kind]}, with any delta and without, "
         "for m = 0 and m = 1, in a problem whose density would otherwise pass it.",
         label="cut-off, Euler-small-est3+++" if not finite else "cut-off, Euler-large-est",
@@ -209,7 +205,6 @@ def _cases(kind: str) -> tuple[Case, ...]:
         low.append(Bound("fall of min J from the coarser to the finest mesh", "<=", 0.05, "no trend to 0"))
     positive = Case(
         name=f"positivity-{kind}",
-        theme=THEME,
         statement=f"In {KINDS[kind]} min rho{' and min J stay' if finite else ' stays'} away from 0 as "
         f"h and tau are refined.",
         label="basic-est-of-v, cont-eq-inverse" if not finite else "1/J-continuity-eq, J-min",

@@ -108,7 +108,6 @@ def _efforts(run: nv.Simulation, until: int) -> list[float]:
 CASES = (
     Case(
         name="jelly-in-a-light-medium",
-        theme="Bodies and their interfaces",
         statement="A jelly in a medium of a thousandth of its density drops as free fall says, bounces and "
         "settles; no step is repeated, and the total energy never rises by backward Euler.",
         label="FORMULATION.md, Section 9",

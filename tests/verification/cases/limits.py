@@ -31,7 +31,6 @@ from tests.verification.setups import (
     stokes,
 )
 
-THEME = "Limits"
 DURATION = 0.16
 DISTANCE = "distance in L2"
 YOSIDA_SIZES = (1e-2, 1e-3, 1e-4, 1e-5)
@@ -199,7 +198,6 @@ def _cases(kind: str) -> tuple[Case, ...]:
     setting = f"{SETTING}, creep with G_m = 2 Pa s, gravity 1 m/s2, until {DURATION} s"
     tau = Case(
         name=f"limit-tau-{kind}",
-        theme=THEME,
         statement=f"As tau -> 0 {KINDS[kind]} converges at first order, and the energy inequality becomes an "
         "equality: what the scheme dissipates numerically vanishes like tau.",
         label=f"{LABELS[kind]}, "
@@ -224,7 +222,6 @@ def _cases(kind: str) -> tuple[Case, ...]:
     )
     yosida = Case(
         name=f"limit-yosida-{kind}",
-        theme=THEME,
         statement=f"As epsilon -> 0 the solutions of {KINDS[kind]} with the Yosida approximation of the "
         f"stored "
         "energy go to those with the energy itself.",
@@ -237,7 +234,6 @@ def _cases(kind: str) -> tuple[Case, ...]:
     )
     delta_terms = Case(
         name=f"delta-terms-{kind}",
-        theme=THEME,
         statement=f"In {KINDS[kind]} the delta-terms vanish in L2(I x Omega) like sqrt(delta) or faster, "
         "and the compensating force like delta; gradients stay bounded.",
         label="Euler-small-est-rho-E, Euler-small-est-rho-E-"
@@ -263,7 +259,6 @@ CASES = (
     *(case for kind in KINDS for case in _cases(kind)),
     Case(
         name="limit-yosida-quartic",
-        theme=THEME,
         statement="As epsilon -> 0 the solutions with the Yosida approximation of an energy that grows like "
         "|E|^4 go to those with the energy itself.",
         label="rem-general-phi, varphi-regularized",
@@ -273,7 +268,6 @@ CASES = (
     ),
     Case(
         name="limit-tau-bodies",
-        theme=THEME,
         statement="What is spread thin takes part in the flow by its fraction, not by the step: as tau -> 0 "
         "the result converges; with a relaxation of traces in each step it does not.",
         label="FORMULATION.md, Section 9",

@@ -5,7 +5,6 @@ from functools import partial
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot
 from tests.verification.convergence import transport_rates
 
-THEME = "Convergence: manufactured solutions"
 NAMES = {"linear": "linearised", "neo-hookean": "finite"}
 LABELS = {"linear": "Euler-small-viscoelastodyn+disc", "neo-hookean": "Euler-large-viscoelastodyn+disc"}
 TERMS = "creep, gravity, Stokes viscosity, hyperviscosity p = 4, delta (r = 4) and epsilon (p = 4)"
@@ -27,7 +26,6 @@ def _cases(kind: str) -> tuple[Case, ...]:
     name = NAMES[kind]
     carried = Case(
         name=f"manufactured-transport-{name}",
-        theme=THEME,
         statement="Density and fields alone, with the exact velocity, converge with order m + 1 in 2D.",
         label="Euler-small-viscoelastodyn+0disc, Euler-small-viscoelastodyn+2disc"
         if kind == "linear"
@@ -43,7 +41,6 @@ def _cases(kind: str) -> tuple[Case, ...]:
     )
     carried_3d = Case(
         name=f"manufactured-transport-3d-{name}",
-        theme=THEME,
         statement="Density and fields alone converge with at least order m + 1/2 in 3D.",
         label=carried.label,
         setting="Unit cube, 12 tetrahedra refined twice (m = 0, 1) to 768, two steps of 0.25 s.",

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.cases.manufactured import LABELS, NAMES, TERMS, THEME
+from tests.verification.cases.manufactured import LABELS, NAMES, TERMS
 from tests.verification.convergence import coupled_rates
 from tests.verification.sources import TakingPartWholly
 
@@ -83,7 +83,6 @@ def _case(kind: str, series: Series) -> Case:
         fields = "m + 1/2 at least"
     return Case(
         name=f"manufactured-{series.dim}d{order}-{NAMES[kind]}",
-        theme=THEME,
         statement=f"With k = {series.k} the whole system with all its terms converges in space in "
         f"{series.dim}D: {claim}, rho and z with order {fields}, but no more than they are given by v.",
         label=LABELS[kind],
@@ -125,7 +124,6 @@ def _bodies() -> Outcome:
 
 OF_BODIES = Case(
     name="manufactured-bodies",
-    theme=THEME,
     statement="Two bodies of other stiffness, viscosity, creep and density that share every point converge "
     "in space: amounts and tensors with order m + 1.",
     label="FORMULATION.md, Section 9",

@@ -10,7 +10,7 @@ import ngvisco as nv
 from ngvisco.forms.context import time
 from ngvisco.geometries import box, channel
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot
-from tests.verification.cases.shear import THEME, stresses
+from tests.verification.cases.shear import stresses
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, closure
 
@@ -111,7 +111,6 @@ def _oscillation() -> Outcome:
 CASES = (
     Case(
         name="maxwell-relaxation",
-        theme=THEME,
         statement="A Maxwell body's uniform stress relaxes as tau_0 exp(−G t/eta): 20 MPa fall to 7.49 "
         "kPa in 250 kyr.",
         label="Euler-small-viscoelastodyn+2; ASPECT viscoelastic_relaxation",
@@ -128,7 +127,6 @@ CASES = (
     ),
     Case(
         name="oscillatory-shear",
-        theme=THEME,
         statement="Oscillatory shear of a Maxwell material at De = pi/2 follows the closed form.",
         label="Euler-small-viscoelastodyn+2; Underworld3",
         setting="eta = mu = 1, omega = pi/2, shear rate 1e-3 sin(omega t) (small, so that the spin has "

@@ -7,7 +7,6 @@ from ngvisco.geometries import box
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.setups import CLOSURE, closure, drift, lid_driven
 
-THEME = "Robustness of the scheme"
 DT, END = 0.02, 0.4
 SCHEMES = ("backward-euler", "midpoint", "sdirk2")
 
@@ -73,7 +72,6 @@ def _measured() -> Outcome:
 CASES = (
     Case(
         name="limited-cavity",
-        theme=THEME,
         statement="A body under a lid that starts at full speed, up to its corners, is torn there: cells "
         "whose means are positive are limited, mass and the energy's balance kept, and the run goes on.",
         label="Zhang and Shu, J. Comput. Phys. 229 (2010); paper: Euler-large-ass-phi",

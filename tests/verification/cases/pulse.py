@@ -9,7 +9,6 @@ from ngsolve import CF, Det, pi, sin, x
 import ngvisco as nv
 from ngvisco.geometries import box
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.cases.fronts import THEME
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, closure
@@ -107,7 +106,6 @@ def _pulse(kind: str) -> Outcome:
 CASES = tuple(
     Case(
         name=f"pulse-{name}",
-        theme=THEME,
         statement="In a strong compression pulse with a steep front rho det F stays rho_0 in the "
         f"limit, though rho and {what} are transported apart, and rho meets the Lagrangian solution.",
         label="1/J-continuity-eq, DT-det-extended",

@@ -130,7 +130,6 @@ def _rayleigh_taylor() -> Outcome:
 CASES = (
     Case(
         name="rayleigh-taylor-elastic",
-        theme="Bodies and their interfaces",
         statement="A heavy elastic layer that hangs over a light fluid falls where it is softer than the "
         "threshold of linear theory, and oscillates where it is stiffer.",
         label="benchmark: Mora et al. (2014)",

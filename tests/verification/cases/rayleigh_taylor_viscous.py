@@ -109,7 +109,6 @@ def _growth() -> Outcome:
 CASES = (
     Case(
         name="rayleigh-taylor-viscous",
-        theme="Bodies and their interfaces",
         statement="A heavy viscous layer over a lighter one overturns at the rate of linear theory, over six "
         "decades of their viscosities.",
         label="benchmark: Ramberg (1968), Gerya (2010)",

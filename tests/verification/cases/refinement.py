@@ -78,7 +78,6 @@ def _pulse() -> Outcome:
 CASES = (
     Case(
         name="refined-pulse",
-        theme="Exact solutions: waves",
         statement="Meshes that follow a pulse give the error of a mesh that is as fine everywhere with a "
         "third of its cells; mass is kept, and what changes of mesh take of the energy is little and closes.",
         label="beyond the paper",

@@ -18,7 +18,6 @@ from tests.verification.cases.shear import sheared, stresses
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, KINDS, closure, elastic, stokes
 
-THEME = "Exact solutions: rheology"
 BY_B = "finite-b"
 """The finite-strain model with the material by B = F F^T instead of F: the same differential equation."""
 NAMES = {**KINDS, BY_B: "the finite-strain model by B"}
@@ -196,7 +195,6 @@ def _cases(kind: str) -> tuple[Case, Case]:
     label = "Euler-small-flow-rule" if kind == "linearised" else "ED-Euler-large2, ED-Euler-large3"
     up = Case(
         name=f"jeffreys-startup-{kind}",
-        theme=THEME,
         statement=f"Start-up of shear of a Jeffreys material in {name} follows its ODE.",
         label=label,
         setting=f"{setting}; shear rate 1/s until 4 s (shear 4).",
@@ -211,7 +209,6 @@ def _cases(kind: str) -> tuple[Case, Case]:
     )
     creep = Case(
         name=f"jeffreys-creep-{kind}",
-        theme=THEME,
         statement=f"Creep of a Jeffreys material under a constant shear stress in {name} follows its ODE.",
         label=f"{label}, rem-f-ne-0",
         setting=f"{setting}; traction 0.5 Pa on the upper wall until 4 s, density 1e-4 (no inertia in "
@@ -230,7 +227,6 @@ def _cases(kind: str) -> tuple[Case, Case]:
 def _upper_convected_case(kind: str) -> Case:
     return Case(
         name="upper-convected" if kind == "finite" else "upper-convected-b",
-        theme=THEME,
         statement=f"A Maxwell fluid of {NAMES[kind]} in shear is the upper-convected Maxwell fluid in the "
         "limit of small Weissenberg numbers, with a deviation of second order.",
         label="ED-Euler-large2, ED-Euler-large3",

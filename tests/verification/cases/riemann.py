@@ -165,7 +165,6 @@ def _measure() -> Outcome:
 CASES = (
     Case(
         name="riemann-elastic",
-        theme="Exact solutions: waves",
         statement="Star states of an impact and of an expansion at 10 and 20 % of the sound speed agree with "
         "the shock relations and with the integral over the fan, with default options.",
         label="ED-Euler-large2",

@@ -15,7 +15,6 @@ from ngvisco.run.stepping import Accepted, FixedStepper
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.setups import KINDS, LABELS, block, elastic
 
-THEME = "Robustness of the scheme"
 STIFFNESS = (1.0, 1e2, 1e4, 1e6)
 RATIOS = (2.0, 1e4)
 """K_e/G_e: compressible, nearly incompressible."""
@@ -156,7 +155,6 @@ def measure(kind: str) -> Outcome:
 CASES = tuple(
     Case(
         name=f"robustness-{kind}",
-        theme=THEME,
         statement=f"In {KINDS[kind]} steps are solved over six decades of stiffness, four of tau, "
         f"viscosity 0 to "
         "10 Pa s, compressible to nearly incompressible, at CFL numbers up to 20 and beyond.",

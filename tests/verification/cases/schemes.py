@@ -14,7 +14,6 @@ from tests.verification.cases.waves import G_E, standing_wave
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, SWIRL, closure, stokes
 
-THEME = "Time schemes"
 SECOND_ORDER = ("midpoint", "sdirk2")
 LABEL = "Euler-small-viscoelastodyn+disc, Euler-large-viscoelastodyn+disc, and beyond the paper"
 
@@ -159,7 +158,6 @@ def _case(scheme: str) -> Case:
     drift = 1e-8 if scheme == "midpoint" else 1e-2
     return Case(
         name=f"standing-wave-{scheme}",
-        theme=THEME,
         statement=f"By {scheme} a small elastic standing wave follows cos(k x) cos(c_s k t) to second order.",
         label=LABEL,
         setting="The strip of standing-wave: five periods of 20, 40 and 80 steps.",
@@ -176,7 +174,6 @@ def _case(scheme: str) -> Case:
 CASES = (
     Case(
         name="standing-wave",
-        theme=THEME,
         statement="A small elastic standing wave follows cos(k x) cos(c_s k t); its energy drifts by the "
         "implicit step's own damping only, which vanishes like tau.",
         label="Euler-small-viscoelastodyn+; Underworld3",
@@ -192,7 +189,6 @@ CASES = (
     *map(_case, SECOND_ORDER),
     Case(
         name="hundred-periods",
-        theme=THEME,
         statement="Over 100 periods of an elastic wave the midpoint rule keeps the energy; what its phase "
         "is off "
         "by is the scheme's own formula.",
@@ -208,7 +204,6 @@ CASES = (
     ),
     Case(
         name="swirl-schemes",
-        theme=THEME,
         statement="Of a swirl's kinetic energy at 0.2 s the midpoint rule with 0.02 s is nearer to the "
         "limit than "
         "backward Euler with a thirtieth of that step, and dissipates nothing of its own.",

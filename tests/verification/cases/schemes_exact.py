@@ -12,7 +12,7 @@ from ngvisco.forms.context import time
 from ngvisco.geometries import channel
 from tests.verification.case import Bound, Case, Outcome
 from tests.verification.cases.rheology import startup
-from tests.verification.cases.schemes import LABEL, SECOND_ORDER, THEME
+from tests.verification.cases.schemes import LABEL, SECOND_ORDER
 from tests.verification.convergence import free_solution, separation
 from tests.verification.models import KINDS as MODELS
 from tests.verification.rates import RateTable
@@ -89,7 +89,6 @@ def _cases(scheme: str) -> tuple[Case, ...]:
         *(
             Case(
                 name=f"jeffreys-startup-{kind}-{scheme}",
-                theme=THEME,
                 statement=f"By {scheme} start-up of shear of a Jeffreys material in {KINDS[kind]} follows "
                 "its "
                 "ODE to second order.",
@@ -107,7 +106,6 @@ def _cases(scheme: str) -> tuple[Case, ...]:
         ),
         Case(
             name=f"couette-startup-{scheme}",
-            theme=THEME,
             statement=f"By {scheme} a Newtonian fluid under a lid that is accelerated follows Fourier's "
             + ("series, to second order." if midpoint else "series, to order 1.5 at least."),
             label="Euler-small-viscoelastodyn+1",
@@ -139,7 +137,6 @@ CASES = (
     *(
         Case(
             name=f"order-in-time-{'finite' if kind == 'neo-hookean' else 'linearised'}-{scheme}",
-            theme=THEME,
             statement=f"With manufactured sources that drive every term, {scheme} is of order {order} in v, "
             "rho and z.",
             label=LABEL,

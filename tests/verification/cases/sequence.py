@@ -12,7 +12,7 @@ from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import sym
 from ngvisco.run.simulation import Simulation
 from tests.verification.case import Bound, Case, Outcome
-from tests.verification.cases.whole_scheme import RHO_MAX, THEME, WHOLE, whole
+from tests.verification.cases.whole_scheme import RHO_MAX, WHOLE, whole
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, KINDS, closure, square_mesh, state
@@ -193,7 +193,6 @@ def bounds(kind: str) -> tuple[Bound, ...]:
 def _case(kind: str) -> Case:
     return Case(
         name=f"whole-sequence-{kind}",
-        theme=THEME,
         statement=f"With all terms of the scheme of {KINDS[kind]} at once its solutions converge as tau -> "
         "0; these, then, as delta -> 0 with epsilon kept; and those as epsilon -> 0: the paper's sequence.",
         label="Euler-small-viscoelastodyn+disc, Euler-small-converge+, Euler-small-viscoelastodyn+eps"

@@ -13,7 +13,6 @@ from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, closure, stokes
 
-THEME = "Exact solutions: shear and relaxation"
 G, ETA, RATE = 100.0, 100.0, 0.3
 TABLE = {
     0.01: (0.298505, 0.000447),
@@ -200,7 +199,6 @@ def _neo_hookean() -> Outcome:
 CASES = (
     Case(
         name="jaumann-shear",
-        theme=THEME,
         statement="The stresses of a Zaremba–Jaumann Maxwell fluid in simple shear are those of the "
         "closed form.",
         label="ZJ, Euler-small-flow-rule; Farrington et al. 2014",
@@ -216,7 +214,6 @@ CASES = (
     ),
     Case(
         name="jaumann-start-up",
-        theme=THEME,
         statement="Start-up shear of a Zaremba–Jaumann Maxwell fluid at W = lambda rate = 5, turned by five "
         "radians, is eta rate/(1 + W²) [1 − exp(−t/lambda) (cos rate t − W sin rate t)].",
         label="ZJ, Euler-small-flow-rule",
@@ -235,7 +232,6 @@ CASES = (
     ),
     Case(
         name="neo-hookean-shear",
-        theme=THEME,
         statement="A neo-Hookean body in simple shear has T_12 = 2 G_e gamma and T_11 − T_22 = 2 G_e gamma².",
         label="neo-Hookean-potential-actual, ED-Euler-large2",
         setting="Channel with a sliding wall, 1 m/s, G_e = 0.7 Pa, 20 steps of 0.1 s up to gamma = 2.",

@@ -107,7 +107,6 @@ def _bending() -> Outcome:
 CASES = (
     Case(
         name="slab-recovery",
-        theme="Bodies and their interfaces",
         statement="A viscoelastic slab in a weak medium bends under its weight, no farther than its "
         "elastic end, and goes back when gravity ends.",
         label="benchmark: Gerya (2010)",

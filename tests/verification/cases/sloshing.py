@@ -129,7 +129,6 @@ def _sloshing() -> Outcome:
 CASES = (
     Case(
         name="sloshing",
-        theme="Bodies and their interfaces",
         statement="A layer beside a medium of a thousandth of its density sloshes with the frequency of "
         "linear theory while the surface lies on edges of cells, beside one of a hundredth also where it "
         "moves through them.",

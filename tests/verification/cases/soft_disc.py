@@ -11,8 +11,6 @@ from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.immersed import CAVITY, COLUMNS, TAYLOR_GREEN, Problem, computed
 from tests.verification.setups import CLOSURE, closure, fluid, stokes
 
-THEME = "Bodies and their interfaces"
-
 PATH = np.array(
     [
         (0.5, 0.57623, 0.49479),
@@ -191,7 +189,6 @@ def _oscillating() -> Outcome:
 CASES = (
     Case(
         name="soft-disc-cavity",
-        theme=THEME,
         statement="A soft disc is carried round a lid-driven cavity along the path that another method for "
         "the incompressible problem gives; it keeps its mass and nearly its volume, and how stiff the volume "
         "is matters little.",
@@ -211,7 +208,6 @@ CASES = (
     ),
     Case(
         name="soft-disc-vortex",
-        theme=THEME,
         statement="A disc in a Taylor-Green vortex is stretched and swings back: its elastic energy over "
         "time is that of another method for the incompressible problem, and the ledger closes.",
         label="benchmark: Zhao, Freund and Moser (2008), Jain, Kamrin and Mani (2019)",

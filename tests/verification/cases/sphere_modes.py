@@ -140,7 +140,6 @@ def _toroidal() -> Outcome:
 CASES = (
     Case(
         name="toroidal-modes",
-        theme="Exact solutions: waves",
         statement="An elastic ball that a wall with slip encloses swings in its toroidal modes 0T2, 0T3 and "
         "0T4 with the frequencies of a free one; the midpoint rule keeps their energy.",
         label="Euler-small-viscoelastodyn+; Lamb 1882",

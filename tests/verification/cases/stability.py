@@ -10,7 +10,6 @@ import ngvisco as nv
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.setups import CLOSURE, KINDS, SETTING, block, closure, potential
 
-THEME = "Stability for every step length"
 TAUS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 STEPS = 5
 
@@ -87,7 +86,6 @@ def _case(kind: str, load: str) -> Case:
     what = "kinetic, stored and the weight's potential energy" if gravity else "kinetic plus stored energy"
     return Case(
         name=f"stability-{load}-{kind}",
-        theme=THEME,
         statement=f"In {KINDS[kind]} {what} never rises in a step, whatever its length"
         + (", under gravity." if gravity else ", without load."),
         label=(

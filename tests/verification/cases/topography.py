@@ -219,7 +219,6 @@ def _rising() -> Outcome:
 CASES = (
     Case(
         name="topography-relaxation",
-        theme="Bodies and their interfaces",
         statement="Topography under light air instead of a free surface relaxes at the analytic rate.",
         label="benchmark: Crameri et al. (2012), case 1",
         setting=f"Half a wave of {LENGTH / 1e3:g} km, slip but for the bottom; 100 km of lithosphere, 1e23 "
@@ -238,7 +237,6 @@ CASES = (
     ),
     Case(
         name="topography-of-a-plume",
-        theme="Bodies and their interfaces",
         statement="A plume that rises below a lithosphere lifts the surface under light air as far as other "
         "codes say.",
         label="benchmark: Crameri et al. (2012), case 2",

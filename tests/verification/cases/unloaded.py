@@ -234,7 +234,6 @@ _STIFF = f"G_e = {STIFF:g} and {SOFT:g} Pa, K_e = {BULK:g} Pa, 1 kg/m3"
 CASES = (
     Case(
         name="unloaded-translation",
-        theme="Bodies and their interfaces",
         statement="Two bodies of different stiffness in rigid translation, one of them strained, never gain "
         "energy by backward Euler; with an energy mixed by fractions they do.",
         label="FORMULATION.md, Section 9",
@@ -252,7 +251,6 @@ CASES = (
     ),
     Case(
         name="unloaded-disc",
-        theme="Bodies and their interfaces",
         statement="A stiff disc in a soft solid, both turned by an eddy and then left alone, never "
         "gain energy by backward Euler; the midpoint rule leaves a remainder of third order.",
         label="FORMULATION.md, Section 9",
@@ -270,7 +268,6 @@ CASES = (
     ),
     Case(
         name="unloaded-collision",
-        theme="Bodies and their interfaces",
         statement="Two elastic discs that are thrown at each other in a light medium, all without viscosity, "
         "never gain energy by backward Euler; the midpoint rule leaves a remainder of third order.",
         label="FORMULATION.md, Section 9",

@@ -18,7 +18,6 @@ from tests.verification.cases.rheology import BY_B, NAMES
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, around, closure, elastic
 
-THEME = "Exact solutions: flow rules"
 TAU_Y, ETA, G = 0.2, 0.1, 100.0
 """Yield stress in shear, Pa, plastic viscosity, Pa s, modulus of shear, Pa."""
 KINDS = ("linearised", BY_B)
@@ -168,7 +167,6 @@ def _flow_cases(kind: str) -> tuple[Case, Case]:
     return (
         Case(
             name=f"bingham-channel-{kind}",
-            theme=THEME,
             statement=f"Bingham's fluid between plates in {NAMES[kind]} flows by its closed form.",
             label="Bingham 1916",
             setting=f"Elastoviscoplastic: G = {G:g} Pa, yields at {TAU_Y} Pa in shear, plastic "
@@ -188,7 +186,6 @@ def _flow_cases(kind: str) -> tuple[Case, Case]:
         ),
         Case(
             name=f"bingham-couette-{kind}",
-            theme=THEME,
             statement=f"Bingham's fluid around a turning cylinder in {NAMES[kind]} flows as the closed form "
             "says, and rests beyond the radius of yield.",
             label="Bingham 1916, Reiner and Riwlin 1927",
@@ -221,7 +218,6 @@ CASES = (
     *(case for kind in KINDS for case in _flow_cases(kind)),
     Case(
         name="norton-creep",
-        theme=THEME,
         statement="Under a constant shear stress Norton's rule creeps at the rate of its power law.",
         label="Norton 1929",
         setting=f"A = 0.3/(s Pa^n), n = 1, 3, 5, G = {G:g} Pa, tractions of 0.5, 1 and 2 Pa on the wall of a "

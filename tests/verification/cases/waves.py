@@ -11,7 +11,6 @@ from ngvisco.geometries import box
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.setups import CLOSURE, KINDS, closure, elastic
 
-THEME = "Exact solutions: waves"
 K_E, G_E, G_V, K_V, MU = 2.0, 1.0, 0.02, 0.01, 1e-3
 AMPLITUDE = 1e-2
 """m/s: strains of at most 1 %, and well above the width of the smoothed upwinding (1e-4 m/s)."""
@@ -119,7 +118,6 @@ def _wave_cases(kind: str) -> tuple[Case, ...]:
     return tuple(
         Case(
             name=f"dispersion-{wave}-{kind}",
-            theme=THEME,
             statement=f"A small {wave} wave in {KINDS[kind]} has the phase speed and the decay of the "
             "dispersion relation rho omega² = M k² − i omega (D k² + mu k⁴), over a decade of k.",
             label="Euler-small-viscoelastodyn+1" if kind == "linearised" else "ED-Euler-large1",

@@ -14,7 +14,6 @@ from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.cases.dependent import COFACTORS
 from tests.verification.setups import CLOSURE, KINDS, SETTING, block, closure, material, square_mesh
 
-THEME = "The whole scheme"
 GRAVITY, RHO_MAX, MU, NU = 1.0, 2.0, 1e-4, 1e-2
 EXPONENT = 4
 """p, q and r."""
@@ -252,7 +251,6 @@ def bounds(kind: str) -> tuple[Bound, ...]:
 def _case(kind: str) -> Case:
     return Case(
         name=f"whole-estimates-{kind}",
-        theme=THEME,
         statement=f"With all terms of the scheme of {KINDS[kind]} at once its a-priori estimates "
         "hold, also as the mesh is refined: norms neither grow over the last decade of epsilon = delta nor "
         "over the last refinement, and those that may grow like a power of 1/delta grow no faster.",
@@ -273,7 +271,6 @@ CASES = (
     *(_case(kind) for kind in KINDS),
     Case(
         name="whole-estimates-cofactors",
-        theme=THEME,
         statement="With Cof F among the variables the a-priori estimates of the finite-strain model hold, "
         "and that of Cof F: sup ‖H‖ is bounded, and ‖∇H‖ grows no faster than delta^(-3/4).",
         label="Euler-large-est3-H, rem-polyconvex-general",

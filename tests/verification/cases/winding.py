@@ -16,7 +16,6 @@ from tests.verification.case import Bound, Case, Outcome, Table
 from tests.verification.rates import RateTable
 from tests.verification.setups import CLOSURE, closure
 
-THEME = "Creeping flow at finite strain"
 K_E, G_E, G_M, VISCOSITY = 20.0, 0.05, 0.005, 0.01
 """Pa, Pa, Pa s, Pa s; the Maxwell time G_M/(4 G_E) is 0.025 s in shear, 0.05 s by the stress's square."""
 
@@ -171,7 +170,6 @@ def _cell_means(A: CoefficientFunction, run: nv.Simulation) -> np.ndarray:
 CASES = (
     Case(
         name="winding-lid",
-        theme=THEME,
         statement="A creeping body under a lid: det(J^(−2/3) F Fᵀ) is one by B over 80 Maxwell times; by F "
         "it is lost after ten, whatever step and mesh, with a ledger that closes, and the run says so.",
         label="ED-Euler-large2, ED-Euler-large3",
@@ -187,7 +185,6 @@ CASES = (
     ),
     Case(
         name="creeping-cavity",
-        theme=THEME,
         statement="Cavity flow by B over a hundred Maxwell times keeps det B, and its stress is that of the "
         "Navier–Stokes flow of the same viscosity in the limit of a small Maxwell time.",
         label="ED-Euler-large3",
