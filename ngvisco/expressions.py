@@ -75,11 +75,8 @@ class Expression:
 def parse(text: str, fields: Collection[str] = ()) -> Expression:
     """Check a text completely; ``fields`` are further names that it may read.
 
-    Raises
-    ------
-    ExpressionError
-        With the position: syntax, unknown name or function, a constant part that is no finite number,
-        or one of the limits on length, depth and operations.
+    Raises ExpressionError with the position: syntax, unknown name or function, a constant part that is no
+    finite number, or one of the limits on length, depth and operations.
     """
     tree, lead = syntax_tree(text)
     # any scalar function stands for a field
@@ -92,10 +89,7 @@ def parse_region(text: str) -> Expression:
     """Check the text of a region; its coefficient function is positive inside, and continuous at the edges of
     comparisons: ``a < b`` is b - a, ``and`` the smaller, ``or`` the larger one, ``not`` the negative.
 
-    Raises
-    ------
-    ExpressionError
-        As ``parse``, and for what is no condition.
+    Raises ExpressionError as ``parse``, and for what is no condition.
     """
     tree, lead = syntax_tree(text)
     evaluator = Evaluator(text, _SYMBOLS, lead)
@@ -112,10 +106,7 @@ def number(text: str) -> float:
 def syntax_tree(text: str) -> tuple[ast.expr, int]:
     """A text's tree and the number of blanks before it, which the tree's columns leave out.
 
-    Raises
-    ------
-    ExpressionError
-        For what is no expression by its syntax or size.
+    Raises ExpressionError for what is no expression by its syntax or size.
     """
     if len(text) > MAX_LENGTH:
         raise ExpressionError(text, MAX_LENGTH, f"longer than {MAX_LENGTH} characters")

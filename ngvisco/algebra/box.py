@@ -30,12 +30,8 @@ def minimise_in_box(
 
     ``drag`` is that of x_i > 0 and of x_i < 0.  Each step is Newton's in the unknowns that no bound holds,
     cut off at the bounds and halved until the function falls (Bertsekas, SIAM J. Control Optim. 20, 1982).
-
-    Raises
-    ------
-    StepError
-        Where the function does not fall: it is not convex.  A saddle that the steps fall towards is
-        not told from the minimum.
+    Raises StepError where the function does not fall: it is not convex.  A saddle that the steps fall
+    towards is not told from the minimum.
     """
     rising, falling = drag
     x = np.zeros(len(f))

@@ -68,6 +68,10 @@ def parse_energy(
 ) -> EnergyExpression:
     """Check an energy's text completely.
 
+    Raises ExpressionError with the position and what is allowed: for syntax, unknown names and functions,
+    scalars in place of tensors and the like, constant parts that are no finite numbers, a tensor as the
+    result, and a text that reads none of the variables.
+
     Parameters
     ----------
     text : str
@@ -76,13 +80,6 @@ def parse_energy(
     parameters : mapping of names to numbers, optional
     what : str
         What errors call it.
-
-    Raises
-    ------
-    ExpressionError
-        With the position and what is allowed: for syntax, unknown names and functions, scalars in place of
-        tensors and the like, constant parts that are no finite numbers, a tensor as the result, and a text
-        that reads none of the variables.
     """
     constants = {name: float(value) for name, value in (parameters or {}).items()}
     kinds = {v.name: _ANY[v.kind] for v in variables}

@@ -56,6 +56,9 @@ def custom_material(
 ) -> Material:
     """A material of the user's own: any variables, and an energy as an expression of them.
 
+    Raises ParameterError for what is no variable, no energy (with the position in the text), or an energy
+    that depends on the observer (with the rotation that shows it).
+
     Parameters
     ----------
     variables : sequence of str
@@ -71,12 +74,6 @@ def custom_material(
     rho_R : float, optional
         Density where J = 1, which an energy per mass needs; with it the initial density and J follow from one
         another.
-
-    Raises
-    ------
-    ParameterError
-        For what is no variable, no energy (with the position in the text), or an energy that depends on the
-        observer (with the rotation that shows it).
     """
     carried = tuple(_variable(text) for text in require_names("Custom.variables", variables))
     names = [v.name for v in carried]
@@ -114,17 +111,15 @@ def isotropic_strain_energy(
 ) -> IsotropicStrainEnergy:
     """Any convex isotropic energy phi(E) of the small strain, as an expression of E.
 
+    Raises ParameterError for what is no energy (with the position in the text), or one that is not
+    isotropic.
+
     Parameters
     ----------
     energy : str
         Stored energy per actual volume of the small strain E, isotropic and convex.
     parameters : mapping of names to numbers, optional
         Numbers that the energy reads by name, as they stand.
-
-    Raises
-    ------
-    ParameterError
-        For what is no energy (with the position in the text), or one that is not isotropic.
     """
     expression = _energy("IsotropicStrainEnergy", energy, (SmallStrain(),), parameters)
     try:

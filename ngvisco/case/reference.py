@@ -204,16 +204,13 @@ def type_text(annotation: Any) -> str:
 def explain(path: str) -> str:
     """What a key, or a section with all its keys, means.
 
+    Raises ParameterError with the nearest known paths.
+
     Parameters
     ----------
     path : str
         As in messages and in ``--set``: ``time.dt``, ``walls.top.velocity``, ``loads.0.g``, ``material``, or
         a kind: ``NeoHookean``, ``material.NeoHookean``.
-
-    Raises
-    ------
-    ParameterError
-        With the nearest known paths.
     """
     every = entries()
     wanted = tuple(part for part in path.strip().strip(".").split(".") if part)

@@ -63,7 +63,7 @@ def run(
     observers: Sequence[Observer] = (),
     source: str | os.PathLike[str] | None = None,
 ) -> Simulation:
-    """Run a case into a new run directory.
+    """Run a case into a new run directory.  Raises RunDirectoryError, CaseError, StepError, OSError.
 
     Parameters
     ----------
@@ -76,10 +76,6 @@ def run(
     source : path, optional
         A run directory whose last state is taken over in place of the case's initial one, time included
         (``ngvisco.run.transfer``).
-
-    Raises
-    ------
-    RunDirectoryError, CaseError, StepError, OSError
     """
     place, ranks = RunDirectory(directory), Communicator.world()
     require_petsc(ranks)

@@ -26,12 +26,7 @@ def template(name: str) -> str:
     """An annotated case file that runs as the demo ``name`` does.
 
     Each key has its unit and meaning beside it; optional keys and tables follow as comments with their
-    defaults, or with an example where there is none.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such demo.
+    defaults, or with an example where there is none.  Raises UnknownNameError if there is no such demo.
     """
     known = demos()
     if name not in known:

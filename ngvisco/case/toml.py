@@ -62,10 +62,7 @@ def line_of(lines: dict[tuple[str, ...], int], path: tuple[str, ...]) -> int | N
 def parse_override(setting: str) -> tuple[tuple[str, ...], Any]:
     """``key.path=value`` with a TOML value; anything else is a text; ``loads[0].g`` is ``loads.0.g``.
 
-    Raises
-    ------
-    ValueError
-        If there is no ``=`` or no key.
+    Raises ValueError if there is no ``=`` or no key.
     """
     name, equals, value = setting.partition("=")
     path = tuple(part.strip() for part in re.sub(r"\[(\d+)\]", r".\1", name).split("."))
@@ -80,10 +77,8 @@ def parse_override(setting: str) -> tuple[tuple[str, ...], Any]:
 def override(data: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
     """Set a value in nested tables, making tables that are missing; arrays take an index.
 
-    Raises
-    ------
-    ValueError
-        If the path leads through something that is no table, or to an index that does not exist.
+    Raises ValueError if the path leads through something that is no table, or to an index that does not
+    exist.
     """
     node: Any = data
     for depth, part in enumerate(path):

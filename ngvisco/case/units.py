@@ -60,12 +60,7 @@ def _registry() -> Any:
 
 
 def factor(unit: str, wanted: str) -> float:
-    """How many of ``wanted`` (SI) one ``unit`` is.
-
-    Raises
-    ------
-    UnitError
-    """
+    """How many of ``wanted`` (SI) one ``unit`` is.  Raises UnitError."""
     import pint
 
     _require_small_powers(unit)

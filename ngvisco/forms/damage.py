@@ -74,16 +74,13 @@ _NEWTON, _ROUNDING = 10, 1e-15
 class DamageGrowth:
     """Lets the damage of a step's present state grow.
 
+    Raises ParameterError for fields that are not linear in a cell, cells that are no straight simplices,
+    several processes, or a regularisation that diffuses the material's variables.
+
     Parameters
     ----------
     step : Step
     law : Damaged
-
-    Raises
-    ------
-    ParameterError
-        For fields that are not linear in a cell, cells that are no straight simplices, several processes, or
-        a regularisation that diffuses the material's variables.
     """
 
     def __init__(self, step: Step, law: Damaged) -> None:
@@ -173,10 +170,7 @@ class DamageGrowth:
     def __call__(self, tau: float) -> tuple[dict[str, float], dict[str, float]]:
         """Let the damage grow over ``tau``, s; dissipations, W, and numerical ones, J, by columns.
 
-        Raises
-        ------
-        StepError
-            Where there is no minimum: the energy is not convex in the damage.
+        Raises StepError where there is no minimum: the energy is not convex in the damage.
         """
         law, step = self.law, self.step
         H = csr(self._hessian.Assemble().mat)

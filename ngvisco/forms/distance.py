@@ -33,10 +33,8 @@ _METHODS = ("energy", "slope", "distance")
 def storing(terms: Sequence[Term]) -> list[Storing]:
     """The terms that have a share of the energy.
 
-    Raises
-    ------
-    ParameterError
-        For a term that has one of the methods of ``Storing`` and not all: its energy would be lost.
+    Raises ParameterError for a term that has one of the methods of ``Storing`` and not all: its energy
+    would be lost.
     """
     found: list[Storing] = []
     for term in terms:

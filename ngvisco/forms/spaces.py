@@ -97,13 +97,9 @@ class Layout:
     ) -> None:
         """``terms`` introduce the unknowns; v_i is prescribed on the boundaries ``dirichlet[i]``.
 
-        ``periodic`` identifies the unknowns on identified boundaries.
-
-        Raises
-        ------
-        ParameterError
-            If two terms introduce an unknown of one name, one that evolves has that of a variable of the
-            material, or one is of an order that does not exist.
+        ``periodic`` identifies the unknowns on identified boundaries.  Raises ParameterError if two terms
+        introduce an unknown of one name, one that evolves has that of a variable of the material, or one is
+        of an order that does not exist.
         """
         self.mesh, self.discretisation, self.periodic = mesh, discretisation, periodic
         self.states = StateSpace.of(material.variables, mesh.dim)

@@ -18,6 +18,9 @@ _IN_CELLS = ("velocity", "cells", "continuous")
 class Unknown:
     """An unknown of a step.
 
+    Raises ParameterError for an unknown that evolves and has values neither in cells nor on known walls, or
+    a scale that is no size.
+
     Attributes
     ----------
     name : str
@@ -43,12 +46,6 @@ class Unknown:
     scale : float
         A size of it, in its unit, that is not small, >= 0: errors and increments count relative to what the
         unknown is and to this; 0 for one that is never zero everywhere.  That of v is the run's.
-
-    Raises
-    ------
-    ParameterError
-        For an unknown that evolves and has values neither in cells nor on known walls, or a scale that is no
-        size.
     """
 
     name: str

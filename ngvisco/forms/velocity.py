@@ -78,12 +78,8 @@ class VelocityOfMomentum:
     def __call__(self) -> np.ndarray:
         """Solve; returns the rows of int rho v . w - <m, w>, which only walls leave, (unknowns of v,).
 
-        The rows are those of this rank's cells: what ranks share is their sum.
-
-        Raises
-        ------
-        StepError
-            When the linear system is not solved to rounding.
+        The rows are those of this rank's cells: what ranks share is their sum.  Raises StepError when the
+        linear system is not solved to rounding.
         """
         self._mass.Assemble()
         mass = sp.block_diag([csr(self._mass.mat)] * self._dim, format="csr")

@@ -83,10 +83,8 @@ class Communicator:
     def world(cls) -> Communicator:
         """All processes that mpirun started; without mpirun one, and MPI is not asked for.
 
-        Raises
-        ------
-        MPIError
-            If mpirun started several which cannot meet: mpi4py is missing, or belongs to another MPI.
+        Raises MPIError if mpirun started several which cannot meet: mpi4py is missing, or belongs to
+        another MPI.
         """
         started = max((int(os.environ[n]) for n in _SIZES if os.environ.get(n, "").isdigit()), default=1)
         if started == 1 and "mpi4py.MPI" not in sys.modules:

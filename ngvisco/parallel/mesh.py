@@ -42,6 +42,9 @@ class Part(Mesh):
 def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     """The first rank's mesh in parts by METIS, collective; on one process the mesh itself.
 
+    Raises MeshError on every rank, for a mesh that is not distributed: curved by no known geometry, or of
+    fewer cells than there are ranks for them, or of so few that METIS leaves a rank without.
+
     Parameters
     ----------
     mesh : Mesh or None
@@ -52,12 +55,6 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     -------
     Mesh
         A ``Part`` on several ranks.
-
-    Raises
-    ------
-    MeshError
-        On every rank, for a mesh that is not distributed: curved by no known geometry, or of fewer cells than
-        there are ranks for them, or of so few that METIS leaves a rank without.
     """
     from netgen.meshing import Mesh as NetgenMesh
 

@@ -249,6 +249,8 @@ def _reason(solver: Any) -> str:
 class SumInverse:
     """The inverse of a sum of the ranks' matrices in the free unknowns, or an approximation of it.
 
+    Raises PETScError if PETSc or the method's package is missing.
+
     Parameters
     ----------
     free, exchange
@@ -260,11 +262,6 @@ class SumInverse:
         and BoomerAMG, for positive definite matrices.
     kernel : (n, unknowns) array, optional
         Vectors that the matrix hardly changes, summed, of which GAMG makes its coarse spaces: rigid motions.
-
-    Raises
-    ------
-    PETScError
-        If PETSc or the method's package is missing.
     """
 
     def __init__(

@@ -50,10 +50,7 @@ class Curvature:
 def curvature_of(material: Material, dim: int) -> Curvature:
     """That of a material on meshes of dimension ``dim``.
 
-    Raises
-    ------
-    ParameterError
-        Where phi'' at rest is not positive definite in the directions that it has at all.
+    Raises ParameterError where phi'' at rest is not positive definite in the directions that it has at all.
     """
     sampling, rng = StateSampling(material, dim), np.random.default_rng(0)
     rest = sampling.rest()[None]

@@ -25,6 +25,9 @@ _TOLERANCE = 1e-12
 def mandel_matrix(field: str, value: object, notation: Notation) -> np.ndarray:
     """D as a symmetric (6, 6) matrix in Mandel's notation.
 
+    Raises ParameterError for another shape, entries that are no finite numbers, and a D that is not
+    symmetric: the message has the entries that differ.
+
     Parameters
     ----------
     field : str
@@ -33,12 +36,6 @@ def mandel_matrix(field: str, value: object, notation: Notation) -> np.ndarray:
         (6, 6), or (3, 3, 3, 3) for ``"tensor"``.
     notation : str
         ``"mandel"``, ``"voigt"`` or ``"tensor"``.
-
-    Raises
-    ------
-    ParameterError
-        For another shape, entries that are no finite numbers, and a D that is not symmetric: the message has
-        the entries that differ.
     """
     shape = (3, 3, 3, 3) if notation == "tensor" else (6, 6)
     expected = f"{'x'.join(map(str, shape))} finite numbers in the notation {notation!r}"

@@ -325,10 +325,7 @@ def _require_moduli(owner: object, values: Mapping[str, Any], is_positive: bool)
 def parameters_in(values: Iterable[object]) -> tuple[Parameter, ...]:
     """The parameters that laws, materials and expressions read, each once.
 
-    Raises
-    ------
-    ParameterError
-        If two that are not the same have one name.
+    Raises ParameterError if two that are not the same have one name.
     """
     read: list[Parameter] = []
     for value in values:
@@ -340,10 +337,8 @@ def parameters_in(values: Iterable[object]) -> tuple[Parameter, ...]:
 def distinct(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
     """The parameters, each once.
 
-    Raises
-    ------
-    ParameterError
-        If two that are not the same have one name; a start value makes them different, too.
+    Raises ParameterError if two that are not the same have one name; a start value makes them different,
+    too.
     """
     found: dict[str, Parameter] = {}
     for parameter in parameters:

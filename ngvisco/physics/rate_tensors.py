@@ -43,10 +43,8 @@ class RateTensors:
     def of(variables: tuple[Variable, ...], dim: int, has_trace: bool = False) -> RateTensors:
         """Read off at z = 0 and at unit vectors of the components; ``has_trace`` is that of Pi.
 
-        Raises
-        ------
-        ParameterError
-            For a variable whose rate is not linear in L and Pi, by its name: stresses would not belong to it.
+        Raises ParameterError for a variable whose rate is not linear in L and Pi, by its name: stresses
+        would not belong to it.
         """
         states, space = StateSpace.of(variables, dim), (trace_free_tensors, symmetric_tensors)[has_trace](dim)
         n, g = states.size, dim * dim

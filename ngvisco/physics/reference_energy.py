@@ -39,17 +39,14 @@ _VOLUMES = np.linspace(0.5, 2.0, 31)
 class ReferenceEnergy(Material):
     """psi(B, J) of a material, Pa.
 
+    Raises ParameterError for variables other than J, 1/J, ln J/J, tensors of F times powers of J and
+    parameters, without one of the first three, and for a material without an expression.
+
     Parameters
     ----------
     material : Material
     owner : str
         What messages call it.
-
-    Raises
-    ------
-    ParameterError
-        For variables other than J, 1/J, ln J/J, tensors of F times powers of J and parameters, without one of
-        the first three, and for a material without an expression.
     """
 
     material: Material

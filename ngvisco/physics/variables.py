@@ -146,10 +146,7 @@ class SmallStrain(Variable):
 class DistortionTensor(Variable):
     """J^exponent times a tensor of the elastic distortion F; a symmetric one is positive definite.
 
-    Raises
-    ------
-    ParameterError
-        If the exponent is no finite number.
+    Raises ParameterError if the exponent is no finite number.
     """
 
     exponent: float = 0.0

@@ -227,10 +227,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
 def mesh_of_checkpoints(path: str | os.PathLike[str]) -> ChosenMesh | None:
     """The mesh of a run's states where it is not the run's first one.
 
-    Raises
-    ------
-    CheckpointError
-        If the file cannot be read.
+    Raises CheckpointError if the file cannot be read.
     """
     with _opened(require_path("mesh_of_checkpoints.path", path)) as file:
         if "mesh" not in file:
@@ -298,11 +295,8 @@ def restore(
 ) -> None:
     """Put a simulation into the state of a checkpoint, by default the last one of the file.
 
-    Raises
-    ------
-    CheckpointError
-        If the file is missing or damaged, has no such checkpoint, or belongs to another mesh,
-        discretisation or material, or other ``attributes``; the message says which.
+    Raises CheckpointError if the file is missing or damaged, has no such checkpoint, or belongs to another
+    mesh, discretisation or material, or other ``attributes``; the message says which.
     """
     one, rows = take_up(simulation, path, step, attributes)
     numbers, rothe_step = one.numbers[""], simulation.rothe_step
@@ -325,17 +319,12 @@ def take_up(
     """Give a simulation the state and the passive fields of a checkpoint, and what its ledger has to hold.
 
     Collective.  ``may_differ`` names parts of the ``identity``; where there are some, the rows have the
-    file's columns, and the run's otherwise.
+    file's columns, and the run's otherwise.  Raises CheckpointError as ``restore``.
 
     Returns
     -------
     checkpoint, rows
         The checkpoint with each rank's coefficients, and the ledger's rows up to its step.
-
-    Raises
-    ------
-    CheckpointError
-        As ``restore``.
     """
     path = require_path("restore.path", path)
     ledger, ranks = simulation.ledger, simulation.ranks

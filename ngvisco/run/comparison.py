@@ -27,6 +27,8 @@ def plot_comparison(
 ) -> list[Path]:
     """Compare runs: ``comparison-energies``, and ``-probes`` and ``-bodies`` of what all of them measure.
 
+    Raises ParameterError, UnknownNameError, CheckpointError, PlotError.
+
     Parameters
     ----------
     runs : mapping of labels to run directories
@@ -42,10 +44,6 @@ def plot_comparison(
     -------
     list of Path
         What was written.
-
-    Raises
-    ------
-    ParameterError, UnknownNameError, CheckpointError, PlotError
     """
     if len(runs) < 2:
         raise ParameterError("plot_comparison.runs", list(runs), "at least two runs")

@@ -125,10 +125,7 @@ def component_fields(
 ) -> dict[str, CoefficientFunction]:
     """The components of the named fields, or single components by their names; default the usual fields.
 
-    Raises
-    ------
-    UnknownNameError
-        For a name that is neither.
+    Raises UnknownNameError for a name that is neither.
     """
     every = components(fields)
     chosen: dict[str, CoefficientFunction] = {}

@@ -28,6 +28,9 @@ def write_movie(
 ) -> None:
     """Animate scalar fields over the states of a VTK series, side by side, with one scale of colours each.
 
+    Raises CheckpointError if there is no series, or a file of it cannot be read; UnknownNameError for a
+    field that the series does not have; PlotError if matplotlib is missing, or for mp4 ffmpeg.
+
     Parameters
     ----------
     series : path
@@ -42,15 +45,6 @@ def write_movie(
     frames_per_second : float
         > 0.
     title : str
-
-    Raises
-    ------
-    CheckpointError
-        If there is no series, or a file of it cannot be read.
-    UnknownNameError
-        For a field that the series does not have.
-    PlotError
-        If matplotlib is missing, or for mp4 ffmpeg.
     """
     target = Path(path)
     kind = target.suffix.lstrip(".").lower()

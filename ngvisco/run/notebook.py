@@ -216,10 +216,7 @@ def _short(thing: object) -> str:
 def data_frame(columns: Mapping[str, np.ndarray]) -> Any:
     """Columns of a ledger as a pandas frame, with the step as index.
 
-    Raises
-    ------
-    NotebookError
-        When pandas is missing.
+    Raises NotebookError when pandas is missing.
     """
     try:
         import pandas

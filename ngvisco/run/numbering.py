@@ -68,15 +68,13 @@ class Numbers:
 class Numbering:
     """Which unknown of the whole mesh each unknown of a rank is; on one process itself.
 
+    Raises ParameterError for a mesh that was distributed otherwise than by ``Simulation``: the whole is not
+    known.
+
     Attributes
     ----------
     mesh, layout : Mesh and Layout, or None
         Of the whole mesh, None but on the first rank.
-
-    Raises
-    ------
-    ParameterError
-        For a mesh that was distributed otherwise than by ``Simulation``: the whole is not known.
     """
 
     def __init__(self, simulation: Simulation) -> None:

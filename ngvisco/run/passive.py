@@ -66,6 +66,8 @@ CARRIED = (*NAMES, "displacement")
 class PassiveFields:
     """The passive fields of a run.
 
+    Raises UnknownNameError for any other name; ParameterError for ``creep_strain`` without creep.
+
     Parameters
     ----------
     step : Step
@@ -73,13 +75,6 @@ class PassiveFields:
         Some of ``NAMES``.
     F_0 : 3x3 coefficient function
         What F_tot starts from.
-
-    Raises
-    ------
-    UnknownNameError
-        For any other name.
-    ParameterError
-        For ``creep_strain`` without creep.
     """
 
     def __init__(self, step: Step, names: Sequence[str], F_0: CoefficientFunction = IDENTITY) -> None:
@@ -175,10 +170,7 @@ class PassiveFields:
     def load(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Take the coefficients of ``arrays()`` of an earlier run.
 
-        Raises
-        ------
-        CheckpointError
-            If one is missing or of another size.
+        Raises CheckpointError if one is missing or of another size.
         """
         for key, field in self._parts.items():
             if key not in arrays or arrays[key].shape != (len(field.vec),):
@@ -252,10 +244,7 @@ class _Carrier:
     def carry(self, name: str, old: np.ndarray, source: CoefficientFunction | None) -> np.ndarray:
         """What the field with coefficients ``old`` on ``cells`` becomes by the matrix of ``update``.
 
-        Raises
-        ------
-        StepError
-            If the linear system is not solved.
+        Raises StepError if the linear system is not solved.
         """
         form, solution = self.form, self._solution
         self._old.vec.FV().NumPy()[:] = old

@@ -60,6 +60,9 @@ def write_scene_of_series(
 ) -> None:
     """Write the view of a run's VTK series, with a slider of time.
 
+    Raises CheckpointError if there is no series, or a file of it cannot be read; UnknownNameError for a
+    field that the series does not have.
+
     Parameters
     ----------
     series : path
@@ -71,13 +74,6 @@ def write_scene_of_series(
     title : str
     most : int
         States that the page holds, evenly chosen from the series' ones.
-
-    Raises
-    ------
-    CheckpointError
-        If there is no series, or a file of it cannot be read.
-    UnknownNameError
-        For a field that the series does not have.
     """
     files = read_series_files(series)
     chosen = sorted({round(i) for i in np.linspace(0, len(files) - 1, min(most, len(files)))})

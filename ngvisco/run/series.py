@@ -114,10 +114,7 @@ class Series(ABC):
 def read_series(path: Path, columns: Sequence[str]) -> list[list[float]]:
     """The rows of a table that an earlier part of the run wrote; none if there is no file.
 
-    Raises
-    ------
-    CheckpointError
-        If it has other columns or is damaged.
+    Raises CheckpointError if it has other columns or is damaged.
     """
     if not path.exists():
         return []

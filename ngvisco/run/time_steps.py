@@ -113,12 +113,8 @@ def time_steps(
 ) -> TimeSteps:
     """What ``Simulation`` was given of time: ``time``, or ``dt`` and ``scheme`` for it, or former arguments.
 
-    Raises
-    ------
-    ParameterError
-        If it was given twice, or not at all.
-    TypeError
-        For an argument that there has never been.
+    Raises ParameterError if it was given twice, or not at all; TypeError for an argument that there has
+    never been.
     """
     for name in former:
         if name not in _FORMER:

@@ -100,10 +100,7 @@ def _labels(name: str, value: CoefficientFunction) -> str:
 def read_pvd(path: Path) -> list[tuple[float, str]]:
     """(time, file) of every data set that a .pvd of ours lists; empty if there is no such file.
 
-    Raises
-    ------
-    CheckpointError
-        If it is none of ours, or damaged.
+    Raises CheckpointError if it is none of ours, or damaged.
     """
     if not path.exists():
         return []

@@ -48,9 +48,7 @@ class Frame:
     def scalar(self, name: str) -> np.ndarray:
         """A scalar at the points: of a vector or a tensor its norm, or a component ``NAME_i``, ``NAME_ij``.
 
-        Raises
-        ------
-        UnknownNameError
+        Raises UnknownNameError.
         """
         if name in self.fields:
             values = self.fields[name]
@@ -122,10 +120,7 @@ def frame_of(
 def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Path]]:
     """Time and file of every state of a series, e.g. of ``results/swirl/vtk``.
 
-    Raises
-    ------
-    CheckpointError
-        If there is none.
+    Raises CheckpointError if there is none.
     """
     place = Path(directory)
     found = [(time, place / name) for time, name in read_pvd(place / "fields.pvd")]

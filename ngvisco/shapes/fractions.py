@@ -44,7 +44,8 @@ _QUADRILATERALS = (11, 13, 14)  # Netgen's numbers
 def fractions(mesh: Mesh, shapes: Sequence[Shape], order: int = 1) -> list[GridFunction]:
     """What shapes, the later ones over the earlier, leave each other of every cell.
 
-    A part of a shape that is thinner than a quarter of a cell may be missed.
+    A part of a shape that is thinner than a quarter of a cell may be missed.  Raises ParameterError,
+    UnknownNameError for a shape that does not fit the mesh.
 
     Parameters
     ----------
@@ -59,11 +60,6 @@ def fractions(mesh: Mesh, shapes: Sequence[Shape], order: int = 1) -> list[GridF
     list of GridFunction
         Discontinuous P_order, those of the shapes, and last that of the rest.  Their sum is one; they are
         from 0 to 1 (for order 2 at the corners of the sub-cells, and between them to 1e-4).
-
-    Raises
-    ------
-    ParameterError, UnknownNameError
-        For a shape that does not fit the mesh.
     """
     powers = _powers(mesh.dim, order)
     coefficients = np.zeros((len(shapes) + 1, len(powers), mesh.ne))

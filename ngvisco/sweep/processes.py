@@ -26,11 +26,8 @@ _running: set[subprocess.Popen[str]] = set()
 def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
     """A client of a local cluster with so many workers, or of the dask scheduler at an address.
 
-    Raises
-    ------
-    SweepError
-        If dask.distributed is missing, the scheduler is not reached, has no workers, or these have another
-        version of ngvisco or none.
+    Raises SweepError if dask.distributed is missing, the scheduler is not reached, has no workers, or these
+    have another version of ngvisco or none.
     """
     try:
         import distributed

@@ -33,7 +33,9 @@ class Study:
     """One case with some of its keys varied.
 
     Everything is checked when it is made, and nothing written: keys, values, each combination's case as a
-    whole with its mesh, and what is in the directory already.
+    whole with its mesh, and what is in the directory already.  Raises SweepError if a key is varied twice,
+    two combinations are the same case, a run directory has another case's results, or ``sweep.csv`` is no
+    table of a study; CaseError with every fault of a combination's case.
 
     Parameters
     ----------
@@ -46,14 +48,6 @@ class Study:
         Overrides ``key.path=value`` that hold for all runs.
     force : bool
         Run all of them anew, rather than what is not finished.
-
-    Raises
-    ------
-    SweepError
-        If a key is varied twice, two combinations are the same case, a run directory has another case's
-        results, or ``sweep.csv`` is no table of a study.
-    CaseError
-        With every fault of a combination's case.
     """
 
     def __init__(
@@ -132,6 +126,9 @@ class Study:
     ) -> list[Outcome]:
         """Run what is not finished, and write the table whenever a run ends.
 
+        Raises SweepError if dask.distributed is missing, or the scheduler cannot be used; nothing is
+        written then; ParameterError ; OSError .
+
         Parameters
         ----------
         workers : int, optional
@@ -144,13 +141,6 @@ class Study:
             Called with each run's outcome when it ends.
         stop : threading.Event, optional
             When it is set, running steps are finished, and checkpoints written.
-
-        Raises
-        ------
-        SweepError
-            If dask.distributed is missing, or the scheduler cannot be used; nothing is written then.
-        ParameterError
-        OSError
         """
         if workers is None:
             workers = max(1, (os.cpu_count() or 1) // threads)

@@ -53,10 +53,7 @@ class Outcome:
     def read(self, place: RunDirectory, case: Case) -> None:
         """Take the ledger from the run's directory, and from it whether the run has reached its end.
 
-        Raises
-        ------
-        CheckpointError
-            If its file cannot be read.
+        Raises CheckpointError if its file cannot be read.
         """
         if not place.run_file.exists():
             return
@@ -76,10 +73,7 @@ class Outcome:
 def read_table(path: Path) -> list[Outcome]:
     """The outcomes that a table holds; none if there is no file.
 
-    Raises
-    ------
-    SweepError
-        If the file is no such table.
+    Raises SweepError if the file is no such table.
     """
     if not path.exists():
         return []

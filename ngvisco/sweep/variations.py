@@ -23,10 +23,7 @@ class SweepError(NgviscoError, ValueError):
 class Variation:
     """A key of the case and the values that it takes, as texts of TOML.
 
-    Raises
-    ------
-    SweepError
-        If there is no value, or one of them twice.
+    Raises SweepError if there is no value, or one of them twice.
     """
 
     key: str
@@ -43,10 +40,7 @@ class Variation:
     def parse(cls, text: str) -> Variation:
         """``key.path=value,value,...``; commas within brackets, braces and quotes part no values.
 
-        Raises
-        ------
-        SweepError
-            If there is no key, no value, or a bracket or quote that is not closed.
+        Raises SweepError if there is no key, no value, or a bracket or quote that is not closed.
         """
         key, equals, values = text.partition("=")
         try:
@@ -105,10 +99,7 @@ class Combination:
 def combinations(variations: Sequence[Variation]) -> list[Combination]:
     """All combinations of the values, the last key's values first.
 
-    Raises
-    ------
-    SweepError
-        If there is nothing to vary, or a key is varied twice.
+    Raises SweepError if there is nothing to vary, or a key is varied twice.
     """
     keys = [variation.key for variation in variations]
     if not keys:

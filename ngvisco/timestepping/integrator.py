@@ -164,15 +164,13 @@ class Integrator:
     def advance(self, t: float, tau: float, number: int = 0, meets: bool = False) -> StepTaken:
         """Take the step after step ``number`` from ``t`` over ``tau``, s.
 
+        Raises StepError when a stage is not solved, or the end is not admissible; the state is then that
+        before the step.
+
         Parameters
         ----------
         meets : bool
             Whether a relaxed step has to end at t + tau.
-
-        Raises
-        ------
-        StepError
-            When a stage is not solved, or the end is not admissible; the state is then that before the step.
         """
         self._before.data = self.step.state.vec
         self._t, self.tried = t, tau
@@ -272,12 +270,8 @@ class Integrator:
         """Make the combination of states the present one, limited, at ``t``.
 
         Adds to the walls' power in ``rates``.  With ``is_stage`` it is the last stage, of which only the
-        limiter makes another state: walls keep the velocity that they have in the step.
-
-        Raises
-        ------
-        StepError
-            When it is not admissible.
+        limiter makes another state: walls keep the velocity that they have in the step.  Raises StepError
+        when it is not admissible.
         """
         step, ranges = self.step, self.step.layout.ranges
         parts = list(zip(weights, states, strict=True))

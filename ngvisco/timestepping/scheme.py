@@ -173,10 +173,7 @@ def midpoint() -> TimeScheme:
 def theta_scheme(theta: float) -> TimeScheme:
     """The one-leg scheme U = rothe(u_0, theta tau), u_1 = u_0 + (U - u_0)/theta.
 
-    Raises
-    ------
-    ParameterError
-        Unless 1/2 <= theta <= 1: below it is unstable, above inconsistent with its name.
+    Raises ParameterError unless 1/2 <= theta <= 1: below it is unstable, above inconsistent with its name.
     """
     if not (_is_number(theta) and 0.5 <= theta <= 1.0):
         raise ParameterError("theta", theta, "a number in [1/2, 1]: 1/2 is midpoint, 1 backward-euler")
@@ -201,12 +198,8 @@ SCHEMES: dict[str, Callable[..., TimeScheme]] = {
 def scheme_of(scheme: str | TimeScheme, theta: float | None = None) -> TimeScheme:
     """The scheme of a name, with ``theta`` where it is ``"theta"``.
 
-    Raises
-    ------
-    UnknownNameError
-        For any other name.
-    ParameterError
-        For a theta outside [1/2, 1], one that is missing, or one that the scheme does not have.
+    Raises UnknownNameError for any other name; ParameterError for a theta outside [1/2, 1], one that is
+    missing, or one that the scheme does not have.
     """
     if isinstance(scheme, TimeScheme):
         if theta is not None:

@@ -165,10 +165,7 @@ class Result:
 def judge(case: Case, outcome: Outcome, seconds: float, version: str) -> Result:
     """Compare the measured values with the bounds.
 
-    Raises
-    ------
-    VerificationError
-        If a bound has no value, or a value no bound.
+    Raises VerificationError if a bound has no value, or a value no bound.
     """
     expected, measured = {b.quantity for b in case.bounds}, set(outcome.values)
     if expected != measured:

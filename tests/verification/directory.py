@@ -24,11 +24,8 @@ _KIND = "ngvisco verification report"
 class ReportDirectory:
     """Opens a new directory, or an earlier report's with ``resume``.
 
-    Raises
-    ------
-    VerificationError
-        If there is something else at the path, or a report and ``resume`` is not asked for, or the
-        other way round.
+    Raises VerificationError if there is something else at the path, or a report and ``resume`` is not asked
+    for, or the other way round.
     """
 
     def __init__(self, path: Path, cases: Sequence[Case], *, resume: bool = False) -> None:

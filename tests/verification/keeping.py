@@ -72,10 +72,7 @@ def merged(kept: str, new: str, cases: Sequence[Case], of: str) -> str:
 def put_into(directory: Path, source: Path, cases: Sequence[Case]) -> Path:
     """Merge the report in ``source`` and its pictures into that in ``directory``; returns the latter's path.
 
-    Raises
-    ------
-    VerificationError
-        If one of the reports is missing, or a case of the new one ended in an error.
+    Raises VerificationError if one of the reports is missing, or a case of the new one ended in an error.
     """
     path, report = directory / "report.md", source / "report.md"
     if absent := [str(one) for one in (path, report) if not one.is_file()]:

@@ -60,10 +60,7 @@ class Row:
 def labels() -> dict[str, Label]:
     """All labels of the paper by name, in its order.
 
-    Raises
-    ------
-    VerificationError
-        For a line of ``labels.txt`` that is none.
+    Raises VerificationError for a line of ``labels.txt`` that is none.
     """
     text = resources.files(__package__).joinpath("labels.txt").read_text(encoding="utf-8")
     found: dict[str, Label] = {}

@@ -38,10 +38,7 @@ class RateTable:
     def require(self, **least: float) -> None:
         """Ask for the rate of the finest pair of every named column, and print the table.
 
-        Raises
-        ------
-        VerificationError
-            If one is smaller (or not a number); the message is the table.
+        Raises VerificationError if one is smaller (or not a number); the message is the table.
         """
         print(self)
         for name, rate in least.items():

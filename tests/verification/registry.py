@@ -7,13 +7,7 @@ from tests.verification.case import Case, VerificationError
 
 
 def all_cases() -> tuple[Case, ...]:
-    """Every case, in the order of the report.
-
-    Raises
-    ------
-    VerificationError
-        If two cases share a name.
-    """
+    """Every case, in the order of the report.  Raises VerificationError if two cases share a name."""
     from tests.verification.cases import CASES as found
 
     names = [case.name for case in found]
@@ -26,10 +20,7 @@ def all_cases() -> tuple[Case, ...]:
 def select(cases: Sequence[Case], names: Sequence[str] = (), reduced: bool = False) -> tuple[Case, ...]:
     """The cases asked for: all of them, the reduced set, or those with the given names or name beginnings.
 
-    Raises
-    ------
-    UnknownNameError
-        For a name that no case has, with the nearest one.
+    Raises UnknownNameError for a name that no case has, with the nearest one.
     """
     for name in names:
         if not any(_matches(case, name) for case in cases):

@@ -25,10 +25,8 @@ SCRIPT = "ngscxx"
 def compiled(integrand: CoefficientFunction) -> CoefficientFunction:
     """The integrand as a program.
 
-    Raises
-    ------
-    ParameterError
-        When machine code is asked for by something else than "0" or "1", or without a compiler.
+    Raises ParameterError when machine code is asked for by something else than "0" or "1", or without a
+    compiler.
     """
     if not _wanted():
         return integrand.Compile()

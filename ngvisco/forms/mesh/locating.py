@@ -20,10 +20,7 @@ polynomials of a curved wall, may leave just outside of all cells."""
 def as_points(field: str, value: object, dim: int) -> np.ndarray:
     """An array of points, (count, dim), m, of a sequence of them.
 
-    Raises
-    ------
-    ParameterError
-        Unless there is at least one, with ``dim`` finite coordinates each.
+    Raises ParameterError unless there is at least one, with ``dim`` finite coordinates each.
     """
     expected = f"points of {dim} finite coordinates"
     try:
@@ -38,12 +35,8 @@ def as_points(field: str, value: object, dim: int) -> np.ndarray:
 def locate(mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """The mesh points at ``points``, (count, dim), m; ``names`` are what an error calls them.
 
-    A point within 1e-3 of a cell's size of the domain counts as one on its wall.
-
-    Raises
-    ------
-    ParameterError
-        For a point that is not in the domain.
+    A point within 1e-3 of a cell's size of the domain counts as one on its wall.  Raises ParameterError for
+    a point that is not in the domain.
     """
     found: np.ndarray = mesh(*points.T)
     for number in np.flatnonzero(found["nr"] < 0):
@@ -55,7 +48,9 @@ class Located:
     """Points of space, (count, dim), m, at which functions on a mesh are evaluated.
 
     Over ranks each rank has points of its own, and each point is in the cell in which it is on one process:
-    what jumps across facets has one value there.  Making one and every evaluation are collective.
+    what jumps across facets has one value there.  Making one and every evaluation are collective.  Raises
+    ParameterError for a point that is not in the domain, and for a mesh that was distributed otherwise than
+    by ``Simulation``: the whole is not known.
 
     Parameters
     ----------
@@ -63,12 +58,6 @@ class Located:
     points : array (count, dim)
     names : sequence of str
         What an error calls them.
-
-    Raises
-    ------
-    ParameterError
-        For a point that is not in the domain, and for a mesh that was distributed otherwise than by
-        ``Simulation``: the whole is not known.
     """
 
     def __init__(self, mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> None:

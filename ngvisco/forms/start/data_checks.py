@@ -65,12 +65,9 @@ def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
 def check_walls(step: Step, times: Iterable[float]) -> None:
     """Look at the data of walls at the times (s).
 
-    Raises
-    ------
-    ParameterError
-        For what is not finite, for a friction, a heat transfer coefficient or a temperature (0 too) that is
-        negative somewhere, for a prescribed velocity with a normal part, and for what flows in where density,
-        J, ... are not positive.
+    Raises ParameterError for what is not finite, for a friction, a heat transfer coefficient or a
+    temperature (0 too) that is negative somewhere, for a prescribed velocity with a normal part, and for
+    what flows in where density, J, ... are not positive.
     """
     dim, times = step.mesh.dim, list(times)
     for name, wall in step.walls.conditions.items():

@@ -98,21 +98,16 @@ class Initial:
 def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFunction:
     """Put the initial data into ``step.state`` and ``step.state_old``.
 
+    Raises InitialDataError if rho_0 <= 0, det F_0 <= 0, a positive variable is not so, or a value or the
+    stored energy is not finite at a sampling point; or if a tensor does not fit its variable (in plane
+    strain: 13, 23, 31, 32 entries; E not symmetric); or if density and J contradict the material's rho_R;
+    ParameterError if a value has the wrong type or shape; UnknownNameError if ``initial.values`` names
+    neither a variable of the material nor a further unknown that evolves.
+
     Returns
     -------
     CoefficientFunction
         The initial elastic distortion F_0, 3x3: that of the data, or of a start value that tells it.
-
-    Raises
-    ------
-    InitialDataError
-        If rho_0 <= 0, det F_0 <= 0, a positive variable is not so, or a value or the stored energy
-        is not finite at a sampling point; or if a tensor does not fit its variable (in plane strain:
-        13, 23, 31, 32 entries; E not symmetric); or if density and J contradict the material's rho_R.
-    ParameterError
-        If a value has the wrong type or shape.
-    UnknownNameError
-        If ``initial.values`` names neither a variable of the material nor a further unknown that evolves.
     """
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     dim = step.mesh.dim
@@ -188,10 +183,7 @@ def _ranges(
 ) -> dict[str, tuple[float, float]]:
     """Within which the material's parameters stay, by name: the range of their start values, or their limits.
 
-    Raises
-    ------
-    InitialDataError
-        For a start out of its limits.
+    Raises InitialDataError for a start out of its limits.
     """
     ranges = {name: sampler.extrema(value) for name, value in parameters.items()}
     for variable in step.model.material.variables:

@@ -57,10 +57,8 @@ def starting_values(
 def given_temperature(material: Material, given: object, owner: str) -> CoefficientFunction:
     """``owner.temperature``, K, which where it is None is the one of reference.
 
-    Raises
-    ------
-    ParameterError
-        For a material whose entropy no temperature tells, and bodies that have not one of reference.
+    Raises ParameterError for a material whose entropy no temperature tells, and bodies that have not one of
+    reference.
     """
     known: float | None = None
     if isinstance(material, Mixture):

@@ -46,10 +46,7 @@ class Heterogeneous(Wrapper):
 def carrying(material: Material, parameters: Sequence[Parameter]) -> Material:
     """The material with these among its variables; what wraps a material as regularised wraps that one.
 
-    Raises
-    ------
-    ParameterError
-        For a parameter of the name of another one that the material has.
+    Raises ParameterError for a parameter of the name of another one that the material has.
     """
     if isinstance(material, (WithQuadratic, Yosida)):
         return replace(material, material=carrying(material.material, parameters))

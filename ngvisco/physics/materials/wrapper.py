@@ -13,14 +13,11 @@ from ngvisco.physics.variables import Variable
 class Wrapper(Material):
     """A material of another one: what it does not say otherwise is that one's.
 
+    Raises ParameterError if ``material`` is none, or a parameter is out of its range.
+
     Parameters
     ----------
     material : Material
-
-    Raises
-    ------
-    ParameterError
-        If ``material`` is none, or a parameter is out of its range.
     """
 
     material: Material
