@@ -63,14 +63,13 @@ from ngvisco.physics.rheology import HyperViscosity, LinearViscosity, StokesVisc
 from ngvisco.physics.signals import pulse, step, table
 from ngvisco.physics.viscosities import Carreau, Cross, PowerLaw
 from ngvisco.physics.walls import Inflow, NavierFriction, NoSlip, Open, PrescribedTangential, Slip, Traction
-from ngvisco.run.bodies import Bodies
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.closure import ClosureWarning
 from ngvisco.run.ledger import CreepPowerWarning, DefectWarning, EntropyWarning
 from ngvisco.run.notebook import NotebookProgress, draw
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields, plot_schemes
-from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
+from ngvisco.run.probes import Bodies, Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.record import record
 from ngvisco.run.refinement import Refinement, run_refined
 from ngvisco.run.simulation import Observer, Simulation
@@ -79,8 +78,7 @@ from ngvisco.run.time_steps import TimeSteps
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
 from ngvisco.shapes.image import Image
 from ngvisco.shapes.shape import Shape
-from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon
-from ngvisco.shapes.subdomain import Subdomain
+from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon, Subdomain
 from ngvisco.shapes.surface import ClosedSurface
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.timestepping.scheme import SCHEMES, TimeScheme

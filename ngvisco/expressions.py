@@ -27,8 +27,8 @@ import ngsolve
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import NgviscoError, listed
+from ngvisco.physics.signals import time
 from ngvisco.physics.tensors import exp, if_positive, log, sqrt
-from ngvisco.physics.time import time
 
 Value: TypeAlias = float | CoefficientFunction
 

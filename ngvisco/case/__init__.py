@@ -2,7 +2,7 @@
 
 from ngvisco.case.build import Case, load_case
 from ngvisco.case.directory import RunDirectory, RunDirectoryError
-from ngvisco.case.errors import CaseError, Fault
+from ngvisco.case.faults import CaseError, Fault
 from ngvisco.case.runs import Results, load, resume, run
 from ngvisco.expressions import Expression, ExpressionError, parse
 

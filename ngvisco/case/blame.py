@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
-from ngvisco.case.errors import CaseError
-from ngvisco.case.faults import Locator, expected_of, given, has_key, shown, tables_of
+from ngvisco.case.faults import CaseError, Locator, expected_of, given, has_key, shown, tables_of
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import Section, names_of, parameters
 from ngvisco.errors import InitialDataError, MeshError, NgviscoError, ParameterError, UnknownNameError

@@ -16,10 +16,8 @@ from pydantic import ValidationError
 
 from ngvisco.case import catalogue, toml
 from ngvisco.case.blame import Blame
-from ngvisco.case.errors import CaseError, Fault
-from ngvisco.case.faults import Locator, faults_of, numbers_out_of_range
+from ngvisco.case.faults import CaseError, Fault, Locator, faults_of, numbers_out_of_range
 from ngvisco.case.places import copy_of, digest_of, parts_of, reads_z, shape_of, shapes_with_files, united
-from ngvisco.case.samples import samples
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import Section, field_names, made, owner_of, parameters
 from ngvisco.case.timetables import with_tables
@@ -36,7 +34,9 @@ from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.inputs import times_of
 from ngvisco.run.observers import LedgerCSV, VTKSeries
+from ngvisco.run.probes import Bodies, Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.refinement import Refinement
+from ngvisco.run.series import Series
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.shapes.fractions import MISSED, volumes
 from ngvisco.shapes.shape import Shape
@@ -382,3 +382,27 @@ class Case:
             raise self.blame.error(
                 path, f"{value!r:.60}: expected an array of {dim} components, not {len(value)}"
             )
+
+
+def samples(case: CaseSections, run: Path) -> dict[tuple[str, ...], Series]:
+    """Probes, lines, forces, integrals and bodies by the key that describes them, writing into a run's
+    directory."""
+    output, directory, found = case.output, run / "samples", dict[tuple[str, ...], Series]()
+    if case.bodies:
+        every = 1 if output.bodies is None else output.bodies.every
+        found["output", "bodies"] = Bodies(run / "bodies.csv", every)
+    for i, p in enumerate(output.probes):
+        path = directory / f"{p.name}.csv"
+        found["output", "probes", str(i)] = Probes({p.name: p.point}, p.fields, path, p.every)
+    for i, line in enumerate(output.lines):
+        path = directory / f"{line.name}.csv"
+        found["output", "lines", str(i)] = LineSamples(
+            line.start, line.end, line.points, line.fields, path, line.every
+        )
+    if output.forces is not None:
+        f, path = output.forces, directory / "forces.csv"
+        found["output", "forces"] = WallForces(f.walls, f.about, path, f.every)
+    for i, integral in enumerate(output.integrals):
+        path = directory / f"{integral.name}.csv"
+        found["output", "integrals", str(i)] = Integrals({integral.name: integral.of}, path, integral.every)
+    return found

@@ -39,8 +39,7 @@ from ngvisco.physics.viscosities import Carreau, Cross, PowerLaw
 from ngvisco.physics.walls import Inflow, NavierFriction, NoSlip, Open, PrescribedTangential, Slip, Traction
 from ngvisco.run.time_steps import TimeSteps
 from ngvisco.shapes.image import Image
-from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon
-from ngvisco.shapes.subdomain import Subdomain
+from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon, Subdomain
 from ngvisco.shapes.surface import ClosedSurface
 from ngvisco.solver.options import NewtonOptions
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import h5py
 
 from ngvisco.case.build import Case, parse_case
-from ngvisco.case.errors import CaseError
+from ngvisco.case.faults import CaseError
 from ngvisco.errors import CheckpointError
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.files import write_atomically

@@ -1,16 +1,42 @@
-"""What pydantic and ngvisco found wrong, in the words of a case file's user."""
+"""The faults of a case file: what pydantic and ngvisco found wrong, in the words of its user."""
 
 import difflib
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from ngvisco.case.errors import Fault, Wrong
 from ngvisco.case.table import Section
 from ngvisco.case.toml import line_of, value_text
-from ngvisco.errors import ParameterError
+from ngvisco.errors import NgviscoError, ParameterError
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault: the key's path in the file, what is wrong, and the line if it is known."""
+
+    key: str
+    message: str
+    line: int | None = None
+
+
+class CaseError(NgviscoError, ValueError):
+    """A case file that cannot be run as it is; ``faults`` lists all that was found."""
+
+    def __init__(self, source: str, faults: Sequence[Fault]) -> None:
+        self.source, self.faults = source, tuple(faults)
+        super().__init__("\n".join(self._line(fault) for fault in self.faults))
+
+    def _line(self, fault: Fault) -> str:
+        place = f"{self.source}:{fault.line}" if fault.line else self.source
+        return f"{place}: {fault.key}: {fault.message}" if fault.key else f"{place}: {fault.message}"
+
+
+class Wrong(str):
+    """Stands for a value whose unit is wrong, which no key takes, and says why."""
+
 
 _SHOWN = 60
 _TYPES = {

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ngvisco.case import catalogue
-from ngvisco.case.errors import CaseError, Fault
+from ngvisco.case.faults import CaseError, Fault
 from ngvisco.case.section import Section, field_names, moduli, parameters
 from ngvisco.expressions import Expression, parse, parse_region
 from ngvisco.shapes.shape import Shape, Union, Where

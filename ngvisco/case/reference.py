@@ -5,17 +5,19 @@ of tables; keys that only some kinds of a section have are listed with these kin
 """
 
 import difflib
+import inspect
 import json
+import re
 import types
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from functools import cache
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel
 
-from ngvisco.case import toml
+from ngvisco.case import catalogue, toml
 from ngvisco.case.faults import models_in
-from ngvisco.case.keys import meanings, quantities, summary
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import _TARGETS, annotation_of, owner_of
@@ -364,3 +366,43 @@ def _with_quantities(node: Any) -> Any:
             return {"anyOf": [node, quantity]}
         return {name: _with_quantities(part) for name, part in node.items()}
     return [_with_quantities(part) for part in node] if isinstance(node, list) else node
+
+
+_SAME = re.compile(r"As for (\w+)")
+
+
+@cache
+def quantities(owner: Any) -> Mapping[str, Quantity]:
+    """What the annotations of a class or function say of its parameters; the unit is "1" of other numbers."""
+    found = {}
+    for name, hint in get_type_hints(owner, include_extras=True).items():
+        said = [part for part in getattr(hint, "__metadata__", ()) if isinstance(part, Quantity)]
+        is_number = re.search(r"\b(int|float)\b", str(getattr(hint, "__origin__", hint)))
+        found[name] = said[0] if said else Quantity("1" if is_number else "")
+    return found
+
+
+@cache
+def meanings(owner: Any) -> Mapping[str, str]:
+    """What the docstring of a class or function says of its parameters, without the final stop."""
+    from docstring_parser import DocstringStyle, parse  # no run needs it
+
+    found = {}
+    for each in reversed(inspect.getmro(owner) if inspect.isclass(owner) else (owner,)):
+        for part in parse(each.__doc__ or "", DocstringStyle.NUMPYDOC).params:
+            text = " ".join((part.description or "").replace("``", "").split()).removesuffix(".")
+            same = _SAME.fullmatch(text)
+            if part.args[0] != "param":
+                continue
+            for name in part.arg_name.split(", "):
+                found[name] = meanings(_named(same[1]))[name] if same else text
+    return found
+
+
+def summary(owner: Any) -> str:
+    """The first line of a docstring, without the final stop."""
+    return (inspect.getdoc(owner) or "").split("\n")[0].replace("``", "").removesuffix(".")
+
+
+def _named(name: str) -> Any:
+    return next(made for table in catalogue.TABLES for made in table.values() if made.__name__ == name)

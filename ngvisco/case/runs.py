@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time as clock
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,15 +17,16 @@ from ngsolve import CoefficientFunction, Mesh
 from ngvisco.case import changes
 from ngvisco.case.build import Case
 from ngvisco.case.directory import RunDirectory, RunDirectoryError
-from ngvisco.case.log import Log, noting_warnings
 from ngvisco.errors import CheckpointError, StepError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.failure import write_failure
+from ngvisco.run.files import append
 from ngvisco.run.meshfile import mesh_image, mesh_of
 from ngvisco.run.notebook import data_frame, results_html
+from ngvisco.run.observers import Progress
 from ngvisco.run.refinement import stretches
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.transfer import resume_changed, transfer
@@ -287,3 +290,33 @@ def load(directory: str | os.PathLike[str], step: int | None = None) -> Results:
     simulation = case.simulation(place.present_mesh())
     simulation.restore(place.run_file, step, attributes={"case": case.hash})
     return Results(case, read_ledger(place.run_file), simulation)
+
+
+class Log(Progress):
+    """Progress lines with the date, appended to a run's log file."""
+
+    def __init__(self, path: Path, until: float, every: int = 1) -> None:
+        super().__init__(until, every)
+        self.path = path
+
+    def write(self, line: str) -> None:
+        """Append a line."""
+        stamp = clock.strftime("%Y-%m-%d %H:%M:%S")
+        append(self.path, f"{stamp}  {line}\n")
+
+    def _print(self, line: str) -> None:
+        self.write(line)
+
+
+@contextlib.contextmanager
+def noting_warnings(note: Callable[[str], None]) -> Iterator[None]:
+    """Within: warnings are given to ``note`` too, each as a line."""
+    shown = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
+        note(f"{category.__name__}: {message}")
+        shown(message, category, *where, **options)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield

@@ -6,8 +6,7 @@ A case that was read has the numbers themselves, so that its run's directory nee
 from pathlib import Path
 from typing import Any
 
-from ngvisco.case.errors import Fault
-from ngvisco.case.faults import Locator
+from ngvisco.case.faults import Fault, Locator
 from ngvisco.errors import ParameterError
 from ngvisco.physics.signals import read_table
 

@@ -17,8 +17,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from ngvisco.case.errors import Wrong
-from ngvisco.case.faults import models_in
+from ngvisco.case.faults import Wrong, models_in
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.reference import quantity
 from ngvisco.case.values import FIELDS, NumberValues, is_table

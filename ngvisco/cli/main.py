@@ -1,7 +1,7 @@
 """Arguments and messages of the command ``ngvisco``.
 
 What a user can cause never shows a
-traceback, and has an exit code of ``ngvisco.cli.exits``.
+traceback, and has an exit code of ``ngvisco.cli.streams``.
 """
 
 import argparse
@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Sequence
 
 from ngvisco.cli import streams
-from ngvisco.cli.exits import BAD_FILE, BAD_INPUT, FAILED, INTERRUPTED
+from ngvisco.cli.streams import BAD_FILE, BAD_INPUT, FAILED, INTERRUPTED
 
 _EPILOG = """exit codes: 0 done; 1 a step could not be solved; 2 wrong input; 3 a file could not be read
 or written; 4 the energy ledger does not close; 130 or 143 stopped by a signal (a checkpoint was written:

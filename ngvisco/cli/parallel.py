@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ngvisco.case.build import parse_case
 from ngvisco.cli import streams
-from ngvisco.cli.exits import DONE, FAILED
+from ngvisco.cli.streams import DONE, FAILED
 from ngvisco.errors import ParameterError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.petsc import PETScError, obstacle, packages, petsc

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from ngvisco.case import catalogue, reference, template
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import section
-from ngvisco.run.further_fields import NAMES as FURTHER
+from ngvisco.run.fields import NAMES as FURTHER
 from ngvisco.run.passive import NAMES as PASSIVE
 from ngvisco.timestepping.scheme import SCHEMES
 

@@ -17,10 +17,9 @@ from ngvisco import case as cases
 from ngvisco.case import changes
 from ngvisco.case.directory import RunDirectory
 from ngvisco.cli import streams
-from ngvisco.cli.exits import DONE, NOT_CLOSED
+from ngvisco.cli.streams import DONE, NOT_CLOSED
 from ngvisco.errors import ParameterError
-from ngvisco.run.advice import dissipation_advice
-from ngvisco.run.observers import Progress, limited_in_words, steps_in_words
+from ngvisco.run.observers import Progress, dissipation_advice, limited_in_words, steps_in_words
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import Rejection
 

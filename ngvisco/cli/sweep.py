@@ -11,7 +11,7 @@ from types import FrameType
 from ngsolve import SetNumThreads
 
 from ngvisco.cli import streams
-from ngvisco.cli.exits import DONE, FAILED, NOT_CLOSED
+from ngvisco.cli.streams import DONE, FAILED, NOT_CLOSED
 from ngvisco.sweep.study import Study
 from ngvisco.sweep.table import Outcome
 from ngvisco.sweep.variations import Variation

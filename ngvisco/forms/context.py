@@ -31,8 +31,7 @@ from ngvisco.forms.time_means import TOLERANCE, TimeMean, mean_in_cells, mean_on
 from ngvisco.forms.upwinding import Incoming, Upwinding
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.model import Model
-from ngvisco.physics.signals import may_read_time
-from ngvisco.physics.time import time
+from ngvisco.physics.signals import may_read_time, time
 
 if TYPE_CHECKING:
     from ngvisco.forms.boundary.passages import Carried

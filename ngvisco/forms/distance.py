@@ -16,10 +16,8 @@ from ngsolve import FESpace, GridFunction
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.integrals import EntryIntegrals
-from ngvisco.forms.system import Evolved, Step
-from ngvisco.forms.term import Entry, Integrand, Storing, Term
-from ngvisco.forms.withheld import GivenParts, refused_by_name
+from ngvisco.forms.system import EntryIntegrals, Evolved, Step
+from ngvisco.forms.term import Entry, GivenParts, Integrand, Storing, Term, refused_by_name
 
 ENERGIES = ("kinetic", "stored")
 """Ledger columns of the parts of the energy, J."""

@@ -13,8 +13,7 @@ from ngsolve import BaseMatrix, BilinearForm, FESpace, GridFunction, LinearForm
 from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
-from ngvisco.forms.term import Integrands, Projecting, Term, tested
-from ngvisco.forms.withheld import refused_by_name
+from ngvisco.forms.term import Integrands, Projecting, Term, refused_by_name, tested
 from ngvisco.physics.tensors import inner
 
 

@@ -42,7 +42,7 @@ from ngsolve import (
 
 from ngvisco.errors import ParameterError, require_choice
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.unknowns import Introducing, Place, Setting, Unknown
+from ngvisco.forms.term import Introducing, Place, Setting, Unknown
 from ngvisco.physics.material import Material
 from ngvisco.physics.state_space import StateSpace
 

@@ -23,7 +23,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from ngsolve import BilinearForm, GridFunction, Mesh, VectorValued
+from ngsolve import CF, BilinearForm, GridFunction, Mesh, VectorValued
 from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.forms.boundary.boundaries import check_mesh
@@ -36,19 +36,18 @@ from ngvisco.forms.context import Context
 from ngvisco.forms.damage import DamageGrowth, damage_growth
 from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
-from ngvisco.forms.facet_flux import FacetFlux
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature
+from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.spaces import Discretisation, Layout
-from ngvisco.forms.tabulated_rates import TabulatedRates
-from ngvisco.forms.term import Entry, Integrand, Term
+from ngvisco.forms.term import Entry, GivenParts, Integrand, Term, refused_by_name
 from ngvisco.forms.terms.creep import CreepRate, PlasticStraining
 from ngvisco.forms.terms.heat import heat_terms
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Continuity, Convection, Inertia, Loading, Stokes
 from ngvisco.forms.terms.regularisation import regularising_terms
 from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
-from ngvisco.forms.withheld import GivenParts, refused_by_name
+from ngvisco.forms.upwinding import FacetFlux
 from ngvisco.physics.model import Model
 
 _NOT_EVOLVED = (
@@ -254,3 +253,24 @@ class Step:
             Entry(f"power_wall_{name}", "power", Integrand(), power(name))
             for name in self.moving_walls.moving
         ]
+
+
+class EntryIntegrals:
+    """Integrals of entries at the present state of a step, compiled together."""
+
+    def __init__(self, step: Step, entries: Mapping[str, Entry]) -> None:
+        self.step = step
+        cells = {name: e.integrand.cells for name, e in entries.items() if e.integrand.cells is not None}
+        self._cell_names = list(cells)
+        self._cells = CF((*cells.values(), 0.0, 0.0)).Compile()  # a vector, however few there are
+        facets = {name: e.integrand.facets for name, e in entries.items() if e.integrand.facets is not None}
+        self._facets = {name: integrand.Compile() for name, integrand in facets.items()}
+        self._evaluated = {name: e.evaluate for name, e in entries.items() if e.evaluate is not None}
+
+    def __call__(self) -> dict[str, float]:
+        quadrature = self.step.quadrature
+        totals = quadrature.integrate_cells(self._cells)
+        values = {name: float(t) for name, t in zip(self._cell_names, totals, strict=False)}
+        for name, integrand in self._facets.items():
+            values[name] = values.get(name, 0.0) + quadrature.integrate_facets(integrand)
+        return values | {name: evaluate() for name, evaluate in self._evaluated.items()}

@@ -32,8 +32,7 @@ from ngsolve import (
 )
 
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.physics.signals import breaking
-from ngvisco.physics.time import time
+from ngvisco.physics.signals import breaking, time
 
 TOLERANCE = 1e-10
 """Of a mean, relative to the largest value in the interval."""

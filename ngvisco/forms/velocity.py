@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from ngsolve import CF, BilinearForm, CoefficientFunction, GridFunction, LinearForm
 
-from ngvisco.algebra.conjugate_gradients import conjugate_gradients
+from ngvisco.algebra.krylov import conjugate_gradients
 from ngvisco.errors import StepError
 from ngvisco.forms.boundary.wall_projection import WallProjection
 from ngvisco.forms.boundary.wall_terms import Impenetrability

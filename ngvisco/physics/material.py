@@ -17,7 +17,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction
@@ -30,7 +31,6 @@ from ngvisco.physics.variables import Values, Variable
 
 if TYPE_CHECKING:
     from ngvisco.physics.pointwise import Respond
-
 
 ElasticState: TypeAlias = Literal["F", "B"]
 
@@ -237,3 +237,41 @@ def volume_ratio(material: Material, z: Values) -> CoefficientFunction:
     found = (v.volume_ratio(z[v.name]) for v in variables)
     power, exponent = next(ratio for ratio in found if ratio is not None and abs(ratio[1]) > 1e-12)
     return power ** (1 / exponent)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wrapper(Material):
+    """A material of another one: what it does not say otherwise is that one's.
+
+    Raises ParameterError if ``material`` is none, or a parameter is out of its range.
+
+    Parameters
+    ----------
+    material : Material
+    """
+
+    material: Material
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.material, Material):
+            raise ParameterError(f"{type(self).__name__}.material", self.material, "a Material")
+        super().__post_init__()
+
+    def with_elastic_state(self, state: ElasticState) -> Self:
+        return replace(self, material=self.material.with_elastic_state(state))
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return self.material.variables
+
+    @property
+    def referential_density(self) -> Modulus | None:
+        return self.material.referential_density
+
+    @property
+    def conformation(self) -> str | None:
+        return self.material.conformation
+
+    @property
+    def continued(self) -> frozenset[str]:
+        return self.material.continued

@@ -27,7 +27,7 @@ from typing import Any, ClassVar, TypeAlias, TypeVar, get_args, get_type_hints
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, as_number, require_above, require_nonnegative
-from ngvisco.physics.time import reads_time
+from ngvisco.physics.signals import reads_time
 from ngvisco.physics.variables import Values, Variable
 
 T = TypeVar("T")

@@ -10,7 +10,7 @@ from ngsolve import CF, CoefficientFunction
 from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.heterogeneous import Heterogeneous
-from ngvisco.physics.time import one_value, reads_time, sampled
+from ngvisco.physics.signals import one_value, reads_time, sampled
 from ngvisco.physics.variables import Values
 
 _OTHERS = {

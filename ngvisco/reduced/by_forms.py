@@ -14,8 +14,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import Integrand, Term
-from ngvisco.forms.withheld import GivenParts, WithheldError
+from ngvisco.forms.term import GivenParts, Integrand, Term, WithheldError
 from ngvisco.reduced.unknowns import Unknowns
 
 

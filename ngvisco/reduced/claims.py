@@ -20,7 +20,7 @@ from ngvisco.errors import ParameterError
 from ngvisco.forms.context import Context
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import PointTerm, Term
+from ngvisco.forms.term import GivenParts, PointTerm, Term, refused_by_name
 from ngvisco.forms.terms.field_diffusion import FieldDiffusion
 from ngvisco.forms.terms.heat import Heating
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
@@ -28,7 +28,6 @@ from ngvisco.forms.terms.momentum import Continuity, Inertia, Loading
 from ngvisco.forms.terms.regularisation import CutOffVolume, DensityDiffusion
 from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics
 from ngvisco.forms.upwinding import SideMean
-from ngvisco.forms.withheld import GivenParts, refused_by_name
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.evaluation import NotAtPointsError, asked_slots, why
 from ngvisco.reduced.unknowns import Unknowns, density_by_forms, in_cells

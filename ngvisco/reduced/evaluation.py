@@ -21,8 +21,8 @@ from ngsolve import CF, CoefficientFunction, GridFunction, specialcf
 
 from ngvisco.errors import NgviscoError
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
-from ngvisco.forms.tabulated_rates import TabulatedRates
 from ngvisco.forms.term import PointTerm
 from ngvisco.forms.upwinding import Incoming, SideMean, Upwinding
 from ngvisco.physics.arrays import Array, Linear, slots

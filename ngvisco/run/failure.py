@@ -21,7 +21,7 @@ from ngvisco.parallel.mesh import number_of
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically
 from ngvisco.run.stepping import step_under_way
-from ngvisco.run.vtk import shown_by, write_vtu
+from ngvisco.run.vtu import shown_by, write_vtu
 from ngvisco.solver.problem import Attempt, iterations
 
 if TYPE_CHECKING:

@@ -26,15 +26,18 @@ from ngvisco.errors import (
     require_positive,
     require_some_names,
 )
-from ngvisco.run.advice import dissipation_advice
+from ngvisco.forms.distance import NUMERICAL
+from ngvisco.run.fields import usual
 from ngvisco.run.files import append, csv_text, write_atomically
-from ngvisco.run.further_fields import usual
 from ngvisco.run.stepping import step_under_way
-from ngvisco.run.vtk import read_pvd, shown_by, write_vtu
+from ngvisco.run.vtu import read_pvd, shown_by, write_vtu
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
     from ngvisco.run.stepping import Rejection
+
+if TYPE_CHECKING:
+    from ngvisco.run.simulation import Simulation
 
 
 class Progress:
@@ -158,7 +161,7 @@ class VTKSeries:
     every : int
         Write every so many steps, besides the first and the last state; None: only at ``times``.
     fields : sequence of str, optional
-        Names out of ``simulation.fields``; default all but those of ``ngvisco.run.further_fields``.
+        Names out of ``simulation.fields``; default all but those of ``ngvisco.run.fields``.
     subdivision : int
         Bisections of every cell for output (fields are linear in the pieces), >= 0.
     times : sequence of float
@@ -247,3 +250,37 @@ class VTKSeries:
             f'byte_order="LittleEndian">\n<Collection>\n{sets}\n</Collection>\n</VTKFile>\n'
         )
         write_atomically(self._pvd, text.encode())
+
+
+NEGLIGIBLE = 1e-3
+"""Share of the energy that was there to be moved, below which the scheme's dissipation is no matter."""
+
+
+def dissipation_advice(simulation: Simulation) -> str | None:
+    """A sentence where the scheme's own dissipation exceeds the model's, or None.
+
+    The energy there was to be moved is the largest kinetic energy, or change of the stored one, plus the work
+    done by loads and walls.
+    """
+    ledger = simulation.ledger
+    if len(ledger.rows) < 2:
+        return None
+    dt = ledger.column("dt")
+
+    def total(kind: str) -> float:
+        return float(sum(dt @ ledger.column(entry.name) for entry in ledger.entries if entry.kind == kind))
+
+    numerical = float(sum(ledger.column(name).sum() for name in NUMERICAL))  # not what a transfer took
+    physical = total("dissipation")
+    stored = ledger.column("stored")
+    moved = max(ledger.column("kinetic").max(), abs(stored - stored[0]).max()) + abs(total("power"))
+    if numerical <= max(physical, NEGLIGIBLE * moved):
+        return None
+    scheme = simulation.scheme
+    said = f"the time scheme {scheme.name} dissipated {numerical:.3g} J, the model {physical:.3g} J: "
+    if scheme.order > 1:
+        return said + "take a smaller dt"
+    return said + (
+        "take scheme = 'midpoint' (second order, one solve a step), 'sdirk2' where stiff parts are to be "
+        "damped, or a much smaller dt"
+    )

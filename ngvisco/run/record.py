@@ -5,13 +5,13 @@ from collections.abc import Mapping
 
 from ngvisco.errors import ParameterError, as_number, require_path
 from ngvisco.expressions import parse
-from ngvisco.run.bodies import Bodies
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.fields import components
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.outlines import outlined
 from ngvisco.run.plots import figure, plot_energies, plot_fields
+from ngvisco.run.probes import Bodies
 from ngvisco.run.simulation import Observer, Simulation
 
 

@@ -296,7 +296,7 @@ class Simulation:
         ``velocity`` has the mesh's dimension, tensors are 3x3; ``cauchy_stress`` is the elastic one,
         T of the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all Pa.  Creep rate,
         Mandel, viscous and hyperstress, principal stresses and stretches follow as far as the model has
-        them (``ngvisco.run.further_fields``), and the passive fields of the run under their names.
+        them (``ngvisco.run.fields``), and the passive fields of the run under their names.
         """
         self.rothe_step.eliminate.refresh()
         return {**self._expressions, **self.passive.fields}

@@ -1,11 +1,12 @@
-"""Shapes of few numbers: balls, boxes, half-spaces, polygons."""
+"""Shapes of few numbers, balls, boxes, half-spaces, polygons; and the mesh's own named subdomains."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, Quantity, require_positive
+from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_names, require_positive
 from ngvisco.shapes.places import Places
 from ngvisco.shapes.shape import Shape, as_place, require_dim
 
@@ -197,3 +198,37 @@ def _overlap(a: np.ndarray, b: np.ndarray) -> tuple[int, int] | None:
     common = np.minimum(on.max(axis=0), length[:, None]) - np.maximum(on.min(axis=0), 0)
     found = np.argwhere(is_collinear & (common > rounding) & ~np.eye(len(a), dtype=bool))
     return None if not len(found) else (int(found[0, 0]), int(found[0, 1]))
+
+
+@dataclass(frozen=True)
+class Subdomain(Shape):
+    """The cells of named subdomains (NGSolve: materials) of the mesh: exactly these, nothing is cut.
+
+    Parameters
+    ----------
+    names : str or sequence of str
+        Names of subdomains of the mesh.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of its range.
+    """
+
+    names: Annotated[str | Sequence[str], Quantity(example=["inclusion"])]
+
+    def __post_init__(self) -> None:
+        names = (self.names,) if isinstance(self.names, str) else require_names("Subdomain.names", self.names)
+        if not names:
+            raise ParameterError("Subdomain.names", self.names, "at least one name")
+        object.__setattr__(self, "names", tuple(names))
+
+    def level(self, at: Places) -> np.ndarray:
+        known = at.mesh.GetMaterials()
+        for name in self.names:
+            if name not in known:
+                raise UnknownNameError("subdomain", name, known)
+        wanted = np.array([name in self.names for name in known])
+        elements = at.mesh.ngmesh.Elements2D() if at.mesh.dim == 2 else at.mesh.ngmesh.Elements3D()
+        index = elements.NumPy()["index"][at.cell_numbers]  # from 1
+        return np.where(wanted[index - 1], 1.0, -1.0)

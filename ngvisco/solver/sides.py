@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 from ngsolve import IfPos
 
-from ngvisco.forms.facet_flux import FacetFlux
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.system import Step
+from ngvisco.forms.upwinding import FacetFlux
 from ngvisco.parallel.communicator import Communicator
 
 COURANT = 0.1

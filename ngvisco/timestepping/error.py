@@ -10,7 +10,7 @@ which costs no solve (for the implicit Euler scheme tau/(2 tau + tau_old) times 
 states are known there is no estimate.
 
 Norm.  The largest of |e_u|/(|u| + s_u sqrt(volume)) over the unknowns u that evolve, with L2 norms over the
-domain: a relative error.  s_u is the unknown's scale (``ngvisco.forms.unknowns``): of v the run's velocity
+domain: a relative error.  s_u is the unknown's scale (``ngvisco.forms.term``): of v the run's velocity
 scale, 0 of rho, 1 of z.
 """
 

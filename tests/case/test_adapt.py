@@ -4,7 +4,7 @@ import pytest
 
 import ngvisco as nv
 from ngvisco.case.build import parse_case
-from ngvisco.case.errors import CaseError
+from ngvisco.case.faults import CaseError
 from ngvisco.run.checkpoint import mesh_of_checkpoints
 from ngvisco.solver.rothe import RotheSolver
 

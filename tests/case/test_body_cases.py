@@ -10,7 +10,7 @@ from ngsolve import Integrate, pi
 import ngvisco as nv
 from ngvisco.case import reference, runs
 from ngvisco.case.build import parse_case
-from ngvisco.case.errors import CaseError
+from ngvisco.case.faults import CaseError
 from ngvisco.case.places import place_of
 from ngvisco.cli.main import main
 from ngvisco.geometries import box

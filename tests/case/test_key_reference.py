@@ -15,7 +15,7 @@ from ngvisco.case import reference, template, toml
 from ngvisco.case.build import parse_case
 from ngvisco.case.catalogue import WRAPPERS
 from ngvisco.case.faults import models_in
-from ngvisco.case.keys import meanings, quantities
+from ngvisco.case.reference import meanings, quantities
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.values import TensorValue, VectorValue
 

@@ -8,7 +8,7 @@ import pytest
 
 import ngvisco as nv
 from ngvisco.case.build import parse_case
-from ngvisco.case.errors import CaseError
+from ngvisco.case.faults import CaseError
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses"),

@@ -6,7 +6,7 @@ import pytest
 
 import ngvisco as nv
 from ngvisco.case.build import load_case, parse_case
-from ngvisco.case.errors import CaseError
+from ngvisco.case.faults import CaseError
 
 CASE = """
 [units]

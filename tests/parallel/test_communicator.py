@@ -8,7 +8,7 @@ import pytest
 from launch import has_petsc, run
 from ngsolve import H1
 
-from ngvisco.case.errors import CaseError, Fault
+from ngvisco.case.faults import CaseError, Fault
 from ngvisco.errors import ParameterError, StepError, UnknownNameError
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import Communicator, MPIError, _packed, _unpacked

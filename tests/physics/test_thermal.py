@@ -9,7 +9,7 @@ from ngsolve import CF, Id
 import ngvisco as nv
 from ngvisco.physics.material import cauchy_stress, conjugates
 from ngvisco.physics.materials.thermal import bulk_modulus, entropy_in
-from ngvisco.physics.time import sampled
+from ngvisco.physics.signals import sampled
 
 COLD = {
     "B and J": nv.IsochoricNeoHookean(K_e=20.0, G_e=1.0, elastic_state="B"),

@@ -8,8 +8,7 @@ import ngvisco as nv
 from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.forms.distance import BregmanDistance
 from ngvisco.forms.system import Evolved
-from ngvisco.forms.term import Entry, Integrand, PointTerm
-from ngvisco.forms.unknowns import Unknown
+from ngvisco.forms.term import Entry, Integrand, PointTerm, Unknown
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, square, tr
 from ngvisco.run.fields import component_fields

@@ -9,8 +9,7 @@ from support import tensor, value
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, sym
-from ngvisco.run.fields import scalar_fields
-from ngvisco.run.further_fields import NAMES, eigenvalues, usual
+from ngvisco.run.fields import NAMES, eigenvalues, scalar_fields, usual
 from ngvisco.run.observers import VTKSeries
 from ngvisco.run.vtu import read_frame
 

@@ -8,7 +8,7 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.movie import write_movie
 from ngvisco.run.plots import Section, plot_energies, plot_fields, plot_history
-from ngvisco.run.vtk import read_pvd
+from ngvisco.run.vtu import read_pvd
 
 DT = 0.02
 

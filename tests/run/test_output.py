@@ -11,10 +11,10 @@ from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.run.further_fields import usual
+from ngvisco.run.fields import usual
 from ngvisco.run.ledger import unit
 from ngvisco.run.plots import plot_energies, plot_history
-from ngvisco.run.vtk import read_pvd
+from ngvisco.run.vtu import read_pvd
 
 
 def small_run(observers, material=None, steps=4):

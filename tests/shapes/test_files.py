@@ -12,8 +12,7 @@ from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.geometries import box
 from ngvisco.shapes.fractions import volumes
 from ngvisco.shapes.image import Image
-from ngvisco.shapes.solids import Block
-from ngvisco.shapes.subdomain import Subdomain
+from ngvisco.shapes.solids import Block, Subdomain
 from ngvisco.shapes.surface import ClosedSurface, crossings
 
 

@@ -11,8 +11,8 @@ from support import SWIRL, swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.run.advice import dissipation_advice
 from ngvisco.run.ledger import NUMERICAL
+from ngvisco.run.observers import dissipation_advice
 from ngvisco.timestepping.error import ErrorEstimate
 
 

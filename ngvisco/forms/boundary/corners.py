@@ -20,8 +20,8 @@ from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.model import as_vector
+from ngvisco.physics.signals import time
 from ngvisco.physics.tensors import tr
-from ngvisco.physics.time import time
 from ngvisco.physics.walls import HELD, MOVING
 
 _VERTICES = {

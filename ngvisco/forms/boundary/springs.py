@@ -24,8 +24,7 @@ from ngvisco.forms.boundary.boundaries import facet_indicator, walls_of
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import mask_of
-from ngvisco.forms.term import Entry, Integrand, PointTerm
-from ngvisco.forms.unknowns import Setting, Unknown
+from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.walls import Open

@@ -10,8 +10,7 @@ from ngsolve import CF, CoefficientFunction
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
-from ngvisco.forms.unknowns import Setting, Unknown
+from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Term, Unknown
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.walls import NavierFriction, Traction
 

@@ -30,8 +30,8 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material
 from ngvisco.physics.mixture import AMOUNT
 from ngvisco.physics.model import BodyForce, CentralGravity, VectorLike, as_vector, force_of
+from ngvisco.physics.signals import time
 from ngvisco.physics.tensors import square
-from ngvisco.physics.time import time
 from ngvisco.physics.variables import Distortion
 from ngvisco.physics.walls import MOVING, NavierFriction, Traction
 

@@ -36,8 +36,8 @@ from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.model import VectorLike, as_vector
 from ngvisco.physics.parameters import Parameter, moduli_in, value_at
+from ngvisco.physics.signals import reads_time
 from ngvisco.physics.tensors import inner, square, tensor_space, trace_free_tensors
-from ngvisco.physics.time import reads_time
 
 ScalarLike: TypeAlias = float | CoefficientFunction
 

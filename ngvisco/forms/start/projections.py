@@ -20,8 +20,7 @@ from ngvisco.forms.context import Context
 from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
-from ngvisco.forms.term import tested
-from ngvisco.forms.unknowns import Unknown
+from ngvisco.forms.term import Unknown, tested
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.petsc import Direct, inverse_of
 from ngvisco.physics.tensors import inner

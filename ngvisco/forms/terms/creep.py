@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import PointTerm
-from ngvisco.forms.unknowns import Setting, Unknown
+from ngvisco.forms.term import PointTerm, Setting, Unknown
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
 from ngvisco.physics.flows import Flow

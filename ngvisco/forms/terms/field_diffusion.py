@@ -8,8 +8,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.energy import column, total
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import Integrand, PointTerm
-from ngvisco.forms.unknowns import Setting, Unknown
+from ngvisco.forms.term import Integrand, PointTerm, Setting, Unknown
 from ngvisco.physics.curvature import Curvature, curvature_of
 from ngvisco.physics.material import Material
 from ngvisco.physics.regularisation import Regularisation

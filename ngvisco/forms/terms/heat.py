@@ -22,8 +22,7 @@ from ngvisco.errors import ParameterError
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import PRODUCTION, Entry, Integrand, PointTerm, Term, dissipations
-from ngvisco.forms.unknowns import Setting, Unknown
+from ngvisco.forms.term import PRODUCTION, Entry, Integrand, PointTerm, Setting, Term, Unknown, dissipations
 from ngvisco.forms.upwinding import SideMean
 from ngvisco.physics.materials.thermal import Entropy, entropy_in
 from ngvisco.physics.mixed_heat import HeatLaw

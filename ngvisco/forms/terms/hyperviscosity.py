@@ -34,8 +34,7 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields, hessian_basis
-from ngvisco.forms.term import Integrand, Integrands, PointTerm, tested
-from ngvisco.forms.unknowns import Setting, Unknown
+from ngvisco.forms.term import Integrand, Integrands, PointTerm, Setting, Unknown, tested
 from ngvisco.physics.rheology import HyperViscosity
 from ngvisco.physics.tensors import inner, square
 

@@ -19,8 +19,7 @@ from functools import cached_property
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import Entry, Integrand, PointTerm
-from ngvisco.forms.unknowns import Setting, Unknown
+from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Unknown
 from ngvisco.physics.model import CentralGravity, Gravity, Load, force_of
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Viscosity

@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from ngsolve import CF, CoefficientFunction, IfPos
 
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
+from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Term, Unknown
 from ngvisco.forms.terms.field_diffusion import FieldDiffusion
-from ngvisco.forms.unknowns import Setting, Unknown
 from ngvisco.physics.model import Model
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.tensors import inner, square

@@ -28,8 +28,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
-from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, tested
-from ngvisco.forms.unknowns import Setting, Unknown
+from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, Setting, Unknown, tested
 from ngvisco.forms.upwinding import SideMean
 from ngvisco.physics.materials.regularised import WithQuadratic
 from ngvisco.physics.model import Model

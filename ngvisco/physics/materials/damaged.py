@@ -27,8 +27,8 @@ from ngsolve import CF, CoefficientFunction
 from ngvisco.errors import ParameterError, Quantity, require_choice
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.parameters import Modulus, Parameter, expressions_in, parameters_in, require_ranges
+from ngvisco.physics.signals import sampled
 from ngvisco.physics.tensors import identity_like, if_positive, log, square, tr
-from ngvisco.physics.time import sampled
 from ngvisco.physics.variables import Jacobian, LogJacobian, ReciprocalJacobian, SmallStrain, Values, Variable
 
 

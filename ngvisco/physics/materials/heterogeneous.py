@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.physics.material import Material
+from ngvisco.physics.material import Material, Wrapper
 from ngvisco.physics.materials.regularised import WithQuadratic
-from ngvisco.physics.materials.wrapper import Wrapper
 from ngvisco.physics.materials.yosida import Yosida
 from ngvisco.physics.parameters import Parameter, distinct, substituted
 from ngvisco.physics.variables import Values, Variable

@@ -11,8 +11,7 @@ import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import Quantity, UnknownNameError, require_names
-from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.materials.wrapper import Wrapper
+from ngvisco.physics.material import ElasticState, Material, Wrapper
 from ngvisco.physics.pointwise import Respond, Response
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values

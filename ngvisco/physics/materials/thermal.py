@@ -19,8 +19,8 @@ from ngsolve import CF, CoefficientFunction, Id
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.parameters import Modulus, require_ranges, substituted
+from ngvisco.physics.signals import sampled
 from ngvisco.physics.tensors import exp, log, tr
-from ngvisco.physics.time import sampled
 from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, Id
 
 from ngvisco.errors import NgviscoError, Quantity
-from ngvisco.physics.materials.wrapper import Wrapper
+from ngvisco.physics.material import Wrapper
 from ngvisco.physics.pointwise import Respond, Response, respond, squares
 from ngvisco.physics.variables import Values, Variable
 

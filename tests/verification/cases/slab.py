@@ -23,7 +23,7 @@ from ngsolve import CF, IfPos
 
 import ngvisco as nv
 from ngvisco.geometries import structured_box
-from ngvisco.physics.time import time
+from ngvisco.physics.signals import time
 from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
 from tests.verification.setups import CLOSURE, DRIFT, closure, drift, fluid
 
