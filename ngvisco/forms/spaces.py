@@ -54,6 +54,8 @@ if TYPE_CHECKING:
 class Discretisation:
     """Orders of the spaces and the few numbers of the scheme.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     k : int
@@ -62,11 +64,6 @@ class Discretisation:
         Order of the discontinuous density and transported variables, 0, 1 or 2.
     quadrature_bonus : int
         Added to the degree of all quadrature of forms and ledger alike, 0 to 12.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     k: int = 2

@@ -69,6 +69,8 @@ class Activated(_Activation, FlowRule):  # type: ignore[override]
         rule = nv.Composite(rules=(dislocation, diffusion))
         print(sorted(rule.reads))
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     rule : FlowRule
@@ -82,11 +84,6 @@ class Activated(_Activation, FlowRule):  # type: ignore[override]
     temperature : float, optional
         A number, a function of the initial place, which is carried, or an expression of parameters; None is
         that of the material, which then has heat.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     rule: FlowRule
@@ -126,6 +123,7 @@ class ActivatedViscosity(_Activation, Viscosity):  # type: ignore[override]
     """A viscosity that is a = exp(E/(R theta_R) - (E + p V)/(R theta)) times thinner (Arrhenius, Andrade).
 
     With V it grows with the pressure like exp(V p/(R theta)), which is the law of Barus, 1893.
+    Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -139,11 +137,6 @@ class ActivatedViscosity(_Activation, Viscosity):  # type: ignore[override]
         Activation volume.
     temperature : float, optional
         As for ``Activated``.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     viscosity: Viscosity

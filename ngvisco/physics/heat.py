@@ -74,6 +74,8 @@ class WallHeat:
 class Heat:
     """What heats and cools a body besides its own dissipation.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     conductivity : float
@@ -85,11 +87,6 @@ class Heat:
     numerical_heating : bool
         Whether what the time scheme dissipates is heat too, so that the total energy is kept to rounding; of
         the backward Euler scheme only.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     conductivity: Annotated[Conductivity, Quantity("W/(m K)", example="0.5*(theta/300)**0.7")] = 0.0

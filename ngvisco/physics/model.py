@@ -65,6 +65,8 @@ class BodyForce:
 class CentralGravity:
     """Gravity towards a centre, g = -strength (r/radius)^exponent e_r, for discs, shells and spheres.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     strength : float
@@ -78,11 +80,6 @@ class CentralGravity:
         that outside (-1 in 2D); below 1 the centre must not be in the domain.
     name
         As for ``Gravity``.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     strength: Annotated[float, Quantity("m/s^2", example=9.81)]

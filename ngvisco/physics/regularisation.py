@@ -21,6 +21,8 @@ from ngvisco.physics.tensors import Scalar, if_positive, power_of_square
 class Regularisation:
     """The paper's regularising terms: diffusions by delta, friction by epsilon, and the cut-off.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     delta_density : float
@@ -46,11 +48,6 @@ class Regularisation:
         |grad rho| below which the r-Laplacian's penalty is constant.
     floor : float
         |v| and |grad rho|, in SI units, below which powers that are no even integers are smoothed.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     delta_density: Annotated[float, Quantity("m^2/s (kg/m^4)^(2-r)", ">= 0", 1e-6)] = 0.0

@@ -105,17 +105,14 @@ class IsotropicViscosity(Viscosity):
 class StokesViscosity(IsotropicViscosity):
     """Stokes viscosity D eps = K_v (tr eps) I + 2 G_v dev eps (paper: dissipation-pot, Euler-small-ass-D).
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     K_v : float
         Bulk viscosity: stress K_v (div v) I.
     G_v : float
         Shear viscosity: stress 2 G_v dev eps(v), the usual dynamic viscosity.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
@@ -212,6 +209,7 @@ class HyperViscosity:
     """Hyperviscosity, the stress (mu_1 + mu |hess v|^{p-2}) hess v (paper: Euler-small-viscoelastodyn+1).
 
     The paper's analysis wants p > 3; any p > 1 runs.
+    Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -225,11 +223,6 @@ class HyperViscosity:
         Weight of the interior penalty in the lifted form.
     floor : float
         |hess v| below which powers that are no even integers are smoothed.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     mu: Annotated[Modulus, Quantity("W/m^3 (m s)^p", "> 0", 1e-5)]

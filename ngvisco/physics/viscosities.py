@@ -27,7 +27,7 @@ class PowerLaw(IsotropicViscosity):
     """G_v = consistency (s + floor^2)^{(n-1)/2}: the law of Ostwald and de Waele, 1925.
 
     Thinning for n < 1, thickening for n > 1.  Below the shear rate ``floor`` the viscosity does not grow any
-    more: it is consistency floor^{n-1} at rest.
+    more: it is consistency floor^{n-1} at rest.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -39,11 +39,6 @@ class PowerLaw(IsotropicViscosity):
         Exponent of the shear rate in the shear stress.
     floor : float
         Shear rate below which the fluid is Newtonian.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
@@ -64,6 +59,8 @@ class PowerLaw(IsotropicViscosity):
 class Carreau(IsotropicViscosity):
     """G_v = G_inf + (G_0 - G_inf) (1 + relaxation^2 s)^{(n-1)/2} (Carreau 1972).
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     K_v : float
@@ -76,11 +73,6 @@ class Carreau(IsotropicViscosity):
         Time whose inverse is the shear rate at which the viscosity begins to change.
     n : float
         Exponent of the power law in between.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
@@ -103,6 +95,8 @@ class Carreau(IsotropicViscosity):
 class Cross(IsotropicViscosity):
     """G_v = G_inf + (G_0 - G_inf)/(1 + (relaxation sqrt(s))^m) (Cross 1965).
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     K_v : float
@@ -117,11 +111,6 @@ class Cross(IsotropicViscosity):
         How steep it falls; above 1 the shear stress would fall with the shear rate.
     floor : float
         Shear rate below which powers of it are smoothed.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]

@@ -71,6 +71,8 @@ class PrescribedTangential(Wall):
 class Traction(Wall):
     """Tangential traction f_t - friction v_t (paper: rem-f-ne-0, with its eps for ``friction``).
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     f : vector of the mesh's dimension
@@ -80,11 +82,6 @@ class Traction(Wall):
         Traction -friction v_t besides.
     straight
         As for ``Slip``.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     f: Annotated[VectorLike, Quantity("Pa", example=["0.1*sin(t)", 0.0])]
@@ -99,17 +96,14 @@ class Traction(Wall):
 class NavierFriction(Wall):
     """Tangential stress -coefficient v_t.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     coefficient : number or coefficient function
         Tangential stress is -coefficient v_t; it may depend on x.
     straight
         As for ``Slip``.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     coefficient: Annotated[float | CoefficientFunction, Quantity("Pa s/m", ">= 0", 0.1)]
@@ -158,6 +152,8 @@ class Passage(Wall):
 class Inflow(Passage):
     """v = V on the wall, V with a normal part: an inlet.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     velocity : vector of the mesh's dimension
@@ -174,11 +170,6 @@ class Inflow(Passage):
         of volume, 0 where nothing is said. The density is sum rho_i n_i then.
     temperature : number or coefficient function, optional
         Of what flows in, of a material that has one; its reference temperature where nothing is said.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     velocity: Annotated[VectorLike, Quantity("m/s", example=["y*(1 - y)", 0.0])]
@@ -187,6 +178,8 @@ class Inflow(Passage):
 @dataclass(frozen=True, kw_only=True)
 class Open(Passage):
     """The stress is given and v is free: (T + D) n = f - p n - Z_p (v.n) n - Z_s v_t - k_p (w.n) n - k_s w_t.
+
+    Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -207,11 +200,6 @@ class Open(Passage):
         without that a given stress may feed such a flow without bound.
     density, values, amounts, temperature
         As for ``Inflow``.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     pressure: Annotated[Function, Quantity("Pa", example="0.1*sin(t)")] = 0.0

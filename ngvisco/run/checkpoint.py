@@ -86,6 +86,8 @@ class ChosenMesh:
 class Checkpoints:
     """Writes the run's HDF5 file every so many steps and at the end.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     path : path
@@ -96,11 +98,6 @@ class Checkpoints:
         How many checkpoints the file holds, the latest ones.
     attributes : mapping, optional
         Further attributes of the file, e.g. the hash of a case.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     def __init__(

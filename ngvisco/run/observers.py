@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 class Progress:
     """A line a step: time, energy, closure, Newton iterations, time to go.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     until : float
@@ -51,11 +53,6 @@ class Progress:
         Print every so many steps, and the last one.
     stream : text stream, optional
         Default ``sys.stdout``.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     on_first_rank = True
@@ -124,11 +121,7 @@ class LedgerCSV:
     """The ledger as CSV: a header, then a row a step, flushed at every step.
 
     A resumed run writes the rows up to the checkpoint's and goes on from there; later ones are dropped.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
+    Raises ParameterError if a parameter is out of its range.
     """
 
     on_first_rank = True
@@ -153,6 +146,7 @@ class VTKSeries:
 
     Velocity, density, the material's variables, Cauchy stress, pressure and von Mises stress, with
     their components labelled; vectors are padded to three components.
+    Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -168,11 +162,6 @@ class VTKSeries:
         Further times at which to write, s; pass them as ``stops`` to ``Simulation.run`` too.
 
     A resumed run drops what the interrupted one wrote out of turn when it stopped.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     def __init__(

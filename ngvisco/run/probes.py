@@ -85,6 +85,8 @@ class Probes(Series):
 class LineSamples(Series):
     """Fields along a line, over time: a row a point and time.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     start, end : sequence of numbers
@@ -96,11 +98,6 @@ class LineSamples(Series):
 
     The columns are ``step``, ``time`` (s), ``s`` (distance from the start, m), ``x``, ``y``, in 3D ``z`` (m),
     and the fields in SI units.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     def __init__(
@@ -141,6 +138,8 @@ class LineSamples(Series):
 class WallForces(Series):
     """Force and torque that the body exerts on walls, over time.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     walls : sequence of str, optional
@@ -155,11 +154,6 @@ class WallForces(Series):
     viscous and hyperviscous stress (``ngvisco.forms.boundary.reactions``); each row is of the step that ends
     at its time, so that the first one is of the first step: the mean over the step's stages with the scheme's
     weights.  Backward Euler has them at the step's end, the midpoint rule at its middle.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     initial = False

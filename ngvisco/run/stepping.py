@@ -54,6 +54,8 @@ HALVINGS, MOST_HALVINGS = 3, 20
 class AdaptiveSteps:
     """Adaptive step lengths between two bounds; the first step has the simulation's ``dt``.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     dt_min : float
@@ -65,11 +67,6 @@ class AdaptiveSteps:
         ledger's error_estimate); without it only unsolvable steps are shortened.
     patience : int
         Accepted steps in a row before the length is doubled, without a tolerance.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     dt_min: Annotated[float, Quantity("s", "> 0", 1e-3)]

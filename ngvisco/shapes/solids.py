@@ -15,17 +15,14 @@ from ngvisco.shapes.shape import Shape, as_place, require_dim
 class Ball(Shape):
     """A ball, in two dimensions a disc.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     centre : two or three numbers
         Its centre, a coordinate for each dimension.
     radius : float
         Radius.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     centre: Annotated[tuple[float, ...], Quantity("m", example=[0.6, 0.5])]
@@ -44,17 +41,14 @@ class Ball(Shape):
 class Block(Shape):
     """The box between two corners, with edges along the axes.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     low : two or three numbers
         Corner of the smallest coordinates, a coordinate for each dimension.
     high : two or three numbers
         Corner of the largest coordinates.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     low: Annotated[tuple[float, ...], Quantity("m", example=[0.2, 0.2])]
@@ -77,17 +71,14 @@ class Block(Shape):
 class HalfSpace(Shape):
     """All that lies behind a plane, on the side that its normal points away from.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     point : two or three numbers
         A point of the plane, a coordinate for each dimension.
     normal : as many numbers
         Outward normal of the plane, of any length.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     point: Annotated[tuple[float, ...], Quantity("m", example=[0.0, 0.5])]
@@ -114,16 +105,13 @@ class HalfSpace(Shape):
 class Polygon(Shape):
     """A polygon of the plane, which need not be convex; the last point is joined to the first.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     points : three pairs of numbers at least
         Three corners at least, in either sense of rotation; the last is joined to the first, and edges do not
         cross each other.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     points: Annotated[tuple[tuple[float, float], ...], Quantity("m", example=[[0, 0], [1, 0], [0, 1]])]
@@ -204,15 +192,12 @@ def _overlap(a: np.ndarray, b: np.ndarray) -> tuple[int, int] | None:
 class Subdomain(Shape):
     """The cells of named subdomains (NGSolve: materials) of the mesh: exactly these, nothing is cut.
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     names : str or sequence of str
         Names of subdomains of the mesh.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     names: Annotated[str | Sequence[str], Quantity(example=["inclusion"])]

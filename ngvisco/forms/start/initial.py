@@ -52,6 +52,8 @@ _CONTRADICTION = 1e-6
 class Initial:
     """Initial conditions (paper: Euler-small-IC-hyper, IC-large-disc).
 
+    Raises ParameterError if a parameter is out of its range.
+
     Parameters
     ----------
     density : number or coefficient function, optional
@@ -71,11 +73,6 @@ class Initial:
     values : mapping of names to coefficient functions, optional
         Initial values of single variables of the material, by name, in place of the derived ones, and of
         further terms' unknowns that evolve, else zero.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     density: Annotated[ScalarLike | None, Quantity("kg/m^3", "> 0", 1.0)] = None

@@ -32,7 +32,7 @@ class BarotropicFluid(Material):
 
     Convex in J for every gamma > 0, in A for gamma >= 1; gamma > 1 is asked for, since the pressure is
     not positive otherwise.  Stress at rest -(gamma - 1) B I; the bulk modulus is gamma p.  There is no
-    shear modulus, and creep does nothing.
+    shear modulus, and creep does nothing.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -46,11 +46,6 @@ class BarotropicFluid(Material):
         With form = "J": the energy is continued linearly below this J (paper: rem-neo-Hookean-ref).
     rho_R : float, optional
         Density where J = 1; with it the initial density and J follow from one another.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     B: Annotated[Modulus, Quantity("Pa", "> 0", 1.0)]
@@ -76,17 +71,14 @@ class BarotropicFluid(Material):
     ) -> BarotropicFluid:
         """The fluid with the isentropic state equation p = a rho^gamma.
 
+    Raises ParameterError if a parameter is out of its range.
+
         Parameters
         ----------
         a : float
             Of the state equation p = a rho^gamma.
         gamma, rho_R, form, J_min
             As for ``BarotropicFluid``.
-
-        Raises
-        ------
-        ParameterError
-            If a parameter is out of its range.
         """
         require_positive("BarotropicFluid", a=a, rho_R=rho_R)
         require_above("BarotropicFluid", 1, gamma=gamma)

@@ -79,17 +79,12 @@ class FENEP(OldroydB):
     Dumbbells of a finite length (FENE-P, with Peterlin's closure): zeta_B = G_e (f I - B^-1) with
     f = (b - 3)/(b - tr B), which is 1 at rest, so that -(f B - I)/lambda is the relaxation by the law
     ``conformation``.  Convex in (B, J), strictly; singular as tr B -> b, det B -> 0+ and J -> 0+.
-    ``OldroydB`` is the limit b -> infinity.
+    ``OldroydB`` is the limit b -> infinity.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     b : float
         Square of the chains' largest extension, tr B < b.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     b: Annotated[float, Quantity("1", "> 3", 50.0)]

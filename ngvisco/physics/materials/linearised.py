@@ -92,6 +92,7 @@ class HardeningElastic(LinearElastic):
     The St Venant-Kirchhoff-type energy with the growth above quadratic that the paper's analysis of
     large strains allows for (paper: rem-general-phi).  Strongly convex and isotropic.  T(0) = 0; at small
     strains K_e and G_e are the usual bulk and shear moduli, and the tangent ones grow like |E|^{s-2}.
+    Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -107,11 +108,6 @@ class HardeningElastic(LinearElastic):
         Exponent of the hardening.
     floor : float
         Strain below which |E|^s is smoothed, where s is not an even integer.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     K_h: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]

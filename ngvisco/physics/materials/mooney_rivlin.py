@@ -39,6 +39,7 @@ class MooneyRivlin(NeoHookean):
 
     With ``elastic_state="B"`` the two invariants are tr B and (tr N)^{3/2}, B = J^{-2/3} F F^T and
     N = J^{-4/3} Cof(F F^T): linear and convex, so that phi is jointly convex in (B, N, J).
+    Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -46,11 +47,6 @@ class MooneyRivlin(NeoHookean):
         Weight of |F|^2; G_e + G_mr is half the usual shear modulus.
     G_mr : float
         Weight of the cofactor; G_e + G_mr is half the usual shear modulus.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
@@ -87,7 +83,7 @@ class ReferentialMooneyRivlin(ReferentialNeoHookean):
     F_iso, per referential volume.  N's rate is not the paper's printed one, see ``variables``.  Jointly
     convex, strongly in (H, N); blows up as J -> 0+.  T(I) = 0.  K_e is the usual bulk modulus
     (K_e + kappa (kappa + 1) epsilon with the added term), G_e + G_mr half the usual shear modulus (so G_e and
-    G_mr are the usual C_10 and C_01).
+    G_mr are the usual C_10 and C_01).  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -95,11 +91,6 @@ class ReferentialMooneyRivlin(ReferentialNeoHookean):
         Weight of |F|^2 (C_10); G_e + G_mr is half the usual shear modulus.
     G_mr : float
         Weight of the cofactor (C_01); G_e + G_mr is half the usual shear modulus.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
@@ -123,7 +114,7 @@ class LogarithmicMooneyRivlin(LogarithmicNeoHookean):
 
     c = epsilon/K_e, H = J^{-5/6} F, N = J^{-7/6} Cof F, A = 1/J, K = ln J/J.  Jointly convex, strongly in
     (H, N), strictly in A, and it blows up as A -> 0+.  T(I) = 0; the bulk modulus at rest is K_e + epsilon,
-    G_e + G_mr half the usual shear modulus.
+    G_e + G_mr half the usual shear modulus.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -133,11 +124,6 @@ class LogarithmicMooneyRivlin(LogarithmicNeoHookean):
         Weight of the cofactor; G_e + G_mr is half the usual shear modulus.
     K_e, epsilon
         As for ``LogarithmicNeoHookean``.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]

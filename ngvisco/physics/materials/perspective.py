@@ -116,6 +116,7 @@ class PerMass(PerReferentialVolume):
 
     Its moduli and its energy are read as J/kg.  rho = rho_R A, A being carried by the continuity equation.
     Convexity, variables and errors are those of ``PerReferentialVolume``.
+    Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -123,11 +124,6 @@ class PerMass(PerReferentialVolume):
         psi, J/kg.
     rho_R : float
         Density where J = 1; with it the initial density and J follow from one another.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     rho_R: Annotated[Modulus, Quantity("kg/m^3", "> 0", 1000.0)]

@@ -45,7 +45,7 @@ class ReferentialNeoHookean(IsotropicElastic):
 
     Jointly convex in (H, J), strongly in H (the paper's rem-neo-Hookean-ref), and it blows up as J -> 0+.
     T(I) = 0; K_e is the usual bulk modulus (K_e + kappa (kappa + 1) epsilon with the added term), G_e half
-    the usual shear modulus.
+    the usual shear modulus.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -59,11 +59,6 @@ class ReferentialNeoHookean(IsotropicElastic):
         Exponent of that term.
     J_min : float, optional
         All terms singular in J are continued linearly below it (paper: rem-neo-Hookean-ref).
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
@@ -92,16 +87,12 @@ class IsochoricNeoHookean(ReferentialNeoHookean):
     The same material as ``ReferentialNeoHookean`` by the isochoric part of F.  Jointly convex in (H, J),
     though not strongly (|H|^2/J is the perspective of a square).  By B the two have the same variables.
     Stress at rest, moduli, and ``epsilon`` and ``kappa`` as there.
+    Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     J_min : float, optional
         The terms singular in J alone are continued linearly below it.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     @property
