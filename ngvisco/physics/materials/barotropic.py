@@ -71,7 +71,7 @@ class BarotropicFluid(Material):
     ) -> BarotropicFluid:
         """The fluid with the isentropic state equation p = a rho^gamma.
 
-    Raises ParameterError if a parameter is out of its range.
+        Raises ParameterError if a parameter is out of its range.
 
         Parameters
         ----------
