@@ -80,7 +80,6 @@ def improved(
     apply, approximate : callable
         The matrix and an approximation of its inverse, linear maps of arrays (values, columns).
     rows : (values, columns) array
-    tolerance : float
     most : int
         Iterations at most.
     enough : float

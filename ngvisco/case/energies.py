@@ -74,7 +74,6 @@ def parse_energy(
 
     Parameters
     ----------
-    text : str
     variables : sequence of Variable
         Their names are scalars or tensors by their kinds.
     parameters : mapping of names to numbers, optional

@@ -70,8 +70,6 @@ def run(
 
     Parameters
     ----------
-    case : Case
-    directory : path
     force : bool
         Remove the results of an earlier run first, rather than refuse.
     observers : sequence of Observer

@@ -120,7 +120,6 @@ class Bounds:
 
     Parameters
     ----------
-    step : Step
     sampler : Sampler
         Its points are those at which bounds are looked at.
     limits : bool

@@ -76,11 +76,6 @@ class DamageGrowth:
 
     Raises ParameterError for fields that are not linear in a cell, cells that are no straight simplices,
     several processes, or a regularisation that diffuses the material's variables.
-
-    Parameters
-    ----------
-    step : Step
-    law : Damaged
     """
 
     def __init__(self, step: Step, law: Damaged) -> None:

@@ -27,7 +27,6 @@ class Ranges:
         Its ``ranges`` have, by name, the least and the largest start value of every parameter.
     sampler : Sampler
         Its points are those at which values are looked at.
-    means : CellMeans
     """
 
     def __init__(self, step: Step, sampler: Sampler, means: CellMeans) -> None:

@@ -30,7 +30,6 @@ class Stretches:
         With ``linear_contents`` of its material.
     sampler : Sampler
         Its points are those at which values are looked at.
-    means : CellMeans
     """
 
     def __init__(self, step: Step, sampler: Sampler, means: CellMeans) -> None:

@@ -92,9 +92,6 @@ class Step:
 
     Parameters
     ----------
-    mesh : ngsolve.Mesh
-    model : Model
-    discretisation : Discretisation
     sources : Term, optional
         A further term that takes no unknown, for manufactured solutions.
     conditions : mapping of boundary names to Wall objects, optional

@@ -78,8 +78,6 @@ def rule(
 
     Parameters
     ----------
-    values : callable
-    begin, length : float
     conditions : sequence of callables
         The function may break where one of them changes its sign.
     knots : sequence of arrays
@@ -224,10 +222,8 @@ class TimeMean:
     ----------
     value : CoefficientFunction
         Of place and ``ngvisco.time``.
-    mesh : ngsolve.Mesh
     make : callable
         Gives what belongs to one time, set by ``ngvisco.time``, as an array; its mean goes to ``put``.
-    put : callable
     walls : ngsolve.Region, optional
         Where the function is looked at: cells by default.
     """

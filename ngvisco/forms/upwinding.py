@@ -113,7 +113,6 @@ class FacetFlux:
 
     Parameters
     ----------
-    mesh : ngsolve.Mesh
     velocity : CoefficientFunction
         m/s, a polynomial of order ``order``.
     """

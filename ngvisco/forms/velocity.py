@@ -35,7 +35,6 @@ class VelocityOfMomentum:
 
     Parameters
     ----------
-    layout : Layout
     state : GridFunction
         Of the layout; its v is both the start value and, where it is prescribed, given.
     density : CoefficientFunction

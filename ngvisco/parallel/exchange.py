@@ -30,7 +30,6 @@ class Owned(ABC):
         How many there are on this rank.
     neighbours : iterable of int
         Ranks that have some of them too.
-    communicator : Communicator
     """
 
     def __init__(self, count: int, neighbours: Iterable[int], communicator: Communicator) -> None:
@@ -67,7 +66,6 @@ class Exchange(Owned):
         Unknowns of this rank.
     shared : mapping of ranks to arrays of int
         Unknowns shared with each neighbour, in the same order on both.
-    communicator : Communicator
     """
 
     def __init__(self, count: int, shared: Mapping[int, np.ndarray], communicator: Communicator) -> None:

@@ -49,7 +49,6 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     ----------
     mesh : Mesh or None
         The whole mesh on the first rank, not looked at on others.
-    ranks : Communicator
 
     Returns
     -------

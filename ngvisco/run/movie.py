@@ -44,7 +44,6 @@ def write_movie(
         In 3D the plane that is shown; default through the middle, normal to z.
     frames_per_second : float
         > 0.
-    title : str
     """
     target = Path(path)
     kind = target.suffix.lstrip(".").lower()

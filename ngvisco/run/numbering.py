@@ -33,7 +33,6 @@ class Numbers:
         Of this rank; -1 for unknowns of no cell, as images of identified ones.
     space : FESpace or None
         On the whole mesh; None but on the first rank.
-    ranks : Communicator
     chosen : array of int, optional
         On the first rank: these unknowns of the space alone are counted, in this order.
     """

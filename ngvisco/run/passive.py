@@ -70,7 +70,6 @@ class PassiveFields:
 
     Parameters
     ----------
-    step : Step
     names : sequence of str
         Some of ``NAMES``.
     F_0 : 3x3 coefficient function

@@ -292,8 +292,6 @@ def moduli(
 
     Parameters
     ----------
-    material : Material
-    dim : int
     parameters : mapping, optional
         Values of carried parameters by name; default their typical ones.
     """
@@ -336,7 +334,6 @@ def wave_speed(step: Step, state: np.ndarray, density: float) -> float:
 
     Parameters
     ----------
-    step : Step
     state : (n,) array
         Components of the material's variables.
     density : float
@@ -380,7 +377,6 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     ----------
     step : Step
         At the start values, ``ngvisco.time`` that of the start.
-    sampler : Sampler
     dt : float
         Length of a step, s.
     """

@@ -38,10 +38,8 @@ def write_scene(
 
     Parameters
     ----------
-    mesh : ngsolve.Mesh
     fields : mapping of names to scalar coefficient functions, not empty
     path : path of the HTML file
-    title : str
     outlines : sequence of scalar coefficient functions
         Volume fractions of bodies: drawn as lines where they are one half.
     """
@@ -71,7 +69,6 @@ def write_scene_of_series(
     fields : sequence of str, optional
         Of a vector its modulus or ``NAME_i``, of a tensor ``NAME_ij``; default density, J, velocity, pressure
         and von Mises stress, as far as the series has them.
-    title : str
     most : int
         States that the page holds, evenly chosen from the series' ones.
     """

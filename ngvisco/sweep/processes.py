@@ -87,7 +87,6 @@ def run_or_resume(case: str, directory: str, threads: int, stop: str) -> tuple[i
     ----------
     case, directory : str
         Absolute paths, the same on every machine.
-    threads : int
     stop : str
         Name of the dask event by which all runs are stopped.
 

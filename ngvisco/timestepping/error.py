@@ -30,7 +30,6 @@ class ErrorEstimate:
 
     Parameters
     ----------
-    step : Step
     velocity_scale : callable
         Gives v_s, m/s.
     order : int

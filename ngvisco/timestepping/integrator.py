@@ -120,8 +120,6 @@ class Integrator:
 
     Parameters
     ----------
-    rothe : RotheSolver
-    scheme : TimeScheme
     meter : callable
         Gives dissipations and powers at the present state, W, by ledger columns.
     carried : sequence of Carried

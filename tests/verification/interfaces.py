@@ -87,7 +87,6 @@ def carried(
 
     Parameters
     ----------
-    shape : Shape
     level : callable
         The function of the place that is > 0 inside it.
     perimeter : float

@@ -54,7 +54,6 @@ class Located:
 
     Parameters
     ----------
-    mesh : Mesh
     points : array (count, dim)
     names : sequence of str
         What an error calls them.

@@ -31,7 +31,6 @@ class Quadrature:
 
     Parameters
     ----------
-    mesh : ngsolve.Mesh
     volume_degree, facet_degree : int
         Polynomial degrees integrated exactly on straight cells and facets.
     """
