@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from ngsolve import CF, x
+from numpy.polynomial import Legendre
+from scipy.linalg import eigh
 
 from ngvisco import (
     Creep,
@@ -17,6 +19,7 @@ from ngvisco import (
 )
 from ngvisco.geometries import box
 from tests.verification.cases.maxwell import MYR, ROCK, relaxed_stress
+from tests.verification.cases.sloshing import DEPTH, GRAVITY, SHEARS, K, mode
 from tests.verification.models import KINDS
 
 SCALED = {"G": 1.0, "eta": 1.0, "tau_0": 2e-3, "duration": 7.9, "size": 1.0, "rho": 1.0}
@@ -104,3 +107,33 @@ def test_neo_hookean_shear_stress_is_twice_G_gamma() -> None:
         assert T[0, 1] == pytest.approx(2 * G_e * gamma, rel=1e-12)
         assert T[1, 0] == pytest.approx(2 * G_e * gamma, rel=1e-12)
         assert T[0, 0] - T[1, 1] == pytest.approx(2 * G_e * gamma**2, rel=1e-12)
+
+
+@pytest.mark.parametrize("shear", SHEARS)
+def test_the_frequency_of_a_gel_s_layer_is_the_least_of_its_polynomials(shear: float) -> None:
+    """Rayleigh and Ritz: elastic energy and weight over the mass, of a gel that is hardly compressible."""
+    ratio, bulk, count = 1e-3, 1e5, 12
+    q, weights = np.polynomial.legendre.leggauss(2 * count)
+    y, weights = DEPTH * (q + 1) / 2, weights * DEPTH / 2
+    functions = [Legendre.basis(n, [0, DEPTH]) for n in range(count)]
+    of_v = [Legendre([DEPTH / 2, DEPTH / 2], [0, DEPTH]) * f for f in functions]  # 0 at the bed
+    zero = np.zeros((count, len(y)))
+    u, du, v, dv = (
+        np.concatenate(parts)
+        for parts in (
+            ([f(y) for f in functions], zero),
+            ([f.deriv()(y) for f in functions], zero),
+            (zero, [f(y) for f in of_v]),
+            (zero, [f.deriv()(y) for f in of_v]),
+        )
+    )
+    top = np.append(np.zeros(count), [f(DEPTH) for f in of_v])
+
+    def product(a: np.ndarray) -> np.ndarray:
+        return (a * weights) @ a.T
+
+    stiffness = (bulk - 2 * shear / 3) * product(K * u + dv) + shear * product(du - K * v)
+    stiffness += 2 * shear * (product(K * u) + product(dv)) + GRAVITY * (1 - ratio) * np.outer(top, top)
+    mass = product(u) + product(v) + ratio / (K * np.tanh(K * (1 - DEPTH))) * np.outer(top, top)
+    least = eigh(stiffness, mass, eigvals_only=True)[0] ** 0.5
+    assert mode(ratio, shear)[0] == pytest.approx(least, rel=1e-4)
