@@ -110,6 +110,7 @@ SCRIPTS = {
     "collision": lambda demo: demo.simulation(cells=(7, 4)),
     "creep_finite": lambda demo: demo.simulation(maxh=0.6),
     "cylinder": lambda demo: demo.simulation(maxh=2.0),
+    "foundation": lambda demo: demo.simulation(maxh=0.5),
     "glacier": lambda demo: demo.simulation(maxh=0.5),
     "heat": lambda demo: demo.simulation(maxh=0.6),
     "plume": lambda demo: demo.simulation(maxh=0.5),
@@ -178,6 +179,18 @@ def test_case_file_gives_the_numbers_of_its_script(name, tmp_path):
             assert a == pytest.approx(
                 b, rel=1e-7, abs=1e-7 * np.abs(np.nan_to_num(b)).max() + 1e-13, nan_ok=True
             ), column
+
+
+@pytest.mark.long
+@pytest.mark.ci
+def test_a_beam_on_ground_that_gives_comes_to_rest_as_beam_theory_says(tmp_path):
+    demo = load("foundation")
+    run = demo.main(str(tmp_path))
+    at = np.linspace(0, demo.LENGTH, 9)
+    w = run.fields["displacement_bottom"](run.mesh(at, 0 * at))[:, 1]
+    assert w == pytest.approx(demo.theory(at), rel=0.01)
+    assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
+    assert (tmp_path / "foundation.png").stat().st_size > 0
 
 
 def test_soft_disc_keeps_its_mass_and_is_carried_by_the_flow(tmp_path):
