@@ -36,17 +36,18 @@ from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.model import Model, as_vector
 from ngvisco.physics.parameters import value_at
+from ngvisco.physics.tensors import if_positive
 from ngvisco.physics.walls import Open, Passage
 
 
 class Carried(PointTerm):
     """+ int phi_hat (w . n) + 1/2 int rho_hat (v . n) v . w on one wall, see the module's docstring.
 
-    With ``backflow`` (``Open``) the second one has the share of outflow only,
+    With ``backflow`` (``Open``) the second one has what flows out only,
 
-        1/2 int (1 - n^-) rho_hat (v . n) v . w,
+        1/2 int rho_hat (v . n)^+ v . w,
 
-    n^- of v*: -1/2 int n^- rho_hat (v . n) |v|^2, >= 0 where v* says the side of v, is a dissipation.
+    so that 1/2 int rho_hat (v . n)^- |v|^2 >= 0 is a dissipation, of v itself: v* may miss the side.
     """
 
     def __init__(self, walls: Walls, name: str, model: Model) -> None:
@@ -72,6 +73,11 @@ class Carried(PointTerm):
         c = u.context
         return c.given(self.indicator) * (u.v * c.normal)
 
+    def _outward(self, u: Fields) -> CoefficientFunction:
+        """(v . n)^+."""
+        through = self._through(u)
+        return if_positive(through, through, 0.0 * through)
+
     def _stored(self, u: Fields) -> CoefficientFunction:
         """phi(z_hat), Pa."""
         at_trace = Fields(u.layout, ChainMap({"z": u.z_hat}, u.parts), u.context)  # type: ignore[arg-type]
@@ -79,15 +85,13 @@ class Carried(PointTerm):
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
-        kinetic = 0.5 * u.rho_hat * self._through(u)
-        if self.backflow:
-            kinetic = c.upwinding.share * kinetic
+        kinetic = 0.5 * u.rho_hat * (self._outward(u) if self.backflow else self._through(u))
         return [(c.given(self.indicator) * self._stored(u)) * (w.v * c.normal), kinetic * (w.v * u.v)]
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        """What ``backflow`` adds, -1/2 n^- rho_hat (v . n) v . w."""
-        flux = u.context.upwinding.inflow * u.rho_hat * self._through(u)
-        return [-0.5 * flux * (u.v * w.v)] if self.backflow else []
+        """What ``backflow`` adds, 1/2 rho_hat (v . n)^- v . w."""
+        flux = u.rho_hat * (self._outward(u) - self._through(u))
+        return [0.5 * flux * (u.v * w.v)] if self.backflow else []
 
     def entries(self, u: Fields) -> list[Entry]:
         through = self._through(u)

@@ -202,7 +202,7 @@ class Split:
         sharp = self.sharpness
         if size <= tolerance and size * contraction <= (1 - contraction) * options.margin * sharp * tolerance:
             return True
-        if not 0.5 * last < size <= options.rounding:
+        if not 0.5 * last < size:
             return False
         # slow by rounding; or slow, and then this and all that would follow are to be small
         gained = max(1 - size / last, 0.0) or 1.0
