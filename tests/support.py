@@ -47,7 +47,7 @@ from ngvisco import (
     StokesViscosity,
     time,
 )
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand

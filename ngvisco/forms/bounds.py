@@ -13,7 +13,7 @@ for that rule:
     int_K phi(z_K + s (z - z_K)) <= s int_K phi(z) + (1 - s) |K| phi(z_K) <= int_K phi(z).
 
 Of bodies rho = sum rho_i n_i is a function of z: both have one s, so that it stays theirs.  Parameters have
-bounds of their own (``ngvisco.forms.ranges``) and are limited first.
+bounds of their own (``ngvisco.forms.cell_means``) and are limited first.
 
 The momentum density rho v has the s of rho (``limit_momentum``): |p|^2/(2 rho) is jointly convex, so that
 the kinetic energy falls too, where rho >= 0 before.  What moves as a whole goes on to do so; where rho is
@@ -35,11 +35,9 @@ from functools import cached_property
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction
 
-from ngvisco.forms.cell_means import SHARE, CellMeans
+from ngvisco.forms.cell_means import SHARE, CellMeans, Ranges, Stretches
 from ngvisco.forms.mesh.locating import nearest_wall
-from ngvisco.forms.mesh.sampling import Sampler
-from ngvisco.forms.ranges import Ranges
-from ngvisco.forms.stretches import Stretches
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.mesh import number_of
 

@@ -1,14 +1,34 @@
-"""Means over the cells of a state's density, variables and momentum density, by the rule of the forms."""
+"""Means over the cells of a state's density, variables and momentum density, by the rule of the forms.
+
+``Ranges``: parameters stay within the range of their start values.
+
+A parameter is transported, dt theta + (v . grad) theta = 0, so that its exact solution stays within the range
+of its start; a discontinuous polynomial overshoots where it jumps.  Where it has left its range at a point of
+a cell, its mean there is put back into the range, if need be, and it is scaled towards its mean (Zhang and
+Shu, J. Comput. Phys. 229, 2010).
+
+``Stretches``: the tensors of bodies stay positive where their energies, linear in them, do not see to it.
+
+Body i carries n_i and X_i = n_i B, and C : (X_i - n_i I) has no least value where X_i is not positive: such
+matter is stretched without end.  Where X_i is not positive at a point of a cell of which the body is a part,
+while its mean is, B goes towards that of the means,
+
+    X_i <- s X_i + (1 - s) (n_i/n_iK) X_iK,
+
+with the largest s that leaves ``SHARE`` of the second at each such point.  n_i, the mean of X_i and, with it,
+an energy that is linear in X_i are kept, and so are rho and v: the limiter takes nothing by it.
+"""
 
 from functools import cached_property
 
 import numpy as np
-from ngsolve import L2, BilinearForm, GridFunction, VectorValued, dx
+from ngsolve import CF, L2, BilinearForm, GridFunction, VectorValued, dx
 
-from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.mesh.points import csr
-from ngvisco.forms.system import Step
+from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.system import LocalProjection, Step
 from ngvisco.forms.term import tested
+from ngvisco.physics.parameters import Parameter
 
 SHARE = 1e-2
 """What a limited cell keeps at every point, at least, of the bounded quantities of its mean.
@@ -69,3 +89,131 @@ class CellMeans:
         form = BilinearForm(trialspace=of_cells, testspace=space)
         form += of_cells.TrialFunction() * space.TestFunction() * dx
         return csr(form.Assemble().mat).indices.astype(int)  # one column a row
+
+
+SLACK = 1e-9
+"""Of a range's width, by which values may be out of it: what an iteration leaves open."""
+
+
+class Ranges:
+    """Keeps the parameters of a step's present state within their ranges.
+
+    Parameters
+    ----------
+    step : Step
+        Its ``ranges`` have, by name, the least and the largest start value of every parameter.
+    sampler : Sampler
+        Its points are those at which values are looked at.
+    """
+
+    def __init__(self, step: Step, sampler: Sampler, means: CellMeans) -> None:
+        self.step, self.sampler, self._means = step, sampler, means
+        self.names = [v.name for v in step.model.material.variables if isinstance(v, Parameter)]
+        slices = step.layout.states.slices
+        self.components = [slices[name].start for name in self.names]
+        if self.names:
+            self._values = CF(tuple(step.now.z[int(i)] for i in self.components))
+
+    def is_exceeded(self) -> bool:
+        """Whether ``limit`` would change the present state."""
+        return bool(self.names) and self.sampler.ranks.any(self._outside()[0].any())
+
+    def limit(self) -> np.ndarray:
+        """Put the present state back into its ranges; gives the cells of this rank that were changed."""
+        if not self.is_exceeded():
+            return np.zeros(0, dtype=int)
+        outside, least, largest = self._outside()
+        self._means.project()
+        means, one, owner = self._means.array("z")[self.components], self._means.one, self._means.owner
+        z = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]]
+        values = z.reshape(self.step.layout.states.size, -1)
+        for i, name in enumerate(self.names):
+            cells, (low, high) = outside[i], self.step.ranges[name]
+            wanted = np.clip(means[i], low, high)
+            below, above = means[i] - least[i], largest[i] - means[i]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                downwards = np.where(below > 0, (wanted - low) / below, np.inf)
+                upwards = np.where(above > 0, (high - wanted) / above, np.inf)
+            share = np.clip(np.minimum(downwards, upwards), 0.0, 1.0)
+            dofs = np.flatnonzero(cells[owner])
+            of = owner[dofs]
+            own = values[self.components[i]]
+            own[dofs] = wanted[of] * one[dofs] + share[of] * (own[dofs] - means[i][of] * one[dofs])
+        return np.flatnonzero(outside.any(axis=0))
+
+    def _outside(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which are out of their ranges, least and largest values, each (parameters, cells)."""
+        values = self.sampler.rows(self._values)
+        numbers, cells = np.asarray(self.sampler.points["nr"]), self.step.mesh.ne
+        least = np.full((cells, values.shape[1]), np.inf)
+        largest = np.full_like(least, -np.inf)
+        np.minimum.at(least, numbers, values)
+        np.maximum.at(largest, numbers, values)
+        low, high = (np.array(ends) for ends in zip(*(self.step.ranges[n] for n in self.names), strict=True))
+        slack = SLACK * np.maximum(high - low, np.maximum(abs(low), abs(high)) * (high == low))
+        return ((least < low - slack) | (largest > high + slack)).T, least.T, largest.T
+
+
+_PART = 0.1
+"""Fraction from which on the body takes part (``Mixture.taking_part``)."""
+
+
+class Stretches:
+    """Keeps X_i of a step's present state positive.
+
+    Parameters
+    ----------
+    step : Step
+        With ``linear_contents`` of its material.
+    sampler : Sampler
+        Its points are those at which values are looked at.
+    """
+
+    def __init__(self, step: Step, sampler: Sampler, means: CellMeans) -> None:
+        self.step, self.sampler, self._means = step, sampler, means
+        z, variables = step.now.z_tensors, {v.name: v for v in step.model.material.variables}
+        self._amounts, self._signs = {}, {}
+        for X, (amount, theta) in step.model.material.linear_contents(z).items():
+            self._amounts[X] = amount
+            self._signs[X] = CF((theta - _PART, *variables[X].positive(z[X]).values()))
+
+    def is_exceeded(self) -> bool:
+        """Whether ``limit`` would change the present state."""
+        return any(self.sampler.ranks.any(len(self._outside(X)[0]) > 0) for X in self._amounts)
+
+    def limit(self) -> np.ndarray:
+        """Make X_i of the present state positive; gives the cells of this rank that were changed."""
+        changed = [self._limited(X) for X in self._amounts]
+        return np.unique(np.concatenate([np.zeros(0, dtype=int), *changed]))
+
+    def _outside(self, content: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points at which X_i of a body that takes part is not positive, cells, B of means, which is."""
+        signs = self.sampler.rows(self._signs[content])
+        points = np.flatnonzero((signs[:, 0] > 0) & ~(signs[:, 1:] > 0).all(axis=1))
+        if self.sampler.ranks.any(len(points) > 0):
+            self._means.project()
+        states, means = self.step.layout.states, self._means.array("z")
+        cells = np.asarray(self.sampler.points["nr"])[points]
+        amount = means[states.slices[self._amounts[content]].start][cells]
+        mean = (means[states.slices[content]].T[cells] @ states.spaces[content].columns.T).reshape(-1, 3, 3)
+        good = (amount > 0) & (np.linalg.eigvalsh(mean)[:, 0] > 0)
+        return points[good], cells[good], mean[good] / amount[good, None, None]
+
+    def _limited(self, content: str) -> np.ndarray:
+        points, cells, mean = self._outside(content)
+        if not len(points):
+            return cells
+        states, z, means = self.step.layout.states, self.step.now.z_tensors, self._means.array("z")
+        amount, at = self._amounts[content], self.sampler.points[points]
+        X, n = states.slices[content], states.slices[amount].start
+        value = np.asarray(z[content](at)).reshape(-1, 3, 3) / np.asarray(z[amount](at)).reshape(-1, 1, 1)
+        inverse = np.linalg.inv(np.linalg.cholesky(mean))
+        least = np.linalg.eigvalsh(inverse @ value @ inverse.transpose(0, 2, 1))[:, 0]
+        share = np.ones(self.step.mesh.ne)
+        np.minimum.at(share, cells, (1 - SHARE) / (1 - np.minimum(least, 0.0)))
+        values = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]].reshape(states.size, -1)
+        dofs = np.flatnonzero(share[self._means.owner] < 1)
+        of = self._means.owner[dofs]
+        uniform = means[X][:, of] / means[n][of] * values[n, dofs]
+        values[X, dofs] = uniform + share[of] * (values[X, dofs] - uniform)
+        return np.unique(cells)

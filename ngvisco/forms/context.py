@@ -24,7 +24,7 @@ from ngsolve import (
 from ngvisco.errors import InputWarning
 from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.mesh.facets import boundary_facets, facets_with_two_sides
+from ngvisco.forms.mesh.mesh_arrays import boundary_facets, facets_with_two_sides
 from ngvisco.forms.rates import Rates
 from ngvisco.forms.term import Term
 from ngvisco.forms.time_means import TOLERANCE, TimeMean, mean_in_cells, mean_on_walls

@@ -24,8 +24,7 @@ from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.errors import InitialDataError, StepError
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.mesh.quadrature import Quadrature
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Quadrature, Sampler
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material, conjugates
 from ngvisco.physics.pointwise import Respond

@@ -15,15 +15,22 @@ with Pi = R M the creep rate, or its own equation where nu > 0, and the regulari
 The old momentum m_old is rho_old v_old for the paper's scheme; others start from combinations of states,
 which are linear in (rho, m, z).
 ``Step`` owns the spaces, the fields and the compiled forms; it knows no solver and no time loop.
+
+Local unknowns as functions of the others, evaluated exactly at every Newton iterate.
+
+zeta, |Hs|^2, its coefficient c_s and the hyperstress are unknowns only so that the elements can be
+condensed.  Newton on all of them at once may leave c_s negative and the velocity tangent indefinite
+(measured: 45 iterations with restarts, or failure, where the flow turns round at p = 4); with them
+recomputed from (v, a, z) after every update, it is Newton on the reduced, convex potential.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from ngsolve import CF, BilinearForm, GridFunction, Mesh, VectorValued
+from ngsolve import CF, BaseMatrix, BilinearForm, FESpace, GridFunction, LinearForm, Mesh, VectorValued
 from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.forms.boundary.boundaries import check_mesh
@@ -34,13 +41,22 @@ from ngvisco.forms.boundary.wall_terms import Impenetrability, wall_terms
 from ngvisco.forms.boundary.walls import Conditions, Walls
 from ngvisco.forms.context import Context
 from ngvisco.forms.damage import DamageGrowth, damage_growth
-from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.spaces import Discretisation, Layout
-from ngvisco.forms.term import Entry, GivenParts, Integrand, Term, refused_by_name
+from ngvisco.forms.term import (
+    Entry,
+    GivenParts,
+    Integrand,
+    Integrands,
+    Projecting,
+    Term,
+    refused_by_name,
+    tested,
+)
 from ngvisco.forms.terms.creep import CreepRate, PlasticStraining
 from ngvisco.forms.terms.heat import heat_terms
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
@@ -49,6 +65,71 @@ from ngvisco.forms.terms.regularisation import regularising_terms
 from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
 from ngvisco.forms.upwinding import FacetFlux
 from ngvisco.physics.model import Model
+from ngvisco.physics.tensors import inner
+
+
+class LocalProjection:
+    """target = cellwise L2 projection of an integrand that may have a part on the cell's boundary."""
+
+    def __init__(
+        self, space: FESpace, target: GridFunction, quadrature: Quadrature, integrands: Integrands
+    ) -> None:
+        self.target = target
+        self.load = LinearForm(space)
+        quadrature.add(self.load, integrands(space.TestFunction()))
+        self.inverse_mass = _inverse_mass(space, quadrature)
+
+    def __call__(self) -> None:
+        self.load.Assemble()
+        self.target.vec.data = self.inverse_mass * self.load.vec
+
+
+def _inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:
+    """The inverse mass matrix by the rule of the forms, which ``Mass`` has on straight simplices only."""
+    mesh = quadrature.mesh
+    # the same on all ranks, also on those without cells
+    if mesh.comm.Max(mesh.GetCurveOrder()) <= 1 and mesh.comm.Min(is_simplicial(mesh)):
+        return space.Mass(1).Inverse()
+    trial, test = space.TnT()
+    mass = BilinearForm(space, symmetric=True, condense=True)
+    mass += inner(trial, test) * quadrature.cells
+    mass.Assemble()
+    return mass.inner_solve  # all unknowns belong to cells: the inverse, cell by cell
+
+
+class Elimination:
+    """The local unknowns of a step, recomputed in the order in which they depend on each other."""
+
+    def __init__(
+        self, layout: Layout, state: GridFunction, quadrature: Quadrature, terms: Iterable[Term]
+    ) -> None:
+        u = layout.fields(state.components)
+        parts = dict(zip(layout.names, state.components, strict=True))
+        self.energy = layout.context.energy
+        self.projections: dict[str, LocalProjection] = {}
+        for term in terms:
+            if isinstance(term, Projecting):
+                with refused_by_name(term):
+                    for name, load in term.projections(u):
+                        one = LocalProjection(layout.blocks[name], parts[name], quadrature, load)
+                        self.projections[name] = one
+        self._project_energy: LocalProjection | None = None
+        target = self.energy.projected
+        if target is not None:
+            load = tested(self.energy.density(u))
+            self._project_energy = LocalProjection(target.space, target, quadrature, load)
+
+    def __call__(self) -> None:
+        """Make the local unknowns of the state consistent with its v, a and z."""
+        self.refresh()
+        for projection in self.projections.values():
+            projection()
+
+    def refresh(self) -> None:
+        """Make an energy that is kept at the quadrature points that of the present state."""
+        if self.energy.refresh() and self._project_energy is not None:
+            self._project_energy()
+
 
 _NOT_EVOLVED = (
     "it reads the old value of {name}, which does not evolve: the unknown's declaration lacks evolves=True"

@@ -28,14 +28,13 @@ import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import NgviscoError, ParameterError
-from ngvisco.physics.array_slope import array_response
 from ngvisco.physics.bodies import AMOUNT, Amount, Body, Content
 from ngvisco.physics.equilibrium import Volumetric as VolumetricEnergy
 from ngvisco.physics.equilibrium import equilibrium, thermal_equilibrium
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.mixed_heat import MixedHeat, heat_of, without_heat
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed
-from ngvisco.physics.pointwise import Respond, Response
+from ngvisco.physics.pointwise import Respond, Response, array_response
 from ngvisco.physics.reference_energy import ReferenceEnergy, Volumetric
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
 from ngvisco.physics.tensors import IDENTITY, identity_like, if_positive, sqrt

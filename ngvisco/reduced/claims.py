@@ -21,11 +21,10 @@ from ngvisco.forms.context import Context
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import GivenParts, PointTerm, Term, refused_by_name
-from ngvisco.forms.terms.field_diffusion import FieldDiffusion
 from ngvisco.forms.terms.heat import Heating
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Continuity, Inertia, Loading
-from ngvisco.forms.terms.regularisation import CutOffVolume, DensityDiffusion
+from ngvisco.forms.terms.regularisation import CutOffVolume, DensityDiffusion, FieldDiffusion
 from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics
 from ngvisco.forms.upwinding import SideMean
 from ngvisco.physics.arrays import Array

@@ -9,10 +9,9 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.system import Step
-from ngvisco.physics.array_slope import array_slope
 from ngvisco.physics.increments import slope_along
 from ngvisco.physics.material import conjugates
-from ngvisco.physics.pointwise import respond
+from ngvisco.physics.pointwise import array_slope, respond
 
 
 class PointwiseSlope:

@@ -21,7 +21,7 @@ from ngsolve import CF, CoefficientFunction, Det, sqrt
 
 from ngvisco.errors import NgviscoWarning, ParameterError, UnknownNameError
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import EntryIntegrals, Step
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand, Kind
 from ngvisco.physics.bodies import AMOUNT

@@ -12,7 +12,7 @@ from ngsolve import H1, CoefficientFunction, Id
 
 from ngvisco.errors import InputWarning
 from ngvisco.forms.mesh.mesh_arrays import vertices
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import Initial
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator

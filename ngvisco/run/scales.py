@@ -11,7 +11,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, Integrate, Mesh
 
 from ngvisco.forms.mesh.mesh_arrays import coordinates
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.momentum import Loading
 from ngvisco.parallel.communicator import Communicator

@@ -28,7 +28,7 @@ from ngvisco.forms.boundary.corners import warn_of_corners
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.bounds import Bounds, Violation
 from ngvisco.forms.context import time as run_time
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.data_checks import check_loads, check_walls, warn_of_normal_parts
 from ngvisco.forms.start.initial import Initial, set_initial

@@ -22,10 +22,9 @@ from ngsolve import Mesh, SetNumThreads
 
 import ngvisco as nv
 from ngvisco.geometries import structured_box
-from ngvisco.parallel.communicator import TRAFFIC, Communicator
+from ngvisco.parallel.communicator import TRAFFIC, Communicator, Working
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.mesh import distributed
-from ngvisco.parallel.working import Working
 from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.split.preconditioner import Preconditioner
 from tests.benchmarks.case import swirl_on

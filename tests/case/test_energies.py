@@ -15,10 +15,9 @@ from ngvisco.case.build import parse_case
 from ngvisco.case.energies import parse_energy
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
 from ngvisco.expressions import ExpressionError
-from ngvisco.physics.array_slope import array_slope
 from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.physics.materials import NeoHookean
-from ngvisco.physics.pointwise import ExpressionResponse
+from ngvisco.physics.pointwise import ExpressionResponse, array_slope
 from ngvisco.physics.tensors import exp
 from ngvisco.physics.variables import Distortion, Jacobian
 

@@ -7,7 +7,7 @@ from ngsolve import CF, VOL, Det, Integrate, cos, sin, x, y, z
 import ngvisco as nv
 from ngvisco.forms.bounds import OF_CUT_OFF, SHARE, Bounds
 from ngvisco.forms.mesh.locating import nearest_wall
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.velocity import VelocityOfMomentum

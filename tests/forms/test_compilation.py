@@ -9,7 +9,7 @@ import pytest
 from ngsolve import CF, IfPos, Integrate, Mesh, sin, unit_square, x, y
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.mesh.compilation import SCRIPT, VARIABLE, compiled
+from ngvisco.forms.mesh.quadrature import SCRIPT, VARIABLE, compiled
 
 
 def test_interpreted_by_default(monkeypatch):

@@ -8,7 +8,7 @@ from ngsolve import BitArray, Discontinuous, FacetFESpace, LinearForm, VectorH1,
 
 import ngvisco as nv
 from ngvisco.forms import system
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.upwinding import FacetFlux

@@ -10,7 +10,7 @@ from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.sparse import mass_matrix
 from ngvisco.errors import ParameterError
 from ngvisco.forms.system import Step
-from ngvisco.forms.terms.field_diffusion import FieldDiffusion
+from ngvisco.forms.terms.regularisation import FieldDiffusion
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange

@@ -16,7 +16,7 @@ from support import (
 )
 
 from ngvisco.forms.fields import hessian_basis
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import _recover_hessian, complete
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity

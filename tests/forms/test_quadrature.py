@@ -7,8 +7,7 @@ import pytest
 from ngsolve import L2, BilinearForm, CoefficientFunction, GridFunction, Mesh, exp, sin, specialcf, x, y, z
 from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
-from ngvisco.forms.mesh.quadrature import Quadrature
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Quadrature, Sampler
 from ngvisco.forms.mesh.side_points import SidePoints
 from ngvisco.geometries import box
 

@@ -6,7 +6,7 @@ from ngsolve import VOL, Integrate
 
 import ngvisco as nv
 from ngvisco.forms.bounds import Bounds
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.geometries import box

@@ -6,9 +6,9 @@ from netgen.occ import OCCGeometry, WorkPlane
 from ngsolve import BND, CF, Integrate, Mesh, specialcf
 
 import ngvisco as nv
-from ngvisco.forms.boundary.wall_projection import WallProjection
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.system import Step
+from ngvisco.forms.velocity import WallProjection
 from ngvisco.geometries import sphere
 
 

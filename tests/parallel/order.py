@@ -13,10 +13,9 @@ from typing import Any
 import runs
 from ngsolve import CF, BilinearForm, GridFunction, VectorH1, cos, exp, sin, x, y, z
 
-from ngvisco.forms.start.interpolation import Interpolation
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.exchange import Exchange
+from ngvisco.parallel.exchange import Exchange, Interpolation
 from ngvisco.parallel.mesh import distributed
 
 LATE = [0]

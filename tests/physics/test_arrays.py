@@ -5,12 +5,11 @@ import numpy as np
 import pytest
 from materials import examples
 
-from ngvisco.physics.array_slope import CHUNK, array_slope
 from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.physics.materials.custom import CustomMaterial
 from ngvisco.physics.materials.neo_hookean import NeoHookean
 from ngvisco.physics.materials.regularised import WithQuadratic
-from ngvisco.physics.pointwise import ExpressionResponse
+from ngvisco.physics.pointwise import CHUNK, ExpressionResponse, array_slope
 from ngvisco.physics.tensors import dev, if_positive, inner, log, sph, square, sym, tensor_space, tr
 from ngvisco.physics.variables import Distortion, Jacobian, SmallStrain
 

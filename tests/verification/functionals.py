@@ -8,8 +8,7 @@ from ngsolve import BilinearForm, BitArray, Integrate, LinearForm
 
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
-from ngvisco.forms.terms.field_diffusion import FieldDiffusion
-from ngvisco.forms.terms.regularisation import DensityDiffusion
+from ngvisco.forms.terms.regularisation import DensityDiffusion, FieldDiffusion
 from ngvisco.physics.tensors import inner, square
 
 

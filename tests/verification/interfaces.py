@@ -30,7 +30,7 @@ import ngvisco as nv
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import csr
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.transport import Kinematics, UpwindTrace

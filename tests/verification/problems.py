@@ -10,11 +10,10 @@ from ngvisco import Discretisation, Model, NewtonOptions, time
 from ngvisco.errors import StepError
 from ngvisco.forms.boundary.boundaries import slip_constraints
 from ngvisco.forms.context import Context
-from ngvisco.forms.elimination import Elimination
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
-from ngvisco.forms.system import equations
+from ngvisco.forms.system import Elimination, equations
 from ngvisco.forms.term import Entry, Integrand, Term
 from ngvisco.geometries import box, disc, sphere
 from ngvisco.physics.tensors import square

@@ -9,8 +9,13 @@ from ngsolve import BND, CF, BitArray, FacetFESpace, GridFunction, Integrate, Me
 
 from ngvisco.errors import MeshError, UnknownNameError
 from ngvisco.forms.context import periodic_facets
-from ngvisco.forms.mesh.facets import boundary_facets, check_orientation, facets_with_two_sides
-from ngvisco.forms.mesh.mesh_arrays import mask_of, unknown_cells
+from ngvisco.forms.mesh.mesh_arrays import (
+    boundary_facets,
+    check_orientation,
+    facets_with_two_sides,
+    mask_of,
+    unknown_cells,
+)
 
 _PARALLEL = 1e-10
 

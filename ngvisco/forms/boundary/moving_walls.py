@@ -24,9 +24,9 @@ from ngvisco.errors import ParameterError
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.spaces import Layout
-from ngvisco.forms.start.interpolation import Interpolation
 from ngvisco.forms.time_means import TimeMean
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Interpolation
 from ngvisco.physics.model import as_vector
 from ngvisco.physics.signals import may_read_time
 from ngvisco.physics.tensors import inner

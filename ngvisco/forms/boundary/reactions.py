@@ -27,11 +27,10 @@ from ngvisco.errors import UnknownNameError
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.moving_walls import MovingWalls
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.start.interpolation import Interpolation
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.exchange import Exchange
+from ngvisco.parallel.exchange import Exchange, Interpolation
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.walls import HELD
 

@@ -24,7 +24,7 @@ from ngvisco.errors import InputWarning, ParameterError
 from ngvisco.forms.boundary.boundaries import walls_of
 from ngvisco.forms.boundary.moving_walls import OPEN
 from ngvisco.forms.boundary.passages import Carried, GivenStress
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material

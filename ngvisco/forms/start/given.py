@@ -11,8 +11,8 @@ from ngsolve import L2, CoefficientFunction, GridFunction, LinearForm, Mesh, Vec
 from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.errors import ParameterError, require_type
-from ngvisco.forms.elimination import _inverse_mass
 from ngvisco.forms.mesh.quadrature import Quadrature
+from ngvisco.forms.system import _inverse_mass
 
 
 class QuadraturePoints:

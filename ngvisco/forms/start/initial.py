@@ -9,14 +9,11 @@ from ngsolve import CF, CoefficientFunction, Det, Id, TaskManager, specialcf
 
 from ngvisco.errors import InitialDataError, ParameterError, Quantity
 from ngvisco.forms.bounds import Bounds
-from ngvisco.forms.cell_means import CellMeans
-from ngvisco.forms.elimination import LocalProjection
+from ngvisco.forms.cell_means import CellMeans, Ranges
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import mask_of
-from ngvisco.forms.mesh.sampling import Sampler
-from ngvisco.forms.ranges import Ranges
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.data_checks import distortion_of, warn_of_mismatch
-from ngvisco.forms.start.interpolation import Interpolation
 from ngvisco.forms.start.projections import project, set_traces
 from ngvisco.forms.start.starting_bodies import starting_fractions
 from ngvisco.forms.start.variables import (
@@ -26,10 +23,11 @@ from ngvisco.forms.start.variables import (
     parameter_values,
     starting_values,
 )
-from ngvisco.forms.system import Step
+from ngvisco.forms.system import LocalProjection, Step
 from ngvisco.forms.term import Integrand
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.velocity import project_velocity
+from ngvisco.parallel.exchange import Interpolation
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import Material, conjugates, volume_ratio
 from ngvisco.physics.materials.thermal import entropy_in, temperature

@@ -17,9 +17,9 @@ from ngsolve import (
 )
 
 from ngvisco.forms.context import Context
-from ngvisco.forms.elimination import LocalProjection
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
+from ngvisco.forms.system import LocalProjection
 from ngvisco.forms.term import Unknown, tested
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.petsc import Direct, inverse_of

@@ -7,20 +7,153 @@ which is the natural condition n . grad u = 0 of BC-disc).  For a flux c grad u,
       + sum_K int_{dK} s/h c_pen (u - u_hat)(w - w_hat),
 
 s = penalty (m + 1)^2.  The test w_hat makes the flux single-valued, so that w = w_hat = 1 conserves mass.
-That of the fields is in ``ngvisco.forms.terms.field_diffusion``.
+That of the fields is ``FieldDiffusion``.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from ngsolve import CF, CoefficientFunction, IfPos
 
+from ngvisco.forms.energy import column, total
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Term, Unknown
-from ngvisco.forms.terms.field_diffusion import FieldDiffusion
+from ngvisco.physics.curvature import Curvature, curvature_of
+from ngvisco.physics.material import Material
 from ngvisco.physics.model import Model
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.tensors import inner, square
+from ngvisco.physics.tensors import constant, inner, masked, square
+
+
+@dataclass(frozen=True)
+class FieldDiffusion(PointTerm):
+    """delta Laplace z in the kinematic equations (paper: Euler-small-viscoelastodyn+2disc, Euler-large-
+    viscoelastodyn+2disc, +3disc, -H, -H+), dissipative for every convex energy.
+
+    The paper tests by phi'(z), and phi''(z) grad z : grad z >= 0 (Euler-small-calc-Delta).  Here the test is
+    zeta, whose gradient is not phi''(z) grad z: the slope q of z is therefore that of the conjugates,
+
+        sum_K int_K phi''(z) q : Y - grad zeta : Y - sum_K int_{dK} (zeta_hat - zeta) : (Y n) = 0,
+
+    and enters with the adjoint of that lifted gradient,
+
+        delta sum_K int_K q : grad G + delta sum_K int_{dK} (s/h b - q n) : G + s/h C (zeta - zeta_hat) : G.
+
+    zeta_hat is the mean of both sides' conjugates with the weights s/h, s = penalty (m + 1)^2, b the jump
+    (q_1 n_1 + q_2 n_2) over the sum of these; on walls zeta_hat = zeta, which is n . grad z = 0 (BC-disc).
+    C is the inverse of phi'' at rest.  For smooth z it is q = grad z; and G = zeta gives, whatever z,
+
+        delta int phi''(z) q : q + delta sum_K int_{dK} s/h C (zeta - zeta_hat) : (zeta - zeta_hat) >= 0.
+
+    In directions in which the energy is linear (``Curvature.linear``) phi'' vanishes and zeta is constant:
+    there q is the slope of z itself, by the same form, and has no power.  Parameters do not diffuse; their q
+    is their own slope too, of which zeta's has a part.
+    """
+
+    law: Regularisation
+    material: Material
+    dim: int
+
+    @cached_property
+    def curvature(self) -> Curvature:
+        """What of the material's phi'' does not depend on the state."""
+        return curvature_of(self.material, self.dim)
+
+    @cached_property
+    def of_itself(self) -> CoefficientFunction | None:
+        """The projection on what has a slope of its own: linear directions and parameters; None without."""
+        matrix = self.curvature.of_itself
+        return constant(matrix) if matrix.any() else None
+
+    def _of_strains(self, value: CoefficientFunction) -> CoefficientFunction:
+        """Components, or their gradients, with zero for those of parameters."""
+        strains = self.curvature.strains
+        return value if strains.all() else masked(value, strains)
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        self.law.require_gradients("delta_fields", setting.m)
+        m, size = setting.m, setting.states.size
+        return (
+            Unknown("z_slope", "cells", m, size * setting.dim),
+            Unknown("zeta_delta_hat", "facets", m, size, trace_of="zeta"),
+            Unknown("z_slope_hat", "facets", m, size),
+        )
+
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        slopes = self._of_strains(u.grad_zeta)
+        if self.of_itself is not None:
+            slopes = slopes + self.of_itself * u.grad_z
+        return [
+            self.law.delta_fields * inner(self._of_strains(u.z_slope), w.grad_z),
+            -inner(slopes, w.z_slope),
+            *self._curved(u, w.z_slope),
+        ]
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        across, jump = self._across(u), self._jump(u)
+        through = self._through_facets(u, across, jump, w.z)
+        return [*self.lifting(u, w, jump), inner(across, w.z_slope_hat), *through]
+
+    def _through_facets(
+        self, u: Fields, across: CoefficientFunction, jump: CoefficientFunction, G: CoefficientFunction
+    ) -> list[CoefficientFunction]:
+        delta, C = self.law.delta_fields, constant(self.curvature.compliance)
+        return [delta * inner(self._of_strains(across), G), -delta * self._weight(u) * inner(C * jump, G)]
+
+    def of_one_component(self, u: Fields, w: Fields) -> list[Integrand]:
+        """What of the form has constant matrices, the same for all components, without delta and C.
+
+        The rows of zeta are those of the penalty in the equations of z; that of the slope is without phi''.
+        """
+        weight, jump, across = self._weight(u), u.zeta_delta_hat - u.zeta, self._across(u)
+        facets = [*self.lifting(u, w, jump), inner(across, w.z_slope_hat), -weight * inner(jump, w.zeta)]
+        cells = -inner(u.grad_zeta, w.z_slope)
+        return [Integrand(cells), *(Integrand(facets=part) for part in facets)]
+
+    def lifting(self, u: Fields, w: Fields, jump: CoefficientFunction) -> list[CoefficientFunction]:
+        """On facets: that the trace is the mean, and the gradient's part of the ``jump`` to it."""
+        n = u.context.normal
+        return [self._weight(u) * inner(jump, w.zeta_delta_hat), -inner(jump, w.z_slope * n)]
+
+    def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
+        """The form at G = zeta; where there are strains only, as the square that it is."""
+        delta = self.law.delta_fields
+        if not self.curvature.strains.all():
+            return {_COLUMN: delta * inner(self._of_strains(u.z_slope), u.grad_zeta)}
+        parts = u.context.energy.curved(u, u.z_slope)
+        return {_COLUMN: delta * total([inner(part, column(u.z_slope, j)) for j, part in enumerate(parts)])}
+
+    def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
+        jump = self._jump(u)
+        if not self.curvature.strains.all():
+            return {_COLUMN: total(self._through_facets(u, self._across(u), jump, u.zeta))}
+        curved = self.curvature.compliance - self.curvature.compliance @ self.curvature.linear
+        size = inner(constant(curved) * jump, jump)
+        return {_COLUMN: self.law.delta_fields * self._weight(u) * size}
+
+    def _curved(self, u: Fields, test: CoefficientFunction) -> list[CoefficientFunction]:
+        """phi''(z) q : Y, of parameters and linear directions q : Y, in summands."""
+        parts = u.context.energy.curved(u, u.z_slope)
+        summands = [inner(self._of_strains(part), column(test, j)) for j, part in enumerate(parts)]
+        if self.of_itself is not None:
+            summands.append(inner(self.of_itself * u.z_slope, test))
+        return summands
+
+    def _across(self, u: Fields) -> CoefficientFunction:
+        """What the slope's normal part lacks to the mean of both sides, with the weights."""
+        return self._weight(u) * u.z_slope_hat - u.z_slope * u.context.normal
+
+    def _jump(self, u: Fields) -> CoefficientFunction:
+        """zeta_hat - zeta; of parameters z in place of zeta, in linear directions both together."""
+        jump = u.zeta_delta_hat - self._of_strains(u.zeta)
+        return jump if self.of_itself is None else jump - self.of_itself * u.z
+
+    def _weight(self, u: Fields) -> CoefficientFunction:
+        return self.law.penalty_weight(u.layout.discretisation.m) / u.context.h
+
+
+_COLUMN = "dissipation_delta_fields"
 
 
 @dataclass(frozen=True)

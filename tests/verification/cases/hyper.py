@@ -6,7 +6,7 @@ import numpy as np
 from ngsolve import Integrate, Mesh
 
 import ngvisco as nv
-from ngvisco.forms.mesh.sampling import Sampler
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.physics.tensors import square
 from tests.verification.case import Bound, Case, Outcome, Table
 from tests.verification.rates import RateTable

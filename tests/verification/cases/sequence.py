@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from ngsolve import L2, CoefficientFunction, GridFunction, Mesh, OuterProduct
 
-from ngvisco.forms.elimination import LocalProjection
+from ngvisco.forms.system import LocalProjection
 from ngvisco.forms.term import tested
 from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import sym
