@@ -18,6 +18,7 @@ from ngvisco.physics.arrays import Array, Linear
 from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.flows import Flow
+from ngvisco.physics.increments import TINY
 from ngvisco.physics.material import mandel_stress, rate_power
 from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.model import Model
@@ -174,7 +175,7 @@ class TabulatedRates(Rates):
         if len(self.flows) > 1 or any(flow.body is not None for flow in self.flows):
             names = (flow.names for flow in self.flows)
             self.tensors = self.tensors.by_groups(tuple(names), StateSpace.of(variables, dim))
-        states = model.material.states(dim)
+        self._states = states = model.material.states(dim)
         flux = np.zeros_like(self.tensors.linear)
         for i in range(dim):
             flux[i * (dim + 1)][np.diag_indices(states.size)] = -1.0 * states.by_flux
@@ -190,26 +191,46 @@ class TabulatedRates(Rates):
             self.weighed = self.production - self.production.turning()
             self.tensors, self.production = self.tensors - self.weighed, self.production.turning()
 
-    def weights(self, z: Fields) -> np.ndarray:
+    def weights(self, z: np.ndarray) -> np.ndarray:
         """How far each component takes part, (n, points)."""
-        values = self.material.taking_part(z.z_tensors)
-        weights = np.ones(z.z.value.shape, z.z.value.dtype)
+        values = self.material.taking_part(self._states.tensors(lambda: Array(z, None)))
+        weights = np.ones(z.shape, z.dtype)
         for name, own in self._shared.items():
             weights[own] = values[name].value
         return weights
+
+    def columns(self, z: np.ndarray) -> np.ndarray:
+        """d rate/dX, (points, n, X), of densities with what is within their flux."""
+        columns = self.tensors.columns(z)
+        if self.weighed is not None:
+            columns += self.weights(z).T[:, :, None] * self.weighed.columns(z)
+        return columns
+
+    def slopes(self, z: np.ndarray, X: np.ndarray, zeta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """d rate/dz, (n, n, points), and d^2(zeta : rate)/dX dz, (X, n, points), of the same rate."""
+        of_rate, of_stress = self.tensors.rate_slope(X), self.tensors.stress_slope(zeta)
+        if self.weighed is not None:
+            weights, by_z = self.weights(z), np.empty_like(of_rate)
+            for m, along in enumerate((TINY * 1j) * np.eye(len(z))):
+                by_z[:, m] = self.weights(z + along[:, None]).imag / TINY
+            of_rate += weights[:, None] * self.weighed.rate_slope(X)
+            of_rate += by_z * self.weighed.rate(z, X)[:, None]
+            of_stress += self.weighed.stress_slope(weights * zeta)
+            of_stress += np.einsum("pnx,nmp,np->xmp", self.weighed.columns(z), by_z, zeta)
+        return of_rate, of_stress
 
     def rate(self, z: Fields, X: np.ndarray, first: int = 0) -> np.ndarray:
         """rate(z; X), (n, points), for the X from ``first`` on, of densities their production."""
         found = self.production.rate(z.z.value, X, first)
         if self.weighed is not None:
-            found = found + self.weights(z) * self.weighed.rate(z.z.value, X, first)
+            found = found + self.weights(z.z.value) * self.weighed.rate(z.z.value, X, first)
         return found
 
     def stress(self, z: Fields, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
         """d(zeta : rate)/dX for X = first ... stop - 1, (X, points)."""
         found = self.production.stress(z.z.value, zeta, first, stop)
         if self.weighed is not None:
-            found = found + self.weighed.stress(z.z.value, self.weights(z) * zeta, first, stop)
+            found = found + self.weighed.stress(z.z.value, self.weights(z.z.value) * zeta, first, stop)
         return found
 
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[Linear]:

@@ -8,12 +8,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import count
 from typing import Any
 
 import numpy as np
 
-_number = count()
+_number = count(1)
 
 
 class Array:
@@ -24,6 +25,8 @@ class Array:
     be complex: an increment of 1e-30 i carries a derivative along (``ngvisco.physics.increments``).
     """
 
+    __slots__ = ("is_constant", "number", "parents", "value")
+    is_constant: bool
     __array_ufunc__ = None  # numpy's numbers leave the operation to this class
 
     def __init__(self, value: np.ndarray, parents: Sequence[tuple[Array, Any]] | None = ()) -> None:
@@ -32,11 +35,10 @@ class Array:
         An empty sequence is an argument, None a value that nothing is differentiated by.
         """
         self.value = value
+        if parents:
+            parents = [each for each in parents if not each[0].is_constant] or None
         self.is_constant = parents is None
         self.number = 0 if parents is None else next(_number)
-        if parents:
-            parents = [each for each in parents if not each[0].is_constant]
-            self.is_constant = not parents
         self.parents = parents or ()
 
     @property
@@ -363,9 +365,16 @@ def _applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> n
     # the matrices embed and select: few entries, and real where values may be complex
     entries = value.reshape(matrix.shape[1], -1)
     result = np.zeros((matrix.shape[0], entries.shape[1]), value.dtype)
-    for i, j in np.argwhere(matrix):
-        result[i] += entries[j] if matrix[i, j] == 1.0 else matrix[i, j] * entries[j]
+    for i, j, factor in _entries(np.asarray(matrix, dtype=float).tobytes(), matrix.shape[1]):
+        result[i] += entries[j] if factor == 1.0 else factor * entries[j]
     return result.reshape(*shape, -1)
+
+
+@lru_cache(maxsize=256)
+def _entries(numbers: bytes, width: int) -> list[tuple[int, int, float]]:
+    """Places and values of what is not zero in a matrix with rows of ``width``."""
+    matrix = np.frombuffer(numbers).reshape(-1, width)
+    return [(int(i), int(j), float(matrix[i, j])) for i, j in np.argwhere(matrix)]
 
 
 def _mapped(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, Any]:

@@ -13,9 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
+import scipy.sparse as sp
 from ngsolve import L2, GridFunction, VectorValued
 
 from ngvisco.errors import ParameterError
@@ -110,22 +111,49 @@ class RateTensors:
         """rate(z; X), (n, points), of the X (X, points) from ``first`` on."""
         out = np.zeros((self.linear.shape[1], z.shape[1]), np.result_type(z, X))
         stop = first + len(X)
-        for x, n in np.argwhere(self.constant[first:stop]):
-            out[n] += self.constant[first + x, n] * X[x]
+        for (x, n), C in self._entries[0]:
+            if first <= x < stop:
+                out[n] += C * X[x - first]
         product = np.empty(z.shape[1], out.dtype)
-        for x, n, m in np.argwhere(self.linear[first:stop]):
-            _add_product(out[n], X[x], z[m], self.linear[first + x, n, m], product)
+        for (x, n, m), T in self._entries[1]:
+            if first <= x < stop:
+                _add_product(out[n], X[x - first], z[m], T, product)
         return out
 
     def stress(self, z: np.ndarray, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
         """d(zeta : rate)/dX for X = first ... stop - 1, (X, points)."""
         out = np.zeros((stop - first, z.shape[1]), np.result_type(z, zeta))
-        for x, n in np.argwhere(self.constant[first:stop]):
-            out[x] += self.constant[first + x, n] * zeta[n]
+        for (x, n), C in self._entries[0]:
+            if first <= x < stop:
+                out[x - first] += C * zeta[n]
         product = np.empty(z.shape[1], out.dtype)
-        for x, n, m in np.argwhere(self.linear[first:stop]):
-            _add_product(out[x], zeta[n], z[m], self.linear[first + x, n, m], product)
+        for (x, n, m), T in self._entries[1]:
+            if first <= x < stop:
+                _add_product(out[x - first], zeta[n], z[m], T, product)
         return out
+
+    def rate_slope(self, X: np.ndarray) -> np.ndarray:
+        """d rate(z; X)/dz, (n, n, points), of all X (X, points)."""
+        size = self.linear.shape[1]
+        return (self._slopes[0] @ X).reshape(size, size, -1)
+
+    def stress_slope(self, zeta: np.ndarray) -> np.ndarray:
+        """d^2(zeta : rate)/dX dz, (X, n, points)."""
+        return (self._slopes[1] @ zeta).reshape(*self.linear.shape[:2], -1)
+
+    @cached_property
+    def _entries(self) -> list[list[tuple[tuple[int, ...], float]]]:
+        """The places and values of what is not zero in C and in T."""
+        return [
+            [(tuple(i), float(A[tuple(i)])) for i in np.argwhere(A)] for A in (self.constant, self.linear)
+        ]
+
+    @cached_property
+    def _slopes(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+        """T as matrices, from X to (n, m) and from n to (x, m)."""
+        T = self.linear
+        by_X, by_zeta = T.transpose(1, 2, 0), T.transpose(0, 2, 1)
+        return tuple(sp.csr_matrix(A.reshape(-1, A.shape[2])) for A in (by_X, by_zeta))
 
 
 def _add_product(

@@ -58,8 +58,8 @@ class Claims:
     hyperviscosity: list[Hyperviscosity] = field(default_factory=list)
     sources: list[Term] = field(default_factory=list)
     """Known before the iteration."""
-    rows: dict[int, set[str]] = field(default_factory=dict)
-    """Names of the tests that a term at points has rows of, by its id."""
+    rows: dict[int, dict[str, bool]] = field(default_factory=dict)
+    """Names of the tests that a term at points has rows of, by its id; whether these read z or zeta."""
     without_rows: list[Term] = field(default_factory=list)
     """Columns of the ledger only."""
 
@@ -95,7 +95,9 @@ class Claims:
         others = [
             term
             for term in self.at_points
-            if type(term) not in own and id(term) not in at_coarse_points and self.rows[id(term)] - _FIELDS
+            if type(term) not in own
+            and id(term) not in at_coarse_points
+            and set(self.rows[id(term)]) - _FIELDS
         ]
         return [*self.by_forms, *others]
 
@@ -106,7 +108,7 @@ class Claims:
             term
             for term in self.at_points
             if "grad v" in self.rows[id(term)]
-            and self.rows[id(term)] - _FIELDS <= {"v", "grad v"}
+            and set(self.rows[id(term)]) - _FIELDS <= {"v", "grad v"}
             and not isinstance(term, ElasticForce)
         ]
 
@@ -120,9 +122,14 @@ class Claims:
         return [term for term in self.at_points if type(term) is Inertia]
 
     def of_state(self) -> list[PointTerm]:
-        """Terms with rows of z, and stresses, which may read z and zeta: not the elastic force."""
+        """Terms with rows of z, and stresses, that read z or zeta: not the rates and the elastic force."""
+        asked = [term for term in self.at_points if type(term) is not Kinematics]
         stresses = {id(term) for term in self.of_gradients()}
-        return [term for term in self.at_points if "z" in self.rows[id(term)] or id(term) in stresses]
+        return [
+            term
+            for term in asked
+            if self.rows[id(term)].get("z") or (id(term) in stresses and any(self.rows[id(term)].values()))
+        ]
 
     def _claim(self, step: Step, term: Term) -> None:
         kind = type(term)
@@ -161,7 +168,7 @@ class Claims:
         except NotAtPointsError as error:
             return str(error)
         names = in_cells(step.layout)
-        others = rows - {*names, *(f"grad {name}" for name in names)}
+        others = set(rows) - {*names, *(f"grad {name}" for name in names)}
         return f"no array takes its rows of {', '.join(sorted(others))}" if others else None
 
 

@@ -9,7 +9,7 @@ imaginary parts of the rows are their derivative.
 from __future__ import annotations
 
 from collections import ChainMap
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from types import SimpleNamespace
 from typing import Any
@@ -36,6 +36,9 @@ Coefficients = Mapping[str, np.ndarray]
 Rows = dict[str, np.ndarray]
 """Rows of a residual by the tests' unknowns, in the same shapes."""
 
+
+TOGETHER = 8192
+"""Points of all directions that are taken together: what is made of them stays in the processor's cache."""
 
 _CELLS, _FACETS = "in cells", "on facets"
 
@@ -202,11 +205,15 @@ class CellTerms:
         """What multiplies each test and its gradient, (..., points)."""
         return _slots([part for term in terms for part in term.cells(u, self._tests)])
 
-    def derivative(self, terms: Iterable[PointTerm], u: Fields, **along: np.ndarray) -> dict[str, np.ndarray]:
-        """The slots' derivative in a direction of values, of unknowns by name or of ``grad_v``."""
-        changed = {name: getattr(u, name).value + (TINY * 1j) * d for name, d in along.items()}
-        found = self.slots(terms, with_values(u, **changed))
-        return {name: values.imag / TINY for name, values in found.items()}
+    def derivatives(
+        self, terms: Sequence[PointTerm], u: Fields, **along: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """The slots' derivatives, (..., k, points), in k directions of values as for ``incremented``."""
+        parts = [
+            {name: derivative_of(g, k) for name, g in self.slots(terms, changed).items()}
+            for k, changed in incremented(u, **along)
+        ]
+        return {name: np.concatenate([part[name] for part in parts], axis=-2) for name in parts[0]}
 
     def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
         """Rows of the terms' integrals over the cells."""
@@ -279,6 +286,66 @@ def with_values(u: Fields, grad_v: np.ndarray | None = None, **given: np.ndarray
     return other
 
 
+def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
+    """``u`` with imaginary increments in directions, some at a time, which are counted.
+
+    Each direction has the points for itself, all of the next one following: an operation on few points
+    takes no longer on many.
+
+    Parameters
+    ----------
+    along
+        Directions (k, ..., points or 1), of unknowns by name or of ``grad_v``.
+    """
+    first = next(iter(along))
+    points = getattr(u, first).value.shape[-1]
+    size = max(1, TOGETHER // max(points, 1))
+    for start in range(0, len(along[first]), size):
+        changed = {}
+        for name, directions in along.items():
+            value, some = getattr(u, name).value, directions[start : start + size]
+            each = value[..., None, :] + (TINY * 1j) * np.moveaxis(some, 0, -2)
+            changed[name] = each.reshape(*value.shape[:-1], -1)
+        yield len(some), with_values(u if len(some) == 1 else _repeated(u, len(some)), **changed)
+
+
+def derivative_of(values: np.ndarray, directions: int) -> np.ndarray:
+    """(..., directions, points) of what came of ``incremented`` fields."""
+    return values.imag.reshape(*values.shape[:-1], directions, -1) / TINY
+
+
+def _repeated(u: Fields, times: int) -> Fields:
+    """The same fields, and what is known, at their points ``times`` times over."""
+
+    def over(value: Array) -> Array:
+        return value if value.value.shape[-1] == 1 else Array(np.tile(value.value, times), None)
+
+    c = u.context
+    known = {name: partial(lambda name: over(getattr(c, name)), name) for name in ("h", "momentum_old")}
+    context: Any = _Known(
+        known | {"old": lambda: _repeated(c.old, times)},
+        rate=c.rate,
+        rates=c.rates,
+        terms=c.terms,
+        average=lambda value: over(c.average(value)),
+        given=lambda value: over(c.given(value)),
+    )
+    parts = Lazy({name: partial(lambda name: over(u.parts[name]), name) for name in u.parts}, _CELLS)
+    return Fields(u.layout, parts, context, lambda name: over(u.gradient(name)))
+
+
+class _Known(SimpleNamespace):
+    """A context some of which is made where it is asked for."""
+
+    def __init__(self, made: Mapping[str, Callable[[], Any]], **known: Any) -> None:
+        super().__init__(_made=made, **known)
+
+    def __getattr__(self, name: str) -> Any:
+        value = self._made[name]()
+        setattr(self, name, value)
+        return value
+
+
 def _fields(
     layout: Any, makers: Mapping[str, Any], gradients: Mapping[str, Any], place: str, context: Any
 ) -> Fields:
@@ -335,8 +402,10 @@ def _full(values: np.ndarray, count: int) -> np.ndarray:
     return values if values.shape[-1] == count else np.broadcast_to(values, (*values.shape[:-1], count))
 
 
-def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
-    """Names of the tests that a term has rows of, found by evaluating it at one point with all values one.
+def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> dict[str, bool]:
+    """Names of the tests that a term has rows of, and whether these rows read z or zeta.
+
+    Found by evaluating it at one point with all values one, z and zeta complex.
 
     Raises
     ------
@@ -346,11 +415,14 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
     d, shapes, derived = step.mesh.dim, _shapes(step), derived_in_cells(step.layout)
     shapes |= {name: step.layout.unknowns[name].shape for name in ("zeta", *derived)}
 
-    def ones(shape: tuple[int, ...]) -> Array:
-        return Array(np.ones((*shape, 1)), None)
+    def ones(shape: tuple[int, ...], dtype: type = float) -> Array:
+        return Array(np.ones((*shape, 1), dtype), None)
 
-    def fields(context: Any, names: Iterable[str], sloping: Iterable[str], place: str) -> Fields:
-        parts = {name: partial(ones, shapes[name]) for name in names}
+    def fields(
+        context: Any, names: Iterable[str], sloping: Iterable[str], place: str, state: type = complex
+    ) -> Fields:
+        dtypes = {"z": state, "zeta": state}
+        parts = {name: partial(ones, shapes[name], dtypes.get(name, float)) for name in names}
         slopes = {name: partial(ones, (*shapes[name], d)) for name in sloping}
         gradients = Lazy(slopes, f"{place}, as a gradient")
         return Fields(step.layout, Lazy(parts, place), context, lambda name: gradients[name])
@@ -365,7 +437,7 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
         terms=step.terms,
     )
     evolving, cells = set(step.layout.evolving).intersection(shapes), in_cells(step.layout)
-    inside.old = fields(inside, evolving, evolving, _CELLS)
+    inside.old = fields(inside, evolving, evolving, _CELLS, float)
     side = SimpleNamespace(
         normal=ones((d,)),
         inner=ones(()),
@@ -382,11 +454,12 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> set[str]:
     try:
         with np.errstate(all="ignore"):  # all values one need not be in a law's domain
             u, w = fields(inside, (*cells, *derived), cells, _CELLS), _tests(step, True, inside)
-            found = set(_slots(list(term.cells(u, w))))
+            found = _slots(list(term.cells(u, w)))
             names = (*_on_sides(step), "zeta", *derived)
             u, w = fields(side, names, ["zeta"], _FACETS), _tests(step, False, side)
             u.__dict__["jump"] = ones((d,))
-            return found | set(_slots(list(term.facets(u, w))))
+            found |= {name: g for name, g in _slots(list(term.facets(u, w))).items() if name not in found}
+            return {name: np.iscomplexobj(g) for name, g in found.items()}
     except NotAtPointsError:
         raise
     except Exception as error:  # whatever a term raises at values that it does not know

@@ -22,8 +22,7 @@ import scipy.sparse as sp
 
 from ngvisco.algebra import precision
 from ngvisco.forms.fields import Fields
-from ngvisco.physics.increments import TINY
-from ngvisco.reduced.evaluation import CellTerms, with_values
+from ngvisco.reduced.evaluation import CellTerms, derivative_of, incremented
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.slope import PointwiseSlope
@@ -51,39 +50,41 @@ class PointTangent:
         self.tau = self.residual.step.context.tau.Get()
         self.values = u = self.terms.fields(at.coefficients)
         self.z, self.zeta, self.dz = u.z.value, u.zeta.value, u.grad_z.value
-        self.columns = rates.tensors.columns(self.z)  # (points, n, X)
-        if rates.weighed is not None:
-            self.columns += rates.weights(u).T[:, :, None] * rates.weighed.columns(self.z)
+        self.columns = rates.columns(self.z)  # (points, n, X)
         self.rate_slope, self.force = self._by_fields(u)
         self.resolvent = self._resolvent(self.rate_slope)
 
     def _by_fields(self, u: Fields) -> tuple[np.ndarray, np.ndarray]:
-        """K, (points, n, n), and the force's derivative, (points, X, n), by complex increments of the terms.
+        """K, (points, n, n), and the force's derivative, (points, X, n); zeta follows z by phi''.
 
-        zeta follows z by phi''.  What is in a flux, and -(w . grad z) : zeta, with their shares of the facets
-        are div w times phi'(z) : dz, and -z : d zeta of densities, to leading order.
+        Rates are constant tensors; creep and terms that read z or zeta are by complex increments of these.
+        -(w . grad z) : zeta, with its share of the facets, is div w times phi'(z) : dz to leading order, and
+        so is what densities have in their flux.
         """
-        rates, by_flux = self.residual.rates, self.residual.step.layout.states.by_flux[:, None]
-        count, n, size = self.columns.shape
-        curvature = np.ascontiguousarray(self._second_derivative().transpose(2, 1, 0))
-        g, stride, each = rates.tensors.gradients, self.residual.step.mesh.dim + 1, np.arange(n)
-        K, force = np.empty((n, n, count)), np.empty((n, size, count))
-        for m in range(n):
-            z, zeta = self.z.astype(complex), self.zeta + (TINY * 1j) * curvature[m]
-            z[m] += TINY * 1j
-            changed = with_values(u, z=z, zeta=zeta)
+        rates, curvature = self.residual.rates, self._second_derivative()
+        g, n, has_creep = rates.tensors.gradients, len(self.z), rates.is_local and bool(rates.flows)
+        X = np.zeros((self.columns.shape[2], self.z.shape[1]))
+        X[:g] = u.grad_v.value.reshape(g, -1)
+        if rates.flows:
+            X[g:] = rates.creep_components(u)
+        K, force = (each.transpose(2, 0, 1) for each in rates.slopes(self.z, X, self.zeta))
+        force = force + product(self.columns.swapaxes(1, 2), curvature)
+        force[:, : g : self.residual.step.mesh.dim + 1] += self.zeta.T[:, None]
+        if not (has_creep or self._of_state):
+            return np.ascontiguousarray(K), force
+        K, of_creep, m = K.copy(), self.columns[:, :, g:], 0
+        for k, changed in incremented(u, z=np.eye(n)[:, :, None], zeta=curvature.transpose(2, 1, 0)):
+            some, m = slice(m, m + k), m + k
+            if has_creep:
+                creep = derivative_of(rates.creep_components(changed), k)
+                K[:, :, some] += product(of_creep, creep.transpose(2, 0, 1))
             found = self.terms.slots(self._of_state, changed)
-            K[m] = found["z"].imag
-            force[m] = rates.stress(changed, zeta, 0, size).imag
+            if "z" in found:
+                K[:, :, some] -= derivative_of(found["z"], k).transpose(2, 0, 1)
             if "grad v" in found:
-                force[m, :g] += found["grad v"].imag.reshape(g, -1)
-        K /= -TINY
-        force /= TINY
-        K[each, each] += 1 / self.tau - by_flux * u.grad_v.trace().value
-        force[:, :g:stride] += (self.zeta * ~by_flux)[:, None]
-        if by_flux.any():
-            force[:, :g:stride] -= np.einsum("np,mnp->mp", self.z * by_flux, curvature)[:, None]
-        return np.ascontiguousarray(K.transpose(2, 1, 0)), np.ascontiguousarray(force.transpose(2, 1, 0))
+                stress = derivative_of(found["grad v"], k)
+                force[:, :g, some] += stress.reshape(g, k, -1).transpose(2, 0, 1)
+        return K, force
 
     def stiffness(self) -> np.ndarray:
         """C of the module's docstring, (points, X, X)."""

@@ -62,22 +62,18 @@ class FlowSchurComplement:
 
     def _inertia(self, at: Evaluation) -> np.ndarray:
         """What multiplies w . dv by inertia, (points of the residual's rule,)."""
-        along = np.zeros_like(at.cells.v.value)
-        along[0] = 1.0
-        return self.residual.cell_terms.derivative(self.inertial, at.cells, v=along)["v"][0]
+        along = np.eye(self.dim)[:1, :, None]
+        return self.residual.cell_terms.derivatives(self.inertial, at.cells, v=along)["v"][0, 0]
 
     def _base(self) -> np.ndarray:
         """dR/d(v, grad v) of convection and viscosity: (points, 0 or 1 + j, i, k, 0 or 1 + l)."""
-        d, u, terms = self.dim, self.points.values, self.points.terms
-        A = np.zeros((self.op.points.count, 1 + d, d, d, 1 + d))
-        for k, column in np.ndindex(d, 1 + d):
-            name, where = ("grad_v", (k, column - 1)) if column else ("v", (k,))
-            along = np.zeros_like(getattr(u, name).value)
-            along[where] = 1.0
-            slots = terms.derivative(self.leading, u, **{name: along})
-            A[:, 0, :, k, column] = slots["v"].T
-            A[:, 1:, :, k, column] = slots["grad v"].transpose(2, 1, 0)
-        return A
+        d, p = self.dim, self.points
+        along = np.eye(d * (1 + d)).reshape(-1, d, 1 + d, 1)
+        slots = p.terms.derivatives(self.leading, p.values, v=along[:, :, 0], grad_v=along[:, :, 1:])
+        A = np.empty((self.op.points.count, 1 + d, d, d * (1 + d)))
+        A[:, 0] = slots["v"].transpose(2, 0, 1)
+        A[:, 1:] = slots["grad v"].transpose(3, 1, 0, 2)
+        return A.reshape(-1, 1 + d, d, d, 1 + d)
 
     def _rest(self) -> sp.csr_matrix | None:
         """Walls, damping, the creep rate field and terms of others, as a matrix."""
