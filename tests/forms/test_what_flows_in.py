@@ -135,7 +135,7 @@ def test_other_faults_of_what_flows_in_are_named():
 
 def test_backflow_is_a_dissipation_in_every_step_whatever_side_was_expected():
     swirl = (0.3 * sin(pi * x) * cos(pi * y), -0.3 * cos(pi * x) * sin(pi * y))
-    walls = {"left": nv.Open(density=1.0), "right": nv.Open(pressure=0.1, density=1.0, impedance=(1.0, 0.5))}
+    walls = {"left": nv.Open(density=1.0), "right": nv.Open(density=1.0, impedance=(1.0, 0.5))}
     model = nv.Model(material=FLUID, viscosity=VISCOUS)
     initial, orders = nv.Initial(velocity=swirl), nv.Discretisation(m=0)
     run = nv.Simulation(
@@ -145,9 +145,8 @@ def test_backflow_is_a_dissipation_in_every_step_whatever_side_was_expected():
         walls=walls,
         initial=initial,
         discretisation=orders,
-        scheme="sdirk2",
     )
-    ledger = run.run(0.06)
+    ledger = run.run(0.1)
     assert abs(ledger.column("closure_relative")).max() < 1e-10
     taken = np.concatenate([ledger.column(f"dissipation_backflow_{wall}")[1:] for wall in walls])
-    assert taken.min() >= 0 and taken.max() > 1e-4
+    assert taken.min() >= 0 and taken.max() > 1e-5
