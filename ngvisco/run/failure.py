@@ -18,6 +18,8 @@ from ngsolve import L2, GridFunction
 from ngvisco.forms.bounds import Violation
 from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.parallel.mesh import number_of
+from ngvisco.physics.flow_rules.linear import Creep
+from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically
 from ngvisco.run.stepping import step_under_way
@@ -33,6 +35,9 @@ _RULE = 80 * "-"
 
 _FAST = 1.0
 """Courant number above which a report speaks of it."""
+
+_SHARP = 1e-5
+"""Floor of a rate of creep over the flow's largest |v|/h, below which Newton's iteration may end at it."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +139,7 @@ def failure_report(
         place,
         nearest_wall(simulation.mesh, np.array(place))[0],
         tuple(history),
-        tuple(_advice(simulation, violation, courant)),
+        tuple(_advice(simulation, violation, courant, rate)),
     )
 
 
@@ -152,7 +157,18 @@ def _fastest(simulation: Simulation) -> tuple[float, int | None, tuple[float, ..
     return min(every, key=lambda one: (-one[0], -1 if one[1] is None else one[1]))
 
 
-def _advice(simulation: Simulation, violation: Violation | None, courant: float) -> list[str]:
+def _of_sharp_creep(creep: FlowRule | None, rate: float) -> list[str]:
+    """What to change of a potential psi that is smoothed far below the flow's rates, which are up to ``rate``."""
+    if creep is None or isinstance(creep, Creep) or creep.nu == 0 or creep.rate_floor >= _SHARP * rate:
+        return []
+    floor = (
+        f"rheology.creep.rate_floor, {creep.rate_floor:.3g}/s, to about a thousandth of the rates of creep"
+    )
+    return [f"{floor}; the velocity varies by up to {rate:.2g}/s"]
+
+
+def _advice(simulation: Simulation, violation: Violation | None, courant: float, rate: float) -> list[str]:
+    """``rate`` is the largest |v|/h, 1/s."""
     lines = []
     if violation is not None and not violation.is_mean:
         lines.append("time.limiter = true: the run then goes on where the cell's mean is positive")
@@ -161,6 +177,7 @@ def _advice(simulation: Simulation, violation: Violation | None, courant: float)
         shorter += f"; the largest Courant number is {courant:.3g}"
     lines.append(shorter)
     if violation is None:
+        lines[:0] = _of_sharp_creep(simulation.model.creep, rate)
         lines.append("more viscosity, or a start, walls and loads that change over several steps")
         return lines
     near = "there" if violation.wall is None else f"near {violation.wall!r}"

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -86,3 +87,19 @@ def test_the_refused_solution_is_written_for_a_look(failed, tmp_path):
         assert error.report.violation.cell in cells
         assert run.bounds.violation(everywhere=True).value == error.report.violation.value
     assert np.isfinite(error.report.state).all() and not run.bounds.is_exceeded()
+
+
+@pytest.mark.parametrize(("floor", "is_named"), [(1e-9, True), (1e-3, False)])
+def test_a_potential_of_creep_that_is_sharp_at_rest_is_named(floor, is_named, monkeypatch):
+    creep = nv.Perzyna(sigma_Y=0.5, G_m=0.1, nu=1e-3, rate_floor=floor)
+    model = nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), creep=creep)
+    initial = nv.Initial(velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))
+    run = nv.Simulation(box((1, 1), 0.6), model, dt=0.02, initial=initial)
+
+    def unsolved(*_):
+        raise nv.StepError("did not converge")
+
+    monkeypatch.setattr(run.solver, "solve", unsolved)
+    with pytest.raises(nv.StepError) as caught:
+        run.advance()
+    assert ("rheology.creep.rate_floor, 1e-09/s" in caught.value.report.advice[0]) is is_named
