@@ -161,9 +161,7 @@ def _of_sharp_creep(creep: FlowRule | None, rate: float) -> list[str]:
     """What to change of a potential psi that is smoothed far below the flow's rates, up to ``rate``."""
     if creep is None or isinstance(creep, Creep) or creep.nu == 0 or creep.rate_floor >= _SHARP * rate:
         return []
-    floor = (
-        f"rheology.creep.rate_floor, {creep.rate_floor:.3g}/s, to a thousandth of the rates of creep"
-    )
+    floor = f"rheology.creep.rate_floor, {creep.rate_floor:.3g}/s, to a thousandth of the rates of creep"
     return [f"{floor}; the velocity varies by up to {rate:.2g}/s"]
 
 
