@@ -1,5 +1,6 @@
 """Values of case files that are more than a number: functions of place and time, moduli, regions, arrays."""
 
+from functools import cache
 from typing import Annotated, Any
 
 from ngsolve import CF, CoefficientFunction
@@ -135,4 +136,10 @@ def as_function(value: Any) -> Any:
 def _scalar(value: Any) -> CoefficientFunction:
     if isinstance(value, dict):
         return table(value["times"], value["values"])
-    return parse(value).coefficient() if isinstance(value, str) else CF(float(value))
+    return _of_text(value) if isinstance(value, str) else CF(float(value))
+
+
+@cache
+def _of_text(text: str) -> CoefficientFunction:
+    """One function for one text: what laws read by it is then carried once."""
+    return parse(text).coefficient()

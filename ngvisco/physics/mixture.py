@@ -33,7 +33,7 @@ from ngvisco.physics.equilibrium import Volumetric as VolumetricEnergy
 from ngvisco.physics.equilibrium import equilibrium, thermal_equilibrium
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.mixed_heat import MixedHeat, heat_of, without_heat
-from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed
+from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, told_apart
 from ngvisco.physics.pointwise import Respond, Response, array_response
 from ngvisco.physics.reference_energy import ReferenceEnergy, Volumetric
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
@@ -408,7 +408,7 @@ def mixed_viscosity(bodies: Sequence[Body]) -> Viscosity | None:
 
 def _with_own_names(body: Body) -> Body:
     """The body with parameters that its moduli became by themselves under names with its own."""
-    laws = {
-        name: renamed(getattr(body, name), f"{body.name}_") for name in ("material", "viscosity", "creep")
-    }
+    names = ("material", "viscosity", "creep")
+    apart = told_apart(getattr(body, name) for name in names)
+    laws = {name: renamed(law, f"{body.name}_") for name, law in zip(names, apart, strict=True)}
     return replace(body, **{name: law for name, law in laws.items() if law is not getattr(body, name)})

@@ -21,10 +21,11 @@ from ngvisco.physics.materials.heterogeneous import carrying
 from ngvisco.physics.materials.thermal import entropy_in, thermal_part, warming
 from ngvisco.physics.mixed_heat import HeatLaw, HeatOfBodies, require_heat_of_all
 from ngvisco.physics.mixture import MixedViscosity, Mixture, mixed_viscosity
-from ngvisco.physics.parameters import parameters_in
+from ngvisco.physics.parameters import parameters_in, told_apart
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import HyperViscosity, Viscosity
 from ngvisco.physics.state_function import check_energy
+from ngvisco.physics.variables import TEMPERATURE
 
 VectorLike: TypeAlias = CoefficientFunction | Sequence[float | CoefficientFunction]
 
@@ -183,7 +184,11 @@ class Model:
         if len(set(names)) < len(names):
             raise ParameterError("Model.loads", names, "distinct names")
         check_material(self.material)
-        laws = (self.material, self.viscosity, self.hyperviscosity, self.creep)
+        names_of = ("material", "viscosity", "hyperviscosity", "creep")
+        taken = [] if entropy_in(self.material) is None else [TEMPERATURE]
+        laws = told_apart((getattr(self, name) for name in names_of), taken)
+        for name, law in zip(names_of, laws, strict=True):
+            object.__setattr__(self, name, law)
         carried = parameters_in(laws)
         if self.creep is not None and self.creep.reads_conjugate and self.material.conformation is None:
             raise ParameterError("Model.creep", self.creep, "a material with a conformation tensor")

@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cache
+from itertools import count
 from operator import add, mul, neg, sub, truediv
 from typing import Any, ClassVar, TypeAlias, TypeVar, get_args, get_type_hints
 
@@ -368,13 +369,17 @@ def substituted(law: T, value_of: Callable[[Expression], Any]) -> T:
 
     Its checks are not run again: values at points are no numbers.
     """
-    changes: dict[str, Any] = {}
-    for each in dataclasses.fields(law):  # type: ignore[arg-type]
-        inner = getattr(law, each.name)
-        if isinstance(inner, Expression):
-            changes[each.name] = value_of(inner)
-        elif _is_law(inner) and any(True for _ in expressions_in(inner)):
-            changes[each.name] = substituted(inner, value_of)
+
+    def within(part: Any) -> Any:
+        if isinstance(part, Expression):
+            return value_of(part)
+        if isinstance(part, tuple) and any(True for _ in expressions_in(part)):
+            return tuple(within(one) for one in part)
+        return substituted(part, value_of) if _is_law(part) else part
+
+    own = {each.name: getattr(law, each.name) for each in dataclasses.fields(law)}  # type: ignore[arg-type]
+    found = {name: within(part) for name, part in own.items()}
+    changes = {name: part for name, part in found.items() if part is not own[name]}
     if not changes:
         return law
     result = copy(law)
@@ -394,6 +399,25 @@ def renamed(law: T, prefix: str) -> T:
         return replace(expression, expression=named, is_own=False)  # what has a prefix keeps it
 
     return law if law is None else substituted(law, with_prefix)
+
+
+def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
+    """Laws whose own parameters, which moduli became, have numbers where others are called so: A, A_2.
+
+    Those of one name and the same start value are one parameter; ``taken`` are names of something else.
+    """
+    known: dict[str, Parameter | None] = dict.fromkeys(taken)
+
+    def with_number(expression: Expression) -> Expression:
+        if not (isinstance(expression, _Modulus) and expression.is_own):
+            return expression
+        (own,) = expression.parameters
+        name, numbers = own.name, count(2)
+        while (other := known.setdefault(name, own)) is None or other.start is not own.start:
+            name = f"{own.name}_{next(numbers)}"
+        return expression if name == own.name else replace(expression, expression=replace(own, name=name))
+
+    return [substituted(law, with_number) if _is_law(law) else law for law in laws]
 
 
 def moduli_in(value: object) -> Iterator[tuple[str, Expression, bool]]:

@@ -22,10 +22,10 @@ from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.forms.fields import Fields, hessian_basis
 from ngvisco.forms.system import Step
 from ngvisco.physics.material import Material, cauchy_stress, mandel_stress, volume_ratio
-from ngvisco.physics.materials.thermal import temperature
+from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import IDENTITY, constant, det, dev, if_positive, square, sym, tr
-from ngvisco.physics.variables import Distortion, LeftCauchyGreen, SmallStrain
+from ngvisco.physics.variables import TEMPERATURE, Distortion, LeftCauchyGreen, SmallStrain
 from ngvisco.run.passive import CARRIED
 from ngvisco.run.scales import rest_pressure
 
@@ -33,8 +33,8 @@ USUAL = ("density", "J", "velocity", "pressure", "von_mises", "temperature")
 """What is drawn where nothing is said, as far as a run has it."""
 
 
-_OWN = ("velocity", "density", "cauchy_stress", "pressure", "pressure_from_rest", "von_mises", "temperature")
-"""Fields of every run, and of those with heat."""
+_OWN = ("velocity", "density", "cauchy_stress", "pressure", "pressure_from_rest", "von_mises")
+"""Fields of every run."""
 
 _TAKEN = "another name: a field of the run has this one"
 
@@ -43,6 +43,8 @@ def require_names_of_their_own(material: Material, further: Sequence[str] = ()) 
     """Raise ParameterError for a variable or a further unknown that has the name of a field of the run."""
     bodies = material.bodies if isinstance(material, Mixture) else ()
     taken = (*_OWN, *NAMES, *(body.name + _FRACTION for body in bodies), *(["body"] if bodies else []))
+    if entropy_in(material) is not None:  # else the one that laws were given
+        taken = (*taken, TEMPERATURE)
     for variable in material.variables:
         if variable.name in taken:
             raise ParameterError("Variable.name", variable.name, _TAKEN)
@@ -84,7 +86,7 @@ def _variables(step: Step) -> dict[str, CoefficientFunction]:
 def _temperature(step: Step) -> dict[str, CoefficientFunction]:
     """K, by the projected conjugate of the entropy, of a material with heat."""
     theta = temperature(step.model.material, step.now.zeta_tensors)
-    return {} if theta is None else {"temperature": theta}
+    return {} if theta is None else {TEMPERATURE: theta}
 
 
 _FRACTION = "_fraction"

@@ -8,7 +8,7 @@ import pytest
 from ngsolve import CF, L2, GridFunction, x, y
 
 import ngvisco as nv
-from ngvisco.geometries import box
+from ngvisco.geometries import box, structured_box
 from ngvisco.physics.materials.heterogeneous import Heterogeneous
 from ngvisco.physics.parameters import parameters_in, substituted
 from ngvisco.physics.pointwise import respond
@@ -216,3 +216,40 @@ def test_isotropy_is_checked_at_fixed_parameters():
             transported=(Distortion(), theta),
             stored_energy=lambda F, theta: square(F) + theta * F[0, 0] * F[0, 0],
         )
+
+
+def names(model):
+    return [variable.name for variable in model.material.variables]
+
+
+def arrhenius(start, of_creep=None):
+    stokes, linear = nv.StokesViscosity(K_v=1.0, G_v=1.0), nv.Creep(G_m=1.0)
+    viscosity = nv.ActivatedViscosity(viscosity=stokes, E=1e4, theta_R=300.0, temperature=start)
+    creep = nv.Activated(rule=linear, E=2e4, theta_R=300.0, temperature=of_creep)
+    return {"viscosity": viscosity, "creep": creep}
+
+
+def test_laws_that_are_given_one_function_carry_one_parameter_and_others_their_own():
+    solid = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
+    start = 300 + 10 * x
+    assert names(nv.Model(material=solid, **arrhenius(start, start))) == ["F", "J", "temperature"]
+    both = nv.Model(material=solid, **arrhenius(start, 300 + 10 * y))
+    assert names(both) == ["F", "J", "temperature", "temperature_2"]
+    rules = nv.Composite(rules=(nv.Norton(A=0.1 + x, n=3), nv.Norton(A=0.2 + y, n=1)))
+    assert names(nv.Model(material=solid, creep=rules)) == ["F", "J", "A", "A_2"]
+    body = {"material": nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0), "creep": rules, "density": 1.0}
+    bodies = [nv.Body(name="a", where=nv.Ball((0.5, 0.5), 0.2), **body), nv.Body(name="b", **body)]
+    assert names(nv.Model(bodies=bodies))[-4:] == ["a_A", "a_A_2", "b_A", "b_A_2"]
+
+
+def test_a_temperature_that_laws_are_given_is_the_run_s_where_the_material_has_none():
+    solid = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+    start = 300 + 10 * x
+    model = nv.Model(material=solid, **arrhenius(start, start))
+    run = nv.Simulation(structured_box((1, 1), (2, 2)), model, dt=0.02, initial=nv.Initial(velocity=(y, 0)))
+    run.advance()
+    assert run.fields["temperature"](run.mesh(0.4, 0.5)) == pytest.approx(304, abs=0.5)
+    warm = nv.Thermal(material=solid, c=1.0, theta_R=300.0)
+    assert names(nv.Model(material=warm, **arrhenius(start)))[-1] == "temperature_2"
+    with pytest.raises(nv.ParameterError, match=r"Activated\.temperature.*the material has no temperature"):
+        nv.Model(material=solid, **arrhenius(start))

@@ -12,7 +12,7 @@ from ngvisco.errors import ParameterError
 from ngvisco.physics.arrays import Array
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import Material
-from ngvisco.physics.materials.thermal import thermal_part
+from ngvisco.physics.materials.thermal import entropy_in, thermal_part
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.pointwise import squares
 from ngvisco.physics.rheology import Viscosity
@@ -46,7 +46,7 @@ def values_at_rest(material: Material, parameters: Mapping[str, float] | None = 
 def _readable(name: str, law: FlowRule | Viscosity, material: Material) -> dict[str, Any]:
     """``values_at_rest`` for a law; raises ParameterError where it reads a temperature that there is not."""
     z = dict(values_at_rest(material))
-    if TEMPERATURE in law.reads and TEMPERATURE not in z:
+    if TEMPERATURE in law.reads and entropy_in(material) is None:
         expected = (
             "a number, a function of the initial place or an expression: the material has no temperature; "
             "nv.Thermal(material=...) gives it one"
