@@ -34,8 +34,8 @@ STIFF, SOFT, BULK = 50.0, 0.5, 10.0
 """Moduli G_e and K_e, Pa."""
 STRETCH = 0.05
 MEETING, MET, THROWN, LIGHT, SHORT = 0.04, 1.4, 0.02, 1e-3, (6.25e-4, 3.125e-4)
-"""Of discs that meet: steps, until when they are looked at, and by the midpoint rule, s; the medium's
-density, kg/m^3."""
+"""Of discs that meet: steps, and until when, by backward Euler and until when by the midpoint rule, s; the
+medium's density, kg/m^3; the midpoint rule's steps, s."""
 EULER, MIDPOINT = 0.02, (0.0025, 0.00125)
 """Steps, s."""
 COLUMNS = ["run", "tau, s", "energy's rises", "largest rise", "bregman < 0", "bregman > 0", "limiter < 0"]
