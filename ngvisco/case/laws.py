@@ -111,8 +111,7 @@ def isotropic_strain_energy(
 ) -> IsotropicStrainEnergy:
     """Any convex isotropic energy phi(E) of the small strain, as an expression of E.
 
-    Raises ParameterError for what is no energy (with the position in the text), or one that is not
-    isotropic.
+    Raises ParameterError for what is no energy (with the position in the text), or one that is not isotropic.
 
     Parameters
     ----------

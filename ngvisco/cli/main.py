@@ -1,7 +1,6 @@
 """Arguments and messages of the command ``ngvisco``.
 
-What a user can cause never shows a
-traceback, and has an exit code of ``ngvisco.cli.streams``.
+What a user can cause never shows a traceback, and has an exit code of ``ngvisco.cli.streams``.
 """
 
 import argparse

@@ -338,8 +338,7 @@ def parameters_in(values: Iterable[object]) -> tuple[Parameter, ...]:
 def distinct(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
     """The parameters, each once.
 
-    Raises ParameterError if two that are not the same have one name; a start value makes them different,
-    too.
+    Raises ParameterError if two that are not the same have one name; a start value makes them different, too.
     """
     found: dict[str, Parameter] = {}
     for parameter in parameters:

@@ -36,9 +36,8 @@ class Probes(Series):
     points : mapping of names to points, or a sequence of points (named ``p1``, ``p2``, ...)
         Coordinates in m, as many as the mesh's dimension.
     fields : sequence of str, optional
-        Names out of ``simulation.fields``, or of their components as ``velocity_1``, ``F_12``; default
-        all but those of ``ngvisco.run.fields``.
-        A vector or tensor named as a whole gives all its components.
+        Names out of ``simulation.fields``, or of their components as ``velocity_1``, ``F_12``; default all
+        but those of ``ngvisco.run.fields``.  A vector or tensor named as a whole gives all its components.
     path : path, optional
         CSV file; without one the rows are kept in memory only.
     every : int

@@ -27,9 +27,8 @@ def record(
     """Run until ``until`` with progress on the terminal, and leave files and pictures in ``directory``.
 
     These are ``ledger.csv``, the VTK series ``vtk/fields.pvd``, ``run.h5`` with ledger and checkpoints, of a
-    model with bodies ``bodies.csv``, and
-    by the extra ``plots`` ``energies.png`` and, of the state at the end, ``fields.png``.  The observers that
-    the simulation has already see the same run.
+    model with bodies ``bodies.csv``, and by the extra ``plots`` ``energies.png`` and, of the state at the
+    end, ``fields.png``.  The observers that the simulation has already see the same run.
 
     Parameters
     ----------

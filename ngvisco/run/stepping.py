@@ -2,10 +2,9 @@
 
 Fixed.  A step that is not solved is taken in halves, quarters, eighths (``FixedStepper``).
 
-Adaptive.  A step is rejected, and its length halved, when Newton fails, or when rho, J (or A) is not
-positive at a sampling point.  With a tolerance, the estimated relative error e of each step
-(``ngvisco.timestepping.error``) is held below it: a step above it is rejected and tried again with the
-length
+Adaptive.  A step is rejected, and its length halved, when Newton fails, or when rho, J (or A) is not positive
+at a sampling point.  With a tolerance, the estimated relative error e of each step
+(``ngvisco.timestepping.error``) is held below it: a step above it is rejected and tried again with the length
 
     tau (0.9 tolerance/e)^(1/(p+1)),
 

@@ -6,9 +6,8 @@ new cell that is a union of old ones by the old points: each keeps what it has. 
 by one factor, so that the mass is kept to rounding; with bodies the amount of each is, and the density is the
 sum of theirs.  With other parameters the state stays as it is, to the bit.
 
-The energy before less that after is the ledger's column ``transfer`` (J): of row 0 where a new ledger
-begins, and of the first row of a ledger that goes on, whose closure holds it.  It is positive where energy
-was lost.
+The energy before less that after is the ledger's column ``transfer`` (J): of row 0 where a new ledger begins,
+and of the first row of a ledger that goes on, whose closure holds it.  It is positive where energy was lost.
 """
 
 from __future__ import annotations

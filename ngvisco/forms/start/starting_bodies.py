@@ -21,8 +21,7 @@ _COVERED = 1e-10
 def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> dict[str, CoefficientFunction]:
     """Volume fractions of the bodies, discontinuous P_order that sum to one, by name.
 
-    Raises ParameterError for bodies of one order that overlap, an empty body, and points that no body
-    covers.
+    Raises ParameterError for bodies of one order that overlap, an empty body, and points that no body covers.
     """
     placed = sorted((body for body in bodies if body.where is not None), key=lambda body: body.order)
     shapes = {body.name: as_shape(f"bodies[{body.name!r}].where", body.where) for body in placed}

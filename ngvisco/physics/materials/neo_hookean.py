@@ -22,13 +22,12 @@ class NeoHookean(IsotropicElastic):
     or, with ``kappa``, epsilon/J^kappa in place of -epsilon ln J and kappa epsilon/K_e in place of
     epsilon/K_e, which keeps the minimum at J = 1 (paper: exa-polyconvex-general, its last sentence).
 
-    Jointly convex in (F, J) (paper: convexity-neo-Hookean), strictly so in J by epsilon and K_e; it
-    blows up as J -> 0+.  Its minimum is on SO(3).  Stress at rest is hydrostatic and constant,
-    T(I, 1) = phi(I, 1) I = (3 G_e + epsilon^2/(2 K_e)) I (with kappa: (3 G_e + epsilon +
-    (kappa epsilon)^2/(2 K_e)) I): an energy per *actual* volume, which a body with a fixed shape does not
-    feel.  The usual bulk modulus at rest is K_e + epsilon (with kappa: K_e + kappa (kappa + 1) epsilon), and
-    the paper's G_e is half the usual shear modulus: in simple shear F = I + gamma e1 x e2, T_12 is
-    2 G_e gamma.
+    Jointly convex in (F, J) (paper: convexity-neo-Hookean), strictly so in J by epsilon and K_e; it blows up
+    as J -> 0+.  Its minimum is on SO(3).  Stress at rest is hydrostatic and constant, T(I, 1) = phi(I, 1) I =
+    (3 G_e + epsilon^2/(2 K_e)) I (with kappa: (3 G_e + epsilon + (kappa epsilon)^2/(2 K_e)) I): an energy per
+    *actual* volume, which a body with a fixed shape does not feel.  The usual bulk modulus at rest is K_e +
+    epsilon (with kappa: K_e + kappa (kappa + 1) epsilon), and the paper's G_e is half the usual shear
+    modulus: in simple shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
 
     With ``elastic_state="B"`` the shear energy is G_e tr B, B = J^{-2/3} F F^T: linear, so that phi is convex
     in (B, J), strictly in J.

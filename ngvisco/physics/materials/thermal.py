@@ -60,11 +60,10 @@ def entropy_in(material: Material) -> Entropy | None:
 class Thermal(Material):
     """A material that has a temperature: its energy is the internal one, phi(z, s), and theta = d phi/d s.
 
-    The heat capacity at constant volume is c.  With ``expansion`` the thermal pressure is
-    Gamma c (theta - theta_R) with Gamma c = K ``expansion``, K the bulk modulus at rest of the material
-    without heat, which is the isothermal one: no stress at theta_R beside that of the material.  With
-    ``gruneisen`` it is Gamma c theta/J, that of an ideal gas with the adiabatic exponent 1 + Gamma where
-    there is no other material.
+    The heat capacity at constant volume is c.  With ``expansion`` the thermal pressure is Gamma c (theta -
+    theta_R) with Gamma c = K ``expansion``, K the bulk modulus at rest of the material without heat, which is
+    the isothermal one: no stress at theta_R beside that of the material.  With ``gruneisen`` it is Gamma c
+    theta/J, that of an ideal gas with the adiabatic exponent 1 + Gamma where there is no other material.
 
     Example::
 
