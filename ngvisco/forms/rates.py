@@ -15,7 +15,6 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.physics.arrays import Array, Linear
-from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.flows import Flow
 from ngvisco.physics.increments import TINY
@@ -96,19 +95,23 @@ class Rates:
         M = self.mandel(u, flow)
         if flow.body is not None:
             M = (1 / flow.share(u.z_tensors)) * M
-        return flow.rule.rate(M, self.read_conjugate(u), self.read_values(flow.rule, u))
+        return flow.rule.rate(M, self.read_conjugate(u), self.read_values(flow.rule, u, flow))
 
     def read_conjugate(self, u: Fields) -> CoefficientFunction | None:
         """The zeta that a rule may read; None where the material has no conformation tensor."""
         conformation = self.material.conformation
         return None if conformation is None else u.zeta_tensors[conformation]
 
-    def read_values(self, law: FlowRule | Viscosity, u: Fields) -> Values:
-        """The values z that a law may read, with pressure and others where it asks for them."""
-        if not law.reads:
-            return u.z_tensors
-        made = {PRESSURE: self.pressure, TEMPERATURE: self.temperature, HARDENING: self.hardening}
-        return {**u.z_tensors, **{name: made[name](u) for name in sorted(law.reads)}}
+    def read_values(self, law: FlowRule | Viscosity, u: Fields, flow: Flow | None = None) -> Values:
+        """The values z that a law may read, with pressure and others where it asks for them.
+
+        ``flow`` is that of a rule that may harden.
+        """
+        made = {PRESSURE: self.pressure, TEMPERATURE: self.temperature}
+        found = {**u.z_tensors, **{name: made[name](u) for name in sorted(law.reads & made.keys())}}
+        if HARDENING in law.reads and flow is not None:
+            found[HARDENING] = self.hardening(flow, u)
+        return found
 
     def temperature(self, u: Fields) -> CoefficientFunction:
         """theta by the projected conjugates, K, of a material with heat."""
@@ -120,9 +123,15 @@ class Rates:
         power = rate_power(self.material, u.z_tensors, u.zeta_tensors, identity, 0 * u.L)
         return (-1 / 3) * power - self.stored(u)
 
-    def hardening(self, u: Fields) -> CoefficientFunction:
-        """phi_h'(k) by the projected conjugates, Pa, of a rule that hardens."""
-        return u.zeta_tensors[PLASTIC_STRAIN.name]
+    def hardening(self, flow: Flow, u: Fields) -> CoefficientFunction:
+        """phi_h'(k) by the projected conjugates, Pa, of a flow that hardens; of a body per its own volume."""
+        slope = u.zeta_tensors[flow.plastic_strain]
+        return slope if flow.fractions is None else flow.fractions.total(u.z_tensors) * slope
+
+    def hardening_rate(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
+        """What a flow's rate Pi makes of its plastic strain k, or of K_i, 1/s."""
+        rate = flow.rule.hardening_rate(Pi)
+        return rate if flow.fractions is None else flow.amount(u.z_tensors) * rate
 
     def stored(self, u: Fields) -> CoefficientFunction:
         """phi(z), Pa."""
@@ -138,11 +147,11 @@ class Rates:
         power = self._whole_power_of_creep(flow, Pi, u)
         if flow.rule.hardening is None:
             return power
-        return power - self.hardening(u) * flow.rule.hardening_rate(Pi)
+        return power - u.zeta_tensors[flow.plastic_strain] * self.hardening_rate(flow, Pi, u)
 
     def _whole_power_of_creep(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
         if not flow.rule.is_local:
-            return inner(flow.rule.force(Pi, self.read_values(flow.rule, u)), Pi)
+            return inner(flow.rule.force(Pi, self.read_values(flow.rule, u, flow)), Pi)
         if not flow.rule.has_trace:
             return inner(Pi, self.mandel(u, flow))
         return -rate_power(self.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi)

@@ -1,7 +1,8 @@
 """Bodies of different material in one domain: what each of them is and carries, and where it is at the start.
 
 The bodies of a ``Model`` travel with the flow.  Body i carries densities per actual volume: its amount n_i
-and, where it has tensors, X_i = n_i B, of its own, by their flux.  theta_i = n_i/sum n_j are fractions.
+and, where it has tensors, X_i = n_i B, and where it hardens K_i = n_i k, of its own, by their flux.
+theta_i = n_i/sum n_j are fractions.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from ngsolve import CoefficientFunction, Det
 
 from ngvisco.errors import ParameterError, as_integer, as_number
 from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN, PlasticStrain
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material
 from ngvisco.physics.rheology import Viscosity
@@ -111,6 +113,23 @@ class Content(Variable):
 
     def turned(self, value: CoefficientFunction, Q: CoefficientFunction) -> CoefficientFunction:
         return self.tensor.turned(value, Q)
+
+
+@dataclass(frozen=True)
+class PlasticContent(PlasticStrain):
+    """K_i = n_i k of body i, k its plastic strain: dt K_i + div(K_i v) = n_i dk/dt."""
+
+    @classmethod
+    def of(cls, body: str) -> PlasticContent:
+        """That of the body of this name."""
+        return cls(f"{PLASTIC_STRAIN.name}_{body}")
+
+    @property
+    def by_flux(self) -> bool:
+        return True
+
+    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+        return -tr(L) * z[self.name]
 
 
 @dataclass(frozen=True, kw_only=True)

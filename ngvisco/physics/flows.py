@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 from typing import Any
 
+from ngvisco.physics.bodies import PlasticContent
 from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
 from ngvisco.physics.mixture import Fractions
 from ngvisco.physics.variables import Values
 
@@ -31,3 +33,12 @@ class Flow:
     def share(self, z: Values) -> Any:
         """The body's fraction of the point, > 0: its power per volume is that times its own."""
         return 1.0 if self.fractions is None or self.body is None else self.fractions.positive(z, self.body)
+
+    @property
+    def plastic_strain(self) -> str:
+        """The variable that is made by its hardening: k, or K_i of a body."""
+        return PLASTIC_STRAIN.name if self.body is None else PlasticContent.of(self.body).name
+
+    def amount(self, z: Values) -> Any:
+        """n_i of the body, > 0: what makes its dk/dt that of K_i."""
+        return 1.0 if self.fractions is None else self.share(z) * self.fractions.total(z)

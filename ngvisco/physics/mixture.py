@@ -9,7 +9,8 @@ n psi(X/n, alpha/n) is the perspective of a convex function, jointly convex, and
 such a sum is convex: phi is so in everything that is carried.  V = sum n_i U_i(1/N), N = sum n_j, where all
 U_i' are one function, else ``ngvisco.physics.equilibrium``.  N f(X/n) is linear, C : (X - n I), where f is.
 Any other f is that of (n + eta N, X + eta N I)/(1 + eta bodies), an affine map that leaves phi convex: a
-body that is absent is a trace of matter at rest.  Bodies with heat (``ngvisco.physics.mixed_heat``) have one
+body that is absent is a trace of matter at rest.  Hardening adds w phi_h(K/w), w = (n + delta N)/(1 + delta),
+which is n phi_h(k) where there is nothing but the body.  Bodies with heat (``ngvisco.physics.mixed_heat``) have one
 temperature and one entropy s, and V(n) becomes W(n, s).
 
 Of the flow body i sees W + chi_i D and chi_i Pi_i, 0 <= chi_i <= 1 by its fraction (``taking_part``): where
@@ -28,9 +29,10 @@ import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import NgviscoError, ParameterError
-from ngvisco.physics.bodies import AMOUNT, Amount, Body, Content
+from ngvisco.physics.bodies import AMOUNT, Amount, Body, Content, PlasticContent
 from ngvisco.physics.equilibrium import Volumetric as VolumetricEnergy
 from ngvisco.physics.equilibrium import equilibrium, thermal_equilibrium
+from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.mixed_heat import MixedHeat, heat_of, without_heat
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, told_apart
@@ -42,6 +44,9 @@ from ngvisco.physics.variables import PRESSURE, Values, Variable
 
 TRACE = 1e-3
 """eta of the module's docstring, and the fraction below which a body does not creep any slower."""
+
+HARDENING_TRACE = 0.1
+"""delta of the module's docstring: K_i and n_i are polynomials each by itself, and K_i/n_i is none."""
 
 _LIGHTEST = "the density, less half of that of the lightest body"
 """What is lighter than any of its parts is thrown by forces that these bear."""
@@ -163,10 +168,16 @@ class Mixture(Material):
             found.append(Content(name, v.kind, tensor, 1 / len(self.bodies)))
         return tuple(found)
 
+    @cached_property
+    def plastic_contents(self) -> dict[str, PlasticContent]:
+        """K_i of the bodies that harden, by their names."""
+        laws = ((b.name, b.creep) for b in self.bodies)
+        return {name: PlasticContent.of(name) for name, law in laws if law is not None and law.hardening}
+
     def densities(self, body: str) -> tuple[Variable, ...]:
-        """What a body carries: X_i and n_i."""
-        amount = next(v for v in self.variables if v.name == AMOUNT + body)
-        return (*self.contents(body), amount)
+        """What a body carries: X_i, n_i, and K_i where it hardens."""
+        own = {AMOUNT + body, *(K.name for name, K in self.plastic_contents.items() if name == body)}
+        return (*self.contents(body), *(v for v in self.variables if v.name in own))
 
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
@@ -174,7 +185,8 @@ class Mixture(Material):
         share = 1 / len(self.bodies)
         amounts = (Amount(AMOUNT + b.name, density=b.density or 0.0, share=share) for b in self.bodies)
         entropy = () if self.heat is None else (self.heat.entropy,)
-        return (*contents, *amounts, *entropy, *self._parameters())
+        hardening = self.plastic_contents.values()
+        return (*contents, *amounts, *hardening, *entropy, *self._parameters())
 
     def with_elastic_state(self, state: ElasticState) -> Mixture:
         bodies = (replace(body, material=body.material.with_elastic_state(state)) for body in self.bodies)
@@ -199,7 +211,7 @@ class Mixture(Material):
     def bounds(self, z: Values) -> dict[str, Values]:
         """What must be > 0: N; sum n_i/U_i'' at rest, less a tenth of its least value, where these differ, or
         there is no common pressure; sum n_i c_i, less a tenth of its least; and n_i, but for half of what f_i
-        adds to it, where one is not linear."""
+        or phi_h adds to it, where one is not linear or hardens."""
         total = self.fractions.total(z)
         found = {"the sum of the amounts": total}
         if not self.has_one_volume:
@@ -212,9 +224,11 @@ class Mixture(Material):
             found["the heat capacity of the bodies"] = (1 / least) * self.heat.capacity(
                 self.amounts(z)
             ) - 0.1 * total
-        if not all(psi.is_linear for psi in self.energies):
+        nonlinear = not all(psi.is_linear for psi in self.energies)
+        if nonlinear or self.plastic_contents:
+            half = 0.5 * (TRACE if nonlinear else HARDENING_TRACE)
             for name in self.fractions.bodies:
-                found[f"{AMOUNT}{name} + {TRACE / 2:g} N"] = z[AMOUNT + name] + (0.5 * TRACE) * total
+                found[f"{AMOUNT}{name} + {half:g} N"] = z[AMOUNT + name] + half * total
         if self._densities_differ:
             least = min(body.density or 0.0 for body in self.bodies)
             parts = (((body.density or 0.0) / least - 0.5) * z[AMOUNT + body.name] for body in self.bodies)
@@ -246,10 +260,11 @@ class Mixture(Material):
         rest = {**z, **{AMOUNT + name: value for name, value in theta.items()}}
         for name, value in theta.items():
             rest |= {X.name: value * IDENTITY for X in self.contents(name)}
-        return rest
+        total = self.fractions.total(z)
+        return rest | {K.name: z[K.name] / total for K in self.plastic_contents.values()}
 
     def shears(self, z: Values) -> dict[str, Any]:
-        """n_i f_i(X_i/n_i) by the bodies' names, Pa."""
+        """n_i f_i(X_i/n_i) by the bodies' names, with n_i phi_h(K_i/n_i) where they harden, Pa."""
         total, found = self.fractions.total(z), {}
         own = {v.name: z[v.name] for v in self._parameters()}
         for body, psi in zip(self.bodies, self.energies, strict=True):
@@ -270,6 +285,11 @@ class Mixture(Material):
                 weight = scale * (n + TRACE * total)
             shear = psi.energy({**own, **at, "J": one}) - psi.energy({**own, **rest, "J": one})
             found[body.name] = weight * shear
+            law = None if body.creep is None else body.creep.hardening
+            if law is not None:
+                w = (1 / (1 + HARDENING_TRACE)) * (n + HARDENING_TRACE * total)
+                k = z[self.plastic_contents[body.name].name] / w
+                found[body.name] = found[body.name] + w * law.energy({**own, PLASTIC_STRAIN.name: k})
         return found
 
     def volumes_at_rest(self, z: Values) -> dict[str, Any]:

@@ -308,8 +308,6 @@ class Model:
                 expected = "nu = 0: the creep of several bodies is local"
             elif law.reads_conjugate or law.has_trace:
                 expected = "a flow rule that reads no conformation tensor, which no body has"
-            elif law.hardening is not None:
-                expected = "H = 0 and Q = 0: the plastic strain of one body would be that of all"
             if expected:
                 raise ParameterError(f"bodies[{body.name!r}].creep", law, expected)
 

@@ -43,6 +43,13 @@ CASES = {
             creep=nv.Creep(G_m=0.02 + 0.02 * y),
         ),
     ],
+    "hardening and yielding": lambda: [
+        disc(creep=nv.Perzyna(sigma_Y=0.02, G_m=0.02, H=0.5 + 0.2 * x, Q=0.1)),
+        rest(
+            material=nv.ReferentialMooneyRivlin(K_e=10.0, G_e=0.5, G_mr=0.5),
+            creep=nv.Perzyna(sigma_Y=0.01, G_m=0.02, H=0.2),
+        ),
+    ],
     "three, a layer on a layer": lambda: [
         disc(order=1),
         nv.Body(
@@ -241,7 +248,6 @@ def test_the_run_that_ended_at_one_second_goes_on():
 
 
 BY_J_MIN = nv.ReferentialNeoHookean(K_e=20.0, G_e=0.05, J_min=0.1)
-HARDENING = nv.Perzyna(sigma_Y=1.0, G_m=1.0, H=1.0)
 
 
 class SharesOnly:
@@ -277,7 +283,6 @@ class SharesOnly:
         (lambda: [disc(material=nv.Yosida(material=SOLID, eps=0.01)), rest()], "Yosida approximation"),
         (lambda: [disc(material=BY_J_MIN), rest()], "J_min = None: continued below it"),
         (lambda: [disc(creep=nv.Creep(G_m=1.0, nu=0.1)), rest()], "nu = 0: the creep .* is local"),
-        (lambda: [disc(creep=HARDENING), rest()], "H = 0 and Q = 0: the plastic strain of one body"),
     ],
 )  # fmt: skip
 def test_bad_bodies_are_refused_by_name(make, match):

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ngsolve import CF, Integrate, x
+from ngsolve import CF, Integrate, x, y
 from scipy.optimize import brentq
 from test_rules_in_flows import MATERIALS, sheared
 
@@ -96,13 +96,49 @@ def test_a_model_made_of_another_one_hardens_by_its_own_rule():
     assert [v.name for v in replace(first, creep=nv.Creep(G_m=1.0)).material.variables] == ["B", "J"]
 
 
-def test_bodies_do_not_harden():
-    body = nv.Body(
-        name="one",
-        material=MATERIALS["B"],
-        viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0),
-        creep=nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=2.0),
-        density=1.0,
+def body(name="one", **parts):
+    options = {"material": MATERIALS["B"], "viscosity": nv.StokesViscosity(K_v=1.0, G_v=1.0), "density": 1.0}
+    return nv.Body(name=name, **(options | parts))
+
+
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_a_body_hardens_by_the_law(solver):
+    """All strains and stresses a thousandth of those of ``relaxed``: there finite strains are small ones."""
+    small, law = 1e-3, {"H": 1.0, "Q": 2.0, "b": 20.0}
+    rule = nv.Perzyna(sigma_Y=small * SIGMA_Y, G_m=G_M, H=1.0, Q=small * 2.0, b=20.0 / small)
+    material = nv.ReferentialNeoHookean(K_e=10.0, G_e=G_E / 2, elastic_state="B")
+    model = nv.Model(bodies=[body(material=material, creep=rule)])
+    initial = nv.Initial(F=CF(tuple((np.eye(3) + small * START).ravel()), dims=(3, 3)))
+    run = nv.Simulation(box((1, 1), maxh=1.0), model, dt=DT, initial=initial, solver=solver)
+    ledger = run.run(STEPS * DT)
+    assert run.fields["plastic_strain_one"](run.mesh(0.3, 0.4)) == pytest.approx(
+        small * relaxed(law)[1], rel=2e-3
     )
-    with pytest.raises(nv.errors.ParameterError, match="H = 0 and Q = 0"):
-        nv.Model(bodies=[body])
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert ledger.column("creep_power_min").min() >= 0
+
+
+def test_two_bodies_of_one_hardening_material_are_that_material():
+    """Of a stiff volume, which n_i and J hardly differ from; K_i add up to k, less what their faces blur."""
+    rule = nv.Perzyna(sigma_Y=0.2, G_m=0.2, H=2.0)
+    material = nv.ReferentialNeoHookean(K_e=50.0, G_e=2.5, elastic_state="B")
+    whole = body(material=material, creep=rule)
+    halves = (body("left", where=0.5 - x, material=material, creep=rule), replace(whole, name="right"))
+    alone = nv.Model(material=material, viscosity=whole.viscosity, creep=rule)
+    found, shear = [], nv.PrescribedTangential((1.0, 0.0))
+    for model in (alone, nv.Model(bodies=[whole]), nv.Model(bodies=halves)):
+        start = nv.Initial(density=1.0 if model is alone else None, velocity=(y, 0))
+        run = nv.Simulation(
+            box((1, 1), maxh=0.5, periodic="x"),
+            model,
+            dt=0.05,
+            walls={"top": shear, "bottom": nv.NoSlip()},
+            initial=start,
+        )
+        ledger = run.run(0.2)
+        assert abs(ledger.column("closure_relative")).max() <= 1e-10
+        names = [name for name in run.fields if name.startswith("plastic_strain")]
+        found.append(float(sum(Integrate(run.fields[name], run.mesh) for name in names)))
+    assert found[0] > 0.05
+    assert found[1] == pytest.approx(found[0], rel=1e-3)
+    assert found[2] == pytest.approx(found[0], rel=3e-2)

@@ -139,6 +139,7 @@ def _entering_bodies(
     assert isinstance(model.material, Mixture)
     for name, value in n.items():
         given |= {X.name: value * X.tensor.from_distortion(Id(3)) for X in model.material.contents(name)}
+    given |= {K.name: CF(0.0) for K in model.material.plastic_contents.values()}
     for name in wall.values:
         if name.startswith(AMOUNT):
             raise ParameterError(f"{owner}.values", name, f"{name.removeprefix(AMOUNT)!r} in {owner}.amounts")

@@ -17,7 +17,6 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm, Setting, Unknown
 from ngvisco.physics.flow_rules import FlowRule
-from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
 from ngvisco.physics.flows import Flow
 from ngvisco.physics.tensors import inner, square, trace_free_tensors
 
@@ -36,7 +35,7 @@ class CreepRate(PointTerm):
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         gradient = self.rule.gradient_coefficient(square(u.grad_Pi))
-        z = u.context.rates.read_values(self.rule, u)
+        z = u.context.rates.read_values(self.rule, u, u.context.rates.flows[0])
         force = trace_free_tensors(u.dim).components(self.rule.force(u.Pi, z))
         return [
             inner(force, w.parts["Pi"]),
@@ -56,12 +55,12 @@ class CreepRate(PointTerm):
 class PlasticStraining(PointTerm):
     """- int dk/dt q in the equation of the plastic strain k, q its test, dk/dt = sqrt(2/3) |Pi|.
 
-    q = zeta_k = phi_h'(k) gives the power that hardening stores: ``dissipation_creep`` is without it.
+    Of a body that is - int n_i dk/dt q in that of K_i = n_i k.  q = zeta_k = phi_h'(k) gives the power that hardening stores: ``dissipation_creep`` is without it.
     """
 
     flow: Flow
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         rates = u.context.rates
-        (Pi,) = rates.creep(u)
-        return [-self.flow.rule.hardening_rate(Pi) * w.z_tensors[PLASTIC_STRAIN.name]]
+        Pi = rates.creep(u)[rates.flows.index(self.flow)]
+        return [-rates.hardening_rate(self.flow, Pi, u) * w.z_tensors[self.flow.plastic_strain]]

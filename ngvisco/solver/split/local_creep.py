@@ -63,7 +63,7 @@ class LocalCreep:
         """What is to be added to increments of z from the tangent's state; both coefficients (n, .)."""
         t = self.tangent
         columns, force = t.columns[:, :, self.own], t.force[:, self.own]
-        self._read = self.rates.read_values(self.flow.rule, t.values)
+        self._read = self.rates.read_values(self.flow.rule, t.values, self.flow)
         M = self.space.components(self.rates.mandel(t.values, self.flow)).value.T
         change, added = t.op.z(dz), np.zeros_like(dz)
         z = t.z + change
