@@ -118,27 +118,20 @@ def test_a_body_hardens_by_the_law(solver):
     assert ledger.column("creep_power_min").min() >= 0
 
 
-def test_two_bodies_of_one_hardening_material_are_that_material():
-    """Of a stiff volume, which n_i and J hardly differ from; K_i add up to k, less what their faces blur."""
+def test_a_body_of_a_hardening_material_is_that_material():
+    """At finite strains, of a stiff volume: phi_h is per actual volume of a material, and per n of a body."""
     rule = nv.Perzyna(sigma_Y=0.2, G_m=0.2, H=2.0)
-    material = nv.ReferentialNeoHookean(K_e=50.0, G_e=2.5, elastic_state="B")
-    whole = body(material=material, creep=rule)
-    halves = (body("left", where=0.5 - x, material=material, creep=rule), replace(whole, name="right"))
-    alone = nv.Model(material=material, viscosity=whole.viscosity, creep=rule)
-    found, shear = [], nv.PrescribedTangential((1.0, 0.0))
-    for model in (alone, nv.Model(bodies=[whole]), nv.Model(bodies=halves)):
+    whole = body(material=nv.ReferentialNeoHookean(K_e=50.0, G_e=2.5, elastic_state="B"), creep=rule)
+    alone = nv.Model(material=whole.material, viscosity=whole.viscosity, creep=rule)
+    walls = {"top": nv.PrescribedTangential((1.0, 0.0)), "bottom": nv.NoSlip()}
+    found = []
+    for model in (alone, nv.Model(bodies=[whole])):
         start = nv.Initial(density=1.0 if model is alone else None, velocity=(y, 0))
-        run = nv.Simulation(
-            box((1, 1), maxh=0.5, periodic="x"),
-            model,
-            dt=0.05,
-            walls={"top": shear, "bottom": nv.NoSlip()},
-            initial=start,
-        )
-        ledger = run.run(0.2)
+        mesh = box((1, 1), maxh=1.0, periodic="x")
+        run = nv.Simulation(mesh, model, dt=0.05, walls=walls, initial=start, solver="split")
+        ledger = run.run(0.15)
         assert abs(ledger.column("closure_relative")).max() <= 1e-10
-        names = [name for name in run.fields if name.startswith("plastic_strain")]
-        found.append(float(sum(Integrate(run.fields[name], run.mesh) for name in names)))
+        (name,) = (name for name in run.fields if name.startswith("plastic_strain"))
+        found.append(Integrate(run.fields[name], run.mesh))
     assert found[0] > 0.05
     assert found[1] == pytest.approx(found[0], rel=1e-3)
-    assert found[2] == pytest.approx(found[0], rel=3e-2)

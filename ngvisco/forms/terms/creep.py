@@ -55,7 +55,8 @@ class CreepRate(PointTerm):
 class PlasticStraining(PointTerm):
     """- int dk/dt q in the equation of the plastic strain k, q its test, dk/dt = sqrt(2/3) |Pi|.
 
-    Of a body that is - int n_i dk/dt q in that of K_i = n_i k.  q = zeta_k = phi_h'(k) gives the power that hardening stores: ``dissipation_creep`` is without it.
+    Of a body that is - int n_i dk/dt q in that of K_i = n_i k.  q = zeta_k = phi_h'(k) gives the power that
+    hardening stores: ``dissipation_creep`` is without it.
     """
 
     flow: Flow
