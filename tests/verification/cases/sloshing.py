@@ -208,7 +208,6 @@ CASES = (
     ),
     Case(
         name="sloshing-of-a-gel",
-        theme="Bodies and their interfaces",
         statement="An elastic layer beside a medium of a thousandth of its density sloshes with the "
         "frequency of linear theory, that of its weight and its stiffness together.",
         label="benchmark: an incompressible elastic layer on a slippery bed, under gravity",
