@@ -139,12 +139,14 @@ class Fields:
     @cached_property
     def z_tensors(self) -> Values:
         """Transported variables by name, 3x3 or scalar."""
-        return self.layout.states.tensors(lambda: self.z)
+        parts = self.parts  # not these fields, which would hold themselves, and all values with them
+        return self.layout.states.tensors(lambda: parts["z"])
 
     @cached_property
     def zeta_tensors(self) -> Values:
         """Conjugates by name, 3x3 or scalar."""
-        return self.layout.states.tensors(lambda: self.zeta)
+        parts = self.parts
+        return self.layout.states.tensors(lambda: parts["zeta"])
 
     @cached_property
     def hess(self) -> CoefficientFunction:

@@ -85,7 +85,8 @@ def _past_cylinder(mesh: Mesh, wi: float, forces: nv.WallForces) -> nv.Simulatio
 
 
 def _cylinder() -> Outcome:
-    mesh, runs, rows, curves = half_channel(), [], [], []
+    mesh, runs = half_channel(), list[nv.Simulation]()
+    rows, curves = list[list[float]](), list[Curve]()
     for wi, published in PUBLISHED.items():
         forces = nv.WallForces(["cylinder"])
         run = _past_cylinder(mesh, wi, forces)
