@@ -100,6 +100,11 @@ class Variable(ABC):
         return self.is_conserved
 
     @property
+    def own_scale(self) -> float | None:
+        """Its size beside which small increments count by themselves; None: by those of all variables."""
+        return None
+
+    @property
     def creeps(self) -> bool:
         """Whether the rate depends on Pi; functions of J do not, since tr Pi = 0."""
         return self.kind != "scalar"

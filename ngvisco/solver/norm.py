@@ -5,7 +5,8 @@ sqrt(n) h/tau and scale_u = |u|_2 + f sqrt(n) s_u, where n is the number of the 
 smallest cell size: a velocity counts by the strain that it makes in the step; s_u is the unknown's scale, 0
 of rho and 1 of z.  The other unknowns are functions of these; the trace of a density that diffuses by an
 r-Laplacian, a nonlinear one, counts like rho. A creep rate field Pi changes z by tau Pi only, which leaves it
-open in a short step: with nu > 0 it counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau).  The floor f and
+open in a short step: with nu > 0 it counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau).  A variable
+with an ``own_scale``, as the entropy, counts once more by itself.  The floor f and
 the share s are below; the floor lets small strains and velocities converge relatively to
 themselves, and a stalled iteration is asked about with a larger one, but for Pi.
 """

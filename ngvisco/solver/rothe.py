@@ -75,7 +75,11 @@ class RotheSolver:
             units["rho_delta_hat"] = 0.0  # its equation is cubic where the density is flat
         shared = {"Pi"} & set(step.layout.ranges)
         units |= dict.fromkeys(shared, 0.0)
-        self.norm = BlockNorm(step.layout.ranges, units, self.exchange, shared)
+        ranges = dict(step.layout.ranges)
+        for variable in step.model.material.variables:
+            if variable.own_scale is not None:
+                ranges[variable.name], units[variable.name] = _part(step, variable.name), variable.own_scale
+        self.norm = BlockNorm(ranges, units, self.exchange, shared)
         self.method = chosen_method(step, options)
         """``"coupled"`` or ``"split"``."""
         self._last_tau: float | None = None
@@ -301,3 +305,11 @@ def split_obstacle(step: Step) -> str | None:
     if not ranks.all(is_simplicial(step.mesh)):
         return "the split solver needs a mesh of triangles or tetrahedra only"
     return source_obstacle(step) or term_obstacle(step)
+
+
+def _part(step: Step, name: str) -> slice:
+    """The coefficients of a scalar variable among all."""
+    z, states = step.layout.ranges["z"], step.layout.states
+    count = (z.stop - z.start) // states.size
+    begin = z.start + states.slices[name].start * count
+    return slice(begin, begin + count)

@@ -43,6 +43,15 @@ class Entropy(Variable):
     def is_conserved(self) -> bool:
         return True
 
+    @property
+    def own_scale(self) -> float:
+        """In heat capacities; of it 1e-9 is 3 mK at 300 K, of which rounding leaves 1e-11.
+
+        Beside A = 1 an increment of 1e-10 of all variables is, where temperatures differ by a hundredth,
+        1e-8 of the energy above theta_R.
+        """
+        return 1e4
+
     def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         return -tr(L) * z[self.name]
 

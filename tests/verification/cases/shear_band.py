@@ -139,8 +139,8 @@ CASES = (
         setting=f"Plane strain: a quarter of a block, 2 m x 1 m, E, K = {BULK:g}, G = {SHEAR:g} Pa, "
         f"cohesion 1 Pa but half of it at the seed of {SEED} m in the corner, phi = {FRICTION:g} degrees, "
         f"G_m = {G_M:g} Pa s, {DENSITY} kg/m3, pressed at {RATE}/s by a wall through a stiff dashpot, "
-        f"planes of symmetry, a free upper side; steps of {DT} s until the load falls; h = 0.1, 0.07, 0.05 m; "
-        "a line through the places of |Pi|^4 at 25 heights.",
+        f"planes of symmetry, a free upper side; steps of {DT} s until the load falls; h = 0.1, 0.07, "
+        "0.05 m; a line through the places of |Pi|^4 at 25 heights.",
         bounds=(
             Bound("how far it is beyond Coulomb's and Roscoe's angles, degrees", "<=", 3.0, "theory"),
             Bound("distance to Rudnicki and Rice's angle, degrees", "<=", 3.0, "without friction: 6.2"),
