@@ -42,8 +42,11 @@ def simulation(mesh=None, discretisation=None, **parts):
     )
 
 
-def assert_is_the_derivative(run, bound=1e-9):
-    """At a state away from a solution, of Richardson's differences, block of rows by block of rows."""
+def assert_is_the_derivative(run, bound=1e-8):
+    """At a state away from a solution, of Richardson's differences, block of rows by block of rows.
+
+    Rounding leaves up to 1e-9 of these.
+    """
     split = run.solver.newton
     run.advance()
     run.rothe_step.context.set_step(0.02, 0.04, 0.02, 0.02)
@@ -68,7 +71,7 @@ def assert_is_the_derivative(run, bound=1e-9):
 @pytest.mark.parametrize("name", PARTS)
 def test_of_every_mechanism(name):
     # a power of 1/2 is far from what differences take for smooth where grad rho is small
-    assert_is_the_derivative(simulation(**PARTS[name]), bound=1e-6 if name == "r = 3" else 1e-9)
+    assert_is_the_derivative(simulation(**PARTS[name]), bound=1e-6 if name == "r = 3" else 1e-8)
 
 
 @pytest.mark.parametrize("name", ALL_BY_CI)
