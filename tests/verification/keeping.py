@@ -74,6 +74,7 @@ def put_into(directory: Path, source: Path, cases: Sequence[Case]) -> Path:
 
     Raises VerificationError if one of the reports is missing, or a case of the new one ended in an error.
     """
+    of = commit()  # before pictures make it differ
     path, report = directory / "report.md", source / "report.md"
     if absent := [str(one) for one in (path, report) if not one.is_file()]:
         raise VerificationError(f"{absent[0]}: no report")
@@ -83,5 +84,5 @@ def put_into(directory: Path, source: Path, cases: Sequence[Case]) -> Path:
         raise VerificationError(f"ended in an error, which is no result to keep: {', '.join(broken)}")
     for picture in sorted((source / "pictures").glob("*.png")):
         write_atomically(directory / "pictures" / picture.name, picture.read_bytes())
-    write_atomically(path, merged(kept, new, cases, commit()).encode())
+    write_atomically(path, merged(kept, new, cases, of).encode())
     return path
