@@ -185,8 +185,8 @@ def _oscillating() -> Outcome:
         remarks=[
             "The published curves are pictures; the reference is immersed.py, as for the cavity.",
             "On 192 x 192 cells its peak is 0.00702 J.  Against that the largest errors of the elastic "
-            "energy on cells of 0.1, 0.05 and 0.025 m are 0.60, 0.30 and 0.15 of it (orders 0.98 and 1.06), of the "
-            "kinetic energy 0.18, 0.076 and 0.028 (1.27 and 1.46).",
+            "energy on cells of 0.1, 0.05 and 0.025 m are 0.60, 0.30 and 0.15 of it (orders 0.98 and 1.06), "
+            "of the kinetic energy 0.18, 0.076 and 0.028 (1.27 and 1.46).",
         ],
     )
 
