@@ -19,6 +19,7 @@ from ngvisco import (
 )
 from ngvisco.geometries import box
 from tests.verification.cases.maxwell import MYR, ROCK, relaxed_stress
+from tests.verification.cases.necking import growth
 from tests.verification.cases.sloshing import DEPTH, GRAVITY, SHEARS, K, mode
 from tests.verification.models import KINDS
 
@@ -137,3 +138,13 @@ def test_the_frequency_of_a_gel_s_layer_is_the_least_of_its_polynomials(shear: f
     mass = product(u) + product(v) + ratio / (K * np.tanh(K * (1 - DEPTH))) * np.outer(top, top)
     least = eigh(stiffness, mass, eigvals_only=True)[0] ** 0.5
     assert mode(ratio, shear)[0] == pytest.approx(least, rel=1e-4)
+
+
+def test_the_theory_of_necks_has_the_limits_that_are_known() -> None:
+    """A thin layer in nothing, of n = 1 too, which does not neck, and Biot's folds, 1961, of a stiff layer."""
+    for n in (1.0, 3.0, 10.0):
+        assert growth(n, 1e7, 0.01, 800.0) == pytest.approx(n - 1, abs=2e-3)
+    ratio, waves = 1e4, np.geomspace(0.05, 0.14, 40)
+    rates = [growth(1, ratio, k, 8 / k, -1.0, fold=True) - 1 for k in waves]
+    assert waves[np.argmax(rates)] == pytest.approx((6 / ratio) ** (1 / 3), rel=0.03)
+    assert max(rates) == pytest.approx((4 * ratio / 3) ** (2 / 3), rel=0.01)

@@ -12,7 +12,7 @@ THEMES = {
     "The role of hyperviscosity": "hyper",
     "Exact solutions: shear and relaxation": "maxwell shear",
     "Exact solutions: rheology": "rheology conformation cylinder",
-    "Exact solutions: flow rules": "flow_rules viscoplastic shear_band",
+    "Exact solutions: flow rules": "flow_rules viscoplastic shear_band necking",
     "Creeping flow at finite strain": "winding",
     "Exact solutions: waves": "waves foundation riemann sphere_modes refinement",
     "Exact solutions: layers and fronts": "fronts pulse",
