@@ -141,7 +141,7 @@ def test_the_frequency_of_a_gel_s_layer_is_the_least_of_its_polynomials(shear: f
 
 
 def test_the_theory_of_necks_has_the_limits_that_are_known() -> None:
-    """A thin layer in nothing, of n = 1 too, which does not neck, and Biot's folds, 1961, of a stiff layer."""
+    """A thin layer in nothing, of n = 1 too, which does not neck; Biot's folds, 1961, of a stiff layer."""
     for n in (1.0, 3.0, 10.0):
         assert growth(n, 1e7, 0.01, 800.0) == pytest.approx(n - 1, abs=2e-3)
     ratio, waves = 1e4, np.geomspace(0.05, 0.14, 40)
