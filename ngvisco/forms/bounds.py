@@ -35,11 +35,12 @@ from functools import cached_property
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction
 
-from ngvisco.forms.cell_means import SHARE, CellMeans, Ranges, Stretches
+from ngvisco.forms.cell_means import SHARE, CellMeans, Ranges, Stretches, least_of
 from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.mesh import number_of
+from ngvisco.physics.materials.thermal import temperature
 
 OF_CUT_OFF = "rho_max + width - rho"
 """The name of the bound of a cut-off."""
@@ -146,9 +147,11 @@ class Bounds:
         self.names = tuple(present)
         self._where_means_do = np.array([name in material.where_means_do for name in self.names])
         self._present = CF(tuple(present.values()))
-        self._slices, self._size = material.states(dim).slices, material.states(dim).size
+        self._slices = material.states(dim).slices
         self._share = GridFunction(L2(step.mesh, order=0))
         """s of rho in the last limited state."""
+        self.refused: tuple[Violation, np.ndarray] | None = None
+        """The last solution that had a ``defect``: where, and its coefficients."""
         self.takes_energy = False
         """Whether more than tensors of linear energies was limited there."""
 
@@ -194,6 +197,19 @@ class Bounds:
         broken = found.required & ~(found.means > 0)
         some = self._ranks.any(broken.any())
         return self._worst(found, broken, found.means, is_mean=True) if some else None
+
+    def defect(self) -> str | None:
+        """Why the present state is not admissible, in words: what of rho, J, ... or the
+        temperature is not positive.  The state and what is out of its bounds are ``refused`` then.
+        """
+        violation = self.violation()
+        if violation is not None:
+            self.refused = violation, self.step.state.vec.FV().NumPy().copy()
+            return str(violation)
+        theta = temperature(self.step.model.material, self.step.now.zeta_tensors)
+        if theta is None or (least := self.sampler.extrema(theta)[0]) > 0:
+            return None
+        return f"the temperature is {least:.4g} K somewhere, and not positive"
 
     def cells_outside(self) -> np.ndarray:
         """Numbers of the cells of the present state that are out of bounds at a point."""
@@ -247,9 +263,9 @@ class Bounds:
         """Scale rho, z or both in the cells ``outside`` so that what is ``required`` reaches its target."""
         place = np.full(self.step.mesh.ne, -1)
         place[found.cells[outside]] = np.flatnonzero(outside)
-        dofs = np.flatnonzero(place[self._means.owner] >= 0)
-        cells = place[self._means.owner[dofs]]
-        parts = [self._parts_of(name, dofs, found.cells[cells]) for name in names]
+        dofs, of = self._means.functions(place >= 0)
+        cells = place[of]
+        parts = [self._parts_of(name, dofs, of) for name in names]
 
         def put(share: np.ndarray) -> None:
             for values, centre, rest in parts:
@@ -269,10 +285,9 @@ class Bounds:
         self, name: str, dofs: np.ndarray, cells: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Coefficients of rho or z, and of their functions ``dofs`` the mean and what is beside it."""
-        state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges[name]]
-        values = state.reshape(self._size if name == "z" else 1, -1)
+        values = self._means.coefficients(name)
         strains = np.ones(1, dtype=bool) if name == "rho" else self.step.layout.states.strains
-        centre = self._means.array(name)[:, cells] * self._means.one[dofs]
+        centre = self._means.of_cells(name)[:, cells] * self._means.one[dofs]
         rest = values[:, dofs] - centre
         kept = np.where(strains, 0.0, 1.0)[:, None] * rest  # of parameters, which have ranges of their own
         return values, centre + kept, rest - kept
@@ -283,13 +298,13 @@ class Bounds:
         bad = ~(values > 0)
         if not self._ranks.any(bad.any()):  # from here on all ranks go together, with no cells perhaps
             return None
-        numbers = self._cell_numbers
+        numbers = self.sampler.cells
         cells = np.unique(numbers[bad.any(axis=1)])
         points = np.flatnonzero(np.isin(numbers, cells))
         owner = np.searchsorted(cells, numbers[points])
         means = self._at_means(points[np.unique(owner, return_index=True)[1]])
         required = self._required(len(cells), points, owner) & (~self._where_means_do | (means > 0))
-        least = _least(values[points], owner, len(cells))
+        least = least_of(values[points], owner, len(cells))
         broken = required & ~(least > 0)
         kept: np.ndarray = np.any(broken, axis=1)
         if not self._ranks.any(kept.any()):
@@ -323,7 +338,7 @@ class Bounds:
     def _at(self, found: _Outside) -> np.ndarray:
         """The present least value of every bound in every cell, (cells, bounds)."""
         values = self._rows(np.asarray(self._present(self.sampler.points[found.points])))
-        return _least(values, found.owner, len(found.cells))
+        return least_of(values, found.owner, len(found.cells))
 
     def _at_means(self, points: np.ndarray) -> np.ndarray:
         """The bounds' values for the means of the cells that these points are in, (points, bounds)."""
@@ -373,17 +388,5 @@ class Bounds:
         )
         return worst, float(self.step.context.h.vec[cell])
 
-    @cached_property
-    def _cell_numbers(self) -> np.ndarray:
-        """The cell of every point of the sampler."""
-        return np.asarray(self.sampler.points["nr"])
-
     def _rows(self, values: np.ndarray) -> np.ndarray:
         return values.reshape(len(values), math.prod(values.shape[1:]))
-
-
-def _least(values: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
-    """The least of every column over the points of every owner, (count, columns)."""
-    least = np.full((count, values.shape[1]), np.inf)
-    np.minimum.at(least, owner, values)
-    return least

@@ -42,7 +42,7 @@ a density that falls to zero along a line is no reason to change it.
 
 
 class CellMeans:
-    """Means over the cells of rho and z of a step's present state."""
+    """Means over the cells of rho and z of a step's present state, and its coefficients by cells."""
 
     def __init__(self, step: Step) -> None:
         self.step = step
@@ -77,10 +77,20 @@ class CellMeans:
         """Make ``momentum`` that of the present ``momentum_old``."""
         self._momentum_projection()
 
-    def array(self, name: str) -> np.ndarray:
+    def of_cells(self, name: str) -> np.ndarray:
         """Means of ``"rho"`` or ``"z"``, (components, cells)."""
         function = self.rho if name == "rho" else self.z
         return function.vec.FV().NumPy().reshape(function.dim, -1)
+
+    def coefficients(self, name: str) -> np.ndarray:
+        """Of the present state's ``"rho"`` or ``"z"``, (components, functions), not a copy."""
+        state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges[name]]
+        return state.reshape(-1, len(self.one))
+
+    def functions(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The functions of some cells, (cells,) of bool, and the cell of each."""
+        chosen = np.flatnonzero(cells[self.owner])
+        return chosen, self.owner[chosen]
 
     @cached_property
     def owner(self) -> np.ndarray:
@@ -89,6 +99,13 @@ class CellMeans:
         form = BilinearForm(trialspace=of_cells, testspace=space)
         form += of_cells.TrialFunction() * space.TestFunction() * dx
         return csr(form.Assemble().mat).indices.astype(int)  # one column a row
+
+
+def least_of(values: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
+    """The least of every column over the points of every owner, (count, columns); inf without points."""
+    least = np.full((count, values.shape[1]), np.inf)
+    np.minimum.at(least, owner, values)
+    return least
 
 
 SLACK = 1e-9
@@ -124,19 +141,17 @@ class Ranges:
             return np.zeros(0, dtype=int)
         outside, least, largest = self._outside()
         self._means.project()
-        means, one, owner = self._means.array("z")[self.components], self._means.one, self._means.owner
-        z = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]]
-        values = z.reshape(self.step.layout.states.size, -1)
+        means, one = self._means.of_cells("z")[self.components], self._means.one
+        values = self._means.coefficients("z")
         for i, name in enumerate(self.names):
-            cells, (low, high) = outside[i], self.step.ranges[name]
+            low, high = self.step.ranges[name]
             wanted = np.clip(means[i], low, high)
             below, above = means[i] - least[i], largest[i] - means[i]
             with np.errstate(divide="ignore", invalid="ignore"):
                 downwards = np.where(below > 0, (wanted - low) / below, np.inf)
                 upwards = np.where(above > 0, (high - wanted) / above, np.inf)
             share = np.clip(np.minimum(downwards, upwards), 0.0, 1.0)
-            dofs = np.flatnonzero(cells[owner])
-            of = owner[dofs]
+            dofs, of = self._means.functions(outside[i])
             own = values[self.components[i]]
             own[dofs] = wanted[of] * one[dofs] + share[of] * (own[dofs] - means[i][of] * one[dofs])
         return np.flatnonzero(outside.any(axis=0))
@@ -144,11 +159,8 @@ class Ranges:
     def _outside(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Which are out of their ranges, least and largest values, each (parameters, cells)."""
         values = self.sampler.rows(self._values)
-        numbers, cells = np.asarray(self.sampler.points["nr"]), self.step.mesh.ne
-        least = np.full((cells, values.shape[1]), np.inf)
-        largest = np.full_like(least, -np.inf)
-        np.minimum.at(least, numbers, values)
-        np.maximum.at(largest, numbers, values)
+        cells, count = self.sampler.cells, self.step.mesh.ne
+        least, largest = least_of(values, cells, count), -least_of(-values, cells, count)
         low, high = (np.array(ends) for ends in zip(*(self.step.ranges[n] for n in self.names), strict=True))
         slack = SLACK * np.maximum(high - low, np.maximum(abs(low), abs(high)) * (high == low))
         return ((least < low - slack) | (largest > high + slack)).T, least.T, largest.T
@@ -192,8 +204,8 @@ class Stretches:
         points = np.flatnonzero((signs[:, 0] > 0) & ~(signs[:, 1:] > 0).all(axis=1))
         if self.sampler.ranks.any(len(points) > 0):
             self._means.project()
-        states, means = self.step.layout.states, self._means.array("z")
-        cells = np.asarray(self.sampler.points["nr"])[points]
+        states, means = self.step.layout.states, self._means.of_cells("z")
+        cells = self.sampler.cells[points]
         amount = means[states.slices[self._amounts[content]].start][cells]
         mean = (means[states.slices[content]].T[cells] @ states.spaces[content].columns.T).reshape(-1, 3, 3)
         good = (amount > 0) & (np.linalg.eigvalsh(mean)[:, 0] > 0)
@@ -203,7 +215,7 @@ class Stretches:
         points, cells, mean = self._outside(content)
         if not len(points):
             return cells
-        states, z, means = self.step.layout.states, self.step.now.z_tensors, self._means.array("z")
+        states, z, means = self.step.layout.states, self.step.now.z_tensors, self._means.of_cells("z")
         amount, at = self._amounts[content], self.sampler.points[points]
         X, n = states.slices[content], states.slices[amount].start
         value = np.asarray(z[content](at)).reshape(-1, 3, 3) / np.asarray(z[amount](at)).reshape(-1, 1, 1)
@@ -211,9 +223,7 @@ class Stretches:
         least = np.linalg.eigvalsh(inverse @ value @ inverse.transpose(0, 2, 1))[:, 0]
         share = np.ones(self.step.mesh.ne)
         np.minimum.at(share, cells, (1 - SHARE) / (1 - np.minimum(least, 0.0)))
-        values = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]].reshape(states.size, -1)
-        dofs = np.flatnonzero(share[self._means.owner] < 1)
-        of = self._means.owner[dofs]
+        values, (dofs, of) = self._means.coefficients("z"), self._means.functions(share < 1)
         uniform = means[X][:, of] / means[n][of] * values[n, dofs]
         values[X, dofs] = uniform + share[of] * (values[X, dofs] - uniform)
         return np.unique(cells)

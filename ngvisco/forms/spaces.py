@@ -43,6 +43,8 @@ from ngsolve import (
 from ngvisco.errors import ParameterError, require_choice
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Introducing, Place, Setting, Unknown
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import Part
 from ngvisco.physics.material import Material
 from ngvisco.physics.state_space import StateSpace
 
@@ -133,6 +135,15 @@ class Layout:
             name: slice(r.start, r.stop)
             for name, r in ((name, self.space.Range(i)) for i, name in enumerate(self.names))
         }
+
+    def count(self) -> int:
+        """The number of unknowns of the whole mesh; collective."""
+        mesh, ranks = self.mesh, Communicator.of(self.mesh)
+        if not ranks.is_distributed:
+            return int(self.space.ndof)
+        if self.periodic and isinstance(mesh, Part):  # of identified unknowns parts count more images
+            return ranks.on_first(lambda: int(self.on(mesh.whole).space.ndof))
+        return int(self.space.ndofglobal)
 
     @property
     def evolving(self) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from ngsolve import L2, GridFunction
 
+from ngvisco.errors import StepError
 from ngvisco.forms.bounds import Violation
 from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.parallel.mesh import number_of
@@ -112,34 +113,27 @@ def _described(history: Sequence[Attempt]) -> list[str]:
     return lines
 
 
-def failure_report(
-    simulation: Simulation,
-    tau: float,
-    reason: str,
-    history: Sequence[Attempt],
-    refused: tuple[Violation, np.ndarray] | None,
-) -> FailureReport:
-    """The report on a step of length ``tau`` (s) from the simulation's present state.
+def failure_report(simulation: Simulation, error: StepError) -> FailureReport:
+    """The report on the last step that was tried from the simulation's present state, and its error.
 
-    ``refused`` is the last solution that was not admitted and where it is out of bounds, if there is one.
     Collective; all ranks get the same but for ``state``.
     """
     rate, fastest, place = _fastest(simulation)
-    courant = tau * rate
-    violation, state = (None, None) if refused is None else refused
+    tau = simulation.integrator.tried
+    violation, state = simulation.bounds.refused or (None, None)
     return FailureReport(
-        simulation.t,
-        tau,
-        step_under_way(simulation),
-        reason,
-        violation,
-        state,
-        courant,
-        fastest,
-        place,
-        nearest_wall(simulation.mesh, np.array(place))[0],
-        tuple(history),
-        tuple(_advice(simulation, violation, courant, rate)),
+        time=simulation.t,
+        tau=tau,
+        number=step_under_way(simulation),
+        reason=str(error),
+        violation=violation,
+        state=state,
+        courant=tau * rate,
+        fastest=fastest,
+        place=place,
+        wall=nearest_wall(simulation.mesh, np.array(place))[0],
+        history=tuple(error.history),
+        advice=tuple(_advice(simulation, violation, tau * rate, rate)),
     )
 
 
@@ -151,7 +145,7 @@ def _fastest(simulation: Simulation) -> tuple[float, int | None, tuple[float, ..
     if len(rates):
         fastest = int(np.argmax(rates))
         place = sampler.coordinates(np.array([fastest]))[0]
-        cell = number_of(simulation.mesh, int(sampler.points["nr"][fastest]))
+        cell = number_of(simulation.mesh, int(sampler.cells[fastest]))
         mine = float(rates[fastest]), cell, tuple(float(c) for c in place)
     every = [one for one in simulation.ranks.gathered(mine) if one is not None]
     return min(every, key=lambda one: (-one[0], -1 if one[1] is None else one[1]))

@@ -1,30 +1,10 @@
 """What a simulation is given, checked before anything is computed."""
 
-import math
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
-import numpy as np
-
 from ngvisco.errors import ParameterError, require_collection, require_names
-from ngvisco.forms.system import Step
-from ngvisco.parallel.communicator import Communicator
-from ngvisco.physics.convexity import check_convexity
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials import (
-    CustomMaterial,
-    Damaged,
-    IsotropicStrainEnergy,
-    Thermal,
-    WithQuadratic,
-    Yosida,
-)
-from ngvisco.physics.materials.hardened import Hardened
-from ngvisco.physics.materials.heterogeneous import Heterogeneous
-from ngvisco.physics.model import Model
 from ngvisco.physics.walls import Wall
-from ngvisco.timestepping.scheme import TimeScheme
 
 
 def check_arguments(
@@ -45,38 +25,12 @@ def check_arguments(
             raise ParameterError("Simulation.terms", term, "objects with the methods form and entries")
 
 
-def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
-    """Warn where a user's own energy is not convex, and how far from these states, (points, .), that is."""
-    material, ranks, dim = step.model.material, Communicator.of(step.mesh), step.mesh.dim
-    if _is_own(material):
-        near = None
-        if states is not None:
-            size = math.prod(states.shape[1:])  # not -1: the first of several ranks has no points
-            near = np.concatenate(ranks.gathered(states.reshape(len(states), size)))
-        ranks.on_first(partial(check_convexity, material, dim=dim, states=near))
-
-
-def _is_own(material: Material) -> bool:
-    """Whether what the regularising wrappers hold in the end is a user's energy."""
-    held: Material | None = material
-    while isinstance(held, (WithQuadratic, Yosida, Hardened, Heterogeneous, Damaged, Thermal)):
-        held = held.material
-    return isinstance(held, (CustomMaterial, IsotropicStrainEnergy))
-
-
 def check_observer(observer: object) -> None:
     """Raise ParameterError unless the object has an observer's methods."""
     if isinstance(observer, type) or not _has_methods(observer, ("start", "step", "finish")):
         raise ParameterError(
             "Simulation.observers", observer, "objects with the methods start, step and finish"
         )
-
-
-def check_numerical_heating(model: Model, scheme: TimeScheme) -> None:
-    """Raise ParameterError where heat is to be made of what another scheme than backward Euler dissipates."""
-    if model.heat is not None and model.heat.numerical_heating and scheme.A != ((1.0,),):
-        expected = f"False for {scheme.name!r}: at a point only that of the backward Euler scheme is known"
-        raise ParameterError("Heat.numerical_heating", True, expected)
 
 
 def times_of(start: float, end: float) -> list[float]:

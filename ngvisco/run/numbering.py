@@ -15,7 +15,6 @@ from ngsolve import VOL, ElementId, FESpace, Mesh
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.spaces import Layout
-from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.mesh import Part
@@ -117,16 +116,6 @@ class Numbering:
         if part == "passive":
             return self._passive[name]
         return self._evolved if part == "stepping" else self._states
-
-
-def count_unknowns(step: Step) -> int:
-    """The number of unknowns of the whole mesh; collective."""
-    space, mesh, ranks = step.layout.space, step.mesh, Communicator.of(step.mesh)
-    if not ranks.is_distributed:
-        return int(space.ndof)
-    if step.layout.periodic and isinstance(mesh, Part):  # of identified unknowns parts count more images
-        return ranks.on_first(lambda: int(step.layout.on(mesh.whole).space.ndof))
-    return int(space.ndofglobal)
 
 
 def _evolved(layout: Layout) -> np.ndarray:

@@ -218,7 +218,7 @@ def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
     u, model = step.now, step.model
     material = model.material
 
-    own = cell_numbers(step.mesh)[sampler.points["nr"]]
+    own = cell_numbers(step.mesh)[sampler.cells]
     order = np.argsort(np.concatenate(sampler.ranks.gathered(own)), kind="stable")
 
     def everywhere(f: CoefficientFunction) -> np.ndarray:

@@ -12,52 +12,35 @@ from functools import cached_property
 from os import PathLike
 from typing import Any, Protocol
 
-import numpy as np
 from ngsolve import CoefficientFunction, Mesh
 
-from ngvisco.errors import (
-    InitialDataError,
-    MeshError,
-    ParameterError,
-    StepError,
-    as_number,
-    as_times,
-    require_type,
-)
+from ngvisco.errors import MeshError, ParameterError, StepError, as_number, as_times, require_type
 from ngvisco.forms.boundary.corners import warn_of_corners
 from ngvisco.forms.boundary.walls import Conditions
-from ngvisco.forms.bounds import Bounds, Violation
+from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.context import time as run_time
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.spaces import Discretisation
-from ngvisco.forms.start.data_checks import check_loads, check_walls, warn_of_normal_parts
+from ngvisco.forms.start.data_checks import check_loads, check_walls
 from ngvisco.forms.start.initial import Initial, set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Term
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
-from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.model import Model
 from ngvisco.run import checkpoint
 from ngvisco.run.closure import ClosureCheck
 from ngvisco.run.failure import failure_report
 from ngvisco.run.fields import output_fields, require_names_of_their_own
-from ngvisco.run.inputs import (
-    check_arguments,
-    check_numerical_heating,
-    check_observer,
-    times_of,
-    warn_of_own_energy,
-)
+from ngvisco.run.inputs import check_arguments, check_observer, times_of
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
-from ngvisco.run.numbering import Numbering, count_unknowns
+from ngvisco.run.numbering import Numbering
 from ngvisco.run.passive import PassiveFields
 from ngvisco.run.ranks import ending_all_ranks, is_to_stop, tell
-from ngvisco.run.rest_stresses import warn_of_rest_stresses
 from ngvisco.run.scales import diameter, typical_velocity
-from ngvisco.run.stepping import AdaptiveStepper, Rejection, RejectionObserver, make_stepper
+from ngvisco.run.stepping import AdaptiveStepper, Rejection, RejectionObserver
 from ngvisco.run.time_steps import TimeSteps, time_steps
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
@@ -158,43 +141,40 @@ class Simulation:
             require_type(f"Simulation.{name}", kind() if value is None else value, kind)
         steps = time_steps(time, dt, scheme, former)
         check_arguments(observers, walls, passive, sources, terms)
-        check_numerical_heating(model, steps.made)
+        if model.heat is not None and model.heat.numerical_heating and steps.made.A != ((1.0,),):
+            expected = f"False for {steps.made.name!r}: at a point only that of backward Euler is known"
+            raise ParameterError("Heat.numerical_heating", True, expected)
         ranks = Communicator.world() if mesh.comm.size == 1 else Communicator.of(mesh)
         require_petsc(ranks)
         mesh = distributed(mesh, ranks) if mesh.comm.size == 1 else mesh
         self._others: dict[str, Any] = dict(time=steps, initial=initial, walls=walls, solver=solver)
         self._others |= dict(discretisation=discretisation, newton=newton, passive=passive)
         self._others |= dict(sources=sources, terms=terms)
-        self.mesh, self.model, self.dt = mesh, model, float(steps.dt)
-        self.stepper = make_stepper(self.dt, steps.adaptive, steps.halvings)
+        self.mesh, self.model = mesh, model
+        self.dt = float(steps.dt)
+        self.stepper = steps.stepper()
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
         require_names_of_their_own(model.material, self.rothe_step.layout.further)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.ranks = self.sampler.ranks
-        self.unknowns, self.cells = count_unknowns(self.rothe_step), int(self.ranks.total(mesh.ne))
+        self.unknowns = self.rothe_step.layout.count()
         """Of the whole mesh, as are ``cells``."""
+        self.cells = int(self.ranks.total(mesh.ne))
         self._cells_here = mesh.ne
         self.check_data([0.0])
         self.observers = list(observers)
         self._t, self._number = 0.0, 0
         run_time.Set(0.0)  # whatever ran before: start values and walls are those of the start
-        try:
-            F_0 = set_initial(self.rothe_step, initial or Initial(), self.sampler)
-        except InitialDataError:
-            warn_of_own_energy(self.rothe_step, None)  # it may be the reason
-            raise
-        warn_of_own_energy(self.rothe_step, self.sampler.values(self.rothe_step.now.z))
-        warn_of_rest_stresses(self.rothe_step, self.sampler, initial or Initial())
-        warn_of_normal_parts(self.rothe_step, None if initial is None else initial.velocity)
+        F_0 = set_initial(self.rothe_step, initial or Initial(), self.sampler)
         typical = steps.velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
         self.set_velocity_scale(float(typical))
         options = newton or NewtonOptions()
         if solver is not None:
             options = replace(options, method=solver)
-        self.solver = RotheSolver(self.rothe_step, options, self.defect)
+        self.bounds = Bounds(self.rothe_step, self.sampler, steps.limiter)
+        self.solver = RotheSolver(self.rothe_step, options, self.bounds.defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.closure_check = ClosureCheck(options.tolerance)
-        self.bounds = Bounds(self.rothe_step, self.sampler, steps.limiter)
         self.passive = PassiveFields(self.rothe_step, passive, F_0)
         self.integrator = Integrator(
             self.solver,
@@ -205,7 +185,6 @@ class Simulation:
             steps.relaxation,
             self.bounds if steps.limiter else None,
         )
-        self._refused: tuple[Violation, np.ndarray] | None = None
         self.stop_requested = False
 
     def on(self, mesh: Mesh) -> Simulation:
@@ -328,12 +307,11 @@ class Simulation:
             )
         with computing(), self.solver.workers(), ending_all_ranks():
             self._start_ledger()
-            self._refused = None
+            self.bounds.refused = None
             try:
                 step, number = self.stepper.advance(self, stop), self.number + 1
             except StepError as error:
-                tau = self.integrator.tried
-                error.report = failure_report(self, tau, str(error), error.history, self._refused)
+                error.report = failure_report(self, error)
                 raise
             try:
                 row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
@@ -421,20 +399,3 @@ class Simulation:
     def _start_ledger(self) -> None:
         if not self.ledger.rows and self.ledger.balance is None:
             self.ledger.start(self.t)
-
-    def defect(self) -> str | None:
-        """Why the present state is not admissible, in words: the first of rho, J, ... that is not positive.
-
-        With a limiter that is so of a cell's mean, without one of a sampling point.
-        """
-        violation = self.bounds.violation()
-        if violation is None:
-            return self._defect_of_temperature()
-        self._refused = (violation, self.rothe_step.state.vec.FV().NumPy().copy())
-        return str(violation)
-
-    def _defect_of_temperature(self) -> str | None:
-        theta = temperature(self.model.material, self.rothe_step.now.zeta_tensors)
-        if theta is None or (least := self.sampler.extrema(theta)[0]) > 0:
-            return None
-        return f"the temperature is {least:.4g} K somewhere, and not positive"

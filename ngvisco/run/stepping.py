@@ -142,11 +142,6 @@ class Stepper(Protocol):
         dt."""
 
 
-def make_stepper(dt: float, adaptive: AdaptiveSteps | None, halvings: int = HALVINGS) -> Stepper:
-    """The stepper of a simulation with first (or only) length ``dt``."""
-    return FixedStepper(dt, halvings) if adaptive is None else AdaptiveStepper(dt, adaptive)
-
-
 def _estimate_for(simulation: Simulation) -> ErrorEstimate:
     order = simulation.integrator.scheme.order
     return ErrorEstimate(simulation.rothe_step, lambda: simulation.velocity_scale, order)

@@ -8,7 +8,14 @@ from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from ngvisco.errors import InputWarning, ParameterError, Quantity, as_integer, require_positive, require_type
-from ngvisco.run.stepping import HALVINGS, MOST_HALVINGS, AdaptiveSteps
+from ngvisco.run.stepping import (
+    HALVINGS,
+    MOST_HALVINGS,
+    AdaptiveStepper,
+    AdaptiveSteps,
+    FixedStepper,
+    Stepper,
+)
 from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
 
 LEAST_CONSTANT = 1e-2
@@ -93,6 +100,13 @@ class TimeSteps:
         if self.relaxation and (self.adaptive is None or made.A != midpoint().A):
             expected = "False, or the scheme 'midpoint' with adaptive steps"
             raise ParameterError("TimeSteps.relaxation", self.relaxation, expected)
+
+    def stepper(self) -> Stepper:
+        """What takes these steps."""
+        dt = float(self.dt)
+        return (
+            FixedStepper(dt, self.halvings) if self.adaptive is None else AdaptiveStepper(dt, self.adaptive)
+        )
 
     @cached_property
     def made(self) -> TimeScheme:

@@ -309,7 +309,7 @@ def _carry_passive(source: Simulation, target: Simulation, points: QuadraturePoi
 
 
 def _require_admissible(target: Simulation) -> None:
-    defect = target.defect()
+    defect = target.bounds.defect()
     if defect is not None:
         raise InitialDataError("transferred state", defect, "positive values: take a finer mesh")
 

@@ -164,6 +164,11 @@ class Sampler:
                 rules[et] = IntegrationRule(points, [0.0] * len(points))
         return self.mesh.MapToAllElements(rules, VOL)
 
+    @property
+    def cells(self) -> np.ndarray:
+        """The number of each point's cell, (points,)."""
+        return np.asarray(self.points["nr"])
+
     def values(self, f: CoefficientFunction) -> np.ndarray:
         """Values at all points of this rank, shape (points,) or (points, components)."""
         result = np.asarray(f(self.points))
@@ -180,9 +185,8 @@ class Sampler:
 
     def integral(self, values: np.ndarray) -> float:
         """Of values at this rank's points over the whole mesh: of each cell the mean of its points counts."""
-        cells = self.points["nr"]
         volumes = Integrate(CF(1.0), self.mesh, element_wise=True).NumPy()
-        sums, counts = (np.bincount(cells, weights, len(volumes)) for weights in (values, None))
+        sums, counts = (np.bincount(self.cells, weights, len(volumes)) for weights in (values, None))
         return self.ranks.total(float(volumes @ (sums / np.maximum(counts, 1))))
 
     def extrema(self, f: CoefficientFunction) -> tuple[float, float]:

@@ -5,6 +5,7 @@ velocity through a wall, is left out by the projections, and that is said by an 
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
 
 import numpy as np
 from ngsolve import (
@@ -16,18 +17,27 @@ from ngsolve import (
     Det,
     Integrate,
     IntegrationRule,
-    Mesh,
     specialcf,
 )
 
 from ngvisco.errors import InputWarning, ParameterError
-from ngvisco.forms.boundary.boundaries import walls_of
 from ngvisco.forms.boundary.moving_walls import OPEN
 from ngvisco.forms.boundary.passages import Carried, GivenStress
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.physics.convexity import check_convexity
 from ngvisco.physics.material import Material
+from ngvisco.physics.materials import (
+    CustomMaterial,
+    Damaged,
+    IsotropicStrainEnergy,
+    Thermal,
+    WithQuadratic,
+    Yosida,
+)
+from ngvisco.physics.materials.hardened import Hardened
+from ngvisco.physics.materials.heterogeneous import Heterogeneous
 from ngvisco.physics.mixture import AMOUNT
 from ngvisco.physics.model import BodyForce, CentralGravity, VectorLike, as_vector, force_of
 from ngvisco.physics.signals import time
@@ -75,12 +85,12 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
         if isinstance(wall, MOVING):
             velocity = as_vector(wall.velocity, dim, f"{owner}.velocity")
             for t in _at(times):
-                _require_finite(step.mesh, name, velocity, f"{owner}.velocity", wall.velocity, t)
+                _require_finite(step, name, velocity, f"{owner}.velocity", wall.velocity, t)
                 step.moving_walls.interpolate(name, velocity)
         if isinstance(wall, Traction):
             f = as_vector(wall.f, dim, f"{owner}.f")
             for t in _at(times):
-                _require_finite(step.mesh, name, f, f"{owner}.f", wall.f, t)
+                _require_finite(step, name, f, f"{owner}.f", wall.f, t)
         scalars = {}
         if isinstance(wall, NavierFriction):
             scalars["coefficient"] = (wall.coefficient, ">= 0")
@@ -89,7 +99,7 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
             scalars |= {f"heat.{key}": (getattr(wall.heat, key), sign) for key, sign in ranges.items()}
         for key, (value, sign) in scalars.items():
             for t in _at(times if isinstance(value, CoefficientFunction) else ()):
-                values = _require_finite(step.mesh, name, value, f"{owner}.{key}", value, t)
+                values = _require_finite(step, name, value, f"{owner}.{key}", value, t)
                 least = Communicator.of(step.mesh).least(values.min(initial=np.inf))
                 if sign and (least < 0 or (least == 0 and sign == "> 0")):
                     expected = f"a function {sign}; at t = {t:g} s it is {least:.3g} somewhere on the wall"
@@ -98,7 +108,7 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
         if isinstance(term, GivenStress):
             for field, stress in (("pressure", term.pressure), ("traction", term.f)):
                 for t in _at(times if stress is not None else []):
-                    _require_finite(step.mesh, term.name, stress, f"walls[{term.name!r}].{field}", stress, t)
+                    _require_finite(step, term.name, stress, f"walls[{term.name!r}].{field}", stress, t)
         if isinstance(term, Carried):
             for t in _at(times):
                 _check_incoming(step, term, t)
@@ -110,32 +120,43 @@ def _check_incoming(step: Step, term: Carried, t: float) -> None:
     z = step.layout.states.tensors(lambda: term.values["z"])
     if term.temperature is not None:  # before the entropy, which has its logarithm
         where = f"{owner}.temperature"
-        _require_positive(step.mesh, term.name, "temperature", term.temperature, where, t)
+        _require_positive(step, term.name, "temperature", term.temperature, where, t)
     positive = {f"{owner}.density": {"density": term.values["rho"]}}
     for variable in step.model.material.variables:
         where = f"{owner}.values[{variable.name!r}]"
-        _require_finite(step.mesh, term.name, z[variable.name], where, z[variable.name], t)
+        _require_finite(step, term.name, z[variable.name], where, z[variable.name], t)
         if not step.model.bodies:  # whose variables vanish where they are not
             positive[where] = dict(variable.positive(z[variable.name]))
     if step.model.bodies:
         positive[f"{owner}.amounts"] = dict(step.model.material.bounds(z)[""])
         for body in step.model.bodies:
             where, n = f"{owner}.amounts[{body.name!r}]", z[AMOUNT + body.name]
-            least = ranks.least(_require_finite(step.mesh, term.name, n, where, n, t).min(initial=np.inf))
+            least = ranks.least(_require_finite(step, term.name, n, where, n, t).min(initial=np.inf))
             if least < 0:
                 raise ParameterError(where, f"{least:.4g} at t = {t:g} s", ">= 0 everywhere on the wall")
     for where, of_field in positive.items():
         for name, function in of_field.items():
-            _require_positive(step.mesh, term.name, name, function, where, t)
+            _require_positive(step, term.name, name, function, where, t)
 
 
 def _require_positive(
-    mesh: Mesh, wall: str, name: str, function: CoefficientFunction, where: str, t: float
+    step: Step, wall: str, name: str, function: CoefficientFunction, where: str, t: float
 ) -> None:
-    values = _require_finite(mesh, wall, function, where, function, t)
-    if (least := Communicator.of(mesh).least(values.min(initial=np.inf))) <= 0:
+    values = _require_finite(step, wall, function, where, function, t)
+    if (least := Communicator.of(step.mesh).least(values.min(initial=np.inf))) <= 0:
         found = f"{name} = {least:.4g} somewhere on the wall at t = {t:g} s"
         raise ParameterError(where, found, f"{name} > 0 of what flows in")
+
+
+def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
+    """Warn where a user's own energy is not convex, and how far from these states, (points, .), that is."""
+    material, ranks = step.model.material, Communicator.of(step.mesh)
+    held: Material | None = material
+    while isinstance(held, (WithQuadratic, Yosida, Hardened, Heterogeneous, Damaged, Thermal)):
+        held = held.material
+    if isinstance(held, (CustomMaterial, IsotropicStrainEnergy)):
+        near = None if states is None else np.concatenate(ranks.gathered(states))
+        ranks.on_first(partial(check_convexity, material, dim=step.mesh.dim, states=near))
 
 
 def warn_of_normal_parts(step: Step, velocity: VectorLike | None) -> None:
@@ -229,13 +250,13 @@ def _normal_share(
 
 
 def _require_finite(
-    mesh: Mesh, name: str, f: CoefficientFunction, field: str, value: object, t: float
+    step: Step, name: str, f: CoefficientFunction, field: str, value: object, t: float
 ) -> np.ndarray:
     """Values at points of a wall; raises ParameterError unless all are finite."""
-    facets = (ET.SEGM,) if mesh.dim == 2 else (ET.TRIG, ET.QUAD)
+    facets = (ET.SEGM,) if step.mesh.dim == 2 else (ET.TRIG, ET.QUAD)
     rules = {et: IntegrationRule(et, _DEGREE) for et in facets}
-    values = np.asarray(f(mesh.MapToAllElements(rules, walls_of(mesh, [name]))))
-    if not Communicator.of(mesh).all(np.isfinite(values).all()):
+    values = np.asarray(f(step.mesh.MapToAllElements(rules, step.walls.region([name]))))
+    if not Communicator.of(step.mesh).all(np.isfinite(values).all()):
         raise ParameterError(field, value, f"finite values; at t = {t:g} s it is not finite on the wall")
     return values
 

@@ -9,13 +9,17 @@ from ngsolve import CF, CoefficientFunction, Det, Id, TaskManager, specialcf
 
 from ngvisco.errors import InitialDataError, ParameterError, Quantity
 from ngvisco.forms.bounds import Bounds
-from ngvisco.forms.cell_means import CellMeans, Ranges
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.quadrature import Sampler
-from ngvisco.forms.start.data_checks import distortion_of, warn_of_mismatch
+from ngvisco.forms.start.data_checks import (
+    distortion_of,
+    warn_of_mismatch,
+    warn_of_normal_parts,
+    warn_of_own_energy,
+)
 from ngvisco.forms.start.projections import project, set_traces
-from ngvisco.forms.start.starting_bodies import starting_fractions
+from ngvisco.forms.start.starting_bodies import starting_fractions, warn_of_rest_stresses
 from ngvisco.forms.start.variables import (
     as_shape,
     entropy_at,
@@ -91,7 +95,7 @@ class Initial:
 
 
 def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFunction:
-    """Put the initial data into ``step.state`` and ``step.state_old``.
+    """Put the initial data into ``step.state`` and ``step.state_old``, and say what is doubtful of them.
 
     Raises InitialDataError if rho_0 <= 0, det F_0 <= 0, a positive variable is not so, or a value or the
     stored energy is not finite at a sampling point; or if a tensor does not fit its variable (in plane
@@ -104,6 +108,20 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     CoefficientFunction
         The initial elastic distortion F_0, 3x3: that of the data, or of a start value that tells it.
     """
+    try:
+        F_0 = _set(step, initial, sampler)
+    except InitialDataError:
+        warn_of_own_energy(step, None)  # it may be the reason
+        raise
+    warn_of_own_energy(step, sampler.rows(step.now.z))
+    strains = [v.name for v in step.model.material.variables if v.is_strain]
+    if initial.F is None and not set(strains) & set(initial.values):  # else a state of the user's own
+        warn_of_rest_stresses(step, sampler)
+    warn_of_normal_parts(step, initial.velocity)
+    return F_0
+
+
+def _set(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFunction:
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     dim = step.mesh.dim
     if step.sources is None:  # manufactured states are those of one time of many
@@ -142,9 +160,8 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         for name, value in further.items():
             project(step.layout.unknowns[name], parts[name], step.quadrature, value)
         step.ranges = _ranges(step, parameters, sampler)
-        Ranges(step, sampler, CellMeans(step)).limit()
-        if step.model.bodies:
-            Bounds(step, sampler).limit()
+        bounds = Bounds(step, sampler)
+        (bounds if step.model.bodies else bounds.ranges).limit()
         if step.damage is not None:
             step.damage.start()  # its slope too
         step.freeze()
@@ -155,10 +172,10 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
             _impose_walls(step, v_0)
         sampler.require(inner(step.now.z, step.now.z), "material variables")
         sampler.require(step.now.rho, "projected density rho_0", minimum=0.0)
-        bounds = [v.positive(step.now.z_tensors[v.name]) for v in step.model.material.variables]
+        signs = [v.positive(step.now.z_tensors[v.name]) for v in step.model.material.variables]
         if step.model.bodies:  # whose variables vanish where they are not
-            bounds = list(step.model.material.bounds(step.now.z_tensors).values())
-        for name, value in ((name, value) for each in bounds for name, value in each.items()):
+            signs = list(step.model.material.bounds(step.now.z_tensors).values())
+        for name, value in ((name, value) for each in signs for name, value in each.items()):
             sampler.require(value, f"projected {name}_0", minimum=0.0)
         if not np.isfinite(step.energy.samples(step.now.z_tensors, sampler)).all():
             raise InitialDataError("stored energy", "not finite somewhere", "finite values")
