@@ -7,7 +7,6 @@ docstrings are those of the paper's equations.
 
 import importlib.metadata
 import importlib.util
-import sys
 from pathlib import Path
 
 from ngvisco.errors import (
@@ -89,26 +88,11 @@ except importlib.metadata.PackageNotFoundError:  # a clone that was not installe
     __version__ = "0+unknown"
 
 
-def _find_geometries() -> None:
-    """Make ngvisco.geometries importable from a clone, where geometries/ stands beside ngvisco/."""
-    here = Path(__file__).resolve().parent
-    init = here.parent / "geometries" / "__init__.py"
-    if importlib.util.find_spec("ngvisco.geometries") is not None or not init.is_file():
-        return
-    spec = importlib.util.spec_from_file_location(
-        "ngvisco.geometries", init, submodule_search_locations=[str(init.parent)]
-    )
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["ngvisco.geometries"] = module
-    spec.loader.exec_module(module)
-    globals()["geometries"] = module
-
-
-_find_geometries()
+if importlib.util.find_spec("ngvisco.geometries") is None:  # a clone, where it stands beside ngvisco/
+    __path__.append(str(Path(__file__).resolve().parents[1]))
 print_own()
 
-# after the geometries, which the case files' catalogue lists
+# after the geometries were found, which the case files' catalogue lists
 from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
 
 __all__ = [

@@ -1,168 +1,99 @@
-"""What a case file can name.  A new material, mechanism, load, wall or geometry is one line here.
+"""What a case file can name.  A new material, mechanism, load, wall or geometry is one name here.
 
 Keys of a section are the parameters of the dataclass or function, read from its annotations.
 """
 
-import importlib
 from collections.abc import Callable, Mapping
-from typing import Any
+from types import ModuleType
+from typing import Any, TypeAlias
 
+from ngvisco import geometries
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
-from ngvisco.physics.activation import Activated, ActivatedViscosity
-from ngvisco.physics.flow_rules import Composite, Creep, DruckerPrager, Eyring, Norton, Perzyna
-from ngvisco.physics.heat import Heat
-from ngvisco.physics.materials import (
-    FENEP,
-    BarotropicFluid,
-    Damaged,
-    HardeningElastic,
-    IsochoricNeoHookean,
-    LinearElastic,
-    LogarithmicMooneyRivlin,
-    LogarithmicNeoHookean,
-    MooneyRivlin,
-    NeoHookean,
-    OldroydB,
-    PerReferentialVolume,
-    ReferentialMooneyRivlin,
-    ReferentialNeoHookean,
-    Thermal,
-    WithQuadratic,
-    Yosida,
-)
-from ngvisco.physics.model import BodyForce, CentralGravity, Gravity
+from ngvisco.physics import activation, flow_rules, heat, materials, model, rheology, viscosities, walls
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import HyperViscosity, LinearViscosity, StokesViscosity
-from ngvisco.physics.viscosities import Carreau, Cross, PowerLaw
-from ngvisco.physics.walls import Inflow, NavierFriction, NoSlip, Open, PrescribedTangential, Slip, Traction
 from ngvisco.run.time_steps import TimeSteps
+from ngvisco.shapes import solids
 from ngvisco.shapes.image import Image
-from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon, Subdomain
 from ngvisco.shapes.surface import ClosedSurface
 from ngvisco.solver.options import NewtonOptions
 
-
-def _geometries() -> dict[str, Callable[..., Any]]:
-    # importable only after ngvisco itself has found them beside it
-    geometries = importlib.import_module("ngvisco.geometries")
-    return {
-        "annulus": geometries.annulus,
-        "bar": geometries.bar,
-        "block_with_hole": geometries.block_with_hole,
-        "box": geometries.box,
-        "channel": geometries.channel,
-        "cylinder": geometries.cylinder,
-        "disc": geometries.disc,
-        "file": geometries.load,
-        "sphere": geometries.sphere,
-        "spherical_shell": geometries.spherical_shell,
-        "structured_box": geometries.structured_box,
-    }
+Kinds: TypeAlias = Mapping[str, Callable[..., Any]]
 
 
-GEOMETRIES = _geometries()
+def _of(module: ModuleType, names: str) -> dict[str, Any]:
+    """Classes or functions of a module by their names."""
+    return {name: getattr(module, name) for name in names.split()}
 
-MATERIALS: dict[str, Callable[..., Any]] = {
-    "BarotropicFluid": BarotropicFluid,
+
+GEOMETRIES: Kinds = {
+    **_of(geometries, "annulus bar block_with_hole box channel cylinder disc"),
+    "file": geometries.load,
+    **_of(geometries, "sphere spherical_shell structured_box"),
+}
+
+MATERIALS: Kinds = {
+    "BarotropicFluid": materials.BarotropicFluid,
     "Custom": custom_material,
-    "FENEP": FENEP,
-    "HardeningElastic": HardeningElastic,
-    "IsentropicFluid": BarotropicFluid.from_state_equation,
-    "IsochoricNeoHookean": IsochoricNeoHookean,
+    **_of(materials, "FENEP HardeningElastic"),
+    "IsentropicFluid": materials.BarotropicFluid.from_state_equation,
+    "IsochoricNeoHookean": materials.IsochoricNeoHookean,
     "IsotropicStrainEnergy": isotropic_strain_energy,
-    "LinearElastic": LinearElastic,
-    "LogarithmicMooneyRivlin": LogarithmicMooneyRivlin,
-    "LogarithmicNeoHookean": LogarithmicNeoHookean,
-    "MooneyRivlin": MooneyRivlin,
-    "NeoHookean": NeoHookean,
-    "OldroydB": OldroydB,
-    "ReferentialMooneyRivlin": ReferentialMooneyRivlin,
-    "ReferentialNeoHookean": ReferentialNeoHookean,
+    **_of(materials, "LinearElastic LogarithmicMooneyRivlin LogarithmicNeoHookean MooneyRivlin NeoHookean"),
+    **_of(materials, "OldroydB ReferentialMooneyRivlin ReferentialNeoHookean"),
 }
 
-WRAPPERS: dict[str, Callable[..., Any]] = {
-    "PerReferentialVolume": PerReferentialVolume,
-    "Damaged": Damaged,
-    "Thermal": Thermal,
-    "Yosida": Yosida,
-    "WithQuadratic": WithQuadratic,
-}
+WRAPPERS: Kinds = _of(materials, "PerReferentialVolume Damaged Thermal Yosida WithQuadratic")
 """Materials of another one, [material.material]: of those above, and of wrappers before them here."""
 
-ALL_MATERIALS = {**MATERIALS, **WRAPPERS}
+ALL_MATERIALS: Kinds = {**MATERIALS, **WRAPPERS}
 
-MECHANISMS: dict[str, type] = {
-    "hyperviscosity": HyperViscosity,
-    "heat": Heat,
+MECHANISMS: Kinds = {
+    "hyperviscosity": rheology.HyperViscosity,
+    "heat": heat.Heat,
     "regularisation": Regularisation,
 }
 
-FLOW_RULES: dict[str, type] = {
-    "Linear": Creep,
-    "DruckerPrager": DruckerPrager,
-    "Eyring": Eyring,
-    "Norton": Norton,
-    "Perzyna": Perzyna,
-}
+FLOW_RULES: Kinds = {"Linear": flow_rules.Creep, **_of(flow_rules, "DruckerPrager Eyring Norton Perzyna")}
 """What [rheology.creep] can be; the first where its kind is not said."""
 
-FLOW_RULE_WRAPPERS: dict[str, type] = {"Activated": Activated, "Composite": Composite}
+FLOW_RULE_WRAPPERS: Kinds = {"Activated": activation.Activated, "Composite": flow_rules.Composite}
 """Rules of other ones: of those above, and of wrappers before them here."""
 
-VISCOSITIES: dict[str, type] = {
-    "StokesViscosity": StokesViscosity,
-    "Carreau": Carreau,
-    "Cross": Cross,
-    "LinearViscosity": LinearViscosity,
-    "PowerLaw": PowerLaw,
+VISCOSITIES: Kinds = {
+    "StokesViscosity": rheology.StokesViscosity,
+    **_of(viscosities, "Carreau Cross"),
+    "LinearViscosity": rheology.LinearViscosity,
+    "PowerLaw": viscosities.PowerLaw,
 }
 """What [rheology.viscosity] can be; the first where its kind is not said."""
 
-VISCOSITY_WRAPPERS: dict[str, type] = {"ActivatedViscosity": ActivatedViscosity}
+VISCOSITY_WRAPPERS: Kinds = _of(activation, "ActivatedViscosity")
 
-CREEPS, ALL_VISCOSITIES = {**FLOW_RULES, **FLOW_RULE_WRAPPERS}, {**VISCOSITIES, **VISCOSITY_WRAPPERS}
+CREEPS: Kinds = {**FLOW_RULES, **FLOW_RULE_WRAPPERS}
+ALL_VISCOSITIES: Kinds = {**VISCOSITIES, **VISCOSITY_WRAPPERS}
 
-LOADS: dict[str, type] = {"BodyForce": BodyForce, "CentralGravity": CentralGravity, "Gravity": Gravity}
+LOADS: Kinds = _of(model, "BodyForce CentralGravity Gravity")
 
-WALLS: dict[str, type] = {
-    "Inflow": Inflow,
-    "NavierFriction": NavierFriction,
-    "NoSlip": NoSlip,
-    "Open": Open,
-    "PrescribedTangential": PrescribedTangential,
-    "Slip": Slip,
-    "Traction": Traction,
-}
+WALLS: Kinds = _of(walls, "Inflow NavierFriction NoSlip Open PrescribedTangential Slip Traction")
 """Walls that a case does not name are Slip."""
 
-SHAPES: dict[str, Callable[..., Any]] = {
-    "Ball": Ball,
-    "Block": Block,
+SHAPES: Kinds = {
+    **_of(solids, "Ball Block"),
     "ClosedSurface": ClosedSurface,
-    "HalfSpace": HalfSpace,
+    "HalfSpace": solids.HalfSpace,
     "Image": Image,
-    "Polygon": Polygon,
-    "Subdomain": Subdomain,
+    **_of(solids, "Polygon Subdomain"),
 }
 """Where bodies are at the start, besides conditions on x, y, z."""
 
-SECTIONS: dict[str, type] = {
+SECTIONS: Kinds = {
     "discretisation": Discretisation,
     "initial": Initial,
     "solver": NewtonOptions,
     "time": TimeSteps,
 }
 
-TABLES: tuple[Mapping[str, Callable[..., Any]], ...] = (
-    GEOMETRIES,
-    ALL_MATERIALS,
-    MECHANISMS,
-    CREEPS,
-    ALL_VISCOSITIES,
-    LOADS,
-    WALLS,
-    SHAPES,
-    SECTIONS,
-)
+TABLES: list[Kinds] = [GEOMETRIES, ALL_MATERIALS, MECHANISMS, CREEPS, ALL_VISCOSITIES]
+TABLES += [LOADS, WALLS, SHAPES, SECTIONS]
