@@ -9,7 +9,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -38,16 +39,26 @@ class Bound:
         """False for NaN too."""
         return value <= self.limit if self.relation == "<=" else value >= self.limit
 
+    def __str__(self) -> str:
+        """A line of a case's text."""
+        return f"- {self.quantity} {self.relation} {self.limit!r}: {self.reason}"
+
+
+CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
+DRIFT = Bound("drift of the mass", "<=", 1e-10, "conserved")
+
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the report; cells are texts or numbers, those of arrays too."""
+    """A table of the report; heads may be one text, "a | b"; cells are texts or numbers."""
 
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[str | float]]
 
     def __post_init__(self) -> None:
+        if isinstance(self.columns, str):
+            object.__setattr__(self, "columns", self.columns.split(" | "))
         rows = [[cell if isinstance(cell, str) else float(cell) for cell in row] for row in self.rows]
         object.__setattr__(self, "rows", rows)
 
@@ -87,30 +98,21 @@ class Outcome:
     remarks: Sequence[str] = ()
 
 
+def measured(values: Mapping[str, float], *shown: Table | Plot | str) -> Outcome:
+    """An outcome with its tables, plots and remarks, which are texts, in any order."""
+    return Outcome(
+        values=values,
+        tables=[one for one in shown if isinstance(one, Table)],
+        plots=[one for one in shown if isinstance(one, Plot)],
+        remarks=[one for one in shown if isinstance(one, str)],
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A claim, how it is measured, and the bounds that the measured numbers must keep.
+    """A claim, how it is measured, and the bounds that the measured numbers must keep: see ``Cases``.
 
-    Parameters
-    ----------
-    name : str
-        Unique, in lower case with dashes; what the command line takes.
-    statement : str
-        What is claimed, in one or two sentences.
-    label : str
-        The paper's labels, or the source of an exact solution.
-    setting : str
-        The problem and its discretisation in a few lines.
-    bounds : tuple of Bound
-        At least one.
-    run : callable
-        Measures, and returns an ``Outcome`` with exactly one value for each bound.
-    explanation : str
-        Where a bound is known not to be kept: why.  Printed with the failure, which stays a failure.
-    reduced : bool
-        Whether the case belongs to the reduced set.
-    theme : str
-        Heading of the report under which it stands, by the list of ``cases/``.
+    ``run`` gives exactly one value for each bound, ``theme`` is the heading of the report.
     """
 
     name: str
@@ -135,6 +137,69 @@ class Case:
         """Changes with the claim, its setting and its bounds: a result of another one is run again."""
         said = [self.name, self.statement, self.setting, [asdict(bound) for bound in self.bounds]]
         return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:16]
+
+
+Run = Callable[[], Outcome]
+_BOUND = re.compile(r"(.+?) (<=|>=) ([-+.\de]+): (.*)")
+
+
+class Cases(list[Case]):
+    """A module's cases in the report's order, each declared by a text above the function that measures it.
+
+    ::
+
+        name, in lower case with dashes, and (reduced) if it belongs to the reduced set
+        What is claimed, in one or two sentences.
+        label: the paper's labels, or the source of an exact solution
+        setting: the problem and its discretisation
+        - quantity <= 1e-3: why the bound is this one
+        - rate of [v; rho] >= 0.9: two bounds, of each in the brackets
+        - closure
+        explanation: where a bound is known not to be kept, why; printed with the failure, which stays one
+
+    A line goes on with the one before unless it begins like one of these; ``closure`` and ``drift`` are the
+    bounds ``CLOSURE`` and ``DRIFT``.
+    """
+
+    def __call__(self, text: str) -> Callable[[Run], Run]:
+        """What adds the case of a function.  Raises VerificationError for a text without one of the parts."""
+        head, *lines = (line.strip() for line in text.splitlines() if line.strip())
+        parts, last = {"explanation": ""}, "statement"
+        for line in lines:
+            begins = re.match(r"(label|setting|explanation): |- ", line)
+            if begins:
+                last = begins[1] or f"- {len(parts)}"
+                line = line[begins.end() :]
+            parts[last] = f"{parts[last]} {line}" if parts.get(last) else line
+        said = {name: of for name, of in parts.items() if not name.startswith("- ")}
+        bounds = tuple(b for name, of in parts.items() if name.startswith("- ") for b in _bounds(head, of))
+        if missing := {"statement", "label", "setting"} - said.keys():
+            raise VerificationError(f"{head}: a case without {', '.join(sorted(missing))}")
+        name, reduced = head.removesuffix(" (reduced)"), head.endswith(" (reduced)")
+
+        def add(run: Run) -> Run:
+            self.append(Case(name=name, bounds=bounds, run=run, reduced=reduced, **said))
+            return run
+
+        return add
+
+
+def _bounds(case: str, text: str) -> list[Bound]:
+    if text in ("closure", "drift"):
+        return [CLOSURE if text == "closure" else DRIFT]
+    found = _BOUND.fullmatch(text)
+    if found is None:
+        raise VerificationError(f"{case}: {text!r}: expected 'quantity <= limit: reason'")
+    quantity, relation, limit, reason = found.groups()
+    several = re.fullmatch(r"(.*)\[(.*; .*)\](.*)", quantity)
+    quantities = [several[1] + one + several[3] for one in several[2].split("; ")] if several else [quantity]
+    relations: dict[str, Relation] = {"<=": "<=", ">=": ">="}
+    return [Bound(one, relations[relation], float(limit), reason) for one in quantities]
+
+
+def each(lines: Iterable[Bound | str]) -> str:
+    """Lines of a case's text, one for each bound."""
+    return "\n".join(map(str, lines))
 
 
 @dataclass(frozen=True, kw_only=True)

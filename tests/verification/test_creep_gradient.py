@@ -1,7 +1,5 @@
 """Creep with nu > 0: its manufactured source, an independent creep rate on a disc, and that reference."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from ngsolve import CF, x, y
@@ -10,32 +8,10 @@ from scipy.special import jn_zeros, jv, spherical_jn
 import ngvisco as nv
 from ngvisco.geometries import box
 from tests.verification.case import VerificationError
-from tests.verification.cases.creep_gradient import NU, independent
-from tests.verification.convergence import coupled_rates
-from tests.verification.differences import mismatch
-from tests.verification.models import KINDS, coefficients, model
+from tests.verification.cases.creep_gradient import independent
 from tests.verification.radial_creep import RadialCreep
-from tests.verification.sources import Sources
 
 T, TAU = 0.3, 0.05
-
-
-@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
-@pytest.mark.parametrize("kind", KINDS)
-def test_source_of_the_flow_rule_is_its_strong_residual(kind, dim):
-    mesh, sources = box((1,) * dim, 1.0), Sources(model(kind, dim, 4.0, True, nu=NU), dim, TAU)
-    right = coefficients(kind, 4.0, True, NU)
-    found = mismatch(right, sources, kind, T, mesh)
-    assert "Pi" in found and max(found.values()) < 1e-6, found
-    for name, factor in (("nu", 1.01), ("R", 1.01), ("G_e", 1.01)):
-        wrong = replace(right, **{name: factor * getattr(right, name)})
-        assert mismatch(wrong, sources, kind, T, mesh)["Pi"] > 1e-4, name
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("kind", [pytest.param("linear", marks=pytest.mark.ci), "neo-hookean"])
-def test_creep_rate_converges_with_the_order_of_the_fields(kind):
-    coupled_rates(kind, 2, None, 2, 1, 0.4, 3, nu=NU).require(Pi=1.75, z=1.75, v=2.5)
 
 
 def test_creep_rate_on_a_disc_is_that_of_the_radial_problem():

@@ -115,26 +115,21 @@ def decay_rates(dim: int, meshes: Iterable[Mesh], k: float) -> RateTable:
     return table
 
 
-@pytest.mark.long
-def test_rates_on_a_disc_with_slip_are_k_plus_1_and_m_plus_1() -> None:
-    """Measured 2.95 and 1.97."""
-    meshes = (disc(1, maxh) for maxh in (0.5, 0.25, 0.125))
-    decay_rates(2, meshes, ROOTS[2]).require(v=2.7, E=1.85)
-
-
-@pytest.mark.long
-def test_rates_on_a_disc_with_traction_are_k_plus_1_and_m_plus_1() -> None:
-    """Measured 2.95 and 2.02; a multiplier in P_{k-1} at the wall gives 2.54 and 1.55."""
-    decay_rates(2, (disc(1, maxh) for maxh in (0.5, 0.25, 0.125)), 2.0).require(v=2.8, E=1.9)
-
-
-@pytest.mark.long  # two minutes
-def test_rates_on_a_sphere_with_traction() -> None:
-    """Measured 4.43 and 3.06 (v), 3.46 and 2.14 (E), on 107, 270 and 615 cells."""
-    decay_rates(3, (sphere(1, maxh) for maxh in (0.5, 0.35, 0.27)), 2.0).require(v=2.7, E=1.85)
-
-
-@pytest.mark.long  # two minutes; a wave and a half over the diameter, which 107 cells hardly hold
-def test_rates_on_a_sphere_with_slip() -> None:
-    """Measured 1.63 and 3.44 (v), 0.81 and 2.40 (E)."""
-    decay_rates(3, (sphere(1, maxh) for maxh in (0.5, 0.35, 0.27)), ROOTS[3]).require(v=2.4, E=1.6)
+@pytest.mark.long  # two minutes each on a sphere
+@pytest.mark.parametrize(
+    ("dim", "sizes", "k", "v", "E"),
+    [
+        pytest.param(2, (0.5, 0.25, 0.125), ROOTS[2], 2.7, 1.85, id="disc, slip: 2.95 and 1.97"),
+        # with a multiplier in P_{k-1} at the wall 2.54 and 1.55
+        pytest.param(2, (0.5, 0.25, 0.125), 2.0, 2.8, 1.9, id="disc, traction: 2.95 and 2.02"),
+        pytest.param(3, (0.5, 0.35, 0.27), 2.0, 2.7, 1.85, id="sphere, traction: 3.06 and 2.14"),
+        # a wave and a half over the diameter, which the 107 cells of the coarsest hardly hold
+        pytest.param(3, (0.5, 0.35, 0.27), ROOTS[3], 2.4, 1.6, id="sphere, slip: 3.44 and 2.40"),
+    ],
+)
+def test_rates_are_k_plus_1_and_m_plus_1(
+    dim: int, sizes: tuple[float, ...], k: float, v: float, E: float
+) -> None:
+    """The names say what was measured of the two finest meshes."""
+    meshes = ((disc if dim == 2 else sphere)(1, maxh) for maxh in sizes)
+    decay_rates(dim, meshes, k).require(v=v, E=E)

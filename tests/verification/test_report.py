@@ -9,7 +9,20 @@ import pytest
 
 from tests.verification import registry
 from tests.verification.__main__ import BAD_INPUT, DONE, FAILED, INTERRUPTED, main
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Result, Table, VerificationError
+from tests.verification.case import (
+    CLOSURE,
+    Bound,
+    Case,
+    Cases,
+    Curve,
+    Outcome,
+    Plot,
+    Result,
+    Table,
+    VerificationError,
+    each,
+    measured,
+)
 from tests.verification.rates import RateTable
 from tests.verification.registry import all_cases, select
 
@@ -20,14 +33,10 @@ def case(name, value, limit=1.0, **options):
 
     def run():
         calls.append(name)
-        measured = value() if callable(value) else value
+        number = value() if callable(value) else value
         curve = Curve("a", [1.0, 2.0], [1.0, 4.0])
-        return Outcome(
-            values={"the number": measured},
-            tables=[Table("a table", ["x", "|y|"], [[1.0, "a|b<i>"]])],
-            plots=[Plot("a plot", "x", "y", [curve], log="xy")],
-            remarks=["A remark."],
-        )
+        table = Table("a table", "x | |y|", [[1.0, "a|b<i>"]])
+        return measured({"the number": number}, table, Plot("a plot", "x", "y", [curve], "xy"), "A remark.")
 
     bounds = (Bound("the number", "<=", limit, "a reason"),)
     said = {"theme": "T", "statement": f"{name} & so on", "label": "L", "setting": "S"}
@@ -105,9 +114,34 @@ def test_case_can_neither_drop_a_bound_nor_add_one(cases, tmp_path, values):
     assert saved["status"] == "error" and "must be the same" in saved["error"]
 
 
-def test_case_without_a_bound_cannot_be_made():
-    with pytest.raises(VerificationError, match="without a bound"):
-        replace(case("none", 0.0), bounds=())
+TEXT = """limit-tau (reduced)
+    Two runs agree: they
+      do.
+    label: L1, L2
+    setting: A box;
+      two steps <= 1 s.
+    - rate of [v; rho] in tau >= 0.9: first order
+    - closure
+    explanation: None.
+    """
+
+
+def test_case_is_declared_by_a_text_above_the_function_that_measures_it():
+    cases = Cases()
+    cases(TEXT)(len)
+    (one,) = cases
+    assert (one.name, one.reduced, one.run, one.explanation) == ("limit-tau", True, len, "None.")
+    assert (one.statement, one.label) == ("Two runs agree: they do.", "L1, L2")
+    assert one.setting == "A box; two steps <= 1 s."
+    rates = [Bound(f"rate of {name} in tau", ">=", 0.9, "first order") for name in ("v", "rho")]
+    assert one.bounds == (*rates, CLOSURE) and each(rates).startswith("- rate of v in tau >= 0.9: first")
+    for wrong, message in {
+        "    label: L1, L2\n": "a case without label",
+        " >= 0.9": "expected 'quantity <= limit: reason'",
+        TEXT[TEXT.index("    - ") : TEXT.index("    expl")]: "without a bound",
+    }.items():
+        with pytest.raises(VerificationError, match=message):
+            cases(TEXT.replace(wrong, ""))(len)
 
 
 def test_misspelt_name_is_an_error_with_the_nearest_one(cases, tmp_path, capsys):
@@ -180,12 +214,8 @@ def test_resume_runs_errors_and_changed_cases_again(cases, tmp_path):
 
 
 def test_result_survives_json():
-    outcome = Outcome(
-        values={"a": math.inf},
-        tables=[Table("t", ["x"], [[1.5], ["text"]])],
-        plots=[Plot("p", "x", "y", [Curve("c", [1.0], [2.0])])],
-        remarks=["said"],
-    )
+    plot = Plot("p", "x", "y", [Curve("c", [1.0], [2.0])])
+    outcome = measured({"a": math.inf}, Table("t", ["x"], [[1.5], ["text"]]), plot, "said")
     result = Result(name="n", fingerprint="f", version="1", status="fails", seconds=1.5, outcome=outcome)
     again = Result.from_json(result.to_json())
     assert again == result and again.outcome.plots[0].curves[0].y == [2.0]
@@ -204,23 +234,9 @@ def test_rate_table_finds_its_rates_and_refuses_smaller_ones():
 
 
 BOTH_MODELS = (
-    "stability-free",
-    "stability-loaded",
-    "whole-estimates",
-    "whole-sequence",
-    "delta-terms",
-    "limit-tau",
-    "limit-yosida",
-    "mass",
-    "cut-off",
-    "positivity",
-    "hyperviscosity",
-    "manufactured-2d",
-    "manufactured-2d-k3",
-    "manufactured-3d",
-    "manufactured-3d-m2",
-    "manufactured-3d-k3",
-    "robustness",
+    *("stability-free", "stability-loaded", "whole-estimates", "whole-sequence", "delta-terms", "limit-tau"),
+    *("limit-yosida", "mass", "cut-off", "positivity", "hyperviscosity", "manufactured-2d", "robustness"),
+    *("manufactured-2d-k3", "manufactured-3d", "manufactured-3d-m2", "manufactured-3d-k3"),
 )
 
 

@@ -9,11 +9,13 @@ from ngsolve import CF, x, y
 import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.geometries import annulus, disc
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
 from tests.verification.cases.rheology import NAMES
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, KINDS, around, closure, elastic, stokes
+from tests.verification.setups import KINDS, around, closure, elastic, stokes
+
+CASES = Cases()
 
 OMEGA = 1.0
 
@@ -60,40 +62,27 @@ def _rotation(kind: str) -> Outcome:
             in_h.add(h, **errors)
         tables.append(in_h.table("h, m"))
         values |= {"rate of v in h": in_h.last("v"), "rate of E in h": in_h.last("z")}
-    return Outcome(
-        values={**values, "largest |closure|": closure(*runs)},
-        tables=tables,
-        plots=[in_tau.plot("tau, s", "L2 error")],
+    return measured(
+        {**values, "largest |closure|": closure(*runs)}, *tables, in_tau.plot("tau, s", "L2 error")
     )
 
 
-def _rotation_case(kind: str) -> Case:
+for kind in KINDS:
     finite = kind == "finite"
-    kept = Bound("error of v, largest / smallest over tau", "<=", 1.1, "the mesh's error alone, for any step")
-    if finite:
-        error: tuple[Bound, ...] = (Bound("rate of H in tau", ">=", 0.85, "implicit Euler"), kept)
-    else:
-        error = (
-            Bound("rate of v in h", ">=", 1.5, "v.n = 0 on curved cells, P2"),
-            Bound("rate of E in h", ">=", 1.5, "v.n = 0 on curved cells, P2"),
-            kept,
-        )
-    return Case(
-        name=f"rotation-{kind}",
-        statement="A disc in rigid rotation stays so: "
-        + (
-            "F = R(t), to first order in tau."
-            if finite
-            else "E = 0 and v, up to the mesh's error, for any step."
-        ),
-        label="ED-Euler-large2" if finite else "ZJ",
-        setting="Disc of radius 1 m with slip (curved cells), 1 turn in 2 pi s, K_e = 10 Pa, G_e = 5 Pa, "
-        "K_v = G_v = 0.1 Pa s, centripetal body force; a quarter of a turn in 8, 16, 32 steps, h = 0.4 m"
-        + ("." if finite else "; and h = 0.8, 0.4, 0.2 m with 8 steps."),
-        bounds=(*error, CLOSURE),
-        run=partial(_rotation, kind),
-        reduced=not finite,
+    claim = (
+        "F = R(t), to first order in tau" if finite else "E = 0 and v, up to the mesh's error, for any step"
     )
+    rate = "H in tau >= 0.85: implicit Euler" if finite else "[v; E] in h >= 1.5: v.n = 0 on curved cells, P2"
+    CASES(f"""rotation-{kind}{" (reduced)" * (not finite)}
+        A disc in rigid rotation stays so: {claim}.
+        label: {"ED-Euler-large2" if finite else "ZJ"}
+        setting: Disc of radius 1 m with slip (curved cells), 1 turn in 2 pi s, K_e = 10 Pa, G_e = 5 Pa, K_v =
+          G_v = 0.1 Pa s, centripetal body force; a quarter of a turn in 8, 16, 32 steps, h = 0.4
+          m{"." if finite else "; and h = 0.8, 0.4, 0.2 m with 8 steps."}
+        - rate of {rate}
+        - error of v, largest / smallest over tau <= 1.1: the mesh's error alone, for any step
+        - closure
+        """)(partial(_rotation, kind))
 
 
 COUETTE = {"linearised": (0.5, 0.25), "finite": (0.7, 0.35), "finite-b": (0.7, 0.35)}
@@ -121,38 +110,27 @@ def _couette(kind: str) -> Outcome:
         rows.append([h, mesh.ne, errors[-1], closure(run)])
         curves.append(Curve(f"h = {h:g} m", r, found, "o"))
     curves.append(Curve("closed form", r, exact, "k-"))
-    return Outcome(
-        values={
+    return measured(
+        {
             "largest relative error of the shear stress on the finer mesh": errors[-1],
             "error on the finer / on the coarser mesh": errors[-1] / errors[0],
             "largest |closure|": closure(*runs),
         },
-        tables=[Table("shear stress at nine radii", ["h, m", "cells", "largest error", "closure"], rows)],
-        plots=[Plot("Couette flow between cylinders", "r, m", "shear stress, Pa", curves)],
+        Table("shear stress at nine radii", "h, m | cells | largest error | closure", rows),
+        Plot("Couette flow between cylinders", "r, m", "shear stress, Pa", curves),
     )
 
 
-def _case(kind: str) -> Case:
+for kind in NAMES:
     finite = kind != "linearised"
-    return Case(
-        name=f"couette-{kind}",
-        statement=f"The shear stress of a Maxwell fluid between cylinders in {NAMES[kind]} is eta times "
-        f"that of the closed form.",
-        label="Euler-small-flow-rule" if not finite else "ED-Euler-large3",
-        setting="Annulus of 1 and 2 m, the outer wall turns at 0.05/s, G = 10 Pa, eta = 1 Pa s (Wi = 0.01), "
-        f"density 0.1, 4 steps of 0.5 s; h = {COUETTE[kind][0]} and {COUETTE[kind][1]} m.",
-        bounds=(
-            Bound(
-                "largest relative error of the shear stress on the finer mesh",
-                "<=",
-                0.04 if finite else 0.02,
-                "P2 velocity, P1 stress",
-            ),
-            Bound("error on the finer / on the coarser mesh", "<=", 0.6, "converges"),
-            CLOSURE,
-        ),
-        run=partial(_couette, kind),
-    )
-
-
-CASES = (*map(_rotation_case, KINDS), *map(_case, NAMES))
+    CASES(f"""couette-{kind}
+        The shear stress of a Maxwell fluid between cylinders in {NAMES[kind]} is eta times that of the closed
+          form.
+        label: {"Euler-small-flow-rule" if not finite else "ED-Euler-large3"}
+        setting: Annulus of 1 and 2 m, the outer wall turns at 0.05/s, G = 10 Pa, eta = 1 Pa s (Wi = 0.01),
+          density 0.1, 4 steps of 0.5 s; h = {COUETTE[kind][0]} and {COUETTE[kind][1]} m.
+        - largest relative error of the shear stress on the finer mesh <= {0.04 if finite else 0.02}: P2
+          velocity, P1 stress
+        - error on the finer / on the coarser mesh <= 0.6: converges
+        - closure
+        """)(partial(_couette, kind))

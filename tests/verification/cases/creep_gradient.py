@@ -11,7 +11,7 @@ import ngvisco as nv
 from ngvisco.forms.context import time
 from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.geometries import box, disc, sphere
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
 from tests.verification.cases.manufactured import LABELS, NAMES, TERMS
 from tests.verification.convergence import coupled_rates
 from tests.verification.differences import mismatch
@@ -21,6 +21,8 @@ from tests.verification.radial_creep import RadialCreep
 from tests.verification.rates import RateTable
 from tests.verification.setups import KINDS
 from tests.verification.sources import Sources
+
+CASES = Cases()
 
 NU = 0.1
 LABEL = {
@@ -34,7 +36,6 @@ MESHES = {
     2: (0.4, 3, "unit square, 0.4 m refined twice"),
     3: (1.0, 3, "unit cube, 12 tetrahedra refined twice"),
 }
-RATES = {"v": 1.7, "rho": 1.7, "z": 1.7, "Pi": 1.7}
 AGREES = 1e-6
 """Of differences of eighth order with the analytic sources, relative."""
 
@@ -50,25 +51,37 @@ def manufactured(kind: str, dim: int) -> Outcome:
     maxh, levels, _ = MESHES[dim]
     table = coupled_rates(kind, dim, 4.0, 2, 1, maxh, levels, regularised=True, nu=NU)
     rows: list[list[str | float]] = [[name, value] for name, value in differences.items()]
-    return Outcome(
-        values={
+    return measured(
+        {
             "largest difference of a source and its independent residual": max(differences.values()),
             "difference of the flow rule with a nu that is 1 % off": control,
-            **{f"rate of {name}": table.last(name) for name in RATES},
+            **{f"rate of {name}": table.last(name) for name in ("v", "rho", "z", "Pi")},
         },
-        tables=[
-            Table("relative differences at eight random points", ["equation", "difference"], rows),
-            table.table("h, m"),
-        ],
-        plots=[table.plot("h, m", "L2 error")],
+        Table("relative differences at eight random points", "equation | difference", rows),
+        table.table("h, m"),
+        table.plot("h, m", "L2 error"),
     )
+
+
+for kind in NAMES:
+    for dim in (2, 3):
+        name = NAMES[kind]
+        CASES(f"""creep-gradient-{dim}d-{name}
+            With nu > 0 the whole system of {KINDS[name]} with all its terms converges in space in {dim}D, the
+              creep rate too; its source is the independent residual.
+            label: {LABEL[kind]}, {LABELS[kind]}
+            setting: {TERMS}, nu = {NU} with q = 4; {MESHES[dim][2]}; k = 2, m = 1, two steps of 0.05 s with
+              the discrete time derivative in the sources; Pi of order 1 with (n . grad) Pi = 0.
+            - largest difference of a source and its independent residual <= {AGREES}: differences
+            - difference of the flow rule with a nu that is 1 % off >= {10 * AGREES}: the negative control
+            - rate of [v; rho; z; Pi] >= 1.7: order 2 of the penalty with p = 4 and of m = 1
+            """)(partial(manufactured, kind, dim))
 
 
 # --- flow rules of a potential that is not quadratic ------------------------------------------------------
 
 NONLINEAR = ("Norton", "Eyring", "Perzyna")
 FIELDS = {"linear": "E", "neo-hookean": "F", "by B": "B"}
-LEAST = {"v": 2.5, "rho": 1.75, "z": 1.75, "Pi": 1.75}
 
 
 class Stiffer(Sources):
@@ -81,11 +94,25 @@ class Stiffer(Sources):
         return residual + 0.1 * rule.force(self.new.Pi, self.new.values)
 
 
+@CASES(f"""creep-gradient-flow-rules
+    With nu > 0 and a creep rate that varies in space, flow rules whose potential is not quadratic converge in
+      space, by E, by F and by B; their sources are the literature's formulas.
+    label: Euler-small-flow-rule, ED-Euler-large3, Euler-large-viscoelastodyn+4disc
+    setting: Norton (n = 3), Eyring, Perzyna (n = 2, psi smoothed below |Pi| = 1e-4/s); |Pi| from 0 at a
+      point, where psi'' of the first is infinite and psi' of the last jumps, to 0.6/s; nu = {NU}, q = 4;
+      creep, gravity, Stokes viscosity; unit square, 0.4 m refined twice; k = 2, m = 1, two steps of 0.05 s.
+    - largest difference of a source and its independent residual <= {AGREES}: differences
+    - least difference of a flow rule with a constant that is 1 % off >= {10 * AGREES}: the negative control
+      of the formulas
+    - least rate of v >= 2.5: k + 1 of v, but not above Pi's by half; m + 1
+    - least rate of [rho; z; Pi] >= 1.75: k + 1 of v, but not above Pi's by half; m + 1
+    - largest rate of Pi where psi' is a tenth off <= 1.0: the negative control
+    """)
 def of_rules() -> Outcome:
     """Rates in space for every rule and material, and the rules against their formulas by differences."""
     tau, t, mesh = 0.05, 0.3, box((1, 1), 1.0)
     largest, least, controls, tables, plots = 0.0, np.inf, [], [], []
-    found: dict[str, list[float]] = {name: [] for name in LEAST}
+    found: dict[str, list[float]] = {name: [] for name in ("v", "rho", "z", "Pi")}
     for rule in NONLINEAR:
         for kind in MODELS:
             sources = Sources(model(kind, 2, None, nu=NU, rule=rule), 2, tau)
@@ -96,22 +123,22 @@ def of_rules() -> Outcome:
                 least = min(least, mismatch(wrong, sources, kind, t, mesh)["Pi"])
         for kind, tensor in FIELDS.items():
             table = coupled_rates(kind, 2, None, 2, 1, 0.4, 3, nu=NU, rule=rule)
-            for name in LEAST:
+            for name in found:
                 found[name].append(table.last(name))
             tables.append(table.table("h, m"))
             tables[-1] = replace(tables[-1], title=f"{rule} by {tensor}")
         control = coupled_rates("neo-hookean", 2, None, 2, 1, 0.4, 3, nu=NU, rule=rule, sources=Stiffer)
         controls.append(control.last("Pi"))
         plots.append(table.plot("h, m", "L2 error"))
-    return Outcome(
-        values={
+    return measured(
+        {
             "largest difference of a source and its independent residual": largest,
             "least difference of a flow rule with a constant that is 1 % off": least,
             **{f"least rate of {name}": min(rates) for name, rates in found.items()},
             "largest rate of Pi where psi' is a tenth off": max(controls),
         },
-        tables=tables,
-        plots=plots[:1],
+        *tables,
+        *plots[:1],
     )
 
 
@@ -176,99 +203,28 @@ def independent(dim: int, sizes: tuple[float, ...]) -> Outcome:
         Curve("reference", at, np.interp(at, nodes, a), "-"),
         Curve("without the gradient, M/G_m", at, driving(at) / G_M, "--"),
     ]
-    return Outcome(
-        values={
+    return measured(
+        {
             "relative L2 error of Pi on the finest mesh": table.errors["Pi"][-1],
             "rate of Pi": table.last("Pi"),
             "relative L2 distance of M/G_m from the reference": distance,
         },
-        tables=[table.table(CELLS)],
-        plots=[
-            table.plot(CELLS, "relative L2 error"),
-            Plot("creep rate over the radius", "r, m", "1/s", curves),
-        ],
+        table.table(CELLS),
+        table.plot(CELLS, "relative L2 error"),
+        Plot("creep rate over the radius", "r, m", "1/s", curves),
     )
 
 
-def _manufactured_case(kind: str, dim: int) -> Case:
-    name = NAMES[kind]
-    return Case(
-        name=f"creep-gradient-{dim}d-{name}",
-        statement=f"With nu > 0 the whole system of {KINDS[name]} with all its terms converges in space in "
-        f"{dim}D, the creep rate too; its source is the independent residual.",
-        label=f"{LABEL[kind]}, {LABELS[kind]}",
-        setting=f"{TERMS}, nu = {NU} with q = 4; {MESHES[dim][2]}; k = 2, m = 1, two steps of 0.05 s with "
-        "the discrete time derivative in the sources; Pi of order 1 with (n . grad) Pi = 0.",
-        bounds=(
-            Bound("largest difference of a source and its independent residual", "<=", AGREES, "differences"),
-            Bound(
-                "difference of the flow rule with a nu that is 1 % off",
-                ">=",
-                10 * AGREES,
-                "the negative control",
-            ),
-            *(
-                Bound(f"rate of {what}", ">=", least, "order 2 of the penalty with p = 4 and of m = 1")
-                for what, least in RATES.items()
-            ),
-        ),
-        run=partial(manufactured, kind, dim),
-    )
-
-
-def _independent_case(dim: int, sizes: tuple[float, ...], largest: float, rate: float) -> Case:
+for dim, sizes, largest, rate in ((2, (0.5, 0.25, 0.125), 2e-3, 1.7), (3, (0.8, 0.4, 0.3), 0.06, 1.5)):
     shape = "disc" if dim == 2 else "ball"
-    return Case(
-        name=f"creep-gradient-{shape}",
-        statement=f"The creep rate of a driving stress that varies along the radius of a {shape} is the "
-        "minimiser of its potential, found in one dimension without the package.",
-        label="ED-Euler-large3, Euler-large-viscoelastodyn+4disc",
-        setting=f"Unit {shape}, E = (0.5 - 2 r² + 1.2 r⁴) D, G_e = 1 Pa, G_m = 2 Pa s, nu = {STRENGTH}, "
-        f"q = 4; one step of 1e-8 s; k = 2, m = 2, curved cells of {', '.join(map(str, sizes))} m.",
-        bounds=(
-            Bound("relative L2 error of Pi on the finest mesh", "<=", largest, "a few cells over the radius"),
-            Bound(
-                "rate of Pi",
-                ">=",
-                rate,
-                "a' is like r^(1/3) at the centre and like (1 - r)^(1/3) at the wall: two, not three",
-            ),
-            Bound(
-                "relative L2 distance of M/G_m from the reference", ">=", 0.2, "nu is not small: the control"
-            ),
-        ),
-        run=partial(independent, dim, sizes),
-        reduced=dim == 2,
-    )
-
-
-CASES = (
-    *(_manufactured_case(kind, dim) for kind in NAMES for dim in (2, 3)),
-    Case(
-        name="creep-gradient-flow-rules",
-        statement="With nu > 0 and a creep rate that varies in space, flow rules whose potential is not "
-        "quadratic converge in space, by E, by F and by B; their sources are the literature's formulas.",
-        label="Euler-small-flow-rule, ED-Euler-large3, Euler-large-viscoelastodyn+4disc",
-        setting=f"Norton (n = 3), Eyring, Perzyna (n = 2, psi smoothed below |Pi| = 1e-4/s); |Pi| from "
-        "0 at a point, where psi'' of the first is infinite and psi' of the last jumps, to 0.6/s; "
-        f"nu = {NU}, q = 4; creep, gravity, Stokes viscosity; unit square, 0.4 m refined twice; k = 2, "
-        "m = 1, two steps of 0.05 s.",
-        bounds=(
-            Bound("largest difference of a source and its independent residual", "<=", AGREES, "differences"),
-            Bound(
-                "least difference of a flow rule with a constant that is 1 % off",
-                ">=",
-                10 * AGREES,
-                "the negative control of the formulas",
-            ),
-            *(
-                Bound(f"least rate of {what}", ">=", least, "k + 1 of v, but not above Pi's by half; m + 1")
-                for what, least in LEAST.items()
-            ),
-            Bound("largest rate of Pi where psi' is a tenth off", "<=", 1.0, "the negative control"),
-        ),
-        run=of_rules,
-    ),
-    _independent_case(2, (0.5, 0.25, 0.125), 2e-3, 1.7),
-    _independent_case(3, (0.8, 0.4, 0.3), 0.06, 1.5),
-)
+    CASES(f"""creep-gradient-{shape}{" (reduced)" * (dim == 2)}
+        The creep rate of a driving stress that varies along the radius of a {shape} is the minimiser of its
+          potential, found in one dimension without the package.
+        label: ED-Euler-large3, Euler-large-viscoelastodyn+4disc
+        setting: Unit {shape}, E = (0.5 - 2 r² + 1.2 r⁴) D, G_e = 1 Pa, G_m = 2 Pa s, nu = {STRENGTH}, q = 4;
+          one step of 1e-8 s; k = 2, m = 2, curved cells of {", ".join(map(str, sizes))} m.
+        - relative L2 error of Pi on the finest mesh <= {largest}: a few cells over the radius
+        - rate of Pi >= {rate}: a' is like r^(1/3) at the centre and like (1 - r)^(1/3) at the wall: two, not
+          three
+        - relative L2 distance of M/G_m from the reference >= 0.2: nu is not small: the control
+        """)(partial(independent, dim, sizes))

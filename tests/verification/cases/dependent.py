@@ -5,16 +5,19 @@ The scheme transports them independently, as the paper does; they are consistent
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from ngsolve import CF, CoefficientFunction, Cof, Det, cos, log, pi, sin, x, y, z
 
 import ngvisco as nv
 from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, Values, Variable
-from tests.verification.case import Bound, Case, Outcome
+from tests.verification.case import Cases, Outcome, measured
 from tests.verification.problems import distance, refinements
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, SETTING, block, closure, square_mesh
+from tests.verification.setups import SETTING, block, closure, square_mesh
+
+CASES = Cases()
 
 COFACTORS = nv.MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
 LOGARITHMIC = nv.LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
@@ -68,99 +71,30 @@ def measure(material: nv.Material) -> Outcome:
         run = _run(material, LEVELS[1], delta)
         more.append(run)
         alone.add(delta, **{name: abs(value - rest[name]) for name, value in defects(run).items()})
-    return Outcome(
-        values={
+    return measured(
+        {
             **{f"last rate of {name}, tau and h": plain.last(name) for name in plain.errors},
             **{f"last rate of {name}, delta, tau and h": together.last(name) for name in together.errors},
             **{f"last rate of {name}, delta alone": alone.last(name) for name in alone.errors},
             "largest |closure|": closure(*runs, *more),
             "least J": min(_least(run) for run in runs),
         },
-        tables=[plain.table("h, m"), together.table("h, m"), alone.table("delta, m2/s")],
-        plots=[table.plot("h, m", "defect in L2", 1.0) for table in (plain, together)],
-        remarks=[
-            "In plane strain H_33 is the only entry of Cof F that is not linear in F: both defects are one "
-            "(in space they differ: dependent-cofactor-3d).  Of the coarsest mesh, two cells a side, no rate "
-            "is to be taken."
+        plain.table("h, m"),
+        together.table("h, m"),
+        alone.table("delta, m2/s"),
+        *[table.plot("h, m", "defect in L2", 1.0) for table in (plain, together)],
+        *[
+            "In plane strain H_33 is the only entry of Cof F that is not linear in F: both defects are "
+            "one (in space they differ: dependent-cofactor-3d).  Of the coarsest mesh, two cells a "
+            "side, no rate is to be taken."
         ]
-        if "J - det F" in plain.errors
-        else [],
+        * ("J - det F" in plain.errors),
     )
 
 
 def _least(run: nv.Simulation) -> float:
     values = [row["J_min"] for row in run.ledger.rows]
     return math.nan if any(map(math.isnan, values)) else min(values)
-
-
-def _case(name: str, what: tuple[str, str], label: str, material: nv.Material) -> Case:
-    rates = [
-        Bound(f"last rate of {one}, {how}", ">=", least, reason)
-        for one in what
-        for how, least, reason in (
-            ("tau and h", 0.8, "first order in tau ~ h"),
-            ("delta, tau and h", 0.8, "first order in tau ~ h, and delta ~ h²"),
-            ("delta alone", 0.5, "the size sqrt(delta) of the delta-terms"),
-        )
-    ]
-    return Case(
-        name=f"dependent-{name}",
-        statement=f"{what[0]} and {what[1]} vanish as delta, tau and h go to zero, though each variable "
-        f"is transported on its own.",
-        label=label,
-        setting=f"{SETTING}; {type(material).__name__}, 0.5 m/s; h = 0.8, 0.4, 0.2 m with tau = 0.02 h and "
-        f"delta = 0.1 h² or 0 (then also h = 0.1 m), until {DURATION} s; delta alone from 0.1 to 1e-4 at "
-        "h = 0.4 m.",
-        bounds=(*rates, CLOSURE, Bound("least J", ">=", 0.5, "far from folding over")),
-        run=lambda: measure(material),
-    )
-
-
-SPATIAL = (
-    sin(pi * x) * cos(pi * y) * cos(pi * z),
-    cos(pi * x) * sin(pi * y) * cos(pi * z),
-    -2 * cos(pi * x) * cos(pi * y) * sin(pi * z),
-)
-"""Free of divergence, with slip on the walls of the unit cube, and no plane motion."""
-
-
-def measure_in_space() -> Outcome:
-    """J - det F and H - Cof F as tau and h go to zero together, in three dimensions."""
-    table, runs = RateTable("defects as tau and h go to zero, in 3D"), []
-    for h, mesh in refinements(3, 1.0, 3):
-        initial = nv.Initial(density=1 + 0.2 * cos(pi * x), velocity=CF(tuple(0.5 * v for v in SPATIAL)))
-        # the mesh is refined in place: everything of a run is read off at once
-        run = block("finite", DURATION * h / 3, mesh=mesh, of=COFACTORS, initial=initial)
-        run.run(DURATION)
-        table.add(h, **defects(run))
-        runs.append((closure(run), _least(run)))
-    return Outcome(
-        values={
-            **{f"last rate of {name}": table.last(name) for name in table.errors},
-            "largest |closure|": max(c for c, _ in runs),
-            "least J": min(J for _, J in runs),
-        },
-        tables=[table.table("h, m")],
-        remarks=["Twelve tetrahedra do not see the motion; the rate is that of the other two meshes."],
-        plots=[table.plot("h, m", "defect in L2", 1.0, "H - Cof F")],
-    )
-
-
-IN_SPACE = Case(
-    name="dependent-cofactor-3d",
-    statement="In three dimensions J - det F and H - Cof F vanish as tau and h go to zero.",
-    label="DT-det-extended, H-flow-rule, rem-polyconvex-general",
-    setting="A cube of 1 m with slip, density 1 + 0.2 cos(pi x) kg/m3, MooneyRivlin with K_e = 10 Pa, "
-    "K_v = G_v = 0.1 Pa s, v = 0.5 (sin cos cos, cos sin cos, -2 cos cos sin) m/s of pi x, pi y, pi z; 12, "
-    f"96 and 768 tetrahedra, h = 1, 0.5, 0.25 m, with 3, 6, 12 steps until {DURATION} s.",
-    bounds=(
-        Bound("last rate of J - det F", ">=", 0.8, "first order in tau ~ h"),
-        Bound("last rate of H - Cof F", ">=", 0.8, "first order in tau ~ h"),
-        CLOSURE,
-        Bound("least J", ">=", 0.5, "far from folding over"),
-    ),
-    run=measure_in_space,
-)
 
 
 @dataclass(frozen=True)
@@ -182,6 +116,16 @@ class PrintedMooneyRivlin(nv.MooneyRivlin):
         return (Distortion(), PrintedCofactor(), Jacobian())
 
 
+@CASES(f"""dependent-cofactor-printed
+    The row of H as it is printed, with F^k in it, and ours, with H^k, are two schemes of first order for one
+      equation: their difference vanishes with their distances from Cof F.
+    label: Euler-large-viscoelastodyn-H, H-flow-rule
+    setting: {SETTING}; MooneyRivlin, creep with G_m = 2 Pa s, 0.5 m/s; h = 0.8, 0.4 and 0.2 m with tau = 0.02
+      h, until {DURATION} s.
+    - last rate of [difference; ours; printed] >= 0.8: first order in tau ~ h
+    - difference over the sum of the defects <= 2.0: one, but for the two runs' own F
+    - largest |closure| <= 1e-10: both rows are in the balance
+    """)
 def measure_printed() -> Outcome:
     """Two runs, by the printed row of H and by ours, as tau and h go to zero.
 
@@ -198,44 +142,75 @@ def measure_printed() -> Outcome:
             ours=defects(ours)["H - Cof F"],
             printed=defects(printed)["H - Cof F"],
         )
-    return Outcome(
-        values={
+    return measured(
+        {
             **{f"last rate of {name}": table.last(name) for name in table.errors},
             "difference over the sum of the defects": table.errors["difference"][-1]
             / (table.errors["ours"][-1] + table.errors["printed"][-1]),
             "largest |closure|": closure(*runs),
         },
-        tables=[table.table("h, m")],
-        plots=[table.plot("h, m", "distance in L2")],
+        table.table("h, m"),
+        table.plot("h, m", "distance in L2"),
     )
 
 
-PRINTED = Case(
-    name="dependent-cofactor-printed",
-    statement="The row of H as it is printed, with F^k in it, and ours, with H^k, are two schemes of first "
-    "order for one equation: their difference vanishes with their distances from Cof F.",
-    label="Euler-large-viscoelastodyn-H, H-flow-rule",
-    setting=f"{SETTING}; MooneyRivlin, creep with G_m = 2 Pa s, 0.5 m/s; h = 0.8, 0.4 and 0.2 m with "
-    f"tau = 0.02 h, until {DURATION} s.",
-    bounds=(
-        Bound("last rate of difference", ">=", 0.8, "first order in tau ~ h"),
-        Bound("last rate of ours", ">=", 0.8, "first order in tau ~ h"),
-        Bound("last rate of printed", ">=", 0.8, "first order in tau ~ h"),
-        Bound("difference over the sum of the defects", "<=", 2.0, "one, but for the two runs' own F"),
-        Bound("largest |closure|", "<=", 1e-10, "both rows are in the balance"),
-    ),
-    run=measure_printed,
-)
-
-
-CASES = (
-    PRINTED,
-    _case(
+for name, (a, b), label, of in (
+    (
         "cofactor",
         ("J - det F", "H - Cof F"),
         "DT-det-extended, H-flow-rule, rem-polyconvex-general",
         COFACTORS,
     ),
-    _case("reciprocal", ("A - 1/J", "K - ln J/J"), "DT-det-inverse, exa-neo-Hookean-ref", LOGARITHMIC),
-    IN_SPACE,
+    ("reciprocal", ("A - 1/J", "K - ln J/J"), "DT-det-inverse, exa-neo-Hookean-ref", LOGARITHMIC),
+):
+    CASES(f"""dependent-{name}
+        {a} and {b} vanish as delta, tau and h go to zero, though each variable is transported on its own.
+        label: {label}
+        setting: {SETTING}; {type(of).__name__}, 0.5 m/s; h = 0.8, 0.4, 0.2 m with tau = 0.02 h and delta =
+          0.1 h² or 0 (then also h = 0.1 m), until {DURATION} s; delta alone from 0.1 to 1e-4 at h = 0.4 m.
+        - last rate of [{a}; {b}], tau and h >= 0.8: first order in tau ~ h
+        - last rate of [{a}; {b}], delta, tau and h >= 0.8: first order in tau ~ h, and delta ~ h²
+        - last rate of [{a}; {b}], delta alone >= 0.5: the size sqrt(delta) of the delta-terms
+        - closure
+        - least J >= 0.5: far from folding over
+        """)(partial(measure, of))
+
+
+SPATIAL = (
+    sin(pi * x) * cos(pi * y) * cos(pi * z),
+    cos(pi * x) * sin(pi * y) * cos(pi * z),
+    -2 * cos(pi * x) * cos(pi * y) * sin(pi * z),
 )
+"""Free of divergence, with slip on the walls of the unit cube, and no plane motion."""
+
+
+@CASES(f"""dependent-cofactor-3d
+    In three dimensions J - det F and H - Cof F vanish as tau and h go to zero.
+    label: DT-det-extended, H-flow-rule, rem-polyconvex-general
+    setting: A cube of 1 m with slip, density 1 + 0.2 cos(pi x) kg/m3, MooneyRivlin with K_e = 10 Pa, K_v =
+      G_v = 0.1 Pa s, v = 0.5 (sin cos cos, cos sin cos, -2 cos cos sin) m/s of pi x, pi y, pi z; 12, 96 and
+      768 tetrahedra, h = 1, 0.5, 0.25 m, with 3, 6, 12 steps until {DURATION} s.
+    - last rate of [J - det F; H - Cof F] >= 0.8: first order in tau ~ h
+    - closure
+    - least J >= 0.5: far from folding over
+    """)
+def measure_in_space() -> Outcome:
+    """J - det F and H - Cof F as tau and h go to zero together, in three dimensions."""
+    table, runs = RateTable("defects as tau and h go to zero, in 3D"), []
+    for h, mesh in refinements(3, 1.0, 3):
+        initial = nv.Initial(density=1 + 0.2 * cos(pi * x), velocity=CF(tuple(0.5 * v for v in SPATIAL)))
+        # the mesh is refined in place: everything of a run is read off at once
+        run = block("finite", DURATION * h / 3, mesh=mesh, of=COFACTORS, initial=initial)
+        run.run(DURATION)
+        table.add(h, **defects(run))
+        runs.append((closure(run), _least(run)))
+    return measured(
+        {
+            **{f"last rate of {name}": table.last(name) for name in table.errors},
+            "largest |closure|": max(c for c, _ in runs),
+            "least J": min(J for _, J in runs),
+        },
+        table.table("h, m"),
+        table.plot("h, m", "defect in L2", 1.0, "H - Cof F"),
+        "Twelve tetrahedra do not see the motion; the rate is that of the other two meshes.",
+    )

@@ -12,11 +12,13 @@ from scipy.integrate import solve_ivp
 
 import ngvisco as nv
 from ngvisco.geometries import box, channel
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
 from tests.verification.cases.rheology import NAMES, G, deviator, material, shear_stress, start
 from tests.verification.cases.shear import sheared
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, closure
+from tests.verification.setups import closure
+
+CASES = Cases()
 
 Rate = Callable[[float, float, float], float]
 """|Pi|, 1/s, of |M|, Pa, the plastic strain k and the pressure p, Pa."""
@@ -100,6 +102,16 @@ def _sheared(
     return run, float(values[-1, 1])
 
 
+@CASES(f"""flow-rules-startup
+    Start-up of shear by every flow rule, in the linearised model and at finite strain by F and by B, follows
+      the ordinary differential equations of the tensor and of the plastic strain.
+    label: Euler-small-flow-rule, ED-Euler-large2, ED-Euler-large3
+    setting: G = {G:g} Pa, channel of 1 m x 1 m, shear rate 1/s until 1 s; 20 and 40 steps of backward Euler,
+      extrapolated to none.
+    - largest error, extrapolated <= 5e-3: second order in tau but where yield begins
+    - least distance to rates smaller by a fifth >= 1e-2: a wrong rate is told from the right
+    - closure
+    """)
 def _point() -> Outcome:
     rows: list[list[str | float]] = []
     runs, largest, mistaken = [], 0.0, math.inf
@@ -115,19 +127,17 @@ def _point() -> Outcome:
             errors = [abs(value / exact - 1) for value in (*found, extrapolated)]
             largest, mistaken = max(largest, errors[-1]), min(mistaken, abs(extrapolated / wrong - 1))
             rows.append([name, kind, exact, *errors])
-    return Outcome(
-        values={
+    return measured(
+        {
             "largest error, extrapolated": largest,
             "least distance to rates smaller by a fifth": mistaken,
             "largest |closure|": closure(*runs),
         },
-        tables=[
-            Table(
-                "T_12 after a shear of one",
-                ["rule", "model", "exact, Pa", *(f"error, {n} steps" for n in STEPS), "extrapolated"],
-                rows,
-            )
-        ],
+        Table(
+            "T_12 after a shear of one",
+            ["rule", "model", "exact, Pa", *(f"error, {n} steps" for n in STEPS), "extrapolated"],
+            rows,
+        ),
     )
 
 
@@ -135,6 +145,15 @@ MIDPOINT = {"linear": True, "Norton, n = 3": True, "Bingham": False, "linear har
 """Rules, and whether their rate has a derivative; those with yield begin to flow within a step."""
 
 
+@CASES("""flow-rules-midpoint
+    The midpoint rule is of second order with creep, and with yield too, although that begins within a step.
+    label: Euler-small-flow-rule, ED-Euler-large3
+    setting: As flow-rules-startup; 10 to 80 steps of the midpoint rule, order over all of them.
+    - least order of a rate with a derivative >= 1.85: second order
+    - least order with yield >= 1.6: in one step the rate has a kink: an error of second order that wavers
+      with the place of it
+    - closure
+    """)
 def _midpoint() -> Outcome:
     """Errors of T_12 after the start-up of shear, over the steps of the midpoint rule."""
     tables, curves, runs = [], [], []
@@ -157,19 +176,25 @@ def _midpoint() -> Outcome:
             least[is_smooth] = min(least[is_smooth], order)
             curves.append(Curve(f"{name}, {kind}", sizes, errors[name]))
         tables.append(table.table("tau, s"))
-    return Outcome(
-        values={
+    return measured(
+        {
             "least order of a rate with a derivative": least[True],
             "least order with yield": least[False],
             "largest |closure|": closure(*runs),
         },
-        tables=tables,
-        plots=[
-            Plot("Start-up of shear by the midpoint rule", "tau, s", "error of T_12, Pa", curves, log="xy")
-        ],
+        *tables,
+        Plot("Start-up of shear by the midpoint rule", "tau, s", "error of T_12, Pa", curves, log="xy"),
     )
 
 
+@CASES("""norton-relaxation
+    A stress relaxes by power-law creep as the closed form says.
+    label: Euler-small-flow-rule
+    setting: n = 3, A = 0.3/(s Pa^3), G = 1 Pa; a box that cannot move, stretched by 0.5, until 1 s.
+    - rate of |E| >= 0.85: implicit Euler
+    - error at the finest step <= 0.02: first order, tau = 0.0125 s
+    - closure
+    """)
 def _relaxation() -> Outcome:
     """|E|^(1-n) grows linearly: d|E|/dt = -A (2 G |E|)^n in a body that cannot move."""
     A, n, until, begin = 0.3, 3, 1.0, 0.5
@@ -184,16 +209,23 @@ def _relaxation() -> Outcome:
         E = np.array(run.fields["E"](run.mesh(0.3, 0.4)))
         table.add(until / steps, E=abs(float(np.linalg.norm(E)) - exact) / begin)
         runs.append(run)
-    return Outcome(
-        values={
+    return measured(
+        {
             "rate of |E|": table.last("E"),
             "error at the finest step": table.errors["E"][-1],
             "largest |closure|": closure(*runs),
         },
-        tables=[table.table("tau, s")],
+        table.table("tau, s"),
     )
 
 
+@CASES("""viscoplastic-flow-curve
+    The shear stress of a steady flow is that of Bingham's and Perzyna's fluids at its rate.
+    label: Bingham 1916, Perzyna 1966
+    setting: sigma_Y = 1.5 Pa, G_m = 0.2 Pa s, G = 200 Pa; a channel of 1 m sheared by 0.1 in 20 steps.
+    - largest relative error of T_12 <= 1e-3: what is elastic turns by (T_12/G)^2 and less
+    - closure
+    """)
 def _flow_curve() -> Outcome:
     """T_12 = sigma_Y/sqrt(3) + G_m rate/2 of Bingham's fluid, and the like with an exponent."""
     stiff, sigma_Y, rows, largest, runs = 200.0, 1.5, [], 0.0, []
@@ -215,73 +247,7 @@ def _flow_curve() -> Outcome:
             largest = max(largest, error)
             runs.append(run)
             rows.append([n, rate, float(values[-1, 1]), exact, error])
-    return Outcome(
-        values={"largest relative error of T_12": largest, "largest |closure|": closure(*runs)},
-        tables=[Table("steady shear", ["n", "rate, 1/s", "T_12, Pa", "exact, Pa", "error"], rows)],
+    return measured(
+        {"largest relative error of T_12": largest, "largest |closure|": closure(*runs)},
+        Table("steady shear", "n | rate, 1/s | T_12, Pa | exact, Pa | error", rows),
     )
-
-
-CASES = (
-    Case(
-        name="flow-rules-startup",
-        statement="Start-up of shear by every flow rule, in the linearised model and at finite strain by F "
-        "and by B, follows the ordinary differential equations of the tensor and of the plastic strain.",
-        label="Euler-small-flow-rule, ED-Euler-large2, ED-Euler-large3",
-        setting=f"G = {G:g} Pa, channel of 1 m x 1 m, shear rate 1/s until 1 s; 20 and 40 steps of backward "
-        "Euler, extrapolated to none.",
-        bounds=(
-            Bound("largest error, extrapolated", "<=", 5e-3, "second order in tau but where yield begins"),
-            Bound(
-                "least distance to rates smaller by a fifth",
-                ">=",
-                1e-2,
-                "a wrong rate is told from the right",
-            ),
-            CLOSURE,
-        ),
-        run=_point,
-    ),
-    Case(
-        name="flow-rules-midpoint",
-        statement="The midpoint rule is of second order with creep, and with yield too, although that begins "
-        "within a step.",
-        label="Euler-small-flow-rule, ED-Euler-large3",
-        setting="As flow-rules-startup; 10 to 80 steps of the midpoint rule, order over all of them.",
-        bounds=(
-            Bound("least order of a rate with a derivative", ">=", 1.85, "second order"),
-            Bound(
-                "least order with yield",
-                ">=",
-                1.6,
-                "in one step the rate has a kink: an error of second order that wavers with the place of it",
-            ),
-            CLOSURE,
-        ),
-        run=_midpoint,
-    ),
-    Case(
-        name="norton-relaxation",
-        statement="A stress relaxes by power-law creep as the closed form says.",
-        label="Euler-small-flow-rule",
-        setting="n = 3, A = 0.3/(s Pa^3), G = 1 Pa; a box that cannot move, stretched by 0.5, until 1 s.",
-        bounds=(
-            Bound("rate of |E|", ">=", 0.85, "implicit Euler"),
-            Bound("error at the finest step", "<=", 0.02, "first order, tau = 0.0125 s"),
-            CLOSURE,
-        ),
-        run=_relaxation,
-    ),
-    Case(
-        name="viscoplastic-flow-curve",
-        statement="The shear stress of a steady flow is that of Bingham's and Perzyna's fluids at its rate.",
-        label="Bingham 1916, Perzyna 1966",
-        setting="sigma_Y = 1.5 Pa, G_m = 0.2 Pa s, G = 200 Pa; a channel of 1 m sheared by 0.1 in 20 steps.",
-        bounds=(
-            Bound(
-                "largest relative error of T_12", "<=", 1e-3, "what is elastic turns by (T_12/G)^2 and less"
-            ),
-            CLOSURE,
-        ),
-        run=_flow_curve,
-    ),
-)

@@ -10,9 +10,11 @@ from scipy.optimize import brentq
 import ngvisco as nv
 from ngvisco.geometries import box, channel
 from ngvisco.physics.variables import Jacobian
-from tests.verification.case import Bound, Case, Outcome, Table
+from tests.verification.case import Cases, Outcome, Table, measured
 from tests.verification.problems import distance
-from tests.verification.setups import CLOSURE, closure
+from tests.verification.setups import closure
+
+CASES = Cases()
 
 # an elastic body whose heat matters: COUPLING^2 THETA_R/C is a quarter of its stiffness
 STIFFNESS, C, THETA_R, COUPLING = 4.0, 2.0, 5.0, 0.6
@@ -29,6 +31,15 @@ def _elastic(conductivity: float = 0.0, warm: bool = True, **options: Any) -> nv
     return nv.Model(material=material, heat=nv.Heat(conductivity=conductivity), **options)
 
 
+@CASES("""heat-clamped (reduced)
+    A clamped body that is heated does not move, and has the pressure K beta dtheta.
+    label: Duhamel and Neumann's law; heat-energy of FORMULATION
+    setting: Box of 1 m with walls all around, 3 W/m^3 for 1 s, c = 2 J/(m^3 K); midpoint rule.
+    - error of the pressure K beta dtheta, relative <= 1e-8: of the step alone; set after a first run
+    - error of the temperature with half of the step, of that with the whole <= 0.3: a quarter by a scheme of
+      second order
+    - closure
+    """)
 def _clamped() -> Outcome:
     """A body between walls all around, heated from within."""
     rows, errors = [], []
@@ -44,14 +55,14 @@ def _clamped() -> Outcome:
         errors.append([abs(theta - 300 - power / c), abs(p - K * beta * power / c), closure(run)])
         rows.append([dt, *errors[-1]])
     names = ["dt, s", "error of the temperature, K", "error of the pressure, Pa", "closure"]
-    return Outcome(
-        values={
+    return measured(
+        {
             "error of the pressure K beta dtheta, relative": errors[-1][1] / (50 * 0.01 * 1.5),
             "error of the temperature with half of the step, of that with the whole": errors[-1][0]
             / errors[-2][0],
             "largest |closure|": max(error[2] for error in errors),
         },
-        tables=[Table("a clamped body that is heated by 1.5 K", names, rows)],
+        Table("a clamped body that is heated by 1.5 K", names, rows),
     )
 
 
@@ -78,6 +89,14 @@ def _stiffened(amplitude: float = 0.1) -> tuple[nv.Model, float]:
     return model, max(abs((p + pressure) / pressure / rho ** (1 + Gamma) - 1) for p, rho in found)
 
 
+@CASES("""heat-sound
+    Without conduction waves are isentropic, faster than isothermal ones.
+    label: c^2 = (M + (Gamma c)^2 theta_R/c)/rho, gamma p/rho of an ideal gas
+    setting: Standing waves of 2 m, amplitude 1e-4 m/s, cells of 0.2 m, steps of 0.01 s, midpoint rule.
+    - largest relative error of a period <= 1e-3: (omega dt)^2/12 = 3e-4 of the step
+    - isothermal over isentropic period >= 1.1: theory: 1.1068
+    - a wave of the stiffened gas off its isentrope, relative <= 1e-3: (pi h)^2/8 of 2 %, P1
+    """)
 def _sound() -> Outcome:
     isentropic = 2 / math.sqrt(STIFFNESS + COUPLING**2 * THETA_R / C)
     isothermal = 2 / math.sqrt(STIFFNESS)
@@ -90,13 +109,13 @@ def _sound() -> Outcome:
         ["stiffened gas, gamma = 4.4: isentropic", _period(stiffened, 0.003), 2 / math.sqrt(4.4 * 3.4 * 2.5)],
     ]
     errors = [abs(found / exact - 1) for _, found, exact in rows]
-    return Outcome(
-        values={
+    return measured(
+        {
             "largest relative error of a period": max(errors),
             "isothermal over isentropic period": rows[0][1] / rows[1][1],
             "a wave of the stiffened gas off its isentrope, relative": off,
         },
-        tables=[Table("periods of standing waves of 2 m", ["body", "measured, s", "theory, s"], rows)],
+        Table("periods of standing waves of 2 m", "body | measured, s | theory, s", rows),
     )
 
 
@@ -126,22 +145,37 @@ def _slab_run(h: float, solver: str, m: int = 1) -> tuple[float, nv.Simulation]:
     return distance(run.fields["temperature"], exact, run.mesh), run
 
 
+@CASES("""heat-slab
+    A slab cools through a wall in its slowest mode, at second order, by both solvers.
+    label: Carslaw and Jaeger, b tan b = Bi; heat-wall
+    setting: Slab of 1 m, Bi = 1.5, 50 K above its surroundings, until 0.4 s; dt = h/5, midpoint rule.
+    - rate of the error >= 1.8: 2 by P1
+    - difference of the solvers, of the error <= 1e-8: the same equations
+    - closure
+    """)
 def _slab() -> Outcome:
     sizes = (0.2, 0.1, 0.05)
     found = [_slab_run(h, "coupled") for h in sizes]
     split, its_run = _slab_run(sizes[0], "split")
     errors = [error for error, _ in found]
     rows = [[h, error] for h, error in zip(sizes, errors, strict=True)]
-    return Outcome(
-        values={
+    return measured(
+        {
             "rate of the error": math.log2(errors[-2] / errors[-1]),
             "difference of the solvers, of the error": abs(split / errors[0] - 1),
             "largest |closure|": closure(its_run, *(run for _, run in found)),
         },
-        tables=[Table("temperature of the slab", ["h, m", "L2 error, K"], rows)],
+        Table("temperature of the slab", "h, m | L2 error, K", rows),
     )
 
 
+@CASES("""heat-brinkman
+    Viscous heating of plane Couette flow between plates that cool.
+    label: Brinkman 1951; heat-entropy
+    setting: Periodic channel of 1 m, eta V^2/kappa = 8 K, plates with 100 W/(m^2 K), until 0.5 s.
+    - rate of the error >= 1.7: 2 by P1; set after a first run
+    - error of the heat that leaves through the top, relative <= 1e-3: set after a first run
+    """)
 def _brinkman() -> Outcome:
     """Couette flow between plates that cool the fluid, by its steady temperature."""
     eta, kappa, V, coefficient, rows, errors = 0.5, 0.25, 2.0, 100.0, [], []
@@ -161,14 +195,14 @@ def _brinkman() -> Outcome:
         errors.append(distance(run.fields["temperature"], exact, run.mesh))
         warmest = run.fields["temperature"](run.mesh(0.5, 0.5))
         rows.append([h, errors[-1], warmest, -run.ledger.column("power_heat_top")[-1]])
-    return Outcome(
-        values={
+    return measured(
+        {
             "rate of the error": math.log2(errors[-2] / errors[-1]),
             "error of the heat that leaves through the top, relative": abs(
                 rows[-1][3] / (eta * V * V / 2) - 1
             ),
         },
-        tables=[Table("viscous heating", ["h, m", "L2 error, K", "warmest, K (301.01)", "heat, W"], rows)],
+        Table("viscous heating", "h, m | L2 error, K | warmest, K (301.01) | heat, W", rows),
     )
 
 
@@ -181,6 +215,13 @@ def _thermoelastic(kappa: float) -> complex:
     return complex(max(roots, key=lambda s: s.imag))
 
 
+@CASES("""heat-thermoelastic
+    Thermoelastic damping and dispersion, from adiabatic to isothermal waves.
+    label: Zener 1937; Chadwick 1960: (rho s^2 + M k^2)(c s + kappa k^2) + (Gamma c)^2 theta_R s k^2 = 0
+    setting: Standing waves of 2 m started in their modes, until 0.5 s; five conductivities.
+    - largest error of velocity and temperature, of their amplitudes <= 5e-3: (omega dt)^2/12 omega T =
+      1.4e-3; set after a first run
+    """)
 def _damping() -> Outcome:
     """Thermoelastic damping: standing waves from slow to fast conduction, each started in its mode."""
     rows, errors, T, k = [], [], 0.5, math.pi
@@ -209,9 +250,9 @@ def _damping() -> Outcome:
         errors.append(max(abs(v - motion.real) / abs(motion), abs(theta - heat.real) / abs(heat)))
         rows.append([kappa, s.real, s.imag, v, motion.real, theta, heat.real])
     names = ["kappa, W/(m K)", "decay, 1/s", "frequency, 1/s", "v", "theory", "theta - theta_R", "theory"]
-    return Outcome(
-        values={"largest error of velocity and temperature, of their amplitudes": max(errors)},
-        tables=[Table(f"standing waves after {T} s", names, rows)],
+    return measured(
+        {"largest error of velocity and temperature, of their amplitudes": max(errors)},
+        Table(f"standing waves after {T} s", names, rows),
     )
 
 
@@ -239,19 +280,32 @@ def _manufactured_error(h: float, slope: float = 1.0) -> float:
     return distance(run.fields["temperature"], theta, run.mesh)
 
 
+@CASES("""heat-manufactured
+    Conduction with kappa(theta) converges at second order to a manufactured temperature.
+    label: heat-conduction
+    setting: Square of 1 m, kappa = theta/theta_R, theta varies by 25 %; cells to 0.1 m, dt = h/4.
+    - rate of the error >= 1.8: 2 by P1
+    - rate without the derivative of kappa in the source <= 0.5: the negative control
+    """)
 def _manufactured() -> Outcome:
     sizes = (0.4, 0.2, 0.1)
     right, wrong = ([_manufactured_error(h, slope) for h in sizes] for slope in (1.0, 0.0))
     rows = [[h, a, b] for h, a, b in zip(sizes, right, wrong, strict=True)]
-    return Outcome(
-        values={
+    return measured(
+        {
             "rate of the error": math.log2(right[-2] / right[-1]),
             "rate without the derivative of kappa in the source": math.log2(wrong[-2] / wrong[-1]),
         },
-        tables=[Table("L2 error, K", ["h, m", "right", "without the derivative of kappa"], rows)],
+        Table("L2 error, K", "h, m | right | without the derivative of kappa", rows),
     )
 
 
+@CASES("""heat-order
+    Of second order in time with everything on: viscosity, hyperviscosity, creep, conduction.
+    label: heat-weak
+    setting: A swirl of 0.3 m/s in a warm box, cells of 0.5 m, midpoint rule with 0.02 to 0.0025 s.
+    - least order of energies and entropy >= 1.9: 2
+    """)
 def _order() -> Outcome:
     """Everything that dissipates, in a swirl that conducts heat: differences of runs with halved steps."""
     values = []
@@ -280,104 +334,7 @@ def _order() -> Outcome:
     differences = np.abs(np.diff(np.array(values), axis=0))
     rates = np.log2(differences[-2] / differences[-1])
     rows = [[dt, *row] for dt, row in zip(steps, values, strict=True)]
-    return Outcome(
-        values={"least order of energies and entropy": float(rates.min())},
-        tables=[Table("after 0.16 s", ["dt, s", "kinetic, J", "stored, J", "entropy, J/K"], rows)],
+    return measured(
+        {"least order of energies and entropy": float(rates.min())},
+        Table("after 0.16 s", "dt, s | kinetic, J | stored, J | entropy, J/K", rows),
     )
-
-
-_AFTER = "set after a first run"
-
-CASES = (
-    Case(
-        name="heat-clamped",
-        statement="A clamped body that is heated does not move, and has the pressure K beta dtheta.",
-        label="Duhamel and Neumann's law; heat-energy of FORMULATION",
-        setting="Box of 1 m with walls all around, 3 W/m^3 for 1 s, c = 2 J/(m^3 K); midpoint rule.",
-        bounds=(
-            Bound(
-                "error of the pressure K beta dtheta, relative", "<=", 1e-8, f"of the step alone; {_AFTER}"
-            ),
-            Bound(
-                "error of the temperature with half of the step, of that with the whole",
-                "<=",
-                0.3,
-                "a quarter by a scheme of second order",
-            ),
-            CLOSURE,
-        ),
-        run=_clamped,
-        reduced=True,
-    ),
-    Case(
-        name="heat-sound",
-        statement="Without conduction waves are isentropic, faster than isothermal ones.",
-        label="c^2 = (M + (Gamma c)^2 theta_R/c)/rho, gamma p/rho of an ideal gas",
-        setting="Standing waves of 2 m, amplitude 1e-4 m/s, cells of 0.2 m, steps of 0.01 s, midpoint rule.",
-        bounds=(
-            Bound("largest relative error of a period", "<=", 1e-3, "(omega dt)^2/12 = 3e-4 of the step"),
-            Bound("isothermal over isentropic period", ">=", 1.1, "theory: 1.1068"),
-            Bound(
-                "a wave of the stiffened gas off its isentrope, relative", "<=", 1e-3, "(pi h)^2/8 of 2 %, P1"
-            ),
-        ),
-        run=_sound,
-    ),
-    Case(
-        name="heat-slab",
-        statement="A slab cools through a wall in its slowest mode, at second order, by both solvers.",
-        label="Carslaw and Jaeger, b tan b = Bi; heat-wall",
-        setting="Slab of 1 m, Bi = 1.5, 50 K above its surroundings, until 0.4 s; dt = h/5, midpoint rule.",
-        bounds=(
-            Bound("rate of the error", ">=", 1.8, "2 by P1"),
-            Bound("difference of the solvers, of the error", "<=", 1e-8, "the same equations"),
-            CLOSURE,
-        ),
-        run=_slab,
-    ),
-    Case(
-        name="heat-brinkman",
-        statement="Viscous heating of plane Couette flow between plates that cool.",
-        label="Brinkman 1951; heat-entropy",
-        setting="Periodic channel of 1 m, eta V^2/kappa = 8 K, plates with 100 W/(m^2 K), until 0.5 s.",
-        bounds=(
-            Bound("rate of the error", ">=", 1.7, f"2 by P1; {_AFTER}"),
-            Bound("error of the heat that leaves through the top, relative", "<=", 1e-3, _AFTER),
-        ),
-        run=_brinkman,
-    ),
-    Case(
-        name="heat-thermoelastic",
-        statement="Thermoelastic damping and dispersion, from adiabatic to isothermal waves.",
-        label="Zener 1937; Chadwick 1960: (rho s^2 + M k^2)(c s + kappa k^2) + (Gamma c)^2 theta_R s k^2 = 0",
-        setting="Standing waves of 2 m started in their modes, until 0.5 s; five conductivities.",
-        bounds=(
-            Bound(
-                "largest error of velocity and temperature, of their amplitudes",
-                "<=",
-                5e-3,
-                f"(omega dt)^2/12 omega T = 1.4e-3; {_AFTER}",
-            ),
-        ),
-        run=_damping,
-    ),
-    Case(
-        name="heat-manufactured",
-        statement="Conduction with kappa(theta) converges at second order to a manufactured temperature.",
-        label="heat-conduction",
-        setting="Square of 1 m, kappa = theta/theta_R, theta varies by 25 %; cells to 0.1 m, dt = h/4.",
-        bounds=(
-            Bound("rate of the error", ">=", 1.8, "2 by P1"),
-            Bound("rate without the derivative of kappa in the source", "<=", 0.5, "the negative control"),
-        ),
-        run=_manufactured,
-    ),
-    Case(
-        name="heat-order",
-        statement="Of second order in time with everything on: viscosity, hyperviscosity, creep, conduction.",
-        label="heat-weak",
-        setting="A swirl of 0.3 m/s in a warm box, cells of 0.5 m, midpoint rule with 0.02 to 0.0025 s.",
-        bounds=(Bound("least order of energies and entropy", ">=", 1.9, "2"),),
-        run=_order,
-    ),
-)

@@ -14,7 +14,9 @@ from scipy.linalg import eig
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.physics.variables import Jacobian
-from tests.verification.case import Bound, Case, Outcome, Table
+from tests.verification.case import Bound, Cases, Outcome, Table, each, measured
+
+CASES = Cases()
 
 POINTS = 24
 """Chebyshev intervals of the eigenvalue problem."""
@@ -148,12 +150,12 @@ def _onset(plates: Plates) -> Outcome:
         expected = _mode(plates, Ra).growth
         rows.append([Ra, found, expected, abs(found - expected) / size])
     root = float(np.interp(0.0, [row[1] for row in rows], np.sqrt(plates.numbers)))
-    return Outcome(
-        values={
+    return measured(
+        {
             "error of the growth, of k^2 + pi^2": max(row[3] for row in rows),
             "error of the critical Rayleigh number": abs(root**2 / plates.critical - 1),
         },
-        tables=[Table("growth of a roll", ["Ra", "growth, 1/s", "theory, 1/s", "error"], rows)],
+        Table("growth of a roll", "Ra | growth, 1/s | theory, 1/s | error", rows),
     )
 
 
@@ -169,21 +171,15 @@ _BOUNDS = (
     ),
 )
 
-CASES = (
-    Case(
-        name="heat-onset",
-        statement="Convection between plates that slip sets in at the critical Rayleigh number.",
-        label="Rayleigh 1916: 657.5 between walls that slip",
-        setting=_SETTING,
-        bounds=_BOUNDS,
-        run=partial(_onset, SLIP),
-    ),
-    Case(
-        name="heat-onset-no-slip",
-        statement="Convection between plates that hold the fluid sets in at the critical Rayleigh number.",
-        label="Jeffreys 1928, Chandrasekhar 1961: 1707.762 between walls without slip",
-        setting=_SETTING,
-        bounds=_BOUNDS,
-        run=partial(_onset, NO_SLIP),
-    ),
-)
+CASES(f"""heat-onset
+    Convection between plates that slip sets in at the critical Rayleigh number.
+    label: Rayleigh 1916: 657.5 between walls that slip
+    setting: {_SETTING}
+    {each(_BOUNDS)}
+    """)(partial(_onset, SLIP))
+CASES(f"""heat-onset-no-slip
+    Convection between plates that hold the fluid sets in at the critical Rayleigh number.
+    label: Jeffreys 1928, Chandrasekhar 1961: 1707.762 between walls without slip
+    setting: {_SETTING}
+    {each(_BOUNDS)}
+    """)(partial(_onset, NO_SLIP))

@@ -2,9 +2,11 @@
 
 from functools import partial
 
-from tests.verification.case import Case, Outcome
+from tests.verification.case import Cases, Outcome, each
 from tests.verification.cases import sequence, stability, whole_scheme
 from tests.verification.setups import KINDS, LABELS, cube_mesh
+
+CASES = Cases()
 
 CUBE = (
     "The block of the plane's cases as a cube of 1 m, its eddy multiplied by 1 + 0.3 cos(pi z), gravity, "
@@ -44,39 +46,26 @@ def limits(kind: str) -> Outcome:
 # --- the cases --------------------------------------------------------------------------------------------
 
 
-def _cases(kind: str) -> tuple[Case, ...]:
+for kind in KINDS:
     finite = kind == "finite"
-    return (
-        Case(
-            name=f"space-stability-{kind}",
-            statement=f"In three dimensions too energy never rises in a step of {KINDS[kind]}.",
-            label="Euler-large-energy-balance-disc" if finite else "Euler-ED-basic-energy-balance-disc",
-            setting=f"{CUBE}cells of {FINE} m, three steps each of tau = 1e-3, "
-            f"{'0.01 and 0.1' if finite else '0.1 and 10'} s.",
-            bounds=stability.BOUNDS,
-            run=partial(stable, kind),
-        ),
-        Case(
-            name=f"space-estimates-{kind}",
-            statement=f"In three dimensions too the estimates of {KINDS[kind]} hold with all its terms.",
-            label="Euler-large-est, Euler-large-est+" if finite else "Euler-small-est, Euler-small-est+",
-            setting=f"{CUBE}all terms of the scheme; cells of {COARSE} and {FINE} m, four steps of "
-            f"{whole_scheme.TAU} s, epsilon = delta = 1e-2 and 1e-3.",
-            bounds=whole_scheme.bounds(kind),
-            run=partial(estimated, kind),
-        ),
-        Case(
-            name=f"space-limits-{kind}",
-            statement=f"In three dimensions too {KINDS[kind]} converges as tau, delta and epsilon -> 0 in "
-            "turn.",
-            label=f"{LABELS[kind]}, "
-            + ("ED-Euler-large-polyconvex-eta" if finite else "Euler-small-converge+"),
-            setting=f"{CUBE}all terms of the scheme; cells of {FINE} m, until {sequence.DURATION} s; 8 to 64 "
-            f"steps, then delta, then epsilon of {'1e-4 and 1e-5' if finite else '1e-2 and 1e-3'}.",
-            bounds=sequence.bounds(kind),
-            run=partial(limits, kind),
-        ),
-    )
-
-
-CASES = tuple(case for kind in KINDS for case in _cases(kind))
+    CASES(f"""space-stability-{kind}
+        In three dimensions too energy never rises in a step of {KINDS[kind]}.
+        label: {stability.BALANCES[kind]}
+        setting: {CUBE}cells of {FINE} m, three steps each of tau = 1e-3,
+          {"0.01 and 0.1" if finite else "0.1 and 10"} s.
+        {stability.BOUNDS}
+        """)(partial(stable, kind))
+    CASES(f"""space-estimates-{kind}
+        In three dimensions too the estimates of {KINDS[kind]} hold with all its terms.
+        label: {"Euler-large-est, Euler-large-est+" if finite else "Euler-small-est, Euler-small-est+"}
+        setting: {CUBE}all terms of the scheme; cells of {COARSE} and {FINE} m, four steps of
+          {whole_scheme.TAU} s, epsilon = delta = 1e-2 and 1e-3.
+        {each(whole_scheme.bounds(kind))}
+        """)(partial(estimated, kind))
+    CASES(f"""space-limits-{kind}
+        In three dimensions too {KINDS[kind]} converges as tau, delta and epsilon -> 0 in turn.
+        label: {LABELS[kind]}, {"ED-Euler-large-polyconvex-eta" if finite else "Euler-small-converge+"}
+        setting: {CUBE}all terms of the scheme; cells of {FINE} m, until {sequence.DURATION} s; 8 to 64 steps,
+          then delta, then epsilon of {"1e-4 and 1e-5" if finite else "1e-2 and 1e-3"}.
+        {each(sequence.bounds(kind))}
+        """)(partial(limits, kind))

@@ -7,8 +7,10 @@ from ngsolve import CF, cos, pi, sin, x
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.setups import CLOSURE, KINDS, SETTING, block, closure, square_mesh, stokes
+from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.setups import KINDS, SETTING, block, closure, square_mesh, stokes
+
+CASES = Cases()
 
 REGULARISATIONS = {
     "none": None,
@@ -38,13 +40,13 @@ def mass(kind: str) -> Outcome:
             runs.append(run)
             rows.append([name, tau, float(drift.max()), closure(run)])
             curves.append(Curve(f"{name}, tau = {tau:g} s", range(7), drift))
-    return Outcome(
-        values={
+    return measured(
+        {
             "largest relative drift of the mass": max(float(row[2]) for row in rows),
             "largest |closure|": closure(*runs),
         },
-        tables=[Table("mass", ["regularisation", "tau, s", "largest drift", "closure"], rows)],
-        plots=[Plot("|mass drift| after each step", "step", "relative", curves, log="y")],
+        Table("mass", "regularisation | tau, s | largest drift | closure", rows),
+        Plot("|mass drift| after each step", "step", "relative", curves, log="y"),
     )
 
 
@@ -102,8 +104,8 @@ def cut_off(kind: str) -> Outcome:
         curves.append(Curve(name, ledger.column("time"), highest))
     curves.append(Curve("rho_max + 1", [0.0, 0.3], [RHO_MAX + 1] * 2, "k--"))
     cut, without = rows[:-1], rows[-1]
-    return Outcome(
-        values={
+    return measured(
+        {
             "largest rho": max(float(row[5]) for row in cut),
             "smallest rho": min(float(row[4]) for row in cut),
             "share of the volume where the cut-off acts": min(float(row[6]) for row in cut),
@@ -111,22 +113,14 @@ def cut_off(kind: str) -> Outcome:
             "largest rho without the cut-off": float(without[5]),
             "largest |closure|": closure(*runs),
         },
-        tables=[
-            Table(
-                f"range of the density; rho_max = {RHO_MAX:g}, cut-off from 1 to 0 over rho_max to "
-                f"rho_max + 1",
-                [
-                    *("run", "delta", "h, m", "tau, s", "min rho", "max rho"),
-                    *("volume cut", "cells limited", "closure", "end"),
-                ],
-                rows,
-            )
-        ],
-        plots=[Plot("Largest density", "t, s", "kg/m3", curves)],
-        remarks=[
-            "The flux between cells is monotone in the densities of both sides, so that nothing flows into "
-            "a full cell; with m = 1 the limiter keeps the bound at points. The delta-term is not needed."
-        ],
+        Table(
+            f"range of the density; rho_max = {RHO_MAX:g}, cut-off from 1 to 0 over rho_max to rho_max + 1",
+            "run | delta | h, m | tau, s | min rho | max rho | volume cut | cells limited | closure | end",
+            rows,
+        ),
+        Plot("Largest density", "t, s", "kg/m3", curves),
+        "The flux between cells is monotone in the densities of both sides, so that nothing flows into "
+        "a full cell; with m = 1 the limiter keeps the bound at points. The delta-term is not needed.",
     )
 
 
@@ -158,63 +152,47 @@ def positivity(kind: str) -> Outcome:
     if kind == "finite":
         values["smallest J"] = min(J for _, J in lows)
         values["fall of min J from the coarser to the finest mesh"] = lows[-2][1] - lows[-1][1]
-    return Outcome(
-        values=values,
-        tables=[Table("extrema", ["h, m", "tau, s", "min rho", "min J", "max rho"], rows)],
-        plots=[Plot("Smallest density and Jacobian", "t, s", "", curves)],
+    return measured(
+        values,
+        Table("extrema", "h, m | tau, s | min rho | min J | max rho", rows),
+        Plot("Smallest density and Jacobian", "t, s", "", curves),
     )
 
 
-def _cases(kind: str) -> tuple[Case, ...]:
+for kind in KINDS:
     finite = kind == "finite"
-    kept = Case(
-        name=f"mass-{kind}",
-        statement=f"In {KINDS[kind]} mass is conserved to rounding, with each of the scheme's "
-        "regularisations.",
-        label="Euler-small-est-1+",
-        setting=f"{SETTING}, creep, gravity 2 m/s2, hyperviscosity; cells of 0.5 m, 6 steps of 0.02 and "
-        f"0.5 s.",
-        bounds=(Bound("largest relative drift of the mass", "<=", 1e-12, "rounding"), CLOSURE),
-        run=partial(mass, kind),
-        reduced=not finite,
-    )
-    cut = Case(
-        name=f"cut-off-{kind}",
-        statement=f"With the cut-off 0 < rho <= rho_max + 1 in {KINDS[kind]}, with any delta and without, "
-        "for m = 0 and m = 1, in a problem whose density would otherwise pass it.",
-        label="cut-off, Euler-small-est3+++" if not finite else "cut-off, Euler-large-est",
-        setting="A soft tube of 1 m x 0.125 m (K_e = 1 Pa, G_e = 0.5 Pa, K_v = G_v = 0.1 Pa s), density 1, "
-        f"v = 3 sin(2 pi x) m/s, until 0.3 s; rho_max = {RHO_MAX:g}; delta = 0, 1e-4 and 1e-3 (r = 4), "
-        "h = 1/8 and 1/16 m, tau = 0.01 to 0.1 s.",
-        bounds=(
-            Bound("largest rho", "<=", RHO_MAX + 1, "the paper's bound"),
-            Bound("smallest rho", ">=", 1e-3, "positive, with distance"),
-            Bound(
-                "share of the volume where the cut-off acts", ">=", 0.05, "the case is built so that it must"
-            ),
-            Bound("runs that ended early", "<=", 0, "no step is refused"),
-            Bound("largest rho without the cut-off", ">=", RHO_MAX + 1, "the case is built so that it must"),
-            CLOSURE,
-        ),
-        run=partial(cut_off, kind),
-    )
-    low = [Bound("smallest rho", ">=", 0.3, "an extension by a factor of two at most")]
-    low.append(Bound("fall of min rho from the coarser to the finest mesh", "<=", 0.05, "no trend to 0"))
-    if finite:
-        low.append(Bound("smallest J", ">=", 0.3, "as for the density"))
-        low.append(Bound("fall of min J from the coarser to the finest mesh", "<=", 0.05, "no trend to 0"))
-    positive = Case(
-        name=f"positivity-{kind}",
-        statement=f"In {KINDS[kind]} min rho{' and min J stay' if finite else ' stays'} away from 0 as "
-        f"h and tau are refined.",
-        label="basic-est-of-v, cont-eq-inverse" if not finite else "1/J-continuity-eq, J-min",
-        setting="A block of 1 m x 1 m with slip, density 1 kg/m3, compressed in its middle and extended at "
-        f"its sides by v = 2 sin(2 pi x) m/s at first; {SETTING.split('; ', 1)[1]}; hyperviscosity "
-        "mu = 1e-4, p = 4; h = 0.5 to 0.125 m with tau = 0.04 h, until 0.2 s.",
-        bounds=(*low, CLOSURE),
-        run=partial(positivity, kind),
-    )
-    return kept, cut, positive
-
-
-CASES = tuple(case for kind in KINDS for case in _cases(kind))
+    CASES(f"""mass-{kind}{" (reduced)" * (not finite)}
+        In {KINDS[kind]} mass is conserved to rounding, with each of the scheme's regularisations.
+        label: Euler-small-est-1+
+        setting: {SETTING}, creep, gravity 2 m/s2, hyperviscosity; cells of 0.5 m, 6 steps of 0.02 and 0.5 s.
+        - largest relative drift of the mass <= 1e-12: rounding
+        - closure
+        """)(partial(mass, kind))
+    CASES(f"""cut-off-{kind}
+        With the cut-off 0 < rho <= rho_max + 1 in {KINDS[kind]}, with any delta and without, for m = 0 and m
+          = 1, in a problem whose density would otherwise pass it.
+        label: {"cut-off, Euler-small-est3+++" if not finite else "cut-off, Euler-large-est"}
+        setting: A soft tube of 1 m x 0.125 m (K_e = 1 Pa, G_e = 0.5 Pa, K_v = G_v = 0.1 Pa s), density 1, v =
+          3 sin(2 pi x) m/s, until 0.3 s; rho_max = {RHO_MAX:g}; delta = 0, 1e-4 and 1e-3 (r = 4), h = 1/8 and
+          1/16 m, tau = 0.01 to 0.1 s.
+        - largest rho <= {RHO_MAX + 1}: the paper's bound
+        - smallest rho >= 1e-3: positive, with distance
+        - share of the volume where the cut-off acts >= 0.05: the case is built so that it must
+        - runs that ended early <= 0: no step is refused
+        - largest rho without the cut-off >= {RHO_MAX + 1}: the case is built so that it must
+        - closure
+        """)(partial(cut_off, kind))
+    of_J = """- smallest J >= 0.3: as for the density
+        - fall of min J from the coarser to the finest mesh <= 0.05: no trend to 0"""
+    CASES(f"""positivity-{kind}
+        In {KINDS[kind]} min rho{" and min J stay" if finite else " stays"} away from 0 as h and tau are
+          refined.
+        label: {"basic-est-of-v, cont-eq-inverse" if not finite else "1/J-continuity-eq, J-min"}
+        setting: A block of 1 m x 1 m with slip, density 1 kg/m3, compressed in its middle and extended at its
+          sides by v = 2 sin(2 pi x) m/s at first; {SETTING.split("; ", 1)[1]}; hyperviscosity mu = 1e-4, p =
+          4; h = 0.5 to 0.125 m with tau = 0.04 h, until 0.2 s.
+        - smallest rho >= 0.3: an extension by a factor of two at most
+        - fall of min rho from the coarser to the finest mesh <= 0.05: no trend to 0
+        {of_J if finite else ""}
+        - closure
+        """)(partial(positivity, kind))

@@ -13,11 +13,10 @@ import ngvisco as nv
 from ngvisco.physics.tensors import IDENTITY, square
 from ngvisco.physics.variables import SmallStrain
 from ngvisco.run.closure import ClosureWarning
-from tests.verification.case import Bound, Case, Outcome
+from tests.verification.case import Cases, Outcome, measured
 from tests.verification.functionals import DeltaTerms
 from tests.verification.rates import RateTable
 from tests.verification.setups import (
-    CLOSURE,
     KINDS,
     LABELS,
     SETTING,
@@ -31,6 +30,8 @@ from tests.verification.setups import (
     stokes,
 )
 
+CASES = Cases()
+
 DURATION = 0.16
 DISTANCE = "distance in L2"
 YOSIDA_SIZES = (1e-2, 1e-3, 1e-4, 1e-5)
@@ -39,14 +40,16 @@ YOSIDA_SIZES = (1e-2, 1e-3, 1e-4, 1e-5)
 def in_tau(kind: str) -> Outcome:
     """Runs with tau, tau/2, ... against the next finer one, and what they dissipate numerically."""
     table, losses, runs = _halved(lambda tau: block(kind, tau, creep=2.0, gravity=1.0), (8, 16, 32, 64, 128))
-    return Outcome(
-        values={
+    return measured(
+        {
             **{f"last rate of {name}": table.last(name) for name in table.errors},
             "last rate of the numerical dissipation": losses.last("inertial_and_bregman"),
             "largest |closure|": closure(*runs),
         },
-        tables=[table.table("tau, s"), losses.table("tau, s")],
-        plots=[table.plot("tau, s", DISTANCE, 1.0), losses.plot("tau, s", "share of the energy", 1.0)],
+        table.table("tau, s"),
+        losses.table("tau, s"),
+        table.plot("tau, s", DISTANCE, 1.0),
+        losses.plot("tau, s", "share of the energy", 1.0),
     )
 
 
@@ -101,25 +104,6 @@ def smeared(tau: float, fades: bool = False) -> nv.Simulation:
     )
 
 
-def in_tau_of_bodies() -> Outcome:
-    """Runs of ``smeared`` with tau, tau/2, ..., and the same of its control."""
-    counts = (16, 32, 64, 128, 256)
-    table, losses, runs = _halved(smeared, counts, 2 * DURATION)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ClosureWarning)
-        control, _, _ = _halved(partial(smeared, fades=True), counts, 2 * DURATION)
-    return Outcome(
-        values={
-            **{f"last rate of {name}": table.last(name) for name in table.errors},
-            "last rate of z, control": control.last("z"),
-            "largest |closure|": closure(*runs),
-        },
-        tables=[table.table("tau, s"), losses.table("tau, s"), control.table("tau, s")],
-        plots=[table.plot("tau, s", DISTANCE, 1.0)],
-        remarks=["The bounds were written after trials with 8 to 128 steps."],
-    )
-
-
 def in_yosida(kind: str, of: nv.Material) -> Outcome:
     """Runs with the Yosida approximations of a material, of decreasing size, against its own."""
     dt, mesh, name = DURATION / 8, square_mesh(0.35), "epsilon, 1/Pa"
@@ -131,13 +115,13 @@ def in_yosida(kind: str, of: nv.Material) -> Outcome:
         run.run(DURATION)
         runs.append(run)
         table.add(size, **separation(run, without))
-    return Outcome(
-        values={
+    return measured(
+        {
             **{f"last rate of {field}": table.last(field) for field in table.errors},
             "largest |closure|": closure(*runs),
         },
-        tables=[table.table(name)],
-        plots=[table.plot(name, DISTANCE, 1.0)],
+        table.table(name),
+        table.plot(name, DISTANCE, 1.0),
     )
 
 
@@ -169,16 +153,17 @@ def in_delta_terms(kind: str) -> Outcome:
             force += TAU * terms.compensating_force() ** 4
         table.add(delta, rho=math.sqrt(squares[0]), z=math.sqrt(squares[1]), force=force**0.25)
         norms.add(delta, rho=steepest[0], z=steepest[1])
-    return Outcome(
-        values={
+    return measured(
+        {
             "least rate of div(delta|∇rho|^{r-2}∇rho)": min(table.rates("rho")),
             "least rate of delta Laplace z": min(table.rates("z")),
             "least rate of delta|∇rho|^{r-2}(∇v)∇rho": min(table.rates("force")),
             **{f"growth of ∇{name} over two decades": g[-1] / g[-3] for name, g in norms.errors.items()},
         },
-        tables=[table.table("delta"), norms.table("delta")],
-        plots=[table.plot("delta", "norm", 0.5, "z")],
-        remarks=["On one mesh the norms end up proportional to delta, which is better than the bound."],
+        table.table("delta"),
+        norms.table("delta"),
+        table.plot("delta", "norm", 0.5, "z"),
+        "On one mesh the norms end up proportional to delta, which is better than the bound.",
     )
 
 
@@ -188,99 +173,85 @@ QUARTIC = nv.CustomMaterial(
 """5 |E|^2 + 50 |E|^4 Pa: at |E| = 0.3, which the swirl reaches, both are of one size."""
 
 
-def _rates(limit: float, reason: str, momentum: str = "") -> tuple[Bound, ...]:
-    """``momentum`` is the label of the momentum equation, if a case is its own."""
-    reasons = {"v": f"{reason}; {momentum}" if momentum else reason, "rho": reason, "z": reason}
-    return tuple(Bound(f"last rate of {name}", ">=", limit, why) for name, why in reasons.items())
+DELTA_LABELS = {
+    "linearised": "Euler-small-est-rho-E-",
+    "finite": "Euler-large-est++, Euler-large-est++F, Euler-large-est++J",
+}
 
-
-def _cases(kind: str) -> tuple[Case, ...]:
+for kind in KINDS:
+    finite = kind == "finite"
     setting = f"{SETTING}, creep with G_m = 2 Pa s, gravity 1 m/s2, until {DURATION} s"
-    tau = Case(
-        name=f"limit-tau-{kind}",
-        statement=f"As tau -> 0 {KINDS[kind]} converges at first order, and the energy inequality becomes an "
-        "equality: what the scheme dissipates numerically vanishes like tau.",
-        label=f"{LABELS[kind]}, "
-        + (
-            "Euler-small-energy-balance-stress"
-            if kind == "linearised"
-            else "Euler-large-energy-balance-stress"
-        ),
-        setting=f"{setting}; cells of 0.5 m; 8 to 128 steps, each run compared with the one of half the "
-        f"step.",
-        bounds=(
-            *_rates(
-                0.85,
-                "implicit Euler is of first order",
-                "" if kind == "linearised" else "ED-Euler-large1-polyconvex",
-            ),
-            Bound("last rate of the numerical dissipation", ">=", 0.9, "order tau"),
-            CLOSURE,
-        ),
-        run=partial(in_tau, kind),
-        reduced=kind == "linearised",
-    )
-    yosida = Case(
-        name=f"limit-yosida-{kind}",
-        statement=f"As epsilon -> 0 the solutions of {KINDS[kind]} with the Yosida approximation of the "
-        f"stored "
-        "energy go to those with the energy itself.",
-        label="varphi-regularized, ED-Euler-large-polyconvex-eps"
-        if kind == "finite"
-        else "varphi-regularized",
-        setting=f"{setting}; cells of 0.35 m, 8 steps; epsilon from 1e-2 to 1e-5 1/Pa.",
-        bounds=(*_rates(0.9, "the approximation is of first order in epsilon"), CLOSURE),
-        run=partial(in_yosida, kind, material(kind)),
-    )
-    delta_terms = Case(
-        name=f"delta-terms-{kind}",
-        statement=f"In {KINDS[kind]} the delta-terms vanish in L2(I x Omega) like sqrt(delta) or faster, "
-        "and the compensating force like delta; gradients stay bounded.",
-        label="Euler-small-est-rho-E, Euler-small-est-rho-E-"
-        if kind == "linearised"
-        else "Euler-small-est-rho-E, Euler-large-est++, Euler-large-est++F, Euler-large-est++J",
-        setting=f"{SETTING}, creep with G_m = 2 Pa s, hyperviscosity mu = 1e-4, p = 4, all regularising "
-        f"terms (r = 4); cells of 0.5 m, {STEPS} steps of {TAU} s; delta from 1e-2 to 1e-5.",
-        bounds=(
-            Bound("least rate of div(delta|∇rho|^{r-2}∇rho)", ">=", 0.5, "the paper's sqrt(delta)"),
-            Bound("least rate of delta Laplace z", ">=", 0.5, "the paper's sqrt(delta)"),
-            Bound("least rate of delta|∇rho|^{r-2}(∇v)∇rho", ">=", 0.9, "the paper's delta"),
-            *(
-                Bound(f"growth of ∇{name} over two decades", "<=", 1.05, f"{label}: bounded")
-                for name, label in (("rho", "Euler-small-est-rho"), ("z", "Euler-small-est-E"))
-            ),
-        ),
-        run=partial(in_delta_terms, kind),
-    )
-    return tau, yosida, delta_terms
+    CASES(f"""limit-tau-{kind}{" (reduced)" * (not finite)}
+        As tau -> 0 {KINDS[kind]} converges at first order, and the energy inequality becomes an equality:
+          what the scheme dissipates numerically vanishes like tau.
+        label: {LABELS[kind]}, Euler-{"large" if finite else "small"}-energy-balance-stress
+        setting: {setting}; cells of 0.5 m; 8 to 128 steps, each run compared with the one of half the step.
+        - last rate of v >= 0.85: implicit Euler is of first order{"; ED-Euler-large1-polyconvex" * finite}
+        - last rate of [rho; z] >= 0.85: implicit Euler is of first order
+        - last rate of the numerical dissipation >= 0.9: order tau
+        - closure
+        """)(partial(in_tau, kind))
+    CASES(f"""limit-yosida-{kind}
+        As epsilon -> 0 the solutions of {KINDS[kind]} with the Yosida approximation of the stored energy go
+          to those with the energy itself.
+        label: varphi-regularized{", ED-Euler-large-polyconvex-eps" * finite}
+        setting: {setting}; cells of 0.35 m, 8 steps; epsilon from 1e-2 to 1e-5 1/Pa.
+        - last rate of [v; rho; z] >= 0.9: the approximation is of first order in epsilon
+        - closure
+        """)(partial(in_yosida, kind, material(kind)))
+    CASES(f"""delta-terms-{kind}
+        In {KINDS[kind]} the delta-terms vanish in L2(I x Omega) like sqrt(delta) or faster, and the
+          compensating force like delta; gradients stay bounded.
+        label: Euler-small-est-rho-E, {DELTA_LABELS[kind]}
+        setting: {SETTING}, creep with G_m = 2 Pa s, hyperviscosity mu = 1e-4, p = 4, all regularising terms
+          (r = 4); cells of 0.5 m, {STEPS} steps of {TAU} s; delta from 1e-2 to 1e-5.
+        - least rate of div(delta|∇rho|^{{r-2}}∇rho) >= 0.5: the paper's sqrt(delta)
+        - least rate of delta Laplace z >= 0.5: the paper's sqrt(delta)
+        - least rate of delta|∇rho|^{{r-2}}(∇v)∇rho >= 0.9: the paper's delta
+        - growth of ∇rho over two decades <= 1.05: Euler-small-est-rho: bounded
+        - growth of ∇z over two decades <= 1.05: Euler-small-est-E: bounded
+        """)(partial(in_delta_terms, kind))
 
 
-CASES = (
-    *(case for kind in KINDS for case in _cases(kind)),
-    Case(
-        name="limit-yosida-quartic",
-        statement="As epsilon -> 0 the solutions with the Yosida approximation of an energy that grows like "
-        "|E|^4 go to those with the energy itself.",
-        label="rem-general-phi, varphi-regularized",
-        setting=f"As limit-yosida-linearised, with the energy 5 |E|^2 + 50 |E|^4 Pa until {DURATION} s.",
-        bounds=(*_rates(0.9, "the approximation is of first order in epsilon"), CLOSURE),
-        run=partial(in_yosida, "linearised", QUARTIC),
-    ),
-    Case(
-        name="limit-tau-bodies",
-        statement="What is spread thin takes part in the flow by its fraction, not by the step: as tau -> 0 "
-        "the result converges; with a relaxation of traces in each step it does not.",
-        label="FORMULATION.md, Section 9",
-        setting="Disc of 0.2 m, G_e = 1 Pa, in a fluid that turns with 1 m/s at first, K_e = 10 Pa and 0.1 "
-        f"Pa s in both; cells of 0.25 m, backward Euler, 16 to 256 steps until {2 * DURATION} s, each run "
-        "compared with the one of half the step.  The control halves the strain of traces after each step.",
-        bounds=(
-            Bound("last rate of v", ">=", 0.7, "first order; the waves of the start need short steps"),
-            Bound("last rate of rho", ">=", 0.7, "the same"),
-            Bound("last rate of z", ">=", 0.85, "implicit Euler is of first order"),
-            Bound("last rate of z, control", "<=", 0.5, "no limit"),
-            CLOSURE,
-        ),
-        run=in_tau_of_bodies,
-    ),
-)
+CASES(f"""limit-yosida-quartic
+    As epsilon -> 0 the solutions with the Yosida approximation of an energy that grows like |E|^4 go to those
+      with the energy itself.
+    label: rem-general-phi, varphi-regularized
+    setting: As limit-yosida-linearised, with the energy 5 |E|^2 + 50 |E|^4 Pa until {DURATION} s.
+    - last rate of [v; rho; z] >= 0.9: the approximation is of first order in epsilon
+    - closure
+    """)(partial(in_yosida, "linearised", QUARTIC))
+
+
+@CASES(f"""limit-tau-bodies
+    What is spread thin takes part in the flow by its fraction, not by the step: as tau -> 0 the result
+      converges; with a relaxation of traces in each step it does not.
+    label: FORMULATION.md, Section 9
+    setting: Disc of 0.2 m, G_e = 1 Pa, in a fluid that turns with 1 m/s at first, K_e = 10 Pa and 0.1 Pa s in
+      both; cells of 0.25 m, backward Euler, 16 to 256 steps until {2 * DURATION} s, each run compared with
+      the one of half the step.  The control halves the strain of traces after each step.
+    - last rate of v >= 0.7: first order; the waves of the start need short steps
+    - last rate of rho >= 0.7: the same
+    - last rate of z >= 0.85: implicit Euler is of first order
+    - last rate of z, control <= 0.5: no limit
+    - closure
+    """)
+def in_tau_of_bodies() -> Outcome:
+    """Runs of ``smeared`` with tau, tau/2, ..., and the same of its control."""
+    counts = (16, 32, 64, 128, 256)
+    table, losses, runs = _halved(smeared, counts, 2 * DURATION)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ClosureWarning)
+        control, _, _ = _halved(partial(smeared, fades=True), counts, 2 * DURATION)
+    return measured(
+        {
+            **{f"last rate of {name}": table.last(name) for name in table.errors},
+            "last rate of z, control": control.last("z"),
+            "largest |closure|": closure(*runs),
+        },
+        table.table("tau, s"),
+        losses.table("tau, s"),
+        control.table("tau, s"),
+        table.plot("tau, s", DISTANCE, 1.0),
+        "The bounds were written after trials with 8 to 128 steps.",
+    )

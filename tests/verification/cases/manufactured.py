@@ -2,8 +2,10 @@
 
 from functools import partial
 
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot
+from tests.verification.case import Cases, Curve, Outcome, Plot, each, measured
 from tests.verification.convergence import transport_rates
+
+CASES = Cases()
 
 NAMES = {"linear": "linearised", "neo-hookean": "finite"}
 LABELS = {"linear": "Euler-small-viscoelastodyn+disc", "neo-hookean": "Euler-large-viscoelastodyn+disc"}
@@ -19,39 +21,22 @@ def _transport(kind: str, dim: int, orders: tuple[int, ...], maxh: float, levels
             values[f"rate of {name}, m = {m}"] = table.last(name)
             curves.append(Curve(f"{name}, m = {m}", table.sizes, table.errors[name]))
     plot = Plot(f"Transport alone, {kind}, {dim}D", "h, m", "L2 error", curves, log="xy")
-    return Outcome(values=values, tables=tables, plots=[plot])
+    return measured(values, *tables, plot)
 
 
-def _cases(kind: str) -> tuple[Case, ...]:
-    name = NAMES[kind]
-    carried = Case(
-        name=f"manufactured-transport-{name}",
-        statement="Density and fields alone, with the exact velocity, converge with order m + 1 in 2D.",
-        label="Euler-small-viscoelastodyn+0disc, Euler-small-viscoelastodyn+2disc"
-        if kind == "linear"
-        else "DT-det-extended, ED-Euler-large2",
-        setting="Unit square, 0.4 m refined twice, two steps of 0.25 s (CFL up to 3), m = 0, 1, 2.",
-        bounds=tuple(
-            Bound(f"rate of {what}, m = {m}", ">=", m + 0.85, "order m + 1")
-            for m in (0, 1, 2)
-            for what in ("rho", "z")
-        ),
-        run=partial(_transport, kind, 2, (0, 1, 2), 0.4, 3),
-        reduced=kind == "linear",
-    )
-    carried_3d = Case(
-        name=f"manufactured-transport-3d-{name}",
-        statement="Density and fields alone converge with at least order m + 1/2 in 3D.",
-        label=carried.label,
-        setting="Unit cube, 12 tetrahedra refined twice (m = 0, 1) to 768, two steps of 0.25 s.",
-        bounds=tuple(
-            Bound(f"rate of {what}, m = {m}", ">=", m + 0.5, "the theory of upwind transport")
-            for m in (0, 1)
-            for what in ("rho", "z")
-        ),
-        run=partial(_transport, kind, 3, (0, 1), 1.0, 3),
-    )
-    return carried, carried_3d
-
-
-CASES = tuple(case for kind in NAMES for case in _cases(kind))
+for kind, name, label in (
+    ("linear", "linearised", "Euler-small-viscoelastodyn+0disc, Euler-small-viscoelastodyn+2disc"),
+    ("neo-hookean", "finite", "DT-det-extended, ED-Euler-large2"),
+):
+    CASES(f"""manufactured-transport-{name}{" (reduced)" * (kind == "linear")}
+        Density and fields alone, with the exact velocity, converge with order m + 1 in 2D.
+        label: {label}
+        setting: Unit square, 0.4 m refined twice, two steps of 0.25 s (CFL up to 3), m = 0, 1, 2.
+        {each(f"- rate of [rho; z], m = {m} >= {m + 0.85}: order m + 1" for m in (0, 1, 2))}
+        """)(partial(_transport, kind, 2, (0, 1, 2), 0.4, 3))
+    CASES(f"""manufactured-transport-3d-{name}
+        Density and fields alone converge with at least order m + 1/2 in 3D.
+        label: {label}
+        setting: Unit cube, 12 tetrahedra refined twice (m = 0, 1) to 768, two steps of 0.25 s.
+        {each(f"- rate of [rho; z], m = {m} >= {m + 0.5}: the theory of upwind transport" for m in (0, 1))}
+        """)(partial(_transport, kind, 3, (0, 1), 1.0, 3))

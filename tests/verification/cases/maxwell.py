@@ -9,10 +9,12 @@ from ngsolve import pi as PI
 import ngvisco as nv
 from ngvisco.forms.context import time
 from ngvisco.geometries import box, channel
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot
+from tests.verification.case import Cases, Curve, Outcome, Plot, measured
 from tests.verification.cases.shear import stresses
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, closure
+from tests.verification.setups import closure
+
+CASES = Cases()
 
 MYR = 1e6 * 365.25 * 24 * 3600
 ROCK = {"G": 1e10, "eta": 1e22, "tau_0": 20e6, "duration": 0.25 * MYR, "size": 100e3, "rho": 3300.0}
@@ -37,6 +39,15 @@ def relaxed_stress(
     return stresses, run
 
 
+@CASES("""maxwell-relaxation (reduced)
+    A Maxwell body's uniform stress relaxes as tau_0 exp(−G t/eta): 20 MPa fall to 7.49 kPa in 250 kyr.
+    label: Euler-small-viscoelastodyn+2; ASPECT viscoelastic_relaxation
+    setting: Box of 100 km with slip, v = 0, G = 1e10 Pa, eta = 1e22 Pa s (R = 1/(2 eta)); 64, 128, 256 steps.
+    - exact stress at 250 kyr, Pa <= 7.5e3: the reference's 7.49 kPa
+    - deviation from the implicit Euler formula <= 1e-9: solver tolerance
+    - rate in tau >= 0.9: implicit Euler
+    - relative error at 250 kyr, extrapolated <= 0.01: two extrapolations
+    """)
 def _relaxation() -> Outcome:
     exact = ROCK["tau_0"] * math.exp(-ROCK["G"] * ROCK["duration"] / ROCK["eta"])
     errors, curves, formula = [], [], 0.0
@@ -52,15 +63,15 @@ def _relaxation() -> Outcome:
     table = RateTable("relative error of the stress at 250 kyr", [1 / n for n in counts], {"stress": errors})
     curves.append(Curve("exact", [0.0, 250e3], [ROCK["tau_0"], exact], "k--"))
     extrapolated = abs((4 * 2 * errors[2] - 6 * errors[1] + errors[0]) / 3)
-    return Outcome(
-        values={
+    return measured(
+        {
             "exact stress at 250 kyr, Pa": exact,
             "deviation from the implicit Euler formula": formula,
             "rate in tau": table.last("stress"),
             "relative error at 250 kyr, extrapolated": extrapolated,
         },
-        tables=[table.table("tau / 250 kyr")],
-        plots=[Plot("Stress relaxation of a Maxwell body", "years", "Pa", curves, log="y")],
+        table.table("tau / 250 kyr"),
+        Plot("Stress relaxation of a Maxwell body", "years", "Pa", curves, log="y"),
     )
 
 
@@ -88,6 +99,15 @@ def oscillating(steps: int) -> tuple[nv.Simulation, np.ndarray, np.ndarray, np.n
     return run, t, found, exact
 
 
+@CASES("""oscillatory-shear
+    Oscillatory shear of a Maxwell material at De = pi/2 follows the closed form.
+    label: Euler-small-viscoelastodyn+2; Underworld3
+    setting: eta = mu = 1, omega = pi/2, shear rate 1e-3 sin(omega t) (small, so that the spin has no part),
+      with a body force that takes inertia away; two periods; 40, 80, 160 steps.
+    - rate in tau >= 0.9: implicit Euler
+    - error, extrapolated <= 2e-3: two extrapolations
+    - closure
+    """)
 def _oscillation() -> Outcome:
     table, curves, closures = RateTable("largest error, relative to eta gamma_0"), [], []
     for steps in (40, 80, 160):
@@ -97,46 +117,12 @@ def _oscillation() -> Outcome:
         curves.append(Curve(f"{steps} steps", t, found, "."))
     curves.append(Curve("exact", t, exact, "k-"))
     a, b, c = table.errors["tau_12"]
-    return Outcome(
-        values={
+    return measured(
+        {
             "rate in tau": table.last("tau_12"),
             "error, extrapolated": abs(8 * c - 6 * b + a) / 3,
             "largest |closure|": max(closures),
         },
-        tables=[table.table("tau, s")],
-        plots=[Plot("Oscillatory shear of a Maxwell material", "t, s", "stress / (eta gamma_0)", curves)],
+        table.table("tau, s"),
+        Plot("Oscillatory shear of a Maxwell material", "t, s", "stress / (eta gamma_0)", curves),
     )
-
-
-CASES = (
-    Case(
-        name="maxwell-relaxation",
-        statement="A Maxwell body's uniform stress relaxes as tau_0 exp(−G t/eta): 20 MPa fall to 7.49 "
-        "kPa in 250 kyr.",
-        label="Euler-small-viscoelastodyn+2; ASPECT viscoelastic_relaxation",
-        setting="Box of 100 km with slip, v = 0, G = 1e10 Pa, eta = 1e22 Pa s (R = 1/(2 eta)); 64, 128, "
-        "256 steps.",
-        bounds=(
-            Bound("exact stress at 250 kyr, Pa", "<=", 7.5e3, "the reference's 7.49 kPa"),
-            Bound("deviation from the implicit Euler formula", "<=", 1e-9, "solver tolerance"),
-            Bound("rate in tau", ">=", 0.9, "implicit Euler"),
-            Bound("relative error at 250 kyr, extrapolated", "<=", 0.01, "two extrapolations"),
-        ),
-        run=_relaxation,
-        reduced=True,
-    ),
-    Case(
-        name="oscillatory-shear",
-        statement="Oscillatory shear of a Maxwell material at De = pi/2 follows the closed form.",
-        label="Euler-small-viscoelastodyn+2; Underworld3",
-        setting="eta = mu = 1, omega = pi/2, shear rate 1e-3 sin(omega t) (small, so that the spin has "
-        "no part), "
-        "with a body force that takes inertia away; two periods; 40, 80, 160 steps.",
-        bounds=(
-            Bound("rate in tau", ">=", 0.9, "implicit Euler"),
-            Bound("error, extrapolated", "<=", 2e-3, "two extrapolations"),
-            CLOSURE,
-        ),
-        run=_oscillation,
-    ),
-)

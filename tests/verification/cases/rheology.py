@@ -13,10 +13,12 @@ from scipy.integrate import solve_ivp
 import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.geometries import channel
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot
+from tests.verification.case import Cases, Curve, Outcome, Plot, measured
 from tests.verification.cases.shear import sheared, stresses
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, KINDS, closure, elastic, stokes
+from tests.verification.setups import KINDS, closure, elastic, stokes
+
+CASES = Cases()
 
 BY_B = "finite-b"
 """The finite-strain model with the material by B = F F^T instead of F: the same differential equation."""
@@ -103,15 +105,15 @@ def startup(kind: str, scheme: str = "backward-euler") -> Outcome:
         closures.append(closure(run))
         curves.append(Curve(f"{steps} steps", rows[:, 0], rows[:, 1] + G_V * rate, "."))
     curves.append(Curve("ODE", rows[:, 0], exact[:, 0] + G_V * rate, "k-"))
-    return Outcome(
-        values={
+    return measured(
+        {
             "rate of T_12": table.last("T_12"),
             "rate of T_11 − T_22": table.last("N_1"),
             "error at the finest step": max(table.errors["T_12"][-1], table.errors["N_1"][-1]),
             "largest |closure|": max(closures),
         },
-        tables=[table.table("tau, s")],
-        plots=[Plot("Start-up of shear of a Jeffreys material", "t, s", "shear stress, Pa", curves)],
+        table.table("tau, s"),
+        Plot("Start-up of shear of a Jeffreys material", "t, s", "shear stress, Pa", curves),
     )
 
 
@@ -138,15 +140,15 @@ def _creep(kind: str) -> Outcome:
         closures.append(closure(run))
         curves.append(Curve(f"{steps} steps", found[:, 0], found[:, 1], "."))
     curves.append(Curve("ODE", found[:, 0], exact[:, 0], "k-"))
-    return Outcome(
-        values={
+    return measured(
+        {
             "rate of the shear": table.last("shear"),
             "rate of T_12": table.last("T_12"),
             "error of the shear at the finest step": table.errors["shear"][-1],
             "largest |closure|": max(closures),
         },
-        tables=[table.table("tau, s")],
-        plots=[Plot("Creep of a Jeffreys material under constant shear stress", "t, s", "shear", curves)],
+        table.table("tau, s"),
+        Plot("Creep of a Jeffreys material under constant shear stress", "t, s", "shear", curves),
     )
 
 
@@ -170,80 +172,53 @@ def _upper_convected(kind: str) -> Outcome:
         table.add(wi, T_12=deviation[0], N_1=deviation[1])
         curves.append(Curve(f"Wi = {wi:g}", t, rows[:, 1] / (eta * rate), "."))
     curves.append(Curve("upper-convected", t, 1 - decay, "k-"))
-    return Outcome(
-        values={
+    return measured(
+        {
             "rate of the deviation of T_12 in Wi": table.last("T_12"),
             "rate of the deviation of T_11 − T_22 in Wi": table.last("N_1"),
             "deviation of T_12 at Wi = 0.05": table.errors["T_12"][-1],
             "relative error against the ODE, extrapolated": against_ode,
         },
-        tables=[table.table("Wi")],
-        plots=[Plot("Start-up of shear, finite-strain Maxwell", "t, s", "T_12 / (eta rate)", curves)],
-        remarks=[
-            "F Pi F^T = (F dev(F^T F) F^T) G/G_m is (b² − tr b/3 b) G/G_m, which is the upper-convected "
-            "(b − I)/(2 lambda) only to first order in b − I: the two fluids agree as Wi = lambda rate -> 0."
-        ],
+        table.table("Wi"),
+        Plot("Start-up of shear, finite-strain Maxwell", "t, s", "T_12 / (eta rate)", curves),
+        "F Pi F^T = (F dev(F^T F) F^T) G/G_m is (b² − tr b/3 b) G/G_m, which is the upper-convected "
+        "(b − I)/(2 lambda) only to first order in b − I: the two fluids agree as Wi = lambda rate -> 0.",
     )
 
 
-def _cases(kind: str) -> tuple[Case, Case]:
+for kind in NAMES:
     name = NAMES[kind]
     setting = (
         f"G = {G:g} Pa, G_m = {G_M:g} Pa s, G_v = {G_V:g} Pa s, channel of 1 m x 1 m (cells of 0.5 m); 20, "
         "40, 80 steps"
     )
     label = "Euler-small-flow-rule" if kind == "linearised" else "ED-Euler-large2, ED-Euler-large3"
-    up = Case(
-        name=f"jeffreys-startup-{kind}",
-        statement=f"Start-up of shear of a Jeffreys material in {name} follows its ODE.",
-        label=label,
-        setting=f"{setting}; shear rate 1/s until 4 s (shear 4).",
-        bounds=(
-            Bound("rate of T_12", ">=", 0.85, "implicit Euler"),
-            Bound("rate of T_11 − T_22", ">=", 0.85, "implicit Euler"),
-            Bound("error at the finest step", "<=", 0.05, "first order, tau = 0.05 s"),
-            CLOSURE,
-        ),
-        run=partial(startup, kind),
-        reduced=kind == "finite",
-    )
-    creep = Case(
-        name=f"jeffreys-creep-{kind}",
-        statement=f"Creep of a Jeffreys material under a constant shear stress in {name} follows its ODE.",
-        label=f"{label}, rem-f-ne-0",
-        setting=f"{setting}; traction 0.5 Pa on the upper wall until 4 s, density 1e-4 (no inertia in "
-        f"the ODE).",
-        bounds=(
-            Bound("rate of the shear", ">=", 0.85, "implicit Euler"),
-            Bound("rate of T_12", ">=", 0.85, "implicit Euler"),
-            Bound("error of the shear at the finest step", "<=", 0.05, "first order, tau = 0.05 s"),
-            CLOSURE,
-        ),
-        run=partial(_creep, kind),
-    )
-    return up, creep
+    CASES(f"""jeffreys-startup-{kind}{" (reduced)" * (kind == "finite")}
+        Start-up of shear of a Jeffreys material in {name} follows its ODE.
+        label: {label}
+        setting: {setting}; shear rate 1/s until 4 s (shear 4).
+        - rate of [T_12; T_11 − T_22] >= 0.85: implicit Euler
+        - error at the finest step <= 0.05: first order, tau = 0.05 s
+        - closure
+        """)(partial(startup, kind))
+    CASES(f"""jeffreys-creep-{kind}
+        Creep of a Jeffreys material under a constant shear stress in {name} follows its ODE.
+        label: {label}, rem-f-ne-0
+        setting: {setting}; traction 0.5 Pa on the upper wall until 4 s, density 1e-4 (no inertia in the ODE).
+        - rate of [the shear; T_12] >= 0.85: implicit Euler
+        - error of the shear at the finest step <= 0.05: first order, tau = 0.05 s
+        - closure
+        """)(partial(_creep, kind))
 
 
-def _upper_convected_case(kind: str) -> Case:
-    return Case(
-        name="upper-convected" if kind == "finite" else "upper-convected-b",
-        statement=f"A Maxwell fluid of {NAMES[kind]} in shear is the upper-convected Maxwell fluid in the "
-        "limit of small Weissenberg numbers, with a deviation of second order.",
-        label="ED-Euler-large2, ED-Euler-large3",
-        setting=f"The same channel without G_v; lambda = {LAMBDA:g} s, Wi = 0.4 to 0.05, until 4 s, "
-        "extrapolated twice from tau = 0.1 s.",
-        bounds=(
-            Bound("rate of the deviation of T_12 in Wi", ">=", 1.8, "quadratic in the elastic strain"),
-            Bound("rate of the deviation of T_11 − T_22 in Wi", ">=", 1.8, "quadratic in the elastic strain"),
-            Bound("deviation of T_12 at Wi = 0.05", "<=", 0.01, "of the order of Wi²"),
-            Bound("relative error against the ODE, extrapolated", "<=", 2e-3, "two extrapolations"),
-        ),
-        run=partial(_upper_convected, kind),
-    )
-
-
-CASES = (
-    *(case for kind in NAMES for case in _cases(kind)),
-    _upper_convected_case("finite"),
-    _upper_convected_case(BY_B),
-)
+for kind in ("finite", BY_B):
+    CASES(f"""{"upper-convected" if kind == "finite" else "upper-convected-b"}
+        A Maxwell fluid of {NAMES[kind]} in shear is the upper-convected Maxwell fluid in the limit of small
+          Weissenberg numbers, with a deviation of second order.
+        label: ED-Euler-large2, ED-Euler-large3
+        setting: The same channel without G_v; lambda = {LAMBDA:g} s, Wi = 0.4 to 0.05, until 4 s,
+          extrapolated twice from tau = 0.1 s.
+        - rate of the deviation of [T_12; T_11 − T_22] in Wi >= 1.8: quadratic in the elastic strain
+        - deviation of T_12 at Wi = 0.05 <= 0.01: of the order of Wi²
+        - relative error against the ODE, extrapolated <= 2e-3: two extrapolations
+        """)(partial(_upper_convected, kind))

@@ -12,8 +12,10 @@ from ngsolve import Mesh, cos, pi, sin, x, y
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.stepping import Accepted, FixedStepper
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
 from tests.verification.setups import KINDS, LABELS, block, elastic
+
+CASES = Cases()
 
 STIFFNESS = (1.0, 1e2, 1e4, 1e6)
 RATIOS = (2.0, 1e4)
@@ -139,38 +141,30 @@ def measure(kind: str) -> Outcome:
     tables = [Table("shares of the steps, summed over the other parameters", columns, rows)]
     if failures:
         tables.append(Table("what fails", [*AXES, "steps solved", "why"], failures))
-    return Outcome(
-        values={
+    return measured(
+        {
             "share of the steps solved at the first try": total.row[1],
             "share of the steps solved": total.row[2],
             "largest |closure|": total.closure,
             "largest CFL number": total.cfl,
         },
-        tables=tables,
-        plots=[Plot("Steps solved, over tau", "tau, s", "share", curves, log="x")],
-        remarks=[LATER] + ([ROUNDING] if kind == "finite" else []),
+        *tables,
+        Plot("Steps solved, over tau", "tau, s", "share", curves, log="x"),
+        *([LATER] + ([ROUNDING] if kind == "finite" else [])),
     )
 
 
-CASES = tuple(
-    Case(
-        name=f"robustness-{kind}",
-        statement=f"In {KINDS[kind]} steps are solved over six decades of stiffness, four of tau, "
-        f"viscosity 0 to "
-        "10 Pa s, compressible to nearly incompressible, at CFL numbers up to 20 and beyond.",
-        label=LABELS[kind],
-        setting="A periodic box of 1 m x 1 m, density 1 + 0.2 cos(2 pi x), an eddy of 0.5 m/s in a mean "
-        "flow of "
-        "(1, 0.5) m/s, cells of 0.4 m, three steps of each of "
-        f"{len(STIFFNESS) * len(RATIOS) * len(VISCOSITIES) * len(TAUS)} configurations: shear modulus 1 "
-        f"to 1e6 Pa, K_e/G_e = 2 and 1e4, viscosity 0, 0.1, 10 Pa s, tau = 1e-3 to 10 s.",
-        bounds=(
-            Bound("share of the steps solved at the first try", ">=", 0.9, "a scheme for daily use"),
-            Bound("share of the steps solved", ">=", 0.98, "a scheme for daily use"),
-            Bound("largest |closure|", "<=", 1e-10, "wherever a step is solved"),
-            Bound("largest CFL number", ">=", 20.0, "what the grid is to cover"),
-        ),
-        run=partial(measure, kind),
-    )
-    for kind in KINDS
-)
+for kind in KINDS:
+    CASES(f"""robustness-{kind}
+        In {KINDS[kind]} steps are solved over six decades of stiffness, four of tau, viscosity 0 to 10 Pa s,
+          compressible to nearly incompressible, at CFL numbers up to 20 and beyond.
+        label: {LABELS[kind]}
+        setting: A periodic box of 1 m x 1 m, density 1 + 0.2 cos(2 pi x), an eddy of 0.5 m/s in a mean flow
+          of (1, 0.5) m/s, cells of 0.4 m, three steps of each of
+          {len(STIFFNESS) * len(RATIOS) * len(VISCOSITIES) * len(TAUS)} configurations: shear modulus 1 to 1e6
+          Pa, K_e/G_e = 2 and 1e4, viscosity 0, 0.1, 10 Pa s, tau = 1e-3 to 10 s.
+        - share of the steps solved at the first try >= 0.9: a scheme for daily use
+        - share of the steps solved >= 0.98: a scheme for daily use
+        - largest |closure| <= 1e-10: wherever a step is solved
+        - largest CFL number >= 20.0: what the grid is to cover
+        """)(partial(measure, kind))

@@ -10,13 +10,15 @@ from ngsolve import sin
 import ngvisco as nv
 from ngvisco.forms.context import time
 from ngvisco.geometries import channel
-from tests.verification.case import Bound, Case, Outcome
+from tests.verification.case import Cases, Outcome, measured
 from tests.verification.cases.rheology import startup
 from tests.verification.cases.schemes import LABEL, SECOND_ORDER
 from tests.verification.convergence import free_solution, separation
 from tests.verification.models import KINDS as MODELS
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, KINDS, closure
+from tests.verification.setups import KINDS, closure
+
+CASES = Cases()
 
 
 def channel_velocity(y: np.ndarray, t: float, nu: float, speed: float) -> np.ndarray:
@@ -51,14 +53,14 @@ def _couette(scheme: str) -> Outcome:
         exact = channel_velocity(y, until, nu, speed)
         table.add(until / steps, v=float(np.abs(v - exact).max() / speed))
         runs.append(run)
-    return Outcome(
-        values={
+    return measured(
+        {
             "rate of v in tau": table.last("v"),
             "error at 24 steps": table.errors["v"][-1],
             "largest |closure|": closure(*runs),
         },
-        tables=[table.table("tau, s")],
-        plots=[table.plot("tau, s", "error")],
+        table.table("tau, s"),
+        table.plot("tau, s", "error"),
     )
 
 
@@ -75,79 +77,52 @@ def _manufactured(scheme: str, kind: str) -> Outcome:
     table = RateTable(f"differences of successive steps, {kind}")
     for n, (coarse, fine) in zip((1, 2, 4), pairwise(runs), strict=True):
         table.add(duration / (n * coarsest), **separation(fine, coarse))
-    return Outcome(
-        values={f"rate of {name}": table.last(name) for name in table.errors},
-        tables=[table.table("tau, s")],
-        plots=[table.plot("tau, s", "difference in L2")],
-        remarks=["The upwinding is smooth here (0.3 m/s): a sharp one makes v piecewise smooth in time."],
+    return measured(
+        {f"rate of {name}": table.last(name) for name in table.errors},
+        table.table("tau, s"),
+        table.plot("tau, s", "difference in L2"),
+        "The upwinding is smooth here (0.3 m/s): a sharp one makes v piecewise smooth in time.",
     )
 
 
-def _cases(scheme: str) -> tuple[Case, ...]:
+for scheme in SECOND_ORDER:
     midpoint = scheme == "midpoint"
-    return (
-        *(
-            Case(
-                name=f"jeffreys-startup-{kind}-{scheme}",
-                statement=f"By {scheme} start-up of shear of a Jeffreys material in {KINDS[kind]} follows "
-                "its "
-                "ODE to second order.",
-                label="ED-Euler-large2, ED-Euler-large3" if kind == "finite" else "Euler-small-flow-rule",
-                setting="The channel of jeffreys-startup; 20, 40, 80 steps until 4 s.",
-                bounds=(
-                    Bound("rate of T_12", ">=", 1.9, "second order"),
-                    Bound("rate of T_11 − T_22", ">=", 1.9, "second order"),
-                    Bound("error at the finest step", "<=", 1e-3, "a fiftieth of backward Euler's bound"),
-                    CLOSURE,
-                ),
-                run=partial(startup, kind, scheme),
-            )
-            for kind in KINDS
-        ),
-        Case(
-            name=f"couette-startup-{scheme}",
-            statement=f"By {scheme} a Newtonian fluid under a lid that is accelerated follows Fourier's "
-            + ("series, to second order." if midpoint else "series, to order 1.5 at least."),
-            label="Euler-small-viscoelastodyn+1",
-            setting="Channel of 1 m, P3 velocity, rho = 0.5 kg/m3, D = 0.1 Pa s of shear, lid 0.1 sin²(t) "
-            "m/s until 1.5 s; 6, 12, 24 steps.",
-            bounds=(
-                Bound(
-                    "rate of v in tau",
-                    ">=",
-                    1.9 if midpoint else 1.5,
-                    "second order"
-                    if midpoint
-                    else "order reduction: its stages are of order one where a wall's velocity changes",
-                ),
-                Bound("error at 24 steps", "<=", 2e-3, "tau = 0.0625 s"),
-                CLOSURE,
-            ),
-            run=partial(_couette, scheme),
-            reduced=midpoint,
-        ),
-    )
+    for kind in KINDS:
+        CASES(f"""jeffreys-startup-{kind}-{scheme}
+            By {scheme} start-up of shear of a Jeffreys material in {KINDS[kind]} follows its ODE to second
+              order.
+            label: {"ED-Euler-large2, ED-Euler-large3" if kind == "finite" else "Euler-small-flow-rule"}
+            setting: The channel of jeffreys-startup; 20, 40, 80 steps until 4 s.
+            - rate of T_12 >= 1.9: second order
+            - rate of T_11 − T_22 >= 1.9: second order
+            - error at the finest step <= 1e-3: a fiftieth of backward Euler's bound
+            - closure
+            """)(partial(startup, kind, scheme))
+    CASES(f"""couette-startup-{scheme}{" (reduced)" * midpoint}
+        By {scheme} a Newtonian fluid under a lid that is accelerated follows Fourier's
+          {"series, to second order." if midpoint else "series, to order 1.5 at least."}
+        label: Euler-small-viscoelastodyn+1
+        setting: Channel of 1 m, P3 velocity, rho = 0.5 kg/m3, D = 0.1 Pa s of shear, lid 0.1 sin²(t) m/s
+          until 1.5 s; 6, 12, 24 steps.
+        - rate of v in tau >= {
+        "1.9: second order"
+        if midpoint
+        else "1.5: order reduction: its stages are of order one where a wall's velocity changes"
+    }
+        - error at 24 steps <= 2e-3: tau = 0.0625 s
+        - closure
+        """)(partial(_couette, scheme))
 
 
 ORDERS = {"backward-euler": (1, 0.85), "midpoint": (2, 1.9), "sdirk2": (2, 1.9)}
 """Order in time, and the rate asked for."""
 
-CASES = (
-    *(case for scheme in SECOND_ORDER for case in _cases(scheme)),
-    *(
-        Case(
-            name=f"order-in-time-{'finite' if kind == 'neo-hookean' else 'linearised'}-{scheme}",
-            statement=f"With manufactured sources that drive every term, {scheme} is of order {order} in v, "
-            "rho and z.",
-            label=LABEL,
-            setting="Creep, gravity, viscosity, hyperviscosity, delta- and epsilon-terms; one mesh, "
-            "differences of successive runs of 4, 8, 16, 32 steps in 0.1 s.",
-            bounds=tuple(
-                Bound(f"rate of {name}", ">=", least, f"order {order}") for name in ("v", "rho", "z")
-            ),
-            run=partial(_manufactured, scheme, kind),
-        )
-        for scheme, (order, least) in ORDERS.items()
-        for kind in MODELS
-    ),
-)
+for scheme, (order, least) in ORDERS.items():
+    for kind in MODELS:
+        CASES(f"""order-in-time-{"finite" if kind == "neo-hookean" else "linearised"}-{scheme}
+            With manufactured sources that drive every term, {scheme} is of order {order} in v, rho and z.
+            label: {LABEL}
+            setting: Creep, gravity, viscosity, hyperviscosity, delta- and epsilon-terms; one mesh,
+              differences of successive runs of 4, 8, 16, 32 steps in 0.1 s.
+            - rate of [v; rho; z] >= {least}: order {order}
+            """)(partial(_manufactured, scheme, kind))

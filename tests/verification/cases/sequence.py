@@ -11,11 +11,13 @@ from ngvisco.forms.term import tested
 from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import sym
 from ngvisco.run.simulation import Simulation
-from tests.verification.case import Bound, Case, Outcome
+from tests.verification.case import CLOSURE, Bound, Cases, Outcome, each, measured
 from tests.verification.cases.whole_scheme import RHO_MAX, WHOLE, whole
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, KINDS, closure, square_mesh, state
+from tests.verification.setups import KINDS, closure, square_mesh, state
+
+CASES = Cases()
 
 DURATION = 0.08
 MESHES = (0.35, 0.175)
@@ -103,7 +105,7 @@ def sequence(
     for name, rates in least.items():
         values |= {f"last rate of {field} in {name}": rate for field, rate in rates.items()}
     values["largest rho"] = max(float(run.ledger.column("rho_max").max()) for run in everything)
-    return Outcome(values=values | {"largest |closure|": closure(*everything)}, tables=tables, plots=plots)
+    return measured(values | {"largest |closure|": closure(*everything)}, *tables, *plots)
 
 
 RATES = {
@@ -190,24 +192,22 @@ def bounds(kind: str) -> tuple[Bound, ...]:
     )
 
 
-def _case(kind: str) -> Case:
-    return Case(
-        name=f"whole-sequence-{kind}",
-        statement=f"With all terms of the scheme of {KINDS[kind]} at once its solutions converge as tau -> "
-        "0; these, then, as delta -> 0 with epsilon kept; and those as epsilon -> 0: the paper's sequence.",
-        label="Euler-small-viscoelastodyn+disc, Euler-small-converge+, Euler-small-viscoelastodyn+eps"
-        if kind == "linearised"
-        else "Euler-large-viscoelastodyn+disc, ED-Euler-large-polyconvex-eta, ED-Euler-large-polyconvex-eps",
-        setting=f"{WHOLE}; h = 0.35 and 0.175 m, until {DURATION} s; {STEPS[0]} to {STEPS[-1]} steps with "
-        f"delta = epsilon = {DELTA:g}, then {STEPS[1]} with delta from {SIZES[kind][0]:g} to "
-        f"{SIZES[kind][-1]:g}, then delta = 0 with epsilon from {SIZES[kind][0]:g} to "
-        f"{SIZES[kind][-1]:g}.  The least rate of both "
-        "meshes counts.",
-        explanation="With 8 to 32 steps the last rate of the density's largest distance was 0.76 at finite "
-        "strain, with 64 it is 0.88: the bound stayed, the steps became shorter.",
-        bounds=bounds(kind),
-        run=partial(sequence, kind),
-    )
+WHAT = {
+    "linearised": "Euler-small-viscoelastodyn+disc, Euler-small-converge+, Euler-small-viscoelastodyn+eps",
+    "finite": "Euler-large-viscoelastodyn+disc, ED-Euler-large-polyconvex-eta, ED-Euler-large-polyconvex-eps",
+}
+"""Labels of all limits together."""
 
-
-CASES = tuple(_case(kind) for kind in KINDS)
+for kind in KINDS:
+    CASES(f"""whole-sequence-{kind}
+        With all terms of the scheme of {KINDS[kind]} at once its solutions converge as tau -> 0; these, then,
+          as delta -> 0 with epsilon kept; and those as epsilon -> 0: the paper's sequence.
+        label: {WHAT[kind]}
+        setting: {WHOLE}; h = 0.35 and 0.175 m, until {DURATION} s; {STEPS[0]} to {STEPS[-1]} steps with delta
+          = epsilon = {DELTA:g}, then {STEPS[1]} with delta from {SIZES[kind][0]:g} to {SIZES[kind][-1]:g},
+          then delta = 0 with epsilon from {SIZES[kind][0]:g} to {SIZES[kind][-1]:g}.  The least rate of both
+          meshes counts.
+        {each(bounds(kind))}
+        explanation: With 8 to 32 steps the last rate of the density's largest distance was 0.76 at finite
+          strain, with 64 it is 0.88: the bound stayed, the steps became shorter.
+        """)(partial(sequence, kind))

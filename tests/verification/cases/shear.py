@@ -9,9 +9,11 @@ import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.geometries import channel
 from ngvisco.physics.flow_rules import CreepLaw
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, closure, stokes
+from tests.verification.setups import closure, stokes
+
+CASES = Cases()
 
 G, ETA, RATE = 100.0, 100.0, 0.3
 TABLE = {
@@ -68,6 +70,15 @@ def stresses(run: nv.Simulation) -> tuple[float, float, float]:
     return float(T[0, 1]), float(T[0, 0] - T[1, 1]), float(T[0, 0] - np.trace(T) / 3)
 
 
+@CASES("""jaumann-shear
+    The stresses of a Zaremba–Jaumann Maxwell fluid in simple shear are those of the closed form.
+    label: ZJ, Euler-small-flow-rule; Farrington et al. 2014
+    setting: Channel between a resting and a sliding wall (0.3 m/s), mu = eta = 100; extrapolated twice from
+      steps 0.01 s (t <= 0.1 s) and 0.125 s and their halves and quarters.
+    - largest relative error of tau_12 <= 1e-3: ASPECT documents 0.9 to 2 %
+    - largest relative error of tau_11 <= 2e-3: ASPECT documents 0.9 to 2 %
+    - closure
+    """)
 def _jaumann() -> Outcome:
     material = nv.LinearElastic(K_e=2 * G, G_e=G)
     rows, largest, closures = [], [0.0, 0.0], []
@@ -87,31 +98,41 @@ def _jaumann() -> Outcome:
     curve_12 = scale * (1 - decay * (np.cos(r * fine) - r * np.sin(r * fine)))
     curve_11 = scale * (r - decay * (r * np.cos(r * fine) + np.sin(r * fine)))
     marks = np.array(rows).T
-    return Outcome(
-        values={
+    return measured(
+        {
             "largest relative error of tau_12": largest[0],
             "largest relative error of tau_11": largest[1],
             "largest |closure|": max(closures),
         },
-        tables=[
-            Table("stresses, Pa", ["t, s", "tau_12", "table", "error", "tau_11", "table", "error"], rows)
-        ],
-        plots=[
-            Plot(
-                "Zaremba–Jaumann Maxwell fluid in simple shear",
-                "t, s",
-                "Pa",
-                [
-                    Curve("tau_12, exact", fine, curve_12, "-"),
-                    Curve("tau_11, exact", fine, curve_11, "-"),
-                    Curve("tau_12", marks[0], marks[1], "o"),
-                    Curve("tau_11", marks[0], marks[4], "s"),
-                ],
-            )
-        ],
+        Table("stresses, Pa", "t, s | tau_12 | table | error | tau_11 | table | error", rows),
+        Plot(
+            "Zaremba–Jaumann Maxwell fluid in simple shear",
+            "t, s",
+            "Pa",
+            [
+                Curve("tau_12, exact", fine, curve_12, "-"),
+                Curve("tau_11, exact", fine, curve_11, "-"),
+                Curve("tau_12", marks[0], marks[1], "o"),
+                Curve("tau_11", marks[0], marks[4], "s"),
+            ],
+        ),
     )
 
 
+@CASES("""jaumann-start-up
+    Start-up shear of a Zaremba–Jaumann Maxwell fluid at W = lambda rate = 5, turned by five radians, is eta
+      rate/(1 + W²) [1 − exp(−t/lambda) (cos rate t − W sin rate t)].
+    label: ZJ, Euler-small-flow-rule
+    setting: Channel with a sliding wall, 5 m/s, G = 20 Pa, eta = 20 Pa s, until 2 s by the midpoint rule, 50,
+      100 and 200 steps; with a viscosity of 20 Pa s, without which the flow is unstable where its stress
+      falls with the rate.
+    - rate of sigma_12 >= 1.9: midpoint rule
+    - rate of sigma_11 >= 1.9: midpoint rule
+    - largest error of sigma_12 <= 8.2e-4: twice (|a| tau)² |a| lambda/(12 e)
+    - largest error of sigma_11 <= 8.2e-4: twice (|a| tau)² |a| lambda/(12 e)
+    - distance to the law without spin >= 1.0: negative control
+    - closure
+    """)
 def _start_up() -> Outcome:
     """Errors are over the viscous stress eta rate/sqrt(1 + W^2) that the oscillation is about."""
     modulus, relaxation, rate, until = 20.0, 1.0, 5.0, 2.0
@@ -143,8 +164,8 @@ def _start_up() -> Outcome:
         table.add(until / steps, sigma_12=float(error_12), sigma_11=float(error_11))
         runs.append(run)
     unturned = viscosity * rate * (1 - np.exp(-t / relaxation))
-    return Outcome(
-        values={
+    return measured(
+        {
             "rate of sigma_12": table.last("sigma_12"),
             "rate of sigma_11": table.last("sigma_11"),
             "largest error of sigma_12": table.errors["sigma_12"][-1],
@@ -152,27 +173,31 @@ def _start_up() -> Outcome:
             "distance to the law without spin": float(np.abs(rows[:, 1] - unturned).max() / unit),
             "largest |closure|": closure(*runs),
         },
-        tables=[table.table("tau, s")],
-        plots=[
-            Plot(
-                "Zaremba–Jaumann start-up shear, W = 5",
-                "t, s",
-                "Pa",
-                [
-                    Curve("sigma_12, exact", t, sigma_12, "k-"),
-                    Curve("sigma_12", t, rows[:, 1], "."),
-                    Curve("sigma_11, exact", t, sigma_11, "k--"),
-                    Curve("sigma_11", t, rows[:, 3], "."),
-                ],
-            )
-        ],
-        remarks=[
-            "The error of the midpoint rule for exp(a t), a = (−1 + iW)/lambda, is (|a| tau)²/12 times "
-            "|a| t exp(−t/lambda), at most |a| lambda/e: 4.1e-4 with 200 steps; bounds are twice that."
-        ],
+        table.table("tau, s"),
+        Plot(
+            "Zaremba–Jaumann start-up shear, W = 5",
+            "t, s",
+            "Pa",
+            [
+                Curve("sigma_12, exact", t, sigma_12, "k-"),
+                Curve("sigma_12", t, rows[:, 1], "."),
+                Curve("sigma_11, exact", t, sigma_11, "k--"),
+                Curve("sigma_11", t, rows[:, 3], "."),
+            ],
+        ),
+        "The error of the midpoint rule for exp(a t), a = (−1 + iW)/lambda, is (|a| tau)²/12 times "
+        "|a| t exp(−t/lambda), at most |a| lambda/e: 4.1e-4 with 200 steps; bounds are twice that.",
     )
 
 
+@CASES("""neo-hookean-shear (reduced)
+    A neo-Hookean body in simple shear has T_12 = 2 G_e gamma and T_11 − T_22 = 2 G_e gamma².
+    label: neo-Hookean-potential-actual, ED-Euler-large2
+    setting: Channel with a sliding wall, 1 m/s, G_e = 0.7 Pa, 20 steps of 0.1 s up to gamma = 2.
+    - largest relative error of T_12 <= 1e-8: exact for any step
+    - largest relative error of T_11 - T_22 <= 1e-8: exact for any step
+    - closure
+    """)
 def _neo_hookean() -> Outcome:
     material = nv.NeoHookean(K_e=3.0, G_e=0.7, epsilon=0.2)
     run, rows = sheared(material, 0.1, 2.0, rate=1.0, viscosity=0.1)
@@ -185,62 +210,12 @@ def _neo_hookean() -> Outcome:
         Curve("T_11 - T_22", gamma, rows[1:, 2], "s"),
         Curve("2 G gamma²", gamma, 1.4 * gamma * gamma, "k--"),
     ]
-    return Outcome(
-        values={
+    return measured(
+        {
             "largest relative error of T_12": float(error_12),
             "largest relative error of T_11 - T_22": float(error_n),
             "largest |closure|": closure(run),
         },
-        plots=[Plot("Neo-Hookean simple shear", "gamma", "Pa", curves)],
-        remarks=["The implicit step is exact here: L is nilpotent, so (I − tau L)⁻¹ = I + tau L."],
+        Plot("Neo-Hookean simple shear", "gamma", "Pa", curves),
+        "The implicit step is exact here: L is nilpotent, so (I − tau L)⁻¹ = I + tau L.",
     )
-
-
-CASES = (
-    Case(
-        name="jaumann-shear",
-        statement="The stresses of a Zaremba–Jaumann Maxwell fluid in simple shear are those of the "
-        "closed form.",
-        label="ZJ, Euler-small-flow-rule; Farrington et al. 2014",
-        setting="Channel between a resting and a sliding wall (0.3 m/s), mu = eta = 100; extrapolated "
-        "twice from "
-        "steps 0.01 s (t <= 0.1 s) and 0.125 s and their halves and quarters.",
-        bounds=(
-            Bound("largest relative error of tau_12", "<=", 1e-3, "ASPECT documents 0.9 to 2 %"),
-            Bound("largest relative error of tau_11", "<=", 2e-3, "ASPECT documents 0.9 to 2 %"),
-            CLOSURE,
-        ),
-        run=_jaumann,
-    ),
-    Case(
-        name="jaumann-start-up",
-        statement="Start-up shear of a Zaremba–Jaumann Maxwell fluid at W = lambda rate = 5, turned by five "
-        "radians, is eta rate/(1 + W²) [1 − exp(−t/lambda) (cos rate t − W sin rate t)].",
-        label="ZJ, Euler-small-flow-rule",
-        setting="Channel with a sliding wall, 5 m/s, G = 20 Pa, eta = 20 Pa s, until 2 s by the midpoint "
-        "rule, 50, 100 and 200 steps; with a viscosity of 20 Pa s, without which the flow is unstable where "
-        "its stress falls with the rate.",
-        bounds=(
-            Bound("rate of sigma_12", ">=", 1.9, "midpoint rule"),
-            Bound("rate of sigma_11", ">=", 1.9, "midpoint rule"),
-            Bound("largest error of sigma_12", "<=", 8.2e-4, "twice (|a| tau)² |a| lambda/(12 e)"),
-            Bound("largest error of sigma_11", "<=", 8.2e-4, "twice (|a| tau)² |a| lambda/(12 e)"),
-            Bound("distance to the law without spin", ">=", 1.0, "negative control"),
-            CLOSURE,
-        ),
-        run=_start_up,
-    ),
-    Case(
-        name="neo-hookean-shear",
-        statement="A neo-Hookean body in simple shear has T_12 = 2 G_e gamma and T_11 − T_22 = 2 G_e gamma².",
-        label="neo-Hookean-potential-actual, ED-Euler-large2",
-        setting="Channel with a sliding wall, 1 m/s, G_e = 0.7 Pa, 20 steps of 0.1 s up to gamma = 2.",
-        bounds=(
-            Bound("largest relative error of T_12", "<=", 1e-8, "exact for any step"),
-            Bound("largest relative error of T_11 - T_22", "<=", 1e-8, "exact for any step"),
-            CLOSURE,
-        ),
-        run=_neo_hookean,
-        reduced=True,
-    ),
-)

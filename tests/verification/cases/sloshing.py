@@ -25,8 +25,10 @@ from scipy.optimize import brentq, curve_fit
 
 import ngvisco as nv
 from ngvisco.geometries import box, structured_box
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
-from tests.verification.setups import CLOSURE, DRIFT, closure, drift, fluid, stokes
+from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.setups import closure, drift, fluid, stokes
+
+CASES = Cases()
 
 DEPTH, GRAVITY, BULK, VISCOSITY = 0.5, 1.0, 100.0, 1e-3
 """m, in a unit box; m/s^2; K_e of both, Pa; viscosity of the layer, of density 1, Pa s."""
@@ -109,54 +111,76 @@ def _swing(t: np.ndarray, omega: float, damping: float) -> np.ndarray:
     return np.asarray(np.exp(-damping * t) * turn)
 
 
+@CASES(f"""sloshing
+    A layer beside a medium of a thousandth of its density sloshes with the frequency of linear theory while
+      the surface lies on edges of cells, beside one of a hundredth also where it moves through them.
+    label: benchmark: omega^2 = g k tanh(k h)
+    setting: Unit box (slip), layer of {DEPTH:g} m and {VISCOSITY:g} Pa s, K_e = {BULK:g} Pa in both, g =
+      {GRAVITY:g} m/s2, first mode; medium of 1e-3 in density, 1e-3 and 1e-4 Pa s, 1e-3 m/s, structured
+      meshes; medium of 1e-2 and 1e-3 Pa s, 0.05 m/s, unstructured ones; k = 3, sdirk2, {STEPS} steps in the
+      period.
+    - error of the frequency, 1e-3, 16 rows <= 0.01: 16 rows, steps of T/40
+    - error of the frequency, 1e-2, 12 rows <= 0.1: an interface of a cell's width
+    - drift
+    - closure
+    """)
 def _sloshing() -> Outcome:
     found = {(rows, *of): sloshing(rows, *of) for rows, of in RUNS}
     errors = {key: float(fit[0]) / frequency(key[1]) - 1 for key, (*_, fit) in found.items()}
     runs = [run for run, *_ in found.values()]
     still = found[(16, *STILL)]
-    return Outcome(
-        values={
+    return measured(
+        {
             "error of the frequency, 1e-3, 16 rows": abs(errors[(16, *STILL)]),
             "error of the frequency, 1e-2, 12 rows": abs(errors[(12, *MOVING)]),
             "drift of the mass": drift(*runs),
             "largest |closure|": closure(*runs),
         },
-        tables=[
-            Table(
-                "a period",
-                [
-                    "rows",
-                    "medium's density",
-                    "and viscosity, Pa s",
-                    "velocity, m/s",
-                    "frequency, error",
-                    "damping, 1/s",
-                    "rejections",
-                ],
-                [
-                    [*key, errors[key], fit[1], run.ledger.column("rejections").sum()]
-                    for key, (run, _, _, fit) in found.items()
-                ],
-            )
-        ],
-        plots=[
-            Plot(
-                "Sloshing beside a light medium",
-                "t, s",
-                "share of the first velocity",
-                [
-                    *(
-                        Curve(f"{rows} rows, {ratio:g}, {thin:g} Pa s", t, v, ".")
-                        for (rows, ratio, thin, _), (_, t, v, _) in found.items()
-                    ),
-                    Curve("linear theory", still[1], np.cos(frequency(1e-3) * still[1]), "k-"),
-                ],
-            )
-        ],
-        remarks=["The bounds were written after trials with 8 rows: -0.8 % still, -5 % moving."],
+        Table(
+            "a period",
+            [
+                "rows",
+                "medium's density",
+                "and viscosity, Pa s",
+                "velocity, m/s",
+                "frequency, error",
+                "damping, 1/s",
+                "rejections",
+            ],
+            [
+                [*key, errors[key], fit[1], run.ledger.column("rejections").sum()]
+                for key, (run, _, _, fit) in found.items()
+            ],
+        ),
+        Plot(
+            "Sloshing beside a light medium",
+            "t, s",
+            "share of the first velocity",
+            [
+                *(
+                    Curve(f"{rows} rows, {ratio:g}, {thin:g} Pa s", t, v, ".")
+                    for (rows, ratio, thin, _), (_, t, v, _) in found.items()
+                ),
+                Curve("linear theory", still[1], np.cos(frequency(1e-3) * still[1]), "k-"),
+            ],
+        ),
+        "The bounds were written after trials with 8 rows: -0.8 % still, -5 % moving.",
     )
 
 
+@CASES(f"""sloshing-of-a-gel
+    An elastic layer beside a medium of a thousandth of its density sloshes with the frequency of linear
+      theory, that of its weight and its stiffness together.
+    label: benchmark: an incompressible elastic layer on a slippery bed, under gravity
+    setting: Unit box (slip), neo-Hookean layer of {DEPTH:g} m, G = {SHEARS[0]:g} and {SHEARS[1]:g} Pa,
+      {VISCOSITY:g} Pa s, K_e = {BULK:g} Pa in both, g = {GRAVITY:g} m/s2, lowest mode of one half wave along
+      the box; medium of 1e-3 in density, 1e-3 Pa s; structured meshes of 8 and 16 rows, k = 3, sdirk2,
+      {STEPS} steps in the period.
+    - error of the frequency, 16 rows <= 0.02: the fluid's 0.01, twice: shear too ends there
+    - least frequency over that without elasticity >= 1.05: the layer is elastic
+    - drift
+    - closure
+    """)
 def _gel() -> Outcome:
     rows: list[list[float]] = []
     curves, runs, errors = [], [], []
@@ -169,60 +193,13 @@ def _gel() -> Outcome:
             rows.append([shear, cells, omega, omega / frequency(STILL[0]), errors[-1], float(damping)])
             curves.append(Curve(f"{shear:g} Pa, {cells} rows", omega * t, v, "."))
     curves.append(Curve("linear theory", omega * t, np.cos(omega * t), "k-"))
-    return Outcome(
-        values={
+    return measured(
+        {
             "error of the frequency, 16 rows": max(errors[1::2]),
             "least frequency over that without elasticity": min(row[3] for row in rows),
             "drift of the mass": drift(*runs),
             "largest |closure|": closure(*runs),
         },
-        tables=[
-            Table(
-                "a period",
-                ["G, Pa", "rows", "omega, 1/s", "over that of a fluid", "error", "damping, 1/s"],
-                rows,
-            )
-        ],
-        plots=[Plot("A gel beside a light medium", "omega t", "share of the first velocity", curves)],
+        Table("a period", "G, Pa | rows | omega, 1/s | over that of a fluid | error | damping, 1/s", rows),
+        Plot("A gel beside a light medium", "omega t", "share of the first velocity", curves),
     )
-
-
-CASES = (
-    Case(
-        name="sloshing",
-        statement="A layer beside a medium of a thousandth of its density sloshes with the frequency of "
-        "linear theory while the surface lies on edges of cells, beside one of a hundredth also where it "
-        "moves through them.",
-        label="benchmark: omega^2 = g k tanh(k h)",
-        setting=f"Unit box (slip), layer of {DEPTH:g} m and {VISCOSITY:g} Pa s, K_e = {BULK:g} Pa in both, "
-        f"g = {GRAVITY:g} m/s2, first mode; medium of 1e-3 in density, 1e-3 and 1e-4 Pa s, 1e-3 m/s, "
-        "structured meshes; medium of 1e-2 and 1e-3 Pa s, 0.05 m/s, unstructured ones; k = 3, sdirk2, "
-        f"{STEPS} steps in the period.",
-        bounds=(
-            Bound("error of the frequency, 1e-3, 16 rows", "<=", 0.01, "16 rows, steps of T/40"),
-            Bound("error of the frequency, 1e-2, 12 rows", "<=", 0.1, "an interface of a cell's width"),
-            DRIFT,
-            CLOSURE,
-        ),
-        run=_sloshing,
-    ),
-    Case(
-        name="sloshing-of-a-gel",
-        statement="An elastic layer beside a medium of a thousandth of its density sloshes with the "
-        "frequency of linear theory, that of its weight and its stiffness together.",
-        label="benchmark: an incompressible elastic layer on a slippery bed, under gravity",
-        setting=f"Unit box (slip), neo-Hookean layer of {DEPTH:g} m, G = {SHEARS[0]:g} and {SHEARS[1]:g} Pa, "
-        f"{VISCOSITY:g} Pa s, K_e = {BULK:g} Pa in both, g = {GRAVITY:g} m/s2, lowest mode of one half wave "
-        "along the box; medium of 1e-3 in density, 1e-3 Pa s; structured meshes of 8 and 16 rows, k = 3, "
-        f"sdirk2, {STEPS} steps in the period.",
-        bounds=(
-            Bound(
-                "error of the frequency, 16 rows", "<=", 0.02, "the fluid's 0.01, twice: shear too ends there"
-            ),
-            Bound("least frequency over that without elasticity", ">=", 1.05, "the layer is elastic"),
-            DRIFT,
-            CLOSURE,
-        ),
-        run=_gel,
-    ),
-)

@@ -13,10 +13,12 @@ from ngsolve import x, y
 import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.geometries import annulus, channel
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
 from tests.verification.cases.rheology import BY_B, NAMES
 from tests.verification.rates import RateTable
-from tests.verification.setups import CLOSURE, around, closure, elastic
+from tests.verification.setups import around, closure, elastic
+
+CASES = Cases()
 
 TAU_Y, ETA, G = 0.2, 0.1, 100.0
 """Yield stress in shear, Pa, plastic viscosity, Pa s, modulus of shear, Pa."""
@@ -64,16 +66,16 @@ def _channel(kind: str) -> Outcome:
         curves.append(Curve(f"h = {h:g} m", at, v, "."))
     curves.append(Curve("closed form", at, exact, "k-"))
     stronger = float(np.sqrt(np.mean((v - profile(at, 1.1 * TAU_Y)) ** 2))) / fastest
-    return Outcome(
-        values={
+    return measured(
+        {
             "error of v on the finest mesh": table.errors["v"][-1],
             "error of T_12 on the finest mesh": table.errors["T_12"][-1],
             "rate of v": table.last("v"),
             "distance to a yield stress larger by a tenth": stronger,
             "largest |closure|": closure(*runs),
         },
-        tables=[table.table("h, m")],
-        plots=[Plot("Bingham's fluid between plates", "y, m", "v, m/s", curves)],
+        table.table("h, m"),
+        Plot("Bingham's fluid between plates", "y, m", "v, m/s", curves),
     )
 
 
@@ -110,25 +112,60 @@ def _couette(kind: str) -> Outcome:
         rows.append([h, mesh.ne, errors[-1], of_T])
         curves.append(Curve(f"h = {h:g} m", r, v, "o"))
     curves.append(Curve("closed form", r, exact, "k-"))
-    return Outcome(
-        values={
+    return measured(
+        {
             "largest error of v on the finer mesh, of the wall's": errors[-1],
             "largest relative error of the shear stress where it flows": of_T,
             "error of v on the finer / on the coarser mesh": errors[-1] / errors[0],
             "largest |v| beyond 1.6 m, of the wall's": float(np.abs(v[r > 1.6]).max()) / Omega,
             "largest |closure|": closure(*runs),
         },
-        tables=[Table("at 19 radii", ["h, m", "cells", "error of v", "error of the stress"], rows)],
-        plots=[Plot("Bingham's fluid between cylinders", "r, m", "v, m/s", curves)],
-        remarks=[
-            "With h = 0.5 and 0.25 m, as first run, v was 0.073 off and the stress 0.060: finer cells since."
-        ],
+        Table("at 19 radii", "h, m | cells | error of v | error of the stress", rows),
+        Plot("Bingham's fluid between cylinders", "r, m", "v, m/s", curves),
+        "With h = 0.5 and 0.25 m, as first run, v was 0.073 off and the stress 0.060: finer cells since.",
     )
+
+
+for kind in KINDS:
+    CASES(f"""bingham-channel-{kind}
+        Bingham's fluid between plates in {NAMES[kind]} flows by its closed form.
+        label: Bingham 1916
+        setting: Elastoviscoplastic: G = {G:g} Pa, yields at {TAU_Y} Pa in shear, plastic viscosity {ETA} Pa
+          s; a force of 1 N/m3 along a channel 1 m wide, 0.01 kg/m3, 20 steps of 0.1 s from rest; h = 0.25,
+          0.125, 0.0625 m; v and T_12 at 81 points, in the mean square.
+        - error of v on the finest mesh <= 0.01: v'' jumps: h^2 v''/8 = 0.005
+        - error of T_12 on the finest mesh <= 0.02: T_12 of order one, m = 1
+        - rate of v >= 1.3: two, less what the place of the kink makes
+        - distance to a yield stress larger by a tenth >= 0.05: a wrong one is told from it
+        - closure
+        """)(partial(_channel, kind))
+    CASES(f"""bingham-couette-{kind}
+        Bingham's fluid around a turning cylinder in {NAMES[kind]} flows as the closed form says, and rests
+          beyond the radius of yield.
+        label: Bingham 1916, Reiner and Riwlin 1927
+        setting: The same fluid between 1 m, turning at {float(turning(np.array(R_I))):.4f}/s, and 2 m; yield
+          ends at 1.5 m; 0.01 kg/m3, 8 steps of 0.1 s from the velocity of a linear fluid without stress, by
+          the split solver; h = 0.25 and 0.125 m.
+        - largest error of v on the finer mesh, of the wall's <= 0.03: eight cells in the gap
+        - largest relative error of the shear stress where it flows <= 0.05: P2 velocity, P1 stress
+        - error of v on the finer / on the coarser mesh <= 0.6: converges
+        - largest |v| beyond 1.6 m, of the wall's <= 0.01: rigid
+        - closure
+        """)(partial(_couette, kind))
 
 
 # --- creep under constant stress -----------------------------------------------------------------------
 
 
+@CASES(f"""norton-creep
+    Under a constant shear stress Norton's rule creeps at the rate of its power law.
+    label: Norton 1929
+    setting: A = 0.3/(s Pa^n), n = 1, 3, 5, G = {G:g} Pa, tractions of 0.5, 1 and 2 Pa on the wall of a
+      channel, 10 steps to a shear of 0.1, linearised and finite strain by B.
+    - largest relative error of the rate <= 2e-3: elastic: (stress/G)^2 and less
+    - largest error of the exponent <= 2e-3: the same
+    - closure
+    """)
 def _creep() -> Outcome:
     """Shear by a traction on the wall: rate = 2 A (sqrt(2) tau)^(n-1) tau."""
     A, rows, runs, of_rate, of_n = 0.3, [], [], 0.0, 0.0
@@ -151,82 +188,11 @@ def _creep() -> Outcome:
                 of_rate = max(of_rate, error)
                 rows.append([kind, n, tau, rates[-1], exact, error])
             of_n = max(of_n, abs(math.log(rates[2] / rates[0]) / math.log(4) - n))
-    return Outcome(
-        values={
+    return measured(
+        {
             "largest relative error of the rate": of_rate,
             "largest error of the exponent": of_n,
             "largest |closure|": closure(*runs),
         },
-        tables=[
-            Table("steady creep", ["model", "n", "stress, Pa", "rate, 1/s", "exact, 1/s", "error"], rows)
-        ],
+        Table("steady creep", "model | n | stress, Pa | rate, 1/s | exact, 1/s | error", rows),
     )
-
-
-def _flow_cases(kind: str) -> tuple[Case, Case]:
-    return (
-        Case(
-            name=f"bingham-channel-{kind}",
-            statement=f"Bingham's fluid between plates in {NAMES[kind]} flows by its closed form.",
-            label="Bingham 1916",
-            setting=f"Elastoviscoplastic: G = {G:g} Pa, yields at {TAU_Y} Pa in shear, plastic "
-            f"viscosity {ETA} Pa s; a force of 1 N/m3 along a channel 1 m wide, "
-            "0.01 kg/m3, 20 steps of 0.1 s from rest; h = 0.25, 0.125, 0.0625 m; v and T_12 at 81 "
-            "points, in the mean square.",
-            bounds=(
-                Bound("error of v on the finest mesh", "<=", 0.01, "v'' jumps: h^2 v''/8 = 0.005"),
-                Bound("error of T_12 on the finest mesh", "<=", 0.02, "T_12 of order one, m = 1"),
-                Bound("rate of v", ">=", 1.3, "two, less what the place of the kink makes"),
-                Bound(
-                    "distance to a yield stress larger by a tenth", ">=", 0.05, "a wrong one is told from it"
-                ),
-                CLOSURE,
-            ),
-            run=partial(_channel, kind),
-        ),
-        Case(
-            name=f"bingham-couette-{kind}",
-            statement=f"Bingham's fluid around a turning cylinder in {NAMES[kind]} flows as the closed form "
-            "says, and rests beyond the radius of yield.",
-            label="Bingham 1916, Reiner and Riwlin 1927",
-            setting=f"The same fluid between 1 m, turning at {float(turning(np.array(R_I))):.4f}/s, and 2 m; "
-            "yield ends at 1.5 m; 0.01 kg/m3, 8 steps of 0.1 s from the velocity of a linear fluid without "
-            "stress, by the split solver; h = 0.25 and 0.125 m.",
-            bounds=(
-                Bound(
-                    "largest error of v on the finer mesh, of the wall's",
-                    "<=",
-                    0.03,
-                    "eight cells in the gap",
-                ),
-                Bound(
-                    "largest relative error of the shear stress where it flows",
-                    "<=",
-                    0.05,
-                    "P2 velocity, P1 stress",
-                ),
-                Bound("error of v on the finer / on the coarser mesh", "<=", 0.6, "converges"),
-                Bound("largest |v| beyond 1.6 m, of the wall's", "<=", 0.01, "rigid"),
-                CLOSURE,
-            ),
-            run=partial(_couette, kind),
-        ),
-    )
-
-
-CASES = (
-    *(case for kind in KINDS for case in _flow_cases(kind)),
-    Case(
-        name="norton-creep",
-        statement="Under a constant shear stress Norton's rule creeps at the rate of its power law.",
-        label="Norton 1929",
-        setting=f"A = 0.3/(s Pa^n), n = 1, 3, 5, G = {G:g} Pa, tractions of 0.5, 1 and 2 Pa on the wall of a "
-        "channel, 10 steps to a shear of 0.1, linearised and finite strain by B.",
-        bounds=(
-            Bound("largest relative error of the rate", "<=", 2e-3, "elastic: (stress/G)^2 and less"),
-            Bound("largest error of the exponent", "<=", 2e-3, "the same"),
-            CLOSURE,
-        ),
-        run=_creep,
-    ),
-)

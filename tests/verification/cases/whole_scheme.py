@@ -10,9 +10,11 @@ from ngsolve import CoefficientFunction, GridFunction, Integrate, Mesh
 import ngvisco as nv
 from ngvisco.forms.fields import Fields
 from ngvisco.physics.tensors import dev, square
-from tests.verification.case import Bound, Case, Curve, Outcome, Plot, Table
+from tests.verification.case import CLOSURE, Bound, Cases, Curve, Outcome, Plot, Table, each, measured
 from tests.verification.cases.dependent import COFACTORS
-from tests.verification.setups import CLOSURE, KINDS, SETTING, block, closure, material, square_mesh
+from tests.verification.setups import KINDS, SETTING, block, closure, material, square_mesh
+
+CASES = Cases()
 
 GRAVITY, RHO_MAX, MU, NU = 1.0, 2.0, 1e-4, 1e-2
 EXPONENT = 4
@@ -222,10 +224,10 @@ def estimates(
     for name in (*bounded, *powers):
         rows += [[name, h, *(found[h, size][name] for size in sizes)] for h in meshes]
     curves = [Curve(name, sizes, [found[fine, size][name] for size in sizes]) for name in (*bounded, *powers)]
-    return Outcome(
-        values=values,
-        tables=[Table("norms", ["norm", "h, m", *(f"eps = delta = {size:g}" for size in sizes)], rows)],
-        plots=[Plot(f"Norms over eps = delta, h = {fine:g} m", "eps = delta", "norm", curves, log="xy")],
+    return measured(
+        values,
+        Table("norms", ["norm", "h, m", *(f"eps = delta = {size:g}" for size in sizes)], rows),
+        Plot(f"Norms over eps = delta, h = {fine:g} m", "eps = delta", "norm", curves, log="xy"),
     )
 
 
@@ -248,35 +250,32 @@ def bounds(kind: str) -> tuple[Bound, ...]:
     )
 
 
-def _case(kind: str) -> Case:
-    return Case(
-        name=f"whole-estimates-{kind}",
-        statement=f"With all terms of the scheme of {KINDS[kind]} at once its a-priori estimates "
-        "hold, also as the mesh is refined: norms neither grow over the last decade of epsilon = delta nor "
-        "over the last refinement, and those that may grow like a power of 1/delta grow no faster.",
-        label="Euler-small-est, Euler-small-est+, Euler-small-est++, Euler-small-est+++"
-        if kind == "linearised"
-        else "Euler-large-est, Euler-large-est+, Euler-large-est-Lp",
-        setting=f"{WHOLE}; h = 0.5, 0.25 and 0.125 m, {STEPS} steps of {TAU} s; epsilon = delta from 0.1 "
-        "to 1e-4.  Rates of change are measured in L2, which bounds the dual norms; slopes of z are those "
-        "of the scheme (FORMULATION.md, Section 9).",
-        bounds=bounds(kind),
-        run=partial(estimates, kind),
-    )
+WHAT = {
+    "linearised": "Euler-small-est, Euler-small-est+, Euler-small-est++, Euler-small-est+++",
+    "finite": "Euler-large-est, Euler-large-est+, Euler-large-est-Lp",
+}
+"""Labels of all estimates together."""
+
+for kind in KINDS:
+    CASES(f"""whole-estimates-{kind}
+        With all terms of the scheme of {KINDS[kind]} at once its a-priori estimates hold, also as the mesh is
+          refined: norms neither grow over the last decade of epsilon = delta nor over the last refinement,
+          and those that may grow like a power of 1/delta grow no faster.
+        label: {WHAT[kind]}
+        setting: {WHOLE}; h = 0.5, 0.25 and 0.125 m, {STEPS} steps of {TAU} s; epsilon = delta from 0.1 to
+          1e-4.  Rates of change are measured in L2, which bounds the dual norms; slopes of z are those of the
+          scheme (FORMULATION.md, Section 9).
+        {each(bounds(kind))}
+        """)(partial(estimates, kind))
 
 
 COFACTOR_MESHES = (0.5, 0.25)
 
-CASES = (
-    *(_case(kind) for kind in KINDS),
-    Case(
-        name="whole-estimates-cofactors",
-        statement="With Cof F among the variables the a-priori estimates of the finite-strain model hold, "
-        "and that of Cof F: sup ‖H‖ is bounded, and ‖∇H‖ grows no faster than delta^(-3/4).",
-        label="Euler-large-est3-H, rem-polyconvex-general",
-        setting=f"{WHOLE}; MooneyRivlin with G_e = 3 Pa, G_mr = 2 Pa; h = 0.5 and 0.25 m, {STEPS} steps of "
-        f"{TAU} s; epsilon = delta from 0.1 to 1e-4.",
-        bounds=bounds("cofactors"),
-        run=lambda: estimates("cofactors", {h: square_mesh(h) for h in COFACTOR_MESHES}),
-    ),
-)
+CASES(f"""whole-estimates-cofactors
+    With Cof F among the variables the a-priori estimates of the finite-strain model hold, and that of Cof F:
+      sup ‖H‖ is bounded, and ‖∇H‖ grows no faster than delta^(-3/4).
+    label: Euler-large-est3-H, rem-polyconvex-general
+    setting: {WHOLE}; MooneyRivlin with G_e = 3 Pa, G_mr = 2 Pa; h = 0.5 and 0.25 m, {STEPS} steps of {TAU} s;
+      epsilon = delta from 0.1 to 1e-4.
+    {each(bounds("cofactors"))}
+    """)(lambda: estimates("cofactors", {h: square_mesh(h) for h in COFACTOR_MESHES}))
