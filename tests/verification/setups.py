@@ -13,6 +13,8 @@ import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.geometries import box
 from ngvisco.physics.variables import Jacobian
+from tests.verification.case import CLOSURE as CLOSURE
+from tests.verification.case import DRIFT as DRIFT
 from tests.verification.problems import distance
 
 KINDS = {"linearised": "the linearised model", "finite": "the finite-strain model"}
