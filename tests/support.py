@@ -296,9 +296,9 @@ def swirling(
 
 
 def evolved(run: Simulation) -> dict[str, np.ndarray]:
-    """Coefficients of v, rho and z."""
+    """Coefficients of v, rho, which bodies have not, and z."""
     state, ranges = run.rothe_step.state.vec.FV().NumPy(), run.rothe_step.layout.ranges
-    return {name: state[ranges[name]].copy() for name in ("v", "rho", "z")}
+    return {name: state[ranges[name]].copy() for name in ("v", "rho", "z") if name in ranges}
 
 
 def assert_same(run: Simulation, other: Simulation, of: float = 1e-9) -> None:

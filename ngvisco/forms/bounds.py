@@ -12,8 +12,8 @@ for that rule:
 
     int_K phi(z_K + s (z - z_K)) <= s int_K phi(z) + (1 - s) |K| phi(z_K) <= int_K phi(z).
 
-Of bodies rho = sum rho_i n_i is a function of z: both have one s, so that it stays theirs.  Parameters have
-bounds of their own (``ngvisco.forms.cell_means``) and are limited first.
+Of bodies rho = sum rho_i n_i is a function of z, and its bound one of z's.  Parameters have bounds of their
+own (``ngvisco.forms.cell_means``) and are limited first.
 
 The momentum density rho v has the s of rho (``limit_momentum``): |p|^2/(2 rho) is jointly convex, so that
 the kinetic energy falls too, where rho >= 0 before.  What moves as a whole goes on to do so; where rho is
@@ -231,16 +231,14 @@ class Bounds:
         return int(self._ranks.total(len(changed)))
 
     def _limit(self, found: _Outside) -> None:
-        """Scale rho and z in the cells that were found outside."""
+        """Scale rho and z in the cells that were found outside; of bodies z alone, which has rho in it."""
         target, _ = SHARE * found.means, self._means.owner  # which all ranks make together
         of_density = np.array([variable is None for variable in self._variables])
-        groups: list[tuple[tuple[str, ...], np.ndarray]] = [(("rho",), of_density), (("z",), ~of_density)]
         if self.step.model.bodies:
-            groups = [(("rho", "z"), of_density | True)]
-        for names, group in groups:
-            outside = (found.broken & group).any(axis=1)
-            if outside.any():
-                self._scale(names, found, outside, found.required & group, target)
+            self._scale("z", found, of_density | True, target)
+        else:
+            self._scale("rho", found, of_density, target)
+            self._scale("z", found, ~of_density, target)
 
     def limit_momentum(self) -> None:
         """Scale the momentum density that the step starts from as ``limit`` has scaled rho."""
@@ -252,45 +250,26 @@ class Bounds:
         """Whether ``limit`` would change the present state."""
         return self.ranges.is_exceeded() or self._outside() is not None or self.stretches.is_exceeded()
 
-    def _scale(
-        self,
-        names: tuple[str, ...],
-        found: _Outside,
-        outside: np.ndarray,
-        required: np.ndarray,
-        target: np.ndarray,
-    ) -> None:
-        """Scale rho, z or both in the cells ``outside`` so that what is ``required`` reaches its target."""
+    def _scale(self, name: str, found: _Outside, group: np.ndarray, target: np.ndarray) -> None:
+        """Scale rho or z in the cells where bounds of the ``group`` are broken, until these are kept."""
+        required, outside = found.required & group, (found.broken & group).any(axis=1)
         place = np.full(self.step.mesh.ne, -1)
         place[found.cells[outside]] = np.flatnonzero(outside)
         dofs, of = self._means.functions(place >= 0)
-        cells = place[of]
-        parts = [self._parts_of(name, dofs, of) for name in names]
-
-        def put(share: np.ndarray) -> None:
-            for values, centre, rest in parts:
-                values[:, dofs] = centre + share[cells] * rest
-
+        cells, values = place[of], self._means.coefficients(name)
+        scaled = np.ones(1, dtype=bool) if name == "rho" else self.step.layout.states.strains
+        centre = self._means.of_cells(name)[:, of] * self._means.one[dofs]
+        centre = np.where(scaled[:, None], centre, values[:, dofs])  # parameters have ranges of their own
+        rest = values[:, dofs] - centre
         low, high = np.zeros(len(found.cells)), np.ones(len(found.cells))
-        for _ in range(_HALVINGS):
+        for _ in range(_HALVINGS if outside.any() else 0):
             middle = 0.5 * (low + high)
-            put(middle)
+            values[:, dofs] = centre + middle[cells] * rest
             holds = (~required | (self._at(found) >= target)).all(axis=1)
             low, high = np.where(holds, middle, low), np.where(holds, high, middle)
-        put(low)
-        if "rho" in names:
+        values[:, dofs] = centre + low[cells] * rest
+        if name == "rho" or self.step.model.bodies:
             self._share.vec.FV().NumPy()[found.cells[outside]] = low[outside]
-
-    def _parts_of(
-        self, name: str, dofs: np.ndarray, cells: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Coefficients of rho or z, and of their functions ``dofs`` the mean and what is beside it."""
-        values = self._means.coefficients(name)
-        strains = np.ones(1, dtype=bool) if name == "rho" else self.step.layout.states.strains
-        centre = self._means.of_cells(name)[:, cells] * self._means.one[dofs]
-        rest = values[:, dofs] - centre
-        kept = np.where(strains, 0.0, 1.0)[:, None] * rest  # of parameters, which have ranges of their own
-        return values, centre + kept, rest - kept
 
     def _outside(self) -> _Outside | None:
         """The cells that are out of bounds at one of the sampler's points; NaN is so."""

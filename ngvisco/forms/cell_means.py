@@ -53,10 +53,11 @@ class CellMeans:
             LocalProjection(target.space, target, step.quadrature, tested(value))
             for target, value in ((self.rho, step.now.rho), (self.z, step.now.z))
         ]
-        one = GridFunction(step.layout.blocks["rho"])
+        self._space = step.layout.scalar_space("z")
+        one = GridFunction(self._space)
         one.Set(1.0)
         self.one = one.vec.FV().NumPy()
-        """Coefficients of the constant 1 in the space of rho, and of every component of z."""
+        """Coefficients of the constant 1 in the space of every component of z, and of rho."""
 
     def project(self) -> None:
         """Make them those of the present state."""
@@ -94,8 +95,8 @@ class CellMeans:
 
     @cached_property
     def owner(self) -> np.ndarray:
-        """The cell of every function of rho's space, (functions,)."""
-        of_cells, space = self.rho.space, self.step.layout.blocks["rho"]
+        """The cell of every function of that space, (functions,)."""
+        of_cells, space = self.rho.space, self._space
         form = BilinearForm(trialspace=of_cells, testspace=space)
         form += of_cells.TrialFunction() * space.TestFunction() * dx
         return csr(form.Assemble().mat).indices.astype(int)  # one column a row

@@ -92,9 +92,10 @@ class Context:
         self.crossed, incoming = self.inner, None
         """1 on facets that matter crosses, on those between two cells and on such walls; 0 on all others."""
         if passages:
+            names = ("z",) if model.bodies else ("rho", "z")
             where = sum((passage.indicator for passage in passages), CF(0.0))
             self.crossed = self.inner + where
-            incoming = Incoming(where, {name: self._entering(name, passages) for name in ("rho", "z")})
+            incoming = Incoming(where, {name: self._entering(name, passages) for name in names})
         self._through = wind * self.normal
         self.upwinding = Upwinding(self._through, self.crossed, self.eta, incoming)
         """On a cell's boundary only."""

@@ -96,7 +96,7 @@ class DamageGrowth:
         masses = LinearForm(space)
         masses += space.TestFunction() * step.quadrature.cells
         self._masses = masses.Assemble().vec.FV().NumPy().copy()
-        self._part = GridFunction(step.layout.blocks["rho"])
+        self._part = GridFunction(step.layout.scalar_space("z"))
         entropy = entropy_in(step.model.material)
         self._heat = None if entropy is None else _Heat(step, entropy)
         self.entries = (
@@ -230,7 +230,7 @@ class _Heat:
         self.step, self.entropy, self._place = step, entropy, step.layout.states.slices[entropy.name].start
         self._share, self._added = (
             GridFunction(L2(step.mesh, order=0)),
-            GridFunction(step.layout.blocks["rho"]),
+            GridFunction(step.layout.scalar_space("z")),
         )
         self._heat = step.energy.density(step.now).Compile()
         theta = conjugates(step.model.material, step.now.z_tensors)[entropy.name]

@@ -38,6 +38,15 @@ class Part:
         return fields.parts[self.name]
 
 
+class Density(Part):
+    """rho, or its trace: a part, or sum rho_i n_i where amounts of matter are among the variables."""
+
+    def __get__(self, fields: Fields, owner: type) -> CoefficientFunction:
+        if self.name in fields.layout.unknowns:
+            return fields.parts[self.name]
+        return fields.layout.states.density(fields.parts[self.name.replace("rho", "z")])[0]
+
+
 class Fields:
     """The unknowns of a step (or tests, or known values) under the paper's symbols.
 
@@ -46,8 +55,8 @@ class Fields:
 
     v = Part()
     """Velocity, length dim."""
-    rho = Part()
-    rho_hat = Part()
+    rho = Density()
+    rho_hat = Density()
     z = Part()
     """All transported components, a vector."""
     z_hat = Part()
@@ -104,7 +113,9 @@ class Fields:
 
     @cached_property
     def grad_rho(self) -> CoefficientFunction:
-        return self.gradient("rho")
+        if "rho" in self.layout.unknowns:
+            return self.gradient("rho")
+        return self.layout.states.density(self.grad_z, self.dim)
 
     @cached_property
     def grad_z(self) -> CoefficientFunction:
@@ -190,6 +201,17 @@ class Fields:
 
     def _components(self, name: str) -> CoefficientFunction:
         return self.parts[name].Reshape((self.rows, hessian_basis(self.dim).shape[1]))
+
+
+class Tests(Fields):
+    """Tests of the unknowns; of bodies there is none of rho, which has no equation."""
+
+    rho = Part()
+    rho_hat = Part()
+
+    @cached_property
+    def grad_rho(self) -> CoefficientFunction:
+        return self.gradient("rho")
 
 
 def contraction(n: CoefficientFunction, dim: int) -> CoefficientFunction:

@@ -42,7 +42,7 @@ from ngvisco.forms.boundary.walls import Conditions, Walls
 from ngvisco.forms.context import Context
 from ngvisco.forms.damage import DamageGrowth, damage_growth
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
-from ngvisco.forms.fields import Fields
+from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.rates import TabulatedRates
@@ -138,12 +138,8 @@ _NOT_EVOLVED = (
 
 def equations(model: Model, dim: int) -> tuple[Term, ...]:
     """The terms of a model's equations, without walls."""
-    terms: list[Term] = [
-        Continuity(model.regularisation),
-        Inertia(),
-        Convection(model.regularisation),
-        ElasticForce(),
-    ]
+    terms: list[Term] = [] if model.bodies else [Continuity(model.regularisation)]
+    terms += [Inertia(), Convection(model.regularisation), ElasticForce()]
     if model.viscosity is not None:
         terms.append(Stokes(model.viscosity))
     if model.hyperviscosity is not None:
@@ -154,6 +150,9 @@ def equations(model: Model, dim: int) -> tuple[Term, ...]:
         terms.append(CreepRate(model.creep))
     terms += [PlasticStraining(flow) for flow in model.flows if flow.rule.hardening is not None]
     return (*terms, *regularising_terms(model, dim))
+
+
+_NO_EQUATION = "it has a row of {name}, which is no unknown (of bodies the density is the sum of theirs)"
 
 
 @dataclass(frozen=True)
@@ -263,7 +262,8 @@ class Step:
     def _residual(self) -> BilinearForm:
         """R(u; w) as one nonlinear form with element-local unknowns to be condensed."""
         trial, test = self.layout.space.TnT()
-        u, w = self.layout.fields(trial), self.layout.fields(test)
+        u = self.layout.fields(trial)
+        w = Tests(self.layout, GivenParts(dict(zip(self.layout.names, test, strict=True)), _NO_EQUATION))
         form = BilinearForm(self.layout.space, condense=True)
         for term in self.terms:
             with refused_by_name(term):

@@ -27,6 +27,8 @@ class StateSpace:
         Which components are those of strains, and not of parameters.
     by_flux : (size,) array of bool
         Which components are densities, transported by their flux.
+    densities : (size,) array
+        rho is their sum times the components, kg/m^3, where amounts of matter are among these; else 0.
     """
 
     def __init__(self, variables: tuple[Variable, ...], dim: int) -> None:
@@ -39,9 +41,11 @@ class StateSpace:
             start += space.size
         self.size = start
         self.strains, self.by_flux = np.ones(start, dtype=bool), np.zeros(start, dtype=bool)
+        self.densities = np.zeros(start)
         for variable in variables:
             self.strains[self.slices[variable.name]] = variable.is_strain
             self.by_flux[self.slices[variable.name]] = variable.by_flux
+            self.densities[self.slices[variable.name]] = variable.density
 
     @staticmethod
     @cache
@@ -62,6 +66,10 @@ class StateSpace:
     def tensors(self, components: Callable[[], CoefficientFunction]) -> Values:
         """All values by name, each made where it is first asked for."""
         return _Tensors(self, components)
+
+    def density(self, components: CoefficientFunction, size: int = 1) -> CoefficientFunction:
+        """sum rho_i n_i of components, or of (components, ``size``) entries, a vector of ``size``."""
+        return linear_map(np.kron(self.densities, np.eye(size)), components, (size,))
 
     def components(self, values: Values) -> CoefficientFunction:
         """All components of values by name, by orthogonal projection."""

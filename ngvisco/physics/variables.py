@@ -100,6 +100,11 @@ class Variable(ABC):
         return self.is_conserved
 
     @property
+    def density(self) -> float:
+        """What one unit of it has of the density, kg/m^3; 0 of what is no amount of matter."""
+        return 0.0
+
+    @property
     def own_scale(self) -> float | None:
         """Its size beside which small increments count by themselves; None: by those of all variables."""
         return None

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from ngsolve import CF, BilinearForm, FESpace, Grad, GridFunction, LinearForm
 from ngsolve.la import PARALLEL_STATUS
 
-from ngvisco.forms.fields import Fields
+from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.system import Step
@@ -37,7 +37,7 @@ class RestrictedForm:
                 return Grad(value)
             return CF((0.0,) * (value.dim * layout.mesh.dim), dims=(*value.dims, layout.mesh.dim))
 
-        w = Fields(layout, tests, gradient=gradient)
+        w = Tests(layout, tests, gradient=gradient)
         self.form = BilinearForm(self.space, check_unused=False)
         for term in terms:
             step.quadrature.add(self.form, term.form(u, w))
@@ -96,7 +96,7 @@ def _integrands(step: Step, space: FESpace, names: list[str]) -> list[Integrand]
     u = GivenParts({}, "a source takes the unknown {name}, which the split solver does not know beforehand")
     tests = dict(zip(names, space.TestFunction(), strict=True))
     w = GivenParts(tests, "a source has a row of {name}, which the split solver does not iterate on")
-    return step.sources.form(Fields(step.layout, u), Fields(step.layout, w))
+    return step.sources.form(Fields(step.layout, u), Tests(step.layout, w))
 
 
 class RightHandSide:

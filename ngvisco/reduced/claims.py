@@ -18,7 +18,7 @@ import numpy as np
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.context import Context
-from ngvisco.forms.fields import Fields
+from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import GivenParts, PointTerm, Term, refused_by_name
 from ngvisco.forms.terms.heat import Heating
@@ -228,5 +228,5 @@ def _require_flow_rows(step: Step, term: Term, obstacle: str | None) -> set[str]
     context: Any = _Asked(layout.context)
     u = Fields(layout, dict(zip(layout.names, trial, strict=True)), context)
     with refused_by_name(term):
-        term.form(u, Fields(layout, GivenParts(tests, reason), context))
+        term.form(u, Tests(layout, GivenParts(tests, reason), context))
     return context.names

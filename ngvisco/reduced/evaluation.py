@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from ngsolve import CF, CoefficientFunction, GridFunction, specialcf
 
 from ngvisco.errors import NgviscoError
-from ngvisco.forms.fields import Fields
+from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm
@@ -366,7 +366,8 @@ def _shapes(step: Step) -> dict[str, tuple[int, ...]]:
 def _on_sides(step: Step) -> list[str]:
     """Unknowns with tests on facets: of cells, and means of both sides."""
     means = (term.name for term in step.terms if isinstance(term, SideMean))
-    return ["v", "rho", "z", "rho_hat", *means]
+    density = [name for name in ("rho", "rho_hat") if name in step.layout.unknowns]
+    return ["v", *density, "z", *means]
 
 
 def _tests(step: Step, inside: bool, context: Any) -> Fields:
@@ -379,7 +380,7 @@ def _tests(step: Step, inside: bool, context: Any) -> Fields:
         name: partial(Linear, (*shapes[name], d), slot=f"grad {name}") for name in (names if inside else ())
     }
     gradients = Lazy(slopes, f"{place}, as a gradient")
-    return Fields(step.layout, Lazy(parts, place), context, lambda name: gradients[name])
+    return Tests(step.layout, Lazy(parts, place), context, lambda name: gradients[name])
 
 
 def _slots(parts: list[Linear]) -> dict[str, np.ndarray]:

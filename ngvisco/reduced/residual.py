@@ -122,7 +122,7 @@ class ReducedResidual:
         """Of the flow's unknowns and the normal derivatives."""
         self.shared_density = exchange.part(u.places(u.density))
         """Of the density's unknowns: its traces, where its equation is not linear, are iterated."""
-        self._traces = exchange.part(u.places(["rho_hat"]))
+        self._traces = exchange.part(u.places([next(n for n in ("rho_hat", "z_hat") if n in u.ranges)]))
         self.trace_mass = FacetMass(self.side_op.hat, self._traces)
         self.trace_mass.update(self.side_op.points.weights * mean_share(self.side_op.inner))
         self.diffusion: FieldDiffusionRows | None = None
@@ -228,7 +228,7 @@ class ReducedResidual:
         elif self.by_forms is not None:
             flow += 1j * (self._flow_rows @ x[u.flow_slice].imag)
         if self.density is None:
-            density = rows["rho"]
+            density = rows.get("rho", np.zeros(0, dtype))
         else:
             density = np.zeros(u.density_slice.stop - u.density_slice.start, dtype)
             if is_real:

@@ -14,7 +14,8 @@ from ngvisco.parallel.exchange import Exchange
 def in_cells(layout: Layout) -> list[str]:
     """Unknowns with values at the points of cells: those that are iterated on, and zeta."""
     continuous = [name for name in layout.names_of("continuous") if layout.unknowns[name].space is None]
-    return ["v", "rho", "z", "zeta", *continuous]
+    density = ["rho"] if "rho" in layout.unknowns else []
+    return ["v", *density, "z", "zeta", *continuous]
 
 
 def derived_in_cells(layout: Layout) -> list[str]:
@@ -26,14 +27,15 @@ class Unknowns:
     """Views of the state's blocks and a packed copy of those that are iterated.
 
     ``flow`` are v, the wall stress and the creep rate field where there are such; ``normals`` the facets'
-    normal derivatives; ``fields`` rho, z, and the traces of rho where its equation is not linear.
+    normal derivatives; ``fields`` rho, z, and the traces of rho where its equation is not linear.  Of bodies
+    rho is a sum of components of z, and no unknown.
     """
 
     def __init__(self, step: Step) -> None:
         layout = step.layout
         self.flow = layout.names_of("velocity", "walls", "continuous")
         self.normals = layout.names_of("normals")
-        self.density = ["rho"]
+        self.density = ["rho"] if "rho" in layout.unknowns else []
         if density_by_forms(step):
             facets = layout.names_of("facets")
             self.density += [name for name in facets if layout.unknowns[name].trace_of == "rho"]
@@ -50,11 +52,11 @@ class Unknowns:
             start += size
         self.size = start
         self.flow_slice = self._joint(self.flow)
-        self.normal_slice = self._joint(self.normals) if self.normals else slice(0, 0)
+        self.normal_slice = self._joint(self.normals)
         self.density_slice = self._joint(self.density)
 
     def _joint(self, names: list[str]) -> slice:
-        return slice(self.slices[names[0]].start, self.slices[names[-1]].stop)
+        return slice(self.slices[names[0]].start, self.slices[names[-1]].stop) if names else slice(0, 0)
 
     @property
     def state(self) -> np.ndarray:
@@ -78,7 +80,8 @@ class Unknowns:
 
     def places(self, names: Iterable[str]) -> np.ndarray:
         """Where the unknowns ``names`` stand in the state, one after the other."""
-        return np.concatenate([np.arange(self.ranges[n].start, self.ranges[n].stop) for n in names])
+        parts = (np.arange(self.ranges[n].start, self.ranges[n].stop) for n in names)
+        return np.concatenate([np.zeros(0, dtype=int), *parts])
 
     def coefficients(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """The iterated unknowns by name, (components, functions); the normal derivatives together as a."""

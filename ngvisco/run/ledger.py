@@ -24,7 +24,6 @@ from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import EntryIntegrals, Step
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand, Kind
-from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.defects import relative_defects
 from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.thermal import entropy_in, temperature
@@ -333,9 +332,6 @@ class Ledger:
         has_both = F is not None and J is not nan
         self._defect = ((J - Det(F)) * (J - Det(F))).Compile() if has_both else None
         defects = relative_defects(material, z, self.step.model.creep)
-        if isinstance(material, Mixture):
-            rho = [(body.density or 0.0) * z[AMOUNT + body.name] for body in material.bodies]
-            defects["sum of rho_i n_i and rho"] = sum(rho, CF(0.0)) / u.rho - 1
         self._defects = CF(tuple(defects.values())).Compile() if defects else None
         self._defect_squares = CF((1.0, *(d * d for d in defects.values()))).Compile()
         self._defect_names = list(defects)

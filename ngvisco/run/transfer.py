@@ -194,13 +194,10 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
         float(run.rothe_step.quadrature.integrate_cells(run.rothe_step.now.rho)) for run in (source, target)
     ]
     factor = masses[0] / masses[1]
-    rho_h = parts["rho"].vec.FV().NumPy()
-    if new.model.bodies:
-        z = parts["z"].vec.FV().NumPy().reshape(new.layout.states.size, -1)
-        rho_h[:], factor = _kept_bodies(source, target, z)
-    else:
-        rho_h[:] *= factor
-    return factor
+    if not new.model.bodies:
+        parts["rho"].vec.FV().NumPy()[:] *= factor
+        return factor
+    return _kept_bodies(source, target, parts["z"].vec.FV().NumPy().reshape(new.layout.states.size, -1))
 
 
 class _Unions:
@@ -257,18 +254,13 @@ class _Unions:
         return found
 
 
-def _kept_bodies(source: Simulation, target: Simulation, values: np.ndarray) -> tuple[np.ndarray, float]:
+def _kept_bodies(source: Simulation, target: Simulation, values: np.ndarray) -> float:
     """Scale each body's amount, among the coefficients of the variables, so that it has its mass.
 
-    Returns
-    -------
-    array (functions,)
-        Coefficients of the density sum rho_i n_i.
-    float
-        The factor that is farthest from one.
+    The factor that is farthest from one is returned.
     """
     old, new = source.rothe_step, target.rothe_step
-    rho, farthest = np.zeros(values.shape[1]), 1.0
+    farthest = 1.0
     for v in target.model.material.variables:
         if not isinstance(v, Amount):
             continue
@@ -280,11 +272,9 @@ def _kept_bodies(source: Simulation, target: Simulation, values: np.ndarray) -> 
             raise InitialDataError(
                 f"transferred {body}", f"a volume of {after:.3g}", "> 0: take a finer mesh"
             )
-        amount = values[new.layout.states.slices[v.name].start]
-        amount *= before / after
+        values[new.layout.states.slices[v.name].start] *= before / after
         farthest = max(farthest, before / after, key=lambda factor: abs(factor - 1))
-        rho += v.density * amount
-    return rho, farthest
+    return farthest
 
 
 def _set_velocity(source: Simulation, target: Simulation, points: QuadraturePoints, at: Located) -> None:

@@ -129,7 +129,10 @@ def test_the_force_of_the_fields(run):
 
 @pytest.mark.parametrize("run", [None, "bodies"], indirect=True)
 def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run):
-    """At rest, of a linear change of a uniform state: no facet takes part; phi'' is by differences."""
+    """At rest, of a linear change of a uniform state: no facet takes part; phi'' is by differences.
+
+    Increments leave out what the density's weight and inertia change by: the change is one that keeps it.
+    """
     place, rng = linear(run, lambda x, y: (x, y)), np.random.default_rng(3)
     split, at, operator = prepared(run, 0 * place)
     residual, z = split.residual, split.unknowns.slices["z"]
@@ -146,7 +149,9 @@ def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run):
     operator.points.resolvent[:] = np.eye(operator.points.resolvent.shape[1])
     operator.elements.update(operator._base(), operator._inertia(at))
     direction = np.zeros(len(u))
-    direction[z] = coefficients(rng.standard_normal((len(mean), 2)) @ op.v(place)).ravel()
+    slope, densities = rng.standard_normal((len(mean), 2)), split.step.layout.states.densities
+    slope -= np.outer(densities, densities @ slope) / max(densities @ densities, 1.0)
+    direction[z] = coefficients(slope @ op.v(place)).ravel()
     expected = residual.derivative(at)(direction).flow[: operator.nv]
     found = operator.force(np.ascontiguousarray(direction[z].reshape(len(mean), -1).T)).ravel()
     free = split.preconditioner.free[: operator.nv]

@@ -98,7 +98,6 @@ def _mix(simulation: nv.Simulation, start: Exact) -> None:
     """Give a run the exact fields of its bodies, which by themselves start in places of their own."""
     step = simulation.rothe_step
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
-    parts["rho"].Set(start.rho)
     parts["z"].Set(start.z)
     complete(step)
     step.state_old.vec.data = step.state.vec

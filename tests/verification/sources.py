@@ -199,7 +199,7 @@ class Sources:
         force = self.momentum - 0.5 * self.continuity * self.new.v
         creep = self.creep
         return [
-            Integrand(-self.continuity * w.rho),
+            *([] if self.model.bodies else [Integrand(-self.continuity * w.rho)]),
             Integrand(-inner(force, w.v)),
             Integrand(-inner(self.kinematics, w.z)),
             *([] if creep is None else [Integrand(-inner(creep, w.Pi))]),

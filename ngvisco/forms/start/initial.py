@@ -155,7 +155,8 @@ def _set(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFunction:
     _check_continuation(step.model.material, values, sampler)
     with TaskManager():
         step.state.vec[:] = 0.0
-        parts["rho"].Set(density)
+        if not of_bodies:
+            parts["rho"].Set(density)
         parts["z"].Set(step.model.material.states(dim).components(values))
         for name, value in further.items():
             project(step.layout.unknowns[name], parts[name], step.quadrature, value)

@@ -216,14 +216,16 @@ class Preconditioner:
     def __call__(self, at: Evaluation, tolerance: float, of_fields: float = TOLERANCE) -> np.ndarray:
         """The increment, packed; tolerances are those of the flow's linear system and of the fields' own."""
         op, operator, dim, size = self.op, self.operator, self.dim, self.operator.nv
-        r, rho, u = at.residual, at.coefficients["rho"], self.unknowns
+        r, u = at.residual, self.unknowns
         dflow = self._flow(self._rows_of_flow(at), tolerance)
         dv = dflow[:size].reshape(dim, size // dim)
         dPi = None
         if "Pi" in u.slices:
             dPi = op.of("Pi")[0](dflow[u.slices["Pi"]].reshape(u.components["Pi"], -1))
         dz = self.fields.z(np.ascontiguousarray(r.z.T) - operator.fields_rows(dv, dPi), of_fields)
-        dv_q, L = op.v(dv), op.velocity_gradient(dv)
+        if not u.density:
+            return np.concatenate([dflow, dz.T.ravel()])
+        rho, dv_q, L = at.coefficients["rho"], op.v(dv), op.velocity_gradient(dv)
         drho = op.z(rho) * sum(L[i * (dim + 1)] for i in range(dim))
         drho += sum(D(rho) * dv_q[j] for j, D in enumerate(op.dz))
         density = r.density.copy()

@@ -74,7 +74,7 @@ class TransportSweeps:
             self._cells, self._carried = _sweep(own, across)
         self._blocks = _rows_of(own, across)
         self._count_sweeps()
-        if self._own is None:
+        if self._own is None and r.unknowns.density:
             own, across = self.coupling.blocks(np.zeros_like(through), share, through, r.trace_mass)
             own += storage - convection.transpose(0, 2, 1)
             with r.ranks.together(np.linalg.LinAlgError):
