@@ -23,12 +23,10 @@ from ngvisco.errors import ParameterError, Quantity, as_number, require_names
 from ngvisco.geometries.meshing import (
     CURVE_ORDER,
     CellSize,
+    Domain,
     Length,
     as_length,
     box_lengths,
-    is_delicate,
-    mesh_of,
-    unit_of,
 )
 
 _WALLS = {
@@ -166,29 +164,18 @@ def block_with_hole(
         if 2 * fillet >= min(lengths):
             raise ParameterError("block_with_hole.fillet", fillet, f"a number < {min(lengths) / 2:g}")
         parts += [("fillet", fillet), ("fillet", min(lengths) / 2 - fillet)]
-    unit = unit_of("block_with_hole", dim, parts, ["radius", "fillet"])
-    scaled, r = [length / unit for length in lengths], radius / unit
+    domain = Domain("block_with_hole", dim, parts, ["radius", "fillet"])
+    scaled, r = [length / domain.unit for length in lengths], radius / domain.unit
     shape = _block(scaled)
     if fillet != 0:
-        shape = _rounded(shape, scaled, fillet / unit)
+        shape = _rounded(shape, scaled, fillet / domain.unit)
     if dim == 2:
         hole = Circle((scaled[0] / 2, scaled[1] / 2), r).Face()
         hole.edges.name = "hole"
     else:
         hole = Cylinder(Pnt(scaled[0] / 2, 0, scaled[2] / 2), Y, r=r, h=scaled[1])
         hole.faces.name = "hole"
-    delicate = is_delicate(length for _, length in parts)
-    return mesh_of(
-        "block_with_hole",
-        shape - hole,
-        dim,
-        maxh,
-        order,
-        refine,
-        unit=unit,
-        is_delicate=delicate,
-        split_corners=split_corners,
-    )
+    return domain.mesh(shape - hole, maxh, order, refine, split_corners)
 
 
 def _box(
@@ -200,23 +187,11 @@ def _box(
     split_corners: bool,
 ) -> Mesh:
     """A box from the names and values of its edges' lengths, m."""
-    dim, unit = len(lengths), unit_of(owner, len(lengths), lengths)
-    scaled = [length / unit for _, length in lengths]
+    domain = Domain(owner, len(lengths), lengths)
+    scaled = [length / domain.unit for _, length in lengths]
     shape = _block(scaled)
-    _identify(shape, dim, scaled, periodic)
-    delicate = is_delicate(scaled)
-    return mesh_of(
-        owner,
-        shape,
-        dim,
-        maxh,
-        1,
-        refine,
-        unit=unit,
-        is_round=False,
-        is_delicate=delicate,
-        split_corners=split_corners,
-    )
+    _identify(shape, domain.dim, scaled, periodic)
+    return domain.mesh(shape, maxh, 1, refine, split_corners)
 
 
 def _block(lengths: Sequence[float]) -> Any:

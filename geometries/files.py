@@ -16,7 +16,7 @@ from ngsolve import Mesh
 
 from ngvisco.errors import MeshError, ParameterError, Quantity, require_path, require_type
 from ngvisco.geometries.corners import split_corner_cells
-from ngvisco.geometries.meshing import CURVE_ORDER, as_length, check_order, mesh_of, try_apart, unit_of
+from ngvisco.geometries.meshing import CURVE_ORDER, Domain, as_length, check_order, try_apart
 
 _FLAT = 1e-6  # of a sheet's width, above and below z = 0; OCC's bounding boxes have a margin
 
@@ -123,7 +123,7 @@ def _is_whole_brep(text: str) -> bool:
     return announced == [str(len(shapes) - 1)] and len(root) >= 2
 
 
-def _read(path: Path, kind: str, maxh: float | None) -> Any:
+def _read(path: Path, kind: str, maxh: Any) -> Any:
     if kind == ".vol":
         netgen_mesh = NetgenMesh()
         netgen_mesh.Load(str(path))
@@ -138,10 +138,11 @@ def _read(path: Path, kind: str, maxh: float | None) -> Any:
         _require_sheet(path, shape)
     low, high = shape.bounding_box
     extents = [high.x - low.x, high.y - low.y, high.z - low.z][:dim]
-    unit = unit_of("load", dim, [("maxh", max(extents))])
-    if unit != 1.0:
-        shape = shape.Scale(Pnt(0, 0, 0), 1 / unit)
-    return mesh_of("load", shape, dim, maxh, 1, unit=unit, is_delicate=True)
+    domain = Domain("load", dim, [("maxh", max(extents))])
+    domain.is_round = domain.is_delicate = True  # for all that is known of it
+    if domain.unit != 1.0:
+        shape = shape.Scale(Pnt(0, 0, 0), 1 / domain.unit)
+    return domain.mesh(shape, maxh)
 
 
 def _require_sheet(path: Path, shape: Any) -> None:

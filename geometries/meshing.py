@@ -79,116 +79,107 @@ def check_order(owner: str, order: int) -> None:
         raise ParameterError(f"{owner}.order", order, "an integer from 1 to 10")
 
 
-def unit_of(
-    owner: str, dim: int, lengths: Sequence[tuple[str, float]], round_ones: Iterable[str] = ()
-) -> float:
-    """The unit in which a domain with these lengths is of order one, m: a power of two, 1 if it is so.
+class Domain:
+    """A domain that is built and meshed in a unit of length in which it is of order one.
 
     Parameters
     ----------
     owner : str
+        What errors call it.
     dim : int
     lengths : sequence of (parameter, float)
         Sizes, radii and gaps, m.
     round_ones : names
-        The parameters that are radii.
+        The parameters that are radii of curved walls.
+
+    Attributes
+    ----------
+    unit : float
+        m, a power of two, 1 if the domain is of order one.
+    is_round : bool
+        Whether it has curved walls: a mesh that is refined or curved later asks for them.
+    is_delicate : bool
+        Whether its lengths differ so much that Netgen is tried in a process of its own first: it may crash.
 
     Raises
     ------
     ParameterError
         If a length is not more than 1e-6 of the largest one, or a radius too small for OpenCASCADE.
     """
-    largest = max(value for _, value in lengths)
-    for name, value in lengths:
-        if not value >= _SLENDER * largest:
-            expected = f"at least {_SLENDER:g} of the domain's largest length {largest:g} m"
-            raise ParameterError(f"{owner}.{name}", value, expected)
-        if name in round_ones and value < _SMALLEST_ROUND[dim]:
-            expected = (
-                f"at least {_SMALLEST_ROUND[dim]:g} (curved walls are placed to 1e-7 only: take a smaller "
-                "unit of length, and all other quantities in it)"
-            )
-            raise ParameterError(f"{owner}.{name}", value, expected)
-    is_order_one = _ORDER_ONE[0] <= largest <= _ORDER_ONE[1]
-    return 1.0 if is_order_one else 2.0 ** round(math.log2(largest))
 
+    def __init__(
+        self, owner: str, dim: int, lengths: Sequence[tuple[str, float]], round_ones: Sequence[str] = ()
+    ) -> None:
+        self.owner, self.dim, self.is_round = owner, dim, bool(round_ones)
+        values = [value for _, value in lengths]
+        largest = max(values)
+        for name, value in lengths:
+            if not value >= _SLENDER * largest:
+                expected = f"at least {_SLENDER:g} of the domain's largest length {largest:g} m"
+                raise ParameterError(f"{owner}.{name}", value, expected)
+            if name in round_ones and value < _SMALLEST_ROUND[dim]:
+                expected = (
+                    f"at least {_SMALLEST_ROUND[dim]:g} (curved walls are placed to 1e-7 only: take a "
+                    "smaller unit of length, and all other quantities in it)"
+                )
+                raise ParameterError(f"{owner}.{name}", value, expected)
+        self.unit = 1.0 if _ORDER_ONE[0] <= largest <= _ORDER_ONE[1] else 2.0 ** round(math.log2(largest))
+        self.is_delicate = min(values) < _DELICATE * largest
 
-def mesh_of(
-    owner: str,
-    shape: Any,
-    dim: int,
-    maxh: float,
-    order: int = 1,
-    refine: Mapping[str, float] | None = None,
-    *,
-    unit: float = 1.0,
-    is_round: bool = True,
-    is_delicate: bool = False,
-    split_corners: bool = False,
-) -> Mesh:
-    """Mesh an OCC shape, with a smaller cell size on the walls named in ``refine``, and curve it.
+    def mesh(
+        self,
+        shape: Any,
+        maxh: float,
+        order: int = 1,
+        refine: Mapping[str, float] | None = None,
+        split_corners: bool = False,
+    ) -> Mesh:
+        """Mesh an OCC shape in this unit, with smaller cells on the walls named in ``refine``, and curve it.
 
-    Parameters
-    ----------
-    shape : OCC shape
-        In the given unit of length.
-    maxh, refine
-        In m.
-    unit : float
-        m, a power of two.
-    is_round : bool
-        Whether the shape has curved walls: a mesh that is refined or curved later asks for them.
-    is_delicate : bool
-        Try Netgen in a process of its own first, since it may crash.
-    split_corners : bool
-        Divide the cells with all edges at a vertex on walls (``corners``).
+        ``maxh`` and ``refine`` are in m; ``split_corners`` divides the cells with all edges at a vertex on
+        walls (``corners``).
 
-    Raises
-    ------
-    ParameterError
-        If a size is not a positive number, or would give more than ``MAX_CELLS`` cells.
-    UnknownNameError
-        For an unknown wall in ``refine``.
-    MeshError
-        If Netgen cannot mesh the shape.
-    """
-    size = as_length(f"{owner}.maxh", maxh) / unit
-    check_order(owner, order)
-    require_type(f"{owner}.split_corners", split_corners, bool)
-    walls = shape.edges if dim == 2 else shape.faces
-    known = {str(wall.name) for wall in walls if wall.name}
-    cells = {f"{owner}.maxh": (maxh, sum(part.mass for part in _interior(shape, dim)), size, dim)}
-    if not isinstance(refine, Mapping | None):
-        raise ParameterError(f"{owner}.refine", refine, "a mapping of walls to cell sizes")
-    for name, value in (refine or {}).items():
-        field = f"{owner}.refine[{name!r}]"
-        local = as_length(field, value) / unit
-        if name not in known:
-            raise UnknownNameError("wall", name, known)
-        named = [wall for wall in walls if wall.name == name]
-        cells[field] = (value, sum(wall.mass for wall in named), local, dim - 1)
-        for wall in named:
-            wall.maxh = local
-    for field, (value, measure, h, of) in cells.items():
-        _check_count(field, value, measure, h, dim, of, unit)
-    if is_delicate:
-        _try_shape(owner, shape, dim, size)
-    mesh = _generated(owner, shape, dim, size)
-    _require_all(owner, shape, mesh, known, is_round)
-    if unit != 1.0:
-        mesh.ngmesh.Scale(unit)
-        # what the mesh is refined and curved by; planes need no geometry
-        whole = OCCGeometry(shape.Scale(Pnt(0, 0, 0), unit), dim=dim) if is_round else NetgenGeometry()
-        mesh.ngmesh.SetGeometry(whole)
-        mesh = Mesh(mesh.ngmesh)
-    mesh = split_corner_cells(mesh) if split_corners else mesh
-    return mesh.Curve(int(order)) if order > 1 else mesh
-
-
-def is_delicate(lengths: Iterable[float]) -> bool:
-    """Whether a domain has such different lengths that Netgen may not survive it."""
-    lengths = list(lengths)
-    return min(lengths) < _DELICATE * max(lengths)
+        Raises
+        ------
+        ParameterError
+            If a size is not a positive number, or would give more than ``MAX_CELLS`` cells.
+        UnknownNameError
+            For an unknown wall in ``refine``.
+        MeshError
+            If Netgen cannot mesh the shape.
+        """
+        owner, dim, unit = self.owner, self.dim, self.unit
+        size = as_length(f"{owner}.maxh", maxh) / unit
+        check_order(owner, order)
+        require_type(f"{owner}.split_corners", split_corners, bool)
+        walls = shape.edges if dim == 2 else shape.faces
+        known = {str(wall.name) for wall in walls if wall.name}
+        cells = {f"{owner}.maxh": (maxh, sum(part.mass for part in _interior(shape, dim)), size, dim)}
+        if not isinstance(refine, Mapping | None):
+            raise ParameterError(f"{owner}.refine", refine, "a mapping of walls to cell sizes")
+        for name, value in (refine or {}).items():
+            field = f"{owner}.refine[{name!r}]"
+            local = as_length(field, value) / unit
+            if name not in known:
+                raise UnknownNameError("wall", name, known)
+            named = [wall for wall in walls if wall.name == name]
+            cells[field] = (value, sum(wall.mass for wall in named), local, dim - 1)
+            for wall in named:
+                wall.maxh = local
+        for field, (value, measure, h, of) in cells.items():
+            _check_count(field, value, measure, h, dim, of, unit)
+        if self.is_delicate:
+            _try_shape(owner, shape, dim, size)
+        mesh = _generated(owner, shape, dim, size)
+        _require_all(owner, shape, mesh, known, self.is_round)
+        if unit != 1.0:
+            mesh.ngmesh.Scale(unit)
+            # what the mesh is refined and curved by; planes need no geometry
+            scaled = shape.Scale(Pnt(0, 0, 0), unit)
+            mesh.ngmesh.SetGeometry(OCCGeometry(scaled, dim=dim) if self.is_round else NetgenGeometry())
+            mesh = Mesh(mesh.ngmesh)
+        mesh = split_corner_cells(mesh) if split_corners else mesh
+        return mesh.Curve(int(order)) if order > 1 else mesh
 
 
 def _interior(shape: Any, dim: int) -> Any:

@@ -7,7 +7,7 @@ from netgen.occ import Circle, Cylinder, Pnt, Sphere, Z
 from ngsolve import Mesh
 
 from ngvisco.errors import ParameterError, Quantity
-from ngvisco.geometries.meshing import CURVE_ORDER, CellSize, Length, as_length, is_delicate, mesh_of, unit_of
+from ngvisco.geometries.meshing import CURVE_ORDER, CellSize, Domain, Length, as_length
 
 
 def disc(
@@ -29,10 +29,10 @@ def disc(
         As for ``box``.
     """
     radius = as_length("disc.radius", radius)
-    unit = unit_of("disc", 2, [("radius", radius)], ["radius"])
-    face = Circle((0, 0), radius / unit).Face()
+    domain = Domain("disc", 2, [("radius", radius)], ["radius"])
+    face = Circle((0, 0), radius / domain.unit).Face()
     face.edges.name = "wall"
-    return mesh_of("disc", face, 2, maxh, order, refine, unit=unit)
+    return domain.mesh(face, maxh, order, refine)
 
 
 def annulus(
@@ -56,10 +56,10 @@ def annulus(
     order
         As for ``disc``.
     """
-    r, R, unit, delicate = _radii("annulus", 2, inner, outer)
+    domain, r, R = _shell("annulus", 2, inner, outer)
     ring, hole = Circle((0, 0), R).Face(), Circle((0, 0), r).Face()
     ring.edges.name, hole.edges.name = "outer", "inner"
-    return mesh_of("annulus", ring - hole, 2, maxh, order, refine, unit=unit, is_delicate=delicate)
+    return domain.mesh(ring - hole, maxh, order, refine)
 
 
 def cylinder(
@@ -88,14 +88,12 @@ def cylinder(
         ("radius", as_length("cylinder.radius", radius)),
         ("height", as_length("cylinder.height", height)),
     ]
-    unit = unit_of("cylinder", 3, sizes, ["radius"])
+    domain = Domain("cylinder", 3, sizes, ["radius"])
     (_, radius), (_, height) = sizes
-    solid = Cylinder(Pnt(0, 0, 0), Z, r=radius / unit, h=height / unit)
+    solid = Cylinder(Pnt(0, 0, 0), Z, r=radius / domain.unit, h=height / domain.unit)
     solid.faces.name = "side"
     solid.faces.Min(Z).name, solid.faces.Max(Z).name = "bottom", "top"
-    delicate = is_delicate((radius, height))
-    options = {"unit": unit, "is_delicate": delicate, "split_corners": split_corners}
-    return mesh_of("cylinder", solid, 3, maxh, order, refine, **options)
+    return domain.mesh(solid, maxh, order, refine, split_corners)
 
 
 def sphere(
@@ -117,10 +115,10 @@ def sphere(
         As for ``disc``.
     """
     radius = as_length("sphere.radius", radius)
-    unit = unit_of("sphere", 3, [("radius", radius)], ["radius"])
-    solid = Sphere(Pnt(0, 0, 0), radius / unit)
+    domain = Domain("sphere", 3, [("radius", radius)], ["radius"])
+    solid = Sphere(Pnt(0, 0, 0), radius / domain.unit)
     solid.faces.name = "wall"
-    return mesh_of("sphere", solid, 3, maxh, order, refine, unit=unit)
+    return domain.mesh(solid, maxh, order, refine)
 
 
 def spherical_shell(
@@ -144,17 +142,17 @@ def spherical_shell(
     order
         As for ``disc``.
     """
-    r, R, unit, delicate = _radii("spherical_shell", 3, inner, outer)
+    domain, r, R = _shell("spherical_shell", 3, inner, outer)
     ball, core = Sphere(Pnt(0, 0, 0), R), Sphere(Pnt(0, 0, 0), r)
     ball.faces.name, core.faces.name = "outer", "inner"
-    return mesh_of("spherical_shell", ball - core, 3, maxh, order, refine, unit=unit, is_delicate=delicate)
+    return domain.mesh(ball - core, maxh, order, refine)
 
 
-def _radii(owner: str, dim: int, inner: float, outer: float) -> tuple[float, float, float, bool]:
-    """Both radii in their unit, that unit (m), and whether the shell is a delicate shape."""
+def _shell(owner: str, dim: int, inner: float, outer: float) -> tuple[Domain, float, float]:
+    """The domain, and both radii in its unit."""
     r, R = as_length(f"{owner}.inner", inner), as_length(f"{owner}.outer", outer)
     if not r < R:
         raise ParameterError(f"{owner}.inner", inner, f"a number < outer = {R:g}")
     sizes = [("inner", r), ("outer", R), ("thickness", R - r)]
-    unit = unit_of(owner, dim, sizes, ["inner", "outer"])
-    return r / unit, R / unit, unit, is_delicate(length for _, length in sizes)
+    domain = Domain(owner, dim, sizes, ["inner", "outer"])
+    return domain, r / domain.unit, R / domain.unit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any
 from ngsolve import Mesh
 from pydantic import ValidationError
 
-from ngvisco.case import catalogue, toml
+from ngvisco.case import toml
 from ngvisco.case.blame import Blame
 from ngvisco.case.faults import CaseError, Fault, Locator, faults_of, numbers_out_of_range
 from ngvisco.case.places import copy_of, digest_of, parts_of, reads_z, shape_of, shapes_with_files, united
@@ -28,7 +28,6 @@ from ngvisco.expressions import ExpressionError
 from ngvisco.forms.boundary.boundaries import check_boundary_names
 from ngvisco.forms.context import time
 from ngvisco.physics.bodies import Body
-from ngvisco.physics.material import Material
 from ngvisco.physics.model import Model, default_elastic_state
 from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints
@@ -191,7 +190,7 @@ class Case:
         creep = self.sections.rheology.creep
         part: Any = self.sections.material
         values = data["material"]
-        if data["initial"].get("density") is None and self._material().referential_density is None:
+        if data["initial"].get("density") is None and made(part).referential_density is None:
             data["initial"] = {"density": None, **data["initial"]} | {"density": 1.0}
         while getattr(part, "material", None) is not None:  # a gas has none
             part, values = part.material, values["material"]
@@ -201,47 +200,35 @@ class Case:
             values.clear()
             values.update(in_order)
 
-    def _material(self) -> Material:
-        part: Any = self.sections.material
-        material: Material = catalogue.ALL_MATERIALS[part.kind](**parameters(part))
-        return material
-
     @property
     def _mesh_path(self) -> Path:
         return (self.directory / self.sections.domain.path).resolve()  # type: ignore[attr-defined]
 
     def mesh(self) -> Mesh:
         """The mesh of the domain; raises CaseError."""
-        domain = self.sections.domain
-        name = domain.geometry  # type: ignore[attr-defined]
+        domain: Any = self.sections.domain
         values = parameters(domain)
-        if name == "file":
+        if domain.geometry == "file":
             values["path"] = str(self._mesh_path)
         with self.blame.located("domain"):
-            return catalogue.GEOMETRIES[name](**values)
+            mesh: Mesh = owner_of(type(domain))(**values)
+            return mesh
 
     def model(self, dim: int) -> Model:
         """Material, mechanisms and loads in ``dim`` dimensions; raises CaseError."""
         self._check_place(dim)
-        mechanisms = {}
-        for name in type(self.sections.rheology).model_fields:
-            part = getattr(self.sections.rheology, name)
-            if part is not None:
-                with self.blame.located("rheology", name):
-                    values = self._values(part, ("rheology", name), dim)
-                    mechanisms[name] = owner_of(type(part))(**values)
-        loads = [
-            self._made(load, catalogue.LOADS, ("loads", str(i)), dim)
-            for i, load in enumerate(self.sections.loads)
-        ]
+        rheology = self.sections.rheology
+        mechanisms = self._all_made(rheology, type(rheology).model_fields, ("rheology",), dim)
+        loads = tuple(self._made(load, ("loads", str(i)), dim) for i, load in enumerate(self.sections.loads))
         if self.sections.bodies:
             bodies = tuple(self._body(i, dim) for i in range(len(self.sections.bodies)))
             with self.blame.located("bodies"):
-                return Model(bodies=bodies, loads=tuple(loads), **mechanisms)
+                return Model(bodies=bodies, loads=loads, **mechanisms)
+        part: Any = self.sections.material
         with self.blame.located("material"):
-            material = self._material().with_elastic_state(default_elastic_state(mechanisms.get("creep")))
+            material = made(part).with_elastic_state(default_elastic_state(mechanisms.get("creep")))
         with self.blame.located("loads"):
-            return Model(material=material, loads=tuple(loads), **mechanisms)
+            return Model(material=material, loads=loads, **mechanisms)
 
     def _check_place(self, dim: int) -> None:
         if dim == 2 and (found := reads_z(self.sections)) is not None:
@@ -250,15 +237,7 @@ class Case:
 
     def _body(self, number: int, dim: int) -> Body:
         part, path = self.sections.bodies[number], ("bodies", str(number))
-        values: dict[str, Any] = {}
-        for name in ("material", "viscosity", "creep"):
-            section: Any = getattr(part, name)
-            if section is not None:
-                with self.blame.located(*path, name):
-                    values[name] = made(section)
-        if part.heat is not None:
-            with self.blame.located(*path, "heat"):
-                values["heat"] = owner_of(type(part.heat))(**self._values(part.heat, (*path, "heat"), dim))
+        values = self._all_made(part, ("material", "viscosity", "creep", "heat"), path, dim)
         values["where"] = united([shape for _, shape in self._places(number)])
         with self.blame.located(*path):
             return Body(name=part.name, density=part.density, order=part.order, **values)
@@ -274,19 +253,14 @@ class Case:
 
     def simulation(self, mesh: Mesh, observers: Sequence[Observer] = ()) -> Simulation:
         """The simulation at its initial state; raises CaseError for data that the model refuses."""
-        sections, parts = self.sections, {}
+        sections = self.sections
         self._check_place(mesh.dim)
         with self.blame.located("walls"):
             check_boundary_names(mesh, sections.walls)
-        for name in ("initial", "discretisation", "solver"):
-            with self.blame.located(name):
-                values = self._values(getattr(sections, name), (name,), mesh.dim)
-                parts[name] = catalogue.SECTIONS[name](**values)
-        walls: dict[str | tuple[str, ...], Wall] = {}
-        for wall, condition in sections.walls.items():
-            walls[wall] = self._made(condition, catalogue.WALLS, ("walls", wall), mesh.dim)
-        with self.blame.located("time"):
-            steps = made(sections.time)
+        parts = self._all_made(sections, ("initial", "discretisation", "solver", "time"), (), mesh.dim)
+        walls: dict[str | tuple[str, ...], Wall] = {
+            name: self._made(wall, ("walls", name), mesh.dim) for name, wall in sections.walls.items()
+        }
         time.Set(0.0)
         model = self.model(mesh.dim)
         self._check_bodies(mesh)
@@ -294,7 +268,7 @@ class Case:
             run = Simulation(
                 mesh,
                 model,
-                time=steps,
+                time=parts["time"],
                 initial=parts["initial"],
                 walls=walls,
                 passive=sections.output.passive,
@@ -353,20 +327,24 @@ class Case:
             except ExpressionError as error:
                 raise refuse((*path, "of"), str(error)) from error
 
-    def _made(
-        self, part: Any, table: Mapping[str, Callable[..., Any]], path: tuple[str, ...], dim: int
-    ) -> Any:
+    def _all_made(
+        self, table: Section, names: Iterable[str], path: tuple[str, ...], dim: int
+    ) -> dict[str, Any]:
+        """What the named sections of a table describe, as far as they are there."""
+        parts = {name: getattr(table, name) for name in names}
+        return {n: self._made(part, (*path, n), dim) for n, part in parts.items() if part is not None}
+
+    def _made(self, part: Section, path: tuple[str, ...], dim: int) -> Any:
+        """What a section describes."""
         with self.blame.located(*path):
-            return table[part.kind](**self._values(part, path, dim))
+            return owner_of(type(part))(**self._values(part, path, dim))
 
     def _values(self, part: Section, path: tuple[str, ...], dim: int) -> dict[str, Any]:
         """A section's parameters with its expressions as coefficient functions."""
         values, fields = parameters(part), field_names(part)
         for name, value in values.items():
             if isinstance(value, Section):
-                inner = self._values(value, (*path, name), dim)
-                with self.blame.located(*path, name):
-                    values[name] = owner_of(type(value))(**inner)
+                values[name] = self._made(value, (*path, name), dim)
             if name in fields:
                 self._check_length(value, (*path, name), dim)
                 with self.blame.located(*path, name):

@@ -5,16 +5,10 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ngvisco.case import catalogue
 from ngvisco.case.faults import CaseError, Fault
-from ngvisco.case.section import Section, field_names, moduli, parameters
+from ngvisco.case.section import Section, field_names, moduli, owner_of, parameters
 from ngvisco.expressions import Expression, parse, parse_region
 from ngvisco.shapes.shape import Shape, Union, Where
-
-
-def place_of(where: Any, directory: Path) -> Shape | None:
-    """The shape that a body's key ``where`` describes; its file is sought from ``directory``."""
-    return united([shape_of(part, directory) for _, part in parts_of(where)])
 
 
 def united(shapes: Sequence[Shape]) -> Shape | None:
@@ -36,8 +30,8 @@ def shape_of(part: Any, directory: Path) -> Shape:
     values = parameters(part)
     if "path" in values:
         values["path"] = str((directory / values["path"]).resolve())
-    made: Shape = catalogue.SHAPES[part.kind](**values)
-    return made
+    shape: Shape = owner_of(type(part))(**values)
+    return shape
 
 
 def shapes_with_files(data: dict[str, Any], directory: Path) -> list[tuple[dict[str, Any], Path]]:

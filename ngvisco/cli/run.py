@@ -6,10 +6,7 @@ import shutil
 import signal
 import sys
 import threading
-import time as clock
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
 from ngsolve import SetNumThreads
 
@@ -17,6 +14,7 @@ from ngvisco import case as cases
 from ngvisco.case import changes
 from ngvisco.case.directory import RunDirectory
 from ngvisco.cli import streams
+from ngvisco.cli.signals import Stopping
 from ngvisco.cli.streams import DONE, NOT_CLOSED
 from ngvisco.errors import ParameterError
 from ngvisco.run.observers import Progress, dissipation_advice, limited_in_words, steps_in_words
@@ -24,45 +22,25 @@ from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import Rejection
 
 
-class StopOnSignal:
-    """SIGINT and SIGTERM let the step end; a second one ends the process as usual."""
-
-    SIGNALS = (signal.SIGINT, signal.SIGTERM)
+class StopOnSignal(Stopping, Observer):
+    """Signals let the step of a run end."""
 
     def __init__(self) -> None:
-        self.received: int | None = None
-        self._before: dict[int, Any] = {}
-        self._simulation: Simulation | None = None
+        super().__init__(lambda: None)
 
     def start(self, simulation: Simulation) -> None:
-        self._simulation = simulation
-        for number in self.SIGNALS:
-            self._before.setdefault(number, signal.signal(number, self._handle))
-
-    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        """Nothing: the time loop looks at the request itself."""
+        self.stop = simulation.request_stop
+        self.__enter__()
 
     def finish(self, simulation: Simulation) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        self.received = number
-        assert self._simulation is not None
-        self._simulation.request_stop()
-        signal.signal(number, self._before[number])
+        self.__exit__()
 
 
-class ProgressBar:
+class ProgressBar(Progress):
     """One line that is redrawn: time, step, energy, closure, remaining time."""
 
-    on_first_rank = True
-
-    def __init__(self, until: float) -> None:
-        self.until = until
-
     def start(self, simulation: Simulation) -> None:
-        self._began, self._from = clock.perf_counter(), simulation.t
+        self._set_out(simulation)
         self._draw(simulation, simulation.ledger.rows[-1])
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
@@ -80,15 +58,12 @@ class ProgressBar:
         streams.write("\n" if advice is None else f"\n{advice}\n")
 
     def _draw(self, simulation: Simulation, row: dict[str, float]) -> None:
-        done = simulation.t / self.until
-        spent = clock.perf_counter() - self._began
-        covered = simulation.t - self._from
-        left = f"{spent * (self.until - simulation.t) / covered:.0f} s left" if covered > 0 else "starting"
+        done, left = simulation.t / self.until, self._left(simulation)
         energy = row["kinetic"] + row["stored"]
         text = (
             f" t {simulation.t:.4g}/{self.until:.4g} s  step {simulation.step_number}  "
             f"energy {energy:.6e} J  "
-            f"closure {row['closure_relative']:+.0e}  {limited_in_words(row)}{left}"
+            f"closure {row['closure_relative']:+.0e}  {limited_in_words(row)}{left or 'starting'}"
         )
         width = max(4, shutil.get_terminal_size().columns - len(text) - 3)
         filled = min(width, round(width * done))
@@ -155,7 +130,7 @@ class _Lines(Progress):
 def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
     if result.closure_check.failures:
         streams.complain(result.closure_check.message)
-    received = int(result.ranks.most(stop.received or 0))  # a signal may have met one rank
+    received = int(result.ranks.most(stop.received))  # a signal may have met one rank
     if received:
         name = signal.Signals(received).name
         streams.write(

@@ -1,16 +1,14 @@
 """``ngvisco sweep``: a case with some of its keys varied."""
 
 import argparse
-import contextlib
 import signal
 import threading
-from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
 
 from ngsolve import SetNumThreads
 
 from ngvisco.cli import streams
+from ngvisco.cli.signals import Stopping
 from ngvisco.cli.streams import DONE, FAILED, NOT_CLOSED
 from ngvisco.sweep.study import Study
 from ngvisco.sweep.table import Outcome
@@ -35,7 +33,8 @@ def sweep(options: argparse.Namespace) -> int:
     if not options.quiet:
         finished = f", {before} of them finished before" if before else ""
         streams.write(f"{len(study.outcomes)} runs{finished}\n")
-    with _stopping() as (stop, received):
+    stop = threading.Event()
+    with Stopping(stop.set) as signals:
         outcomes = study.run(
             workers=options.workers,
             threads=options.threads,
@@ -43,7 +42,7 @@ def sweep(options: argparse.Namespace) -> int:
             report=report,
             stop=stop,
         )
-    return _close(study, outcomes, received)
+    return _close(study, outcomes, signals.received)
 
 
 def _line(outcome: Outcome) -> str:
@@ -53,35 +52,13 @@ def _line(outcome: Outcome) -> str:
     return f"{outcome.name}: {outcome.state}{reached}{closure}{reason}"
 
 
-@contextlib.contextmanager
-def _stopping() -> Iterator[tuple[threading.Event, list[int]]]:
-    """SIGINT and SIGTERM set the event and are noted; a second one ends the process as usual."""
-    stop, received = threading.Event(), list[int]()
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.getsignal(number) for number in numbers}
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-        stop.set()
-        for each in numbers:
-            signal.signal(each, before[each])
-
-    for number in numbers:
-        signal.signal(number, handle)
-    try:
-        yield stop, received
-    finally:
-        for number in numbers:
-            signal.signal(number, before[number])
-
-
-def _close(study: Study, outcomes: list[Outcome], received: list[int]) -> int:
+def _close(study: Study, outcomes: list[Outcome], received: int) -> int:
     missing = [outcome for outcome in outcomes if not outcome.is_finished]
     streams.write(f"finished: {len(outcomes) - len(missing)} of {len(outcomes)} runs; table {study.table}\n")
     if received:
-        name = signal.Signals(received[0]).name
+        name = signal.Signals(received).name
         streams.write(f"{name}: stopped, with checkpoints; the same command goes on\n")
-        return 128 + received[0]
+        return 128 + received
     for outcome in missing:
         streams.complain(_line(outcome))
     if missing:

@@ -36,9 +36,6 @@ if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
     from ngvisco.run.stepping import Rejection
 
-if TYPE_CHECKING:
-    from ngvisco.run.simulation import Simulation
-
 
 class Progress:
     """A line a step: time, energy, closure, Newton iterations, time to go.
@@ -62,8 +59,17 @@ class Progress:
         require_positive("Progress", until=until)
         self.until, self.every, self.stream = float(until), int(every), stream
 
-    def start(self, simulation: Simulation) -> None:
+    def _set_out(self, simulation: Simulation) -> None:
         self._began, self._from = clock.perf_counter(), simulation.t
+
+    def _left(self, simulation: Simulation) -> str:
+        """The time to go, "" before the first step."""
+        left, covered = max(self.until - simulation.t, 0.0), simulation.t - self._from
+        spent = clock.perf_counter() - self._began
+        return f"{spent * left / covered:.0f} s left" if covered > 0 else ""
+
+    def start(self, simulation: Simulation) -> None:
+        self._set_out(simulation)
         self._total = "" if simulation.is_adaptive else f"/{round(self.until / simulation.dt)}"
         cells, unknowns = simulation.cells, simulation.unknowns
         steps = (
@@ -75,13 +81,11 @@ class Progress:
         at_end = simulation.t >= self.until * (1 - 1e-9)
         if not (simulation.is_due(self.every) or at_end):
             return
-        spent = clock.perf_counter() - self._began
-        left = 0.0 if at_end else spent * (self.until - simulation.t) / (simulation.t - self._from)
         self._print(
             f"step {simulation.step_number:5d}{self._total}  t {row['time']:.4g} s  "
             f"kinetic {row['kinetic']:.4e}  stored {row['stored']:.6e} J  "
             f"closure {row['closure_relative']:+.0e}  Newton {row['newton_iterations']:2.0f}  "
-            f"{limited_in_words(row)}left {left:.0f} s"
+            f"{limited_in_words(row)}{self._left(simulation)}"
         )
 
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:

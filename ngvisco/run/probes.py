@@ -20,12 +20,9 @@ from ngvisco.run.fields import component_fields, components
 from ngvisco.run.series import Series
 
 if TYPE_CHECKING:
-    from ngvisco.run.simulation import Simulation
-    from ngvisco.timestepping.integrator import Integrator
-
-if TYPE_CHECKING:
     from ngvisco.forms.system import Step
     from ngvisco.run.simulation import Simulation
+    from ngvisco.timestepping.integrator import Integrator
 
 
 class Probes(Series):

@@ -156,29 +156,19 @@ def scales(simulation: Simulation) -> Scales:
     if not places:
         mass = float(step.quadrature.integrate_cells(step.now.rho))
         places = [Place(step.model, {}, mass / Integrate(CF(1.0), mesh), np.empty(0))]
-    found = [place.scales(mesh.dim) for place in places]
+    fast, slow, viscosities, maxwell = zip(*(place.scales(mesh.dim) for place in places), strict=True)
     least, most = simulation.sampler.extrema(step.now.rho)
     return Scales(
         length=float(np.ptp(coordinates(mesh), axis=0).min()),
         cell=float(np.median(step.context.h.vec.FV().NumPy())),
         velocity=simulation.velocity_scale,
-        speeds=(max(each.fast for each in found), max(each.slow for each in found)),
-        kinematic_viscosity=min((each.viscosity for each in found if each.viscosity > 0), default=0.0),
-        maxwell=min(each.maxwell for each in found),
+        speeds=(max(fast), max(slow)),
+        kinematic_viscosity=min((value for value in viscosities if value > 0), default=0.0),
+        maxwell=min(maxwell),
         dt=simulation.dt,
         scheme=simulation.scheme,
         densities=most / least,
     )
-
-
-@dataclass(frozen=True)
-class LocalScales:
-    """Speeds of longitudinal and shear waves, m/s, G_v/rho, m^2/s, and the Maxwell time, s, of one place."""
-
-    fast: float
-    slow: float
-    viscosity: float
-    maxwell: float
 
 
 @dataclass(frozen=True)
@@ -192,8 +182,8 @@ class Place:
     state: np.ndarray
     """Components of the material's variables, (n,)."""
 
-    def scales(self, dim: int) -> LocalScales:
-        """Those of the laws at rest, F = I."""
+    def scales(self, dim: int) -> tuple[float, float, float, float]:
+        """Speeds of longitudinal and shear waves, m/s, G_v/rho, m^2/s, and the Maxwell time, s, at F = I."""
         viscosity, creep, z = self.laws.viscosity, self.laws.creep, self.parameters
         rest = values_at_rest(self.laws.material, z)
         thickness: Any = 0.0 if viscosity is None else viscosity.shear_viscosity(rest)
@@ -201,7 +191,7 @@ class Place:
         maxwell = math.inf
         if creep is not None and creep.flows and shear > 0:
             maxwell = creep.relaxation_time(shear, rest)
-        return LocalScales(
+        return (
             math.sqrt(max(longitudinal, 0.0) / self.density),
             math.sqrt(max(shear, 0.0) / self.density),
             float(np.max(thickness.value if isinstance(thickness, Array) else thickness)) / self.density,

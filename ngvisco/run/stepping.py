@@ -21,6 +21,7 @@ of lengths.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
 
@@ -113,41 +114,47 @@ class RejectionObserver(Protocol):
         """After a step was rejected; the state is that before the step."""
 
 
-class Stepper(Protocol):
+class Stepper(ABC):
     """Chooses and takes steps for a simulation."""
 
-    def check(self, name: str, time: float) -> None:
-        """Raise ParameterError when ``time`` cannot be met exactly."""
-
+    @abstractmethod
     def reached(self, simulation: Simulation, time: float) -> bool:
         """Whether the present state is that of ``time`` or later."""
 
+    @abstractmethod
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
         """Take one step that does not pass ``stop``; raises StepError and leaves the old state."""
 
-    def step_of(self, time: float, number: int) -> tuple[int, bool]:
-        """Of the state at ``time`` (s), in row ``number`` of the ledger: the number of its step, and whether
-        it is that step's end, not that of a part."""
-
+    @abstractmethod
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         """Numbers and arrays that a restart needs."""
 
+    @abstractmethod
     def load_state_dict(
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
         """Take up what ``state_dict`` gave."""
 
+    def check(self, name: str, time: float) -> None:
+        """Raise ParameterError when ``time`` cannot be met exactly."""
+        return
+
+    def step_of(self, time: float, number: int) -> tuple[int, bool]:
+        """Of the state at ``time`` (s), in row ``number`` of the ledger: the number of its step, and whether
+        it is that step's end, not that of a part."""
+        return number, True
+
     def begin(self, time: float, number: int) -> None:
-        """Count steps from the state of step ``number`` at ``time``, as a run that goes on with another
-        dt."""
+        """Count steps from the state of step ``number`` at ``time``, as in a run with another dt."""
+        return
 
 
 def _estimate_for(simulation: Simulation) -> ErrorEstimate:
-    order = simulation.integrator.scheme.order
+    order = simulation.scheme.order
     return ErrorEstimate(simulation.rothe_step, lambda: simulation.velocity_scale, order)
 
 
-class FixedStepper:
+class FixedStepper(Stepper):
     """Steps of one length, taken in parts where the solver at hand does not solve them.
 
     A step that it does not solve is taken in halves, these in quarters, down to 2^-``halvings`` of it: each
@@ -231,7 +238,7 @@ def step_under_way(simulation: Simulation) -> int:
     return simulation.step_number + simulation.is_due(1)
 
 
-class AdaptiveStepper:
+class AdaptiveStepper(Stepper):
     """Steps of lengths that follow the error and what can be solved; see the module's docstring."""
 
     def __init__(self, dt: float, options: AdaptiveSteps) -> None:
@@ -239,15 +246,6 @@ class AdaptiveStepper:
         self.dt, self.streak = dt, 0
         self._last_error: float | None = None
         self._estimate: ErrorEstimate | None = None
-
-    def begin(self, time: float, number: int) -> None:
-        """Nothing: lengths do not depend on the number of a step."""
-
-    def step_of(self, time: float, number: int) -> tuple[int, bool]:
-        return number, True
-
-    def check(self, name: str, time: float) -> None:
-        """Every time can be met."""
 
     def reached(self, simulation: Simulation, time: float) -> bool:
         return simulation.t >= time * (1 - 1e-14)

@@ -14,7 +14,6 @@ from ngvisco.forms.boundary.boundaries import (
     check_boundary_names,
     check_mesh,
     interior_boundaries,
-    slip_constraints,
 )
 from ngvisco.forms.system import Step
 from ngvisco.geometries import box, sphere
@@ -48,8 +47,8 @@ def test_walls_of_a_box_are_sorted_by_axis() -> None:
 
 def free_vertices(mesh: Mesh) -> list[bool]:
     """Of a velocity that slips on all walls, component by component."""
-    layout = Step(mesh, Model(material=NeoHookean(K_e=1, G_e=1, epsilon=0.1))).layout
-    free = np.array(list(layout.velocity_space(slip_constraints(mesh)).FreeDofs()))
+    step = Step(mesh, Model(material=NeoHookean(K_e=1, G_e=1, epsilon=0.1)))
+    free = np.array(list(step.layout.velocity_space(step.walls.dirichlet).FreeDofs()))
     return free.reshape(mesh.dim, -1)[:, : mesh.nv].ravel().tolist()
 
 
@@ -102,11 +101,6 @@ def test_a_curved_wall_is_not_axis_parallel() -> None:
 
 def test_one_name_for_walls_of_two_directions_is_not_axis_parallel() -> None:
     assert axis_parallel_walls(named_square(("all", "all", "all", "all"))) == ([[], []], ["all"])
-
-
-def test_a_curved_wall_has_no_constraint_of_components() -> None:
-    with pytest.raises(MeshError, match="'rim' is not normal to an axis"):
-        slip_constraints(disc())
 
 
 def test_unknown_boundary_name_raises_with_the_nearest() -> None:

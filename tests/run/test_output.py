@@ -111,7 +111,7 @@ def test_progress_prints_every_nth_step_and_the_last(tmp_path, capsys):
     small_run([nv.Progress(until=0.08, every=3)])
     printed = capsys.readouterr().out
     assert re.findall(r"step\s+(\d+)/4", printed) == ["3", "4"]
-    assert "closure" in printed and "left 0 s" in printed
+    assert "closure" in printed and "0 s left" in printed
 
 
 def test_what_is_no_energy_is_not_drawn_as_one(tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ from ngsolve import BilinearForm, CoefficientFunction, GridFunction, Integrate, 
 
 from ngvisco import Discretisation, Model, NewtonOptions, time
 from ngvisco.errors import StepError
-from ngvisco.forms.boundary.boundaries import slip_constraints
+from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.context import Context
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature
@@ -54,7 +54,7 @@ class PartialLayout(Layout):
         self, mesh: Mesh, model: Model, discretisation: Discretisation, names: Sequence[str]
     ) -> None:
         terms = equations(model, mesh.dim)
-        super().__init__(mesh, model.material, discretisation, terms, slip_constraints(mesh))
+        super().__init__(mesh, model.material, discretisation, terms, Walls(mesh).dirichlet)
         self._make([name for name in self.names if name in names])
 
     def with_given(self, parts: Sequence[Any], exact: Exact | None) -> Fields:

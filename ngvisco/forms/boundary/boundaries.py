@@ -58,22 +58,6 @@ def axis_parallel_walls(mesh: Mesh) -> tuple[list[list[str]], list[str]]:
     return walls, others
 
 
-def slip_constraints(mesh: Mesh) -> tuple[Region, ...]:
-    """The boundaries where v_i = 0, one region for each i, that makes every wall impenetrable.
-
-    Raises
-    ------
-    MeshError
-        If a wall is not parallel to the axes.
-    """
-    walls, others = axis_parallel_walls(mesh)
-    if others:
-        raise MeshError(
-            f"boundary {others[0]!r} is not normal to an axis: expected walls parallel to the axes"
-        )
-    return tuple(walls_of(mesh, names) for names in walls)
-
-
 def periodic_boundaries(mesh: Mesh) -> set[str]:
     """Names of the boundaries that the mesh identifies with each other.
 
@@ -82,7 +66,14 @@ def periodic_boundaries(mesh: Mesh) -> set[str]:
     MeshError
         If only a part of a name's boundary is identified.
     """
-    return _boundaries_of(mesh, periodic_facets(mesh), "is periodic")
+    names, identified = np.array(mesh.GetBoundaries()), np.zeros(mesh.nfacet, dtype=bool)
+    identified[list(periodic_facets(mesh))] = True
+    totals = _counts(mesh, identified)
+    counts = {str(name): totals[names == name].sum(axis=0) for name in sorted(set(names))}
+    for name, (free, both) in counts.items():
+        if free and both:
+            raise MeshError(f"boundary {name!r} is periodic in a part only: give that part a name of its own")
+    return {name for name, (_, both) in counts.items() if both}
 
 
 def interior_boundaries(mesh: Mesh) -> set[str]:
@@ -116,16 +107,8 @@ def walls_of(mesh: Mesh, names: Iterable[str]) -> Region:
 
 def _interfaces(mesh: Mesh) -> set[int]:
     """Numbers of the boundaries' parts that lie between two cells; MeshError for one that does in a part."""
-    between = facets_with_two_sides(mesh) & boundary_facets(mesh)
-    if not mesh.comm.Sum(int(between.any())):
-        return set()
-    names = mesh.GetBoundaries()
-    counts = np.zeros((len(names), 2), dtype=int)  # facets that do not, and that do
-    for element in mesh.Elements(BND):
-        own = element.edges if mesh.dim == 2 else element.faces
-        counts[element.index, int(between[own[0].nr])] += 1
-    totals = np.array([[mesh.comm.Sum(int(count)) for count in pair] for pair in counts])
-    for name, (outer, inner) in zip(names, totals, strict=True):
+    totals = _counts(mesh, facets_with_two_sides(mesh) & boundary_facets(mesh))
+    for name, (outer, inner) in zip(mesh.GetBoundaries(), totals, strict=True):
         if outer and inner:
             raise MeshError(
                 f"boundary {name!r} has a part that lies between cells in a part only: divide it, in the "
@@ -134,19 +117,15 @@ def _interfaces(mesh: Mesh) -> set[int]:
     return {int(i) for i in np.flatnonzero(totals[:, 1])}
 
 
-def _boundaries_of(mesh: Mesh, facets: set[int], what: str) -> set[str]:
-    """Names of the boundaries that consist of these facets; MeshError for one that does so in a part."""
-    if mesh.comm.Sum(len(facets)) == 0:
-        return set()
-    counts = {name: [0, 0] for name in sorted(set(mesh.GetBoundaries()))}  # facets that are not, and that are
-    for element in mesh.Elements(BND):
-        own = element.edges if mesh.dim == 2 else element.faces
-        counts[element.mat][own[0].nr in facets] += 1
-    totals = {name: [mesh.comm.Sum(count) for count in pair] for name, pair in counts.items()}
-    for name, (free, identified) in totals.items():
-        if free and identified:
-            raise MeshError(f"boundary {name!r} {what} in a part only: give that part a name of its own")
-    return {name for name, (_, identified) in totals.items() if identified}
+def _counts(mesh: Mesh, chosen: np.ndarray) -> np.ndarray:
+    """How many facets of each part of the boundary are not among the chosen ones, and are, (parts, 2)."""
+    counts = np.zeros((len(mesh.GetBoundaries()), 2), dtype=int)
+    if mesh.comm.Sum(int(chosen.any())):
+        for element in mesh.Elements(BND):
+            own = element.edges if mesh.dim == 2 else element.faces
+            counts[element.index, int(chosen[own[0].nr])] += 1
+        counts = np.array([[mesh.comm.Sum(int(count)) for count in pair] for pair in counts])
+    return counts
 
 
 def facet_indicator(mesh: Mesh, names: Iterable[str]) -> GridFunction:
