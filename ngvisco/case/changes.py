@@ -51,17 +51,15 @@ def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:
 def _value(case: Case, key: str) -> Any:
     node: Any = case.sections.model_dump()
     if key == "bodies":
-        kept = ("name", "where", "density", "order")
-        return [{name: body[name] for name in kept} | _kinds(body) for body in node["bodies"]]
+        kept, mechanisms = ("name", "where", "density", "order"), ("viscosity", "creep")
+        return [
+            {name: body[name] for name in kept}
+            | {"kind": body["material"]["kind"], **{name: body[name] is not None for name in mechanisms}}
+            for body in node["bodies"]
+        ]
     for part in key.split("."):
         node = None if node is None else node[part]
     return node
-
-
-def _kinds(body: dict[str, Any]) -> dict[str, Any]:
-    """What a body is made of, without numbers."""
-    mechanisms = ("viscosity", "creep")
-    return {"kind": body["material"]["kind"], **{name: body[name] is not None for name in mechanisms}}
 
 
 def check_change(place: RunDirectory, case: Case, simulation: Simulation) -> None:

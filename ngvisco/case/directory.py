@@ -31,7 +31,6 @@ import subprocess
 import sys
 import time as clock
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -41,6 +40,7 @@ from ngvisco.case.build import Case, load_case
 from ngvisco.errors import MeshError, NgviscoError, require_path
 from ngvisco.run.checkpoint import ChosenMesh, mesh_of_checkpoints
 from ngvisco.run.files import locks, write_atomically
+from ngvisco.run.identity import version
 from ngvisco.run.meshfile import mesh_in, mesh_of, require_whole
 from ngvisco.run.plots import FORMATS
 
@@ -202,7 +202,7 @@ def versions() -> dict[str, Any]:
     """Versions, commit and machine, for the record."""
     packages = ("ngvisco", "ngsolve", "netgen-mesher", "numpy", "scipy", "h5py", "pydantic")
     return {
-        **{name: _version(name) for name in packages},
+        **{name: version(name) for name in packages},
         "python": platform.python_version(),
         "platform": platform.platform(),
         "commit": commit(),
@@ -222,10 +222,3 @@ def commit() -> str | None:
     except (OSError, subprocess.TimeoutExpired):
         return None
     return result.stdout.strip() or None
-
-
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None

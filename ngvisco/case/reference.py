@@ -217,24 +217,25 @@ def explain(path: str) -> str:
     every = entries()
     wanted = tuple(part for part in path.strip().strip(".").split(".") if part)
     for place, same in _SAME_KEYS.items():
-        if len(wanted) > len(place) and _matches(place, wanted[: len(place)]):
+        if len(wanted) > len(place) and matches(place, wanted[: len(place)]):
             wanted = (*same, *wanted[len(place) :])
     kinds = {kind: entry.path[:-1] for entry in every for kind in entry.kinds}
     if wanted and wanted[-1] in kinds:
         kind, section = wanted[-1], kinds[wanted[-1]]
         own = [e for e in every if e.path[:-1] == section and (kind in e.kinds or e.path[-1] in _TAGS)]
-        doc = _summary(kind)
+        doc = next((summary(made) for model, made in _TARGETS.items() if model.__name__ == kind), "")
         return "\n\n".join([f"{kind}: {doc}" if doc else kind, *(card(entry) for entry in own)])
-    exact = [entry for entry in every if _matches(entry.path, wanted)]
+    exact = [entry for entry in every if matches(entry.path, wanted)]
     # a name alone is that of a key in all tables that have it
     exact = exact or [entry for entry in every if entry.path[-1:] == wanted]
-    below = [e for e in every if len(e.path) > len(wanted) and _matches(e.path[: len(wanted)], wanted)]
+    below = [e for e in every if len(e.path) > len(wanted) and matches(e.path[: len(wanted)], wanted)]
     if not wanted or not exact + below:
         last = {entry.path[-1]: entry.name for entry in every}
         alike = [*last, *kinds] if wanted else []
         close = [last.get(name, name) for name in alike if name.lower() == wanted[-1].lower()]
         close += [last[name] for name in difflib.get_close_matches(wanted[-1], last, n=2)] if wanted else []
-        close += difflib.get_close_matches(path, [*_names(every), *kinds], n=3, cutoff=0.4)
+        names = dict.fromkeys(entry.name for entry in every)
+        close += difflib.get_close_matches(path, [*names, *kinds], n=3, cutoff=0.4)
         close = list(dict.fromkeys(close))[:3]
         hint = f"such as {', '.join(close)}; " if close else ""
         raise ParameterError("KEY", path, f"a key of a case file, {hint}ngvisco list --keys has them all")
@@ -249,20 +250,11 @@ def listing() -> str:
     return "\n".join(line(entry) for entry in entries())
 
 
-def _matches(path: tuple[str, ...], wanted: tuple[str, ...]) -> bool:
+def matches(path: tuple[str, ...], wanted: tuple[str, ...]) -> bool:
     """Whether a user's path is this one: NAME stands for any name, N for an index."""
     return len(path) == len(wanted) and all(
         a == b or a == "NAME" or (a == "N" and b.isdigit()) for a, b in zip(path, wanted, strict=True)
     )
-
-
-def _names(every: list[Entry]) -> list[str]:
-    return list(dict.fromkeys(entry.name for entry in every))
-
-
-def _summary(kind: str) -> str:
-    """First line of the docstring behind a kind."""
-    return next((summary(target) for model, target in _TARGETS.items() if model.__name__ == kind), "")
 
 
 def line(entry: Entry) -> str:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ngvisco.case import toml
 from ngvisco.case.build import parse_case
-from ngvisco.case.reference import Entry, entries
+from ngvisco.case.reference import Entry, entries, matches
 from ngvisco.errors import UnknownNameError
 
 _COLUMN = 46
@@ -86,18 +86,13 @@ def _tables(text: str) -> list[tuple[str, ...]]:
     return [tuple(match[1].split(".")) for match in map(_TABLE.match, text.splitlines()) if match]
 
 
-def _shape(entry: Entry) -> tuple[str, ...]:
-    """Its path without indices."""
-    return tuple(part for part in entry.path if part != "N")
-
-
-def _matches(path: tuple[str, ...], real: tuple[str, ...]) -> bool:
-    shape = tuple(part for part in path if part != "N")
-    return len(shape) == len(real) and all(a in (b, "NAME") for a, b in zip(shape, real, strict=True))
+def _shape(path: tuple[str, ...]) -> tuple[str, ...]:
+    """A key's path without indices."""
+    return tuple(part for part in path if part != "N")
 
 
 def _entry(every: list[Entry], real: tuple[str, ...], kind: str | None) -> Entry | None:
-    fits = (e for e in every if _matches(e.path, real) and (not e.kinds or kind in e.kinds))
+    fits = (e for e in every if matches(_shape(e.path), real) and (not e.kinds or kind in e.kinds))
     return next(fits, None)
 
 
@@ -115,7 +110,7 @@ def _beside(text_line: str, note: str) -> str:
 
 def _optional(every: list[Entry], table: tuple[str, ...], given: set[str], kind: str | None) -> list[str]:
     """The table's other keys as comments."""
-    own = [e for e in every if len(_shape(e)) == len(table) + 1 and _matches(e.path[:-1], table)]
+    own = [e for e in every if matches(_shape(e.path)[:-1], table)]
     fits = (e for e in own if e.path[-1] not in given and (not e.kinds or kind in e.kinds))
     return [_commented(e) for e in fits if e.example is not None and not e.required]
 
@@ -124,7 +119,7 @@ def _absent(every: list[Entry], path_names: set[tuple[str, ...]]) -> list[str]:
     """Tables that the demo has not, as comments with examples."""
     lines: list[str] = []
     for path in dict.fromkeys(e.path[:-1] for e in every if len(e.path) > 1 and e.example is not None):
-        if any(_matches(path, real) for real in path_names) or "material" in path:
+        if any(matches(_shape(path), real) for real in path_names) or "material" in path:
             continue
         own = [e for e in every if e.path[:-1] == path and e.example is not None]
         kind = next((e.example for e in own if e.path[-1] == "kind"), None)

@@ -270,23 +270,13 @@ def _ended(options: argparse.Namespace) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _say(f"{where}{error.strerror or error}", BAD_FILE)
     except Exception as error:
-        return _say(_described(error), _code(error))
+        from ngvisco.errors import CheckpointError, MeshError, NgviscoError, StepError
 
-
-def _described(error: Exception) -> str:
-    from ngvisco.errors import NgviscoError
-
-    if isinstance(error, NgviscoError):
-        return "\n".join([str(error), *getattr(error, "__notes__", [])])
-    raise error  # a fault of ours: its traceback is what a report needs
-
-
-def _code(error: Exception) -> int:
-    from ngvisco.errors import CheckpointError, MeshError, StepError
-
-    if isinstance(error, StepError):
-        return FAILED
-    return BAD_FILE if isinstance(error, (CheckpointError, MeshError)) else BAD_INPUT
+        if not isinstance(error, NgviscoError):
+            raise  # a fault of ours: its traceback is what a report needs
+        code = BAD_FILE if isinstance(error, (CheckpointError, MeshError)) else BAD_INPUT
+        said = "\n".join([str(error), *getattr(error, "__notes__", [])])
+        return _say(said, FAILED if isinstance(error, StepError) else code)
 
 
 def _command(name: str) -> Callable[[argparse.Namespace], int]:

@@ -33,7 +33,7 @@ import dataclasses
 import hashlib
 import io
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +43,7 @@ import numpy as np
 from ngvisco.errors import CheckpointError, require_count, require_file, require_path
 from ngvisco.run.files import write_atomically
 from ngvisco.run.identity import identity
-from ngvisco.run.ledger import Balance, unit
+from ngvisco.run.ledger import Balance, Ledger, unit
 from ngvisco.run.series import Series
 
 if TYPE_CHECKING:
@@ -147,22 +147,20 @@ class Checkpoints:
                 mesh = file.create_dataset("mesh", data=content, compression="gzip")
                 mesh.attrs["step"] = self.chosen.step
             group = file.create_group("ledger")
-            for column in simulation.ledger.columns:
-                data = group.create_dataset(column, data=simulation.ledger.column(column))
-                data.attrs["unit"] = unit(column)
+            _store_table(group, simulation.ledger, unit)
             group.attrs[_CHECKSUM] = _digest({}, {name: np.array(data) for name, data in group.items()})
             for observer in simulation.observers:
                 if isinstance(observer, Series) and observer.group is not None and observer.group not in file:
-                    _store_table(file.create_group(observer.group), observer)
+                    _store_table(file.create_group(observer.group), observer, observer.unit)
             for number, one in kept.items():
                 _store(file.create_group(f"checkpoints/{number:08d}"), one)
         write_atomically(self.path, image.getvalue())
 
 
-def _store_table(group: h5py.Group, table: Series) -> None:
+def _store_table(group: h5py.Group, table: Series | Ledger, unit: Callable[[str], str]) -> None:
     for column in table.columns:
         data = group.create_dataset(column, data=table.column(column))
-        data.attrs["unit"] = table.unit(column)
+        data.attrs["unit"] = unit(column)
 
 
 def _store(group: h5py.Group, one: Snapshot) -> None:
@@ -337,7 +335,7 @@ def take_up(
         read.append(one)
         number, found = int(one.numbers[""]["step"]), read_ledger(path)
         names = list(found) if may_differ else [*ledger.columns, *ledger.foreign(found)]
-        rows = [row for row in read_ledger_rows(path, names) if row["step"] <= number]
+        rows = [row for row in _rows(path, found, names) if row["step"] <= number]
         if [row["step"] for row in rows] != list(range(number + 1)):
             raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
         return names, rows
@@ -395,9 +393,8 @@ def read_ledger(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
         return columns
 
 
-def read_ledger_rows(path: Path, columns: Sequence[str]) -> list[dict[str, float]]:
-    """The same as rows of the given columns; CheckpointError for one that is missing or too short."""
-    found = read_ledger(path)
+def _rows(path: Path, found: Mapping[str, np.ndarray], columns: Sequence[str]) -> list[dict[str, float]]:
+    """A ledger as rows of the given columns; CheckpointError for one that is missing or too short."""
     if missing := [name for name in columns if name not in found]:
         raise CheckpointError(f"{path}: its ledger has no column {', '.join(missing)}")
     if len({found[name].shape for name in columns}) != 1 or found[columns[0]].ndim != 1:

@@ -61,6 +61,7 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
     """
     u, material = step.now, step.model.material
     T = cauchy_stress(material, u.z_tensors, u.zeta_tensors, step.energy.anywhere(u))
+    theta = temperature(material, u.zeta_tensors)
     return {
         "velocity": u.v,
         "density": u.rho,
@@ -69,7 +70,7 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
         "pressure": (-1 / 3) * tr(T),
         "pressure_from_rest": (-1 / 3) * tr(T) - rest_pressure(material, step.mesh.dim),
         "von_mises": sqrt(1.5 * square(dev(T))),
-        **_temperature(step),
+        **({} if theta is None else {TEMPERATURE: theta}),
         **{name: u.parts[name] for name in step.layout.further},
         **_body_fields(step),
         **further_fields(step, T),
@@ -81,12 +82,6 @@ def _variables(step: Step) -> dict[str, CoefficientFunction]:
     z, dim = step.now.z_tensors, step.mesh.dim
     vectors = [v.name for v in step.model.material.variables if v.kind == "vector"]
     return {**z, **{name: CF(tuple(z[name][i, 0] for i in range(dim))) for name in vectors}}
-
-
-def _temperature(step: Step) -> dict[str, CoefficientFunction]:
-    """K, by the projected conjugate of the entropy, of a material with heat."""
-    theta = temperature(step.model.material, step.now.zeta_tensors)
-    return {} if theta is None else {TEMPERATURE: theta}
 
 
 _FRACTION = "_fraction"

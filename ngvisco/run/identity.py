@@ -32,7 +32,7 @@ def identity(simulation: Simulation) -> dict[str, Any]:
     spaces = ", ".join(f"{name} {layout.blocks[name].ndof}" for name in layout.names)
     return {
         "format": FORMAT,
-        "ngvisco": _version(),
+        "ngvisco": version() or "0+unknown",
         "mesh": mesh_hash(mesh),
         "spaces": spaces,
         "material": material_signature(simulation.model.material),
@@ -88,8 +88,9 @@ def scheme_signature(simulation: Simulation) -> str:
     return text + (", relaxed" if integrator.relaxed else "")
 
 
-def _version() -> str:
+def version(package: str = "ngvisco") -> str | None:
+    """Of an installed package, None of another."""
     try:
-        return importlib.metadata.version("ngvisco")
+        return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
-        return "0+unknown"
+        return None

@@ -83,17 +83,19 @@ class PassiveFields:
         self.step, self.names = step, tuple(dict.fromkeys(names))
         dim = step.mesh.dim
         self._stages: list[dict[str, np.ndarray]] = []
-        self._parts: dict[str, GridFunction] = {}
+        self.parts: dict[str, GridFunction] = {}
+        """The grid functions that are carried, by their own names."""
         self._sources: dict[str, CoefficientFunction] = {}
         self._solvers: dict[str, _Carrier] = {}
         if "F_tot" in self.names:
             self._add_group("F_tot", dim, _Carrier(step, True, step.now.grad_v))
             for j in range(dim):
-                self._parts[f"F_tot_{j + 1}"].Set(CF(tuple(F_0[i, j] for i in range(dim))))
+                self.parts[f"F_tot_{j + 1}"].Set(CF(tuple(F_0[i, j] for i in range(dim))))
         flow = _Carrier(step, False, None)
-        if "F_tot" in self.names and dim == 2 and _differs_from_one(F_0[2, 2], step):
+        gap = F_0[2, 2] - 1
+        if "F_tot" in self.names and dim == 2 and step.quadrature.integrate_cells(gap * gap) > 0:
             self._add_group("F_tot_33", 1, flow)
-            self._parts["F_tot_33_1"].Set(F_0[2, 2])
+            self.parts["F_tot_33_1"].Set(F_0[2, 2])
         if "reference_map" in self.names:
             self._add_group("displacement", dim, flow)
             for i in range(dim):
@@ -108,20 +110,15 @@ class PassiveFields:
     def _add_group(self, name: str, count: int, carrier: _Carrier) -> None:
         for i in range(count):
             key = f"{name}_{i + 1}"
-            self._parts[key] = GridFunction(carrier.cells, name=key)
+            self.parts[key] = GridFunction(carrier.cells, name=key)
             self._solvers[key] = carrier
-
-    @property
-    def parts(self) -> Mapping[str, GridFunction]:
-        """The grid functions that are carried, by their own names."""
-        return self._parts
 
     @property
     def fields(self) -> dict[str, CoefficientFunction]:
         """Passive fields by name: F_tot 3x3 (plane strain in 2D), reference_map and displacement (x less
         the reference map) vectors, creep_strain.
         """
-        dim, parts, result = self.step.mesh.dim, self._parts, {}
+        dim, parts, result = self.step.mesh.dim, self.parts, {}
         if "F_tot" in self.names:
             columns = [parts[f"F_tot_{j + 1}"] for j in range(dim)]
             rows = [[columns[j][i] if max(i, j) < dim else float(i == j) for j in range(3)] for i in range(3)]
@@ -151,7 +148,7 @@ class PassiveFields:
         The present state, with the length in the step's context, is the stage's.
         """
         for carrier in dict.fromkeys(self._solvers.values()):
-            carrier.update()
+            carrier.form.Assemble()  # for the present velocity and step length
         carried = {}
         for key, solver in self._solvers.items():
             carried[key] = solver.carry(key, _combined(weights, self._stages, key), self._sources.get(key))
@@ -159,27 +156,22 @@ class PassiveFields:
 
     def end(self, weights: np.ndarray) -> None:
         """The step is accepted: take these weights of its stages."""
-        for key, field in self._parts.items():
+        for key, field in self.parts.items():
             field.vec.FV().NumPy()[:] = _combined(weights, self._stages, key)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What a checkpoint has to keep: copies of all coefficients by name."""
-        return {key: field.vec.FV().NumPy().copy() for key, field in self._parts.items()}
+        return {key: field.vec.FV().NumPy().copy() for key, field in self.parts.items()}
 
     def load(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Take the coefficients of ``arrays()`` of an earlier run.
 
         Raises CheckpointError if one is missing or of another size.
         """
-        for key, field in self._parts.items():
+        for key, field in self.parts.items():
             if key not in arrays or arrays[key].shape != (len(field.vec),):
                 raise CheckpointError(f"passive field {key}: missing in the checkpoint, or of another size")
             field.vec.FV().NumPy()[:] = arrays[key]
-
-
-def _differs_from_one(f: CoefficientFunction, step: Step) -> bool:
-    gap = f - 1
-    return float(step.quadrature.integrate_cells(gap * gap)) > 0
 
 
 def _combined(weights: np.ndarray, stages: Sequence[Mapping[str, np.ndarray]], key: str) -> np.ndarray:
@@ -236,12 +228,8 @@ class _Carrier:
         self._traces = Projector(self.space.FreeDofs(True), True)
         self._solution = GridFunction(self.space)
 
-    def update(self) -> None:
-        """Assemble for the present velocity and step length."""
-        self.form.Assemble()
-
     def carry(self, name: str, old: np.ndarray, source: CoefficientFunction | None) -> np.ndarray:
-        """What the field with coefficients ``old`` on ``cells`` becomes by the matrix of ``update``.
+        """What the field with coefficients ``old`` on ``cells`` becomes by the form's present matrix.
 
         Raises StepError if the linear system is not solved.
         """

@@ -11,9 +11,9 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from importlib import metadata
 from typing import Any
 
+from ngvisco.run.identity import version
 from ngvisco.sweep.variations import SweepError
 
 _POLL, _ASK = 0.2, 5
@@ -68,14 +68,6 @@ def _check_workers(client: Any, scheduler: str) -> None:
         address, there = next(iter(others.items()))
         message = f"expected ngvisco {own} on its workers, but {address} has {there}"
         raise SweepError(f"--scheduler {scheduler}: {message}")
-
-
-def version() -> str:
-    """Version of the package where this is called."""
-    try:
-        return metadata.version("ngvisco")
-    except metadata.PackageNotFoundError:
-        return "0+unknown"
 
 
 def run_or_resume(case: str, directory: str, threads: int, stop: str) -> tuple[int | None, str]:

@@ -44,7 +44,7 @@ def test_F_tot_is_the_inverse_gradient_of_the_reference_map():
     for maxh, dt in ((0.4, 0.02), (0.2, 0.01)):
         run = simulation(maxh=maxh, dt=dt)
         run.run(0.1)
-        F, parts = run.fields["F_tot"], run.passive._parts
+        F, parts = run.fields["F_tot"], run.passive.parts
         columns = [CF((1 - i, i)) - Grad(parts[f"displacement_{i + 1}"]) for i in range(2)]
         total = 0.0
         for i in range(2):

@@ -15,7 +15,7 @@ from ngsolve import CF, ET, H1, VOL, GridFunction, HCurl, IntegrationRule, x, y,
 
 from ngvisco.errors import InputWarning
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.mesh.mesh_arrays import mask_of
+from ngvisco.forms.mesh.mesh_arrays import VERTICES, mask_of
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
@@ -24,11 +24,7 @@ from ngvisco.physics.signals import time
 from ngvisco.physics.tensors import tr
 from ngvisco.physics.walls import HELD, MOVING
 
-_VERTICES = {
-    ET.TRIG: IntegrationRule([(0, 0), (1, 0), (0, 1)], [0.0] * 3),
-    ET.QUAD: IntegrationRule([(0, 0), (1, 0), (1, 1), (0, 1)], [0.0] * 4),
-    ET.TET: IntegrationRule([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], [0.0] * 4),
-}
+_RULES = {et: IntegrationRule(VERTICES[et], [0.0] * len(VERTICES[et])) for et in (ET.TRIG, ET.QUAD, ET.TET)}
 
 
 def warn_of_corners(step: Step, times: Sequence[float]) -> None:
@@ -98,7 +94,7 @@ def _divergences(step: Step, cells: list[tuple[int, int]]) -> tuple[np.ndarray, 
     values = v.vec.FV().NumPy()
     for name, (velocity, mask) in walls.moving.items():
         values[mask] = walls.interpolate(name, as_vector(velocity, mesh.dim, name))[mask]
-    points = mesh.MapToAllElements(_VERTICES, VOL)
+    points = mesh.MapToAllElements(_RULES, VOL)
     points = points[np.isin(points["nr"], [cell for cell, _ in cells])]
     found = np.asarray(tr(Fields(step.layout, {"v": v}).grad_v)(points)).ravel()
     at = np.asarray(CF((x, y, z)[: mesh.dim])(points))

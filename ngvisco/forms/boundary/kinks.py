@@ -20,14 +20,9 @@ import numpy as np
 from ngsolve import (
     BND,
     CF,
-    ET,
-    CoefficientFunction,
-    FacetFESpace,
     IntegrationRule,
-    LinearForm,
     Mesh,
     Region,
-    dx,
     specialcf,
     x,
     y,
@@ -35,18 +30,12 @@ from ngsolve import (
 )
 
 from ngvisco.errors import MeshError
+from ngvisco.forms.mesh.mesh_arrays import VERTICES, facet_sums
 from ngvisco.parallel.communicator import Communicator
 
 _FLAT = 1e-4  # rad: of facets in one plane, whose coordinates were rounded
 _CORNER = np.deg2rad(59.0)  # angles above are corners of the domain, not of its approximation
 _CURVED = 0.5  # share of the chords' angles that may be left; straight facets keep all
-
-_TRIANGLE = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]
-_CORNERS: dict[Any, list[Any]] = {
-    ET.SEGM: [(0.0,), (1.0,)],
-    ET.TRIG: _TRIANGLE,
-    ET.QUAD: [*_TRIANGLE, (1.0, 1.0)],
-}
 
 
 def require_curved_cells(mesh: Mesh, walls: Mapping[str, Region]) -> None:
@@ -138,12 +127,8 @@ def _chord_normal(mesh: Mesh) -> Callable[[Any], np.ndarray]:
 
 def _mean_normals(mesh: Mesh) -> np.ndarray:
     """(facets, dim): the outward unit normal of every boundary facet, its mean; sense elsewhere none."""
-    n, q = specialcf.normal(mesh.dim), FacetFESpace(mesh, order=0).TestFunction()
-
-    def assembled(value: CoefficientFunction) -> np.ndarray:
-        return LinearForm(value * q * dx(element_boundary=True)).Assemble().vec.FV().NumPy().copy()
-
-    sums = np.array([assembled(n[i]) for i in range(mesh.dim)]).T
+    n = specialcf.normal(mesh.dim)
+    sums = np.array([facet_sums(mesh, n[i]) for i in range(mesh.dim)]).T
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     return sums / np.where(lengths > 0, lengths, 1.0)
 
@@ -153,22 +138,18 @@ def _corner_normals(mesh: Mesh) -> dict[tuple[int, int], np.ndarray]:
     n = specialcf.normal(mesh.dim)
     elements = list(mesh.Elements(BND))
     result = {}
-    for kind, points in _CORNERS.items():
-        if not any(e.type == kind for e in elements):
-            continue
+    position = CF((x, y, z)[: mesh.dim])
+    for kind in sorted({e.type for e in elements}, key=str):
+        points = VERTICES[kind]
         rule = IntegrationRule(points, [1.0] * len(points))
         mapped = mesh.MapToAllElements({kind: rule}, BND)
-        where = np.asarray(_position(mesh)(mapped)).reshape(-1, len(points), mesh.dim)
+        where = np.asarray(position(mapped)).reshape(-1, len(points), mesh.dim)
         normals = np.asarray(n(mapped)).reshape(-1, len(points), mesh.dim)
         for e, X, N in zip((e for e in elements if e.type == kind), where, normals, strict=True):
             for v in e.vertices:
                 distance = np.linalg.norm(X - np.asarray(mesh[v].point), axis=1)
                 result[e.nr, v.nr] = N[int(np.argmin(distance))]
     return result
-
-
-def _position(mesh: Mesh) -> CoefficientFunction:
-    return CF((x, y, z)[: mesh.dim])
 
 
 def _angle(a: np.ndarray, b: np.ndarray) -> float:

@@ -86,15 +86,14 @@ class Located:
             for rank, of_rank in enumerate(cells):
                 owner[of_rank], local[of_rank] = rank, np.arange(len(of_rank))
             every = range(self.ranks.size)
-            chosen = [[np.flatnonzero(owner[nr] == rank) for rank in every] for nr, _ in found]
+            given = [[np.flatnonzero(owner[nr] == rank) for rank in every] for nr, _ in found]
             wanted = [
                 [
                     (local[nr[of[rank]]], reference[of[rank]])
-                    for (nr, reference), of in zip(found, chosen, strict=True)
+                    for (nr, reference), of in zip(found, given, strict=True)
                 ]
                 for rank in every
             ]
-            given = chosen
         mine = mpi.scatter(wanted)
         self._from: list[np.ndarray] = mpi.scatter(given)
         """Which of this rank's points each rank has."""

@@ -22,6 +22,15 @@ from ngsolve.la import CreateVVector
 from ngvisco.errors import MeshError
 from ngvisco.parallel.communicator import Communicator
 
+_TRIANGLE = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]
+VERTICES: dict[ET, list[tuple[float, ...]]] = {
+    ET.SEGM: [(0.0,), (1.0,)],
+    ET.TRIG: [*_TRIANGLE],
+    ET.QUAD: [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)],
+    ET.TET: [*((*point, 0.0) for point in _TRIANGLE), (0.0, 0.0, 1.0)],
+}
+"""Of NGSolve's reference facets and cells."""
+
 SIMPLICES = (10, 12, 20, 21)
 """Netgen's numbers of triangles and tetrahedra, straight and of second order."""
 
@@ -92,17 +101,18 @@ def facets_with_two_sides(mesh: Mesh) -> np.ndarray:
 
     Facets that the mesh identifies with another one have one side each.
     """
-    q = FacetFESpace(mesh, order=0).TestFunction()
     n = specialcf.normal(mesh.dim)
-
-    def assembled(value: CoefficientFunction) -> np.ndarray:
-        sums = LinearForm(value * q * dx(element_boundary=True)).Assemble().vec
-        sums.Cumulate()  # the other side may belong to another rank
-        return sums.FV().NumPy().copy()
-
     # the mean normals of both sides, over twice the area of the facet
-    sums = np.array([assembled(n[i]) for i in range(mesh.dim)])
-    return np.linalg.norm(sums, axis=0) <= _OPPOSED * assembled(1 + 0 * n[0])
+    sums = np.array([facet_sums(mesh, n[i]) for i in range(mesh.dim)])
+    return np.linalg.norm(sums, axis=0) <= _OPPOSED * facet_sums(mesh, 1 + 0 * n[0])
+
+
+def facet_sums(mesh: Mesh, value: CoefficientFunction) -> np.ndarray:
+    """Integrals over the facets, of both sides, (facets,); collective."""
+    q = FacetFESpace(mesh, order=0).TestFunction()
+    sums = LinearForm(value * q * dx(element_boundary=True)).Assemble().vec
+    sums.Cumulate()  # the other side may belong to another rank
+    return sums.FV().NumPy().copy()
 
 
 def boundary_facets(mesh: Mesh) -> np.ndarray:

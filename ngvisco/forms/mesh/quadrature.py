@@ -26,6 +26,7 @@ import numpy as np
 from ngsolve import CF, ET, VOL, CoefficientFunction, Integrate, IntegrationRule, Mesh, dx, x, y, z
 
 from ngvisco.errors import InitialDataError, ParameterError
+from ngvisco.forms.mesh.mesh_arrays import VERTICES
 from ngvisco.parallel.communicator import Communicator
 
 if TYPE_CHECKING:
@@ -139,13 +140,6 @@ def _wanted() -> bool:
     return True
 
 
-_VERTICES: dict[Any, list[tuple[float, ...]]] = {
-    ET.TRIG: [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)],
-    ET.QUAD: [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)],
-    ET.TET: [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)],
-}
-
-
 class Sampler:
     """Evaluates coefficient functions at the vertices and quadrature points of all cells."""
 
@@ -157,7 +151,7 @@ class Sampler:
     def points(self) -> np.ndarray:
         """Mesh points: at vertices (just inside each cell) and at the forms' quadrature points."""
         rules = {}
-        for et, vertices in _VERTICES.items():
+        for et, vertices in VERTICES.items():
             if et in self.quadrature.cell_rules:
                 inner_points = list(self.quadrature.cell_rules[et].points)
                 points = [tuple(p)[: len(vertices[0])] for p in inner_points] + list(vertices)

@@ -81,25 +81,22 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
     """
     dim, times = step.mesh.dim, list(times)
     for name, wall in step.walls.conditions.items():
-        owner = f"walls[{name!r}]"
+        owner, given = f"walls[{name!r}]", {}
         if isinstance(wall, MOVING):
-            velocity = as_vector(wall.velocity, dim, f"{owner}.velocity")
-            for t in _at(times):
-                _require_finite(step, name, velocity, f"{owner}.velocity", wall.velocity, t)
-                step.moving_walls.interpolate(name, velocity)
+            given["velocity"] = (wall.velocity, as_vector(wall.velocity, dim, f"{owner}.velocity"), "")
         if isinstance(wall, Traction):
-            f = as_vector(wall.f, dim, f"{owner}.f")
-            for t in _at(times):
-                _require_finite(step, name, f, f"{owner}.f", wall.f, t)
-        scalars = {}
+            given["f"] = (wall.f, as_vector(wall.f, dim, f"{owner}.f"), "")
         if isinstance(wall, NavierFriction):
-            scalars["coefficient"] = (wall.coefficient, ">= 0")
+            given["coefficient"] = (wall.coefficient, wall.coefficient, ">= 0")
         if wall.heat is not None:
             ranges = {"temperature": "> 0", "coefficient": ">= 0", "flux": ""}
-            scalars |= {f"heat.{key}": (getattr(wall.heat, key), sign) for key, sign in ranges.items()}
-        for key, (value, sign) in scalars.items():
-            for t in _at(times if isinstance(value, CoefficientFunction) else ()):
-                values = _require_finite(step, name, value, f"{owner}.{key}", value, t)
+            of_heat = {key: getattr(wall.heat, key) for key in ranges}
+            given |= {f"heat.{key}": (value, value, ranges[key]) for key, value in of_heat.items()}
+        for key, (value, function, sign) in given.items():
+            for t in _at(times if isinstance(function, CoefficientFunction) else ()):
+                values = _require_finite(step, name, function, f"{owner}.{key}", value, t)
+                if key == "velocity":
+                    step.moving_walls.interpolate(name, function)
                 least = Communicator.of(step.mesh).least(values.min(initial=np.inf))
                 if sign and (least < 0 or (least == 0 and sign == "> 0")):
                     expected = f"a function {sign}; at t = {t:g} s it is {least:.3g} somewhere on the wall"

@@ -1,7 +1,9 @@
 """Initial data on the spaces of a step, and start values of the unknowns that follow from them."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import add
 from typing import Annotated, TypeAlias
 
 import numpy as np
@@ -135,7 +137,7 @@ def _set(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFunction:
     _check_moduli(step, parameters, sampler)
     if of_bodies:
         values = starting_values(step.model.material, initial.values, F, step.layout.further) | of_bodies
-        density = _sum(body.density * values[AMOUNT + body.name] for body in step.model.bodies)
+        density = reduce(add, (body.density * values[AMOUNT + body.name] for body in step.model.bodies))
     elif initial.density is None:
         values = starting_values(step.model.material, initial.values, F, step.layout.further)
         density = CF(1.0) if rho_R is None else rho_R / volume_ratio(step.model.material, values)
@@ -225,11 +227,6 @@ def _of_bodies(step: Step, initial: Initial, F: CoefficientFunction) -> dict[str
             if X.name not in initial.values:
                 values[X.name] = part * X.tensor.from_distortion(F)
     return values
-
-
-def _sum(parts: Iterable[CoefficientFunction]) -> CoefficientFunction:
-    first, *others = parts
-    return sum(others, first)
 
 
 def _check_moduli(step: Step, parameters: Mapping[str, CoefficientFunction], sampler: Sampler) -> None:
