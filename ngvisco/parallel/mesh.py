@@ -120,6 +120,23 @@ def cell_numbers(mesh: Mesh) -> np.ndarray:
     return mesh.cells if isinstance(mesh, Part) else np.arange(mesh.ne)
 
 
+def whole_of(mesh: Mesh) -> Mesh | None:
+    """The whole mesh on the first rank, None on others; on one process the mesh itself."""
+    return mesh.whole if isinstance(mesh, Part) else mesh
+
+
+def of_whole(mesh: Mesh, values: np.ndarray) -> np.ndarray:
+    """What ranks know of their cells, (cells,), in the order of the whole mesh on the first one, which alone
+    has all of it; collective."""
+    if not isinstance(mesh, Part):
+        return values
+    numbers, parts = mesh.ranks.mpi.gather(mesh.cells), mesh.ranks.mpi.gather(values)
+    if parts is None:
+        return values[:0]
+    result: np.ndarray = np.concatenate(parts)[np.argsort(np.concatenate(numbers))]
+    return result
+
+
 def number_of(mesh: Mesh, cell: int) -> int | None:
     """The number in the whole mesh of a cell of this rank; None where the whole is not known."""
     if isinstance(mesh, Part):

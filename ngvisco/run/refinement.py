@@ -30,8 +30,9 @@ from ngvisco.errors import (
     require_positive,
     require_type,
 )
-from ngvisco.forms.context import periodic_facets
 from ngvisco.forms.mesh.mesh_arrays import coordinates, is_simplicial, vertices
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import of_whole, whole_of
 from ngvisco.run.checkpoint import Checkpoints, ChosenMesh, mesh_of_checkpoints
 from ngvisco.run.meshfile import mesh_image, mesh_of
 from ngvisco.run.simulation import Simulation
@@ -82,33 +83,32 @@ class Refinement:
     def check(self, simulation: Simulation) -> None:
         """Raise MeshError, ParameterError or UnknownNameError unless a run can follow its field."""
         mesh = simulation.mesh
-        if mesh.comm.size > 1:
-            raise MeshError("meshes are refined on one process; here are several ranks")
-        if not is_simplicial(mesh):
+        if not simulation.ranks.all(is_simplicial(mesh)):
             raise MeshError("only triangles and tetrahedra are bisected; this mesh has other cells")
-        if periodic_facets(mesh):
-            raise MeshError("a periodic mesh cannot be refined: opposite walls would not fit each other")
         simulation.stepper.check("Refinement.every", self.every)
         self.steep(simulation)
         require_fit(simulation, simulation)  # as it will have to on the first other mesh
 
     def steep(self, simulation: Simulation) -> np.ndarray:
-        """Which cells are to be divided, (cells,)."""
+        """Which cells of the whole mesh are to be divided, (cells,), on the first rank; collective."""
         fields = simulation.fields
         if self.field not in fields:
             raise UnknownNameError("Refinement.field", self.field, fields)
         if fields[self.field].dim != 1:
             raise ParameterError("Refinement.field", self.field, "a scalar field")
         mesh, sampler = simulation.mesh, simulation.sampler
-        cells, values = sampler.points["nr"], sampler.values(fields[self.field])
-        extent = values.max() - values.min()
-        if extent <= _FLAT * abs(values).max():
-            return np.zeros(mesh.ne, dtype=bool)
+        cells, values = sampler.points["nr"], sampler.rows(fields[self.field])[:, 0]
         low, high = np.full(mesh.ne, math.inf), np.full(mesh.ne, -math.inf)
         np.minimum.at(low, cells, values)
         np.maximum.at(high, cells, values)
-        corners = vertices(mesh)
-        least, most = np.full(mesh.nv, math.inf), np.full(mesh.nv, -math.inf)
+        whole, low, high = whole_of(mesh), of_whole(mesh, low), of_whole(mesh, high)
+        if whole is None:
+            return np.zeros(0, dtype=bool)
+        extent = high.max() - low.min()
+        if extent <= _FLAT * max(abs(low).max(), abs(high).max()):
+            return np.zeros(whole.ne, dtype=bool)
+        corners = vertices(whole)
+        least, most = np.full(whole.nv, math.inf), np.full(whole.nv, -math.inf)
         np.minimum.at(least, corners, low[:, None])
         np.maximum.at(most, corners, high[:, None])
         return most[corners].max(axis=1) - least[corners].min(axis=1) > self.above * extent
@@ -127,7 +127,7 @@ def run_refined(
     Parameters
     ----------
     simulation : Simulation
-        At its own start, on the coarsest mesh, of triangles or tetrahedra; on one process.
+        At its own start, on the coarsest mesh, of triangles or tetrahedra.
     refinement : Refinement
     until : float
         End of the run, s.
@@ -154,7 +154,7 @@ def run_refined(
     refinement.check(simulation)
     first, chosen = simulation.mesh, None
     if checkpoint is not None:
-        chosen = mesh_of_checkpoints(checkpoint)
+        chosen = simulation.ranks.on_first(lambda: mesh_of_checkpoints(checkpoint))
         simulation = simulation if chosen is None else simulation.on(mesh_of(chosen.image))
         simulation.restore(checkpoint)
     end = as_number(until)
@@ -182,13 +182,13 @@ def stretches(
     chosen : ChosenMesh or None
         The mesh of the present state, where it is not the first one.
     """
-    cells, every = _First(first), refinement.every
+    cells, every = _First(first, simulation.ranks), refinement.every
     if simulation.number == 0 and simulation.ledger.balance is None:
         for _ in range(refinement.levels):  # the start values anew, as sharp as the mesh
-            image, finer = cells.refined(simulation.mesh, refinement.steep(simulation), refinement.levels)
-            if finer.ne == simulation.mesh.ne:
+            image = cells.refined(simulation.mesh, refinement.steep(simulation), refinement.levels)
+            if image is None:
                 break
-            simulation = _on(simulation, finer)
+            simulation = _on(simulation, image)
             _tell_checkpoints(simulation, ChosenMesh(image, 0))
     else:
         _tell_checkpoints(simulation, chosen)
@@ -207,20 +207,21 @@ def stretches(
 
 def _moved(simulation: Simulation, cells: _First, refinement: Refinement) -> Simulation:
     """The run on the mesh that its present state wants; the same one where that is the one it has."""
-    image, mesh = cells.refined(simulation.mesh, refinement.steep(simulation), refinement.levels)
-    if _are_same(mesh, simulation.mesh):
+    image = cells.refined(simulation.mesh, refinement.steep(simulation), refinement.levels)
+    if image is None:
         return simulation
-    target = _on(simulation, mesh)
+    target = _on(simulation, image)
     transfer(simulation, target)
     go_on(simulation, target)
     _tell_checkpoints(target, ChosenMesh(image, target.number))
     return target
 
 
-def _on(simulation: Simulation, mesh: Mesh) -> Simulation:
+def _on(simulation: Simulation, image: bytes) -> Simulation:
+    """The run at its start on the mesh of a file, from which it is read as when the run is resumed."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NgviscoWarning)  # of the start values, given on the first mesh
-        return simulation.on(mesh)
+        return simulation.on(mesh_of(image))
 
 
 def _tell_checkpoints(simulation: Simulation, chosen: ChosenMesh | None) -> None:
@@ -230,19 +231,24 @@ def _tell_checkpoints(simulation: Simulation, chosen: ChosenMesh | None) -> None
 
 
 class _First:
-    """The first mesh, of which all others are refinements."""
+    """The first mesh, of which all others are refinements; over ranks the first one has it and divides it."""
 
-    def __init__(self, mesh: Mesh) -> None:
-        self._mesh, self._order = mesh, mesh.GetCurveOrder()
-        self._straight = Mesh(mesh.ngmesh.Copy())  # volumes of straight cells are halved exactly
-        self._volumes = _volumes(self._straight)
+    def __init__(self, mesh: Mesh, ranks: Communicator) -> None:
+        self._ranks, whole = ranks, whole_of(mesh) if ranks.is_first else None
+        if whole is not None:
+            self._image, self._order = mesh_image(whole), whole.GetCurveOrder()
+            self._straight = Mesh(whole.ngmesh.Copy())  # volumes of straight cells are halved exactly
+            self._volumes = _volumes(self._straight)
 
-    def refined(self, present: Mesh, marked: np.ndarray, levels: int) -> tuple[bytes, Mesh]:
-        """The first mesh with cells divided that lie in marked ones of ``present``, or have such in them.
+    def refined(self, present: Mesh, marked: np.ndarray, levels: int) -> bytes | None:
+        """The file of the first mesh with cells divided that lie in marked ones of ``present``, or have such
+        in them; None where that is ``present``.  Collective."""
+        return self._ranks.on_first(lambda: self._refined(whole_of(present), marked, levels))
 
-        It is read back from its file, which comes first, as it will be when the run is resumed.
-        """
-        mesh, straight = Mesh(self._mesh.ngmesh.Copy()), Mesh(present.ngmesh.Copy())
+    def _refined(self, present: Mesh | None, marked: np.ndarray, levels: int) -> bytes | None:
+        assert present is not None
+        mesh = mesh_of(self._image)  # Netgen's ``Copy`` forgets which walls are identified
+        straight = Mesh(present.ngmesh.Copy())
         places = _centres(straight)[marked]
         for _ in range(mesh.dim * levels):
             centres = _centres(mesh)
@@ -257,8 +263,7 @@ class _First:
             mesh.Refine()
         if self._order > 1:
             mesh.Curve(self._order)
-        image = mesh_image(mesh)
-        return image, mesh_of(image)
+        return None if _are_same(mesh, present) else mesh_image(mesh)
 
 
 def _centres(mesh: Mesh) -> np.ndarray:

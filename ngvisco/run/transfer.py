@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from ngsolve import CF, L2, CoefficientFunction, GridFunction, Integrate
+from ngsolve import CF, L2, CoefficientFunction, GridFunction, Integrate, Mesh
 
 from ngvisco.errors import InitialDataError, MeshError, ParameterError
 from ngvisco.forms.mesh.locating import Located
@@ -95,11 +95,7 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     old, new = source.rothe_step, target.rothe_step
     require_fit(source, target)
     points = QuadraturePoints(new.quadrature)
-    where = points.coordinates
-    try:
-        at = Located(old.mesh, where, ["target"] * len(where))
-    except ParameterError as error:
-        raise MeshError(f"a point of the new mesh, {error.value}, is not in the old one") from error
+    at = _located(old.mesh, points)
     before, scaled = _energy(source), _set_fields(source, target, points, at)
     _require_admissible(target)
     if target.bounds.limits:
@@ -147,9 +143,6 @@ def require_fit(source: Simulation, target: Simulation) -> None:
         if name not in unknowns or unknowns[name].size != target.rothe_step.layout.unknowns[name].size:
             expected = f"one whose terms have the unknown {name} too, which evolves"
             raise ParameterError("transfer.source", "a run without it", expected)
-        if unknowns[name].on is not None:
-            expected = "walls without stiffness: displacements of walls are not carried to another mesh"
-            raise ParameterError("transfer.target", f"the unknown {name}", expected)
     if source.mesh.dim != target.mesh.dim:
         raise ParameterError("transfer.target", f"dimension {target.mesh.dim}", f"{source.mesh.dim}")
     if target.number or len(target.ledger.rows) > 1:
@@ -173,6 +166,15 @@ def _require_densities(had: Sequence[Variable], has: Sequence[Variable]) -> None
             )
 
 
+def _located(mesh: Mesh, points: QuadraturePoints) -> Located:
+    """Points of another mesh in this one, which has the same domain."""
+    where = points.coordinates
+    try:
+        return Located(mesh, where, ["target"] * len(where))
+    except ParameterError as error:
+        raise MeshError(f"a point of the new mesh, {error.value}, is not in the old one") from error
+
+
 def _energy(run: Simulation) -> float:
     """Kinetic plus stored energy at the present state, J."""
     return run.ledger.energy() if run.ledger.balance is None else run.ledger.balance.energy
@@ -182,14 +184,19 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
     """Project density, variables and what else evolves; returns the factor of the density."""
     old, new = source.rothe_step, target.rothe_step
     parts = dict(zip(new.layout.names, new.state.components, strict=True))
-    unions = None if source.ranks.is_distributed else _Unions(source, target, points)
+    unions = _Unions(source, target, points)
     for name in new.layout.evolving:
-        if name != "v":
-            columns = at.values(old.now.parts[name]).T
-            if unions is not None:
-                unions.put_in(columns, old.now.parts[name])
-            value = CF(tuple(points.function(column) for column in columns))
-            project(new.layout.unknowns[name], parts[name], new.quadrature, value)
+        if name == "v":
+            continue
+        unknown, function = new.layout.unknowns[name], old.now.parts[name]
+        if unknown.on is None:
+            given, columns = points, at.values(function).T
+            unions.put_in(columns, function)
+        else:
+            given = QuadraturePoints(new.quadrature, unknown.on)
+            columns = _located(old.mesh, given).values(function).T
+        value = CF(tuple(given.function(column) for column in columns))
+        project(unknown, parts[name], new.quadrature, value)
     masses = [
         float(run.rothe_step.quadrature.integrate_cells(run.rothe_step.now.rho)) for run in (source, target)
     ]
@@ -203,25 +210,26 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
 class _Unions:
     """New cells that are unions of old ones: values at their points are those of projections by old points.
 
-    By the new points alone jumps between the old cells would be seen where points happen to be.
+    By the new points alone jumps between the old cells would be seen where points happen to be.  A rank asks
+    for the old points of all, and takes those in new cells of its own.
     """
 
     def __init__(self, source: Simulation, target: Simulation, points: QuadraturePoints) -> None:
         old = QuadraturePoints(source.rothe_step.quadrature)
-        x_old, x_new = old.coordinates, points.coordinates
-        self._old, self._degree = old, target.rothe_step.discretisation.m
-        count = target.mesh.ne
-        of_old, of_new = np.asarray(target.mesh(*x_old.T)["nr"], dtype=int), points.cells
+        self._ranks, self._old, self._degree = source.ranks, old, target.rothe_step.discretisation.m
+        x_old, weights, x_new = self._of_all(old.coordinates), self._of_all(old.weights), points.coordinates
+        count, of_new = target.mesh.ne, points.cells
+        of_old = np.asarray(target.mesh(*x_old.T)["nr"], dtype=int) if count else np.full(len(x_old), -1)
         here = of_old >= 0
         volumes = np.bincount(of_new, points.weights, count)
-        filled = np.bincount(of_old[here], old.weights[here], count)
+        filled = np.bincount(of_old[here], weights[here], count)
         has_parts = np.bincount(of_old[here], minlength=count) > np.bincount(of_new, minlength=count)
-        unions = has_parts & (abs(filled - volumes) <= _WHOLE * volumes)
+        unions = np.append(has_parts & (abs(filled - volumes) <= _WHOLE * volumes), False)  # of number -1
         self._count = int(unions.sum())
         number = np.where(unions, np.cumsum(unions) - 1, -1)
         self._from, self._to = here & unions[of_old], unions[of_new]
         self._cell_from, self._cell_to = number[of_old[self._from]], number[of_new[self._to]]
-        self._weights = old.weights[self._from]
+        self._weights = weights[self._from]
         total = np.bincount(self._cell_from, self._weights, self._count)
         first = [np.bincount(self._cell_from, self._weights * c, self._count) for c in x_old[self._from].T]
         self._middle, self._size = np.array(first).T / total[:, None], total ** (1 / target.mesh.dim)
@@ -230,14 +238,17 @@ class _Unions:
         self._mass = self._moments(self._basis_from)
 
     def put_in(self, columns: np.ndarray, function: CoefficientFunction) -> None:
-        """Replace the values at these cells' points in ``columns``, (components, points)."""
-        if not self._count:
-            return
+        """Replace the values at these cells' points in ``columns``, (components, points); collective."""
         for i, column in enumerate(columns):
             one = function if function.dim == 1 else function[i]
-            values = self._old.values(one)[self._from]
+            values = self._of_all(self._old.values(one))[self._from]
+            if not self._count:
+                continue
             fitted = np.linalg.solve(self._mass, self._moments(values[:, None]))[:, :, 0]
             column[self._to] = (self._basis_to * fitted[self._cell_to]).sum(axis=1)
+
+    def _of_all(self, values: np.ndarray) -> np.ndarray:
+        return np.concatenate(self._ranks.gathered(values))
 
     def _monomials(self, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """Up to the fields' degree, about the cells' middles, (points, functions)."""

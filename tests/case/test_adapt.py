@@ -83,7 +83,6 @@ def test_a_step_that_fails_on_a_later_mesh_leaves_the_steps_before(tmp_path, mon
         ("domain.adapt.field=velocity", "domain.adapt.field .*scalar"),
         ("domain.adapt.every=0.03", "domain.adapt.every .*multiple of dt"),
         ("domain.adapt.levels=9", "domain.adapt.levels .*from 1 to 8"),
-        ("domain.periodic=x", "domain: a periodic mesh"),
     ],
 )
 def test_what_cannot_be_is_refused_before_the_run(tmp_path, setting, said):

@@ -62,6 +62,21 @@ CASES = {
     .replace("coupled", "split")
     .replace('"sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"', '"3 + cos(pi*y)", "sin(2*pi*x)*sin(pi*y)"'),
 }
+ADAPT = """\
+[domain.adapt]
+field = "pressure"
+above = 0.6
+every = 0.02
+[walls.top]
+kind = "Open"
+density = 1.0
+pressure = -15.0
+stiffness = [9.0, 4.0]
+"""
+CASES["adapted"] = (
+    CASES["periodic"].replace(MATERIAL, ADAPT + MATERIAL).replace('"3 + cos(pi*y)"', '"1 - y*y"')
+)
+"""Other cells in every step, whose identified walls are divided alike, beside one on springs."""
 
 
 @cache
@@ -287,7 +302,13 @@ def read(table):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "case", ["split", "coupled", "periodic", pytest.param("regularised", marks=pytest.mark.ci)]
+    "case",
+    [
+        "split",
+        "coupled",
+        "periodic",
+        *(pytest.param(c, marks=pytest.mark.ci) for c in ("regularised", "adapted")),
+    ],
 )
 def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
     alone, several = tmp_path / "alone", tmp_path / "several"
@@ -319,7 +340,7 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
         ("split", 3),
         *(
             pytest.param(case, ranks, marks=[pytest.mark.long, pytest.mark.ci])
-            for case, ranks in (("coupled", 4), ("regularised", 3), ("periodic", 4))
+            for case, ranks in (("coupled", 4), ("regularised", 3), ("periodic", 4), ("adapted", 3))
         ),
         pytest.param("split", 4, marks=pytest.mark.long),
     ],

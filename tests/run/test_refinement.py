@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ngsolve import CF, Integrate, Mesh, exp, x
+from ngsolve import CF, Integrate, Mesh, exp, x, y
 
 import ngvisco as nv
 from ngvisco.forms.mesh.mesh_arrays import coordinates
@@ -119,7 +119,7 @@ def test_what_does_not_fit_is_named(options, named):
         nv.run_refined(bodies(), nv.Refinement(**{"every": 0.04} | options), 0.08)
 
 
-def test_a_periodic_mesh_and_a_run_under_way_are_refused():
+def test_a_run_under_way_is_refused():
     refinement = nv.Refinement(field="J", every=0.04)
     begun = bodies()
     begun.run(0.02)
@@ -129,9 +129,69 @@ def test_a_periodic_mesh_and_a_run_under_way_are_refused():
     nv.transfer(bodies(), carried)
     with pytest.raises(nv.ParameterError, match="before its first step"):
         nv.run_refined(carried, refinement, 0.08)
-    foundation = {"right": nv.Open(density=1.0, stiffness=(1.0, 0.0))}
-    with pytest.raises(nv.ParameterError, match="displacements of walls"):
-        nv.run_refined(pulse(walls=foundation), nv.Refinement(field="pressure", every=0.1), 0.2)
-    periodic = begun.on(box((1, 1), 0.3, periodic="x"))
-    with pytest.raises(nv.MeshError, match="periodic"):
-        nv.run_refined(periodic, refinement, 0.08)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_displacement_of_a_wall_on_springs_is_carried_over(dim):
+    """Onto finer cells as it is; from there onto coarser ones of another mesh by the wall's L2 projection."""
+    model = nv.Model(material=nv.LinearElastic(K_e=4.0, G_e=1.0))
+    walls = {"right": nv.Open(density=1.0, stiffness=(9.0, 4.0))}
+    shape = CF((y * y, y - 0.5 * x, x * y)[:dim])
+    initial = nv.Initial(values={"displacement_right": shape})
+    coarse = box((1,) * dim, 0.6)
+    source = nv.Simulation(coarse, model, dt=0.05, walls=walls, initial=initial)
+    finer = Mesh(coarse.ngmesh.Copy())
+    finer.Refine()
+    fine, other = source.on(finer), source.on(box((1,) * dim, 0.4))
+    plain = nv.Initial(values={"displacement_right": CF((0,) * dim)})
+    target = nv.Simulation(finer, model, dt=0.05, walls=walls, initial=plain)
+    moved = nv.transfer(source, target)
+    energies = [run.ledger.rows[0]["stored_springs_right"] for run in (target,)]
+    displacement = dict(zip(fine.rothe_step.layout.names, fine.rothe_step.state.components, strict=True))
+    carried = dict(zip(target.rothe_step.layout.names, target.rothe_step.state.components, strict=True))
+    names = "displacement_right"
+    wanted, found = (one[names].vec.FV().NumPy() for one in (displacement, carried))
+    assert abs(found - wanted).max() < 1e-8 * abs(wanted).max()
+    assert energies[0] > 0.01 and abs(moved.lost) < 1e-8 * energies[0]
+    nv.transfer(target, other)
+    assert other.ledger.rows[0]["stored_springs_right"] == pytest.approx(energies[0], rel=1e-8)
+
+
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_a_wall_on_springs_swings_as_on_a_mesh_that_is_fine_everywhere(solver):
+    walls = {"right": nv.Open(density=1.0, stiffness=(9.0, 0.0))}
+    refinement = nv.Refinement(field="pressure", above=0.05, levels=1, every=0.2)
+    start = pulse(walls=walls, solver=solver)
+    run = nv.run_refined(start, refinement, 1.6)
+    fine, coarse = start.on(box((3, 0.5), 0.25)), pulse(walls=walls, solver=solver)
+    fine.run(1.6)
+    coarse.run(1.6)
+    springs, wanted, of_coarse = (one.ledger.column("stored_springs_right") for one in (run, fine, coarse))
+    assert abs(springs - wanted).max() < 0.1 * wanted.max() < 0.3 * abs(of_coarse - wanted).max()
+    assert wanted.max() > 0.1 * (fine.ledger.column("kinetic") + fine.ledger.column("stored"))[0]
+    assert abs(run.ledger.column("closure_relative")).max() < 1e-11
+
+
+@pytest.mark.parametrize(("size", "periodic"), [((1, 1), "x"), ((1, 1), "xy"), ((0.5, 0.5, 0.5), "x")])
+def test_identified_walls_are_divided_alike(size, periodic):
+    """A disc, or a ball, is carried through them."""
+    dim, length = len(size), size[0]
+    what = {"material": FLUID, "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1)}
+    ball = nv.Ball((0.85 * length, *(0.5 * length,) * (dim - 1)), 0.15 * length)
+    model = nv.Model(
+        bodies=[
+            nv.Body(name="medium", density=1.0, **what),
+            nv.Body(name="disc", where=ball, density=2.0, **what),
+        ]
+    )
+    initial = nv.Initial(velocity=(length, *(0.0,) * (dim - 1)))
+    start = nv.Simulation(box(size, 0.3, periodic=periodic), model, dt=0.05, initial=initial)
+    run = nv.run_refined(start, nv.Refinement(field="disc_fraction", every=0.1), 0.2)
+    assert run.mesh.ne > start.mesh.ne
+    places = coordinates(run.mesh)
+    for axis in range(len(periodic)):
+        both = [places[abs(places[:, axis] - at) < 1e-12] for at in (0.0, length)]
+        left, right = ({tuple(np.delete(p, axis).round(9)) for p in side} for side in both)
+        assert left == right
+    assert abs(run.ledger.column("closure_relative")).max() < 1e-11
+    assert abs(run.ledger.column("mass_drift")).max() < 1e-13

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from ngsolve import CF, ET, VOL, CoefficientFunction, Integrate, IntegrationRule, Mesh, dx, x, y, z
+from ngsolve import CF, ET, VOL, CoefficientFunction, Integrate, IntegrationRule, Mesh, ds, dx, x, y, z
 
 from ngvisco.errors import InitialDataError, ParameterError
 from ngvisco.forms.mesh.mesh_arrays import VERTICES
@@ -87,6 +87,11 @@ class Quadrature:
     def facets(self) -> Any:
         """dx over the boundary of every cell (both sides of each inner facet)."""
         return dx(element_boundary=True, intrules=self._facet_rules)
+
+    @property
+    def walls(self) -> Any:
+        """ds by the rule of ``facets``."""
+        return ds(intrules=self._facet_rules)
 
     def add(self, form: Any, integrands: Iterable[Integrand]) -> None:
         """Add the integrands to an NGSolve form, by the rules of ``cells`` and ``facets``."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from ngsolve import L2, CoefficientFunction, GridFunction, LinearForm, Mesh, VectorValued, x, y, z
-from ngsolve.comp import IntegrationRuleSpace
+from ngsolve.comp import IntegrationRuleSpace, IntegrationRuleSpaceSurface
 
 from ngvisco.errors import ParameterError, require_type
 from ngvisco.forms.mesh.quadrature import Quadrature
@@ -18,16 +18,24 @@ from ngvisco.forms.system import _inverse_mass
 class QuadraturePoints:
     """The quadrature points of a mesh, and functions that have given values there."""
 
-    def __init__(self, quadrature: Quadrature) -> None:
-        self.quadrature = quadrature
-        self.mesh = quadrature.mesh
-        self._space = IntegrationRuleSpace(self.mesh, order=quadrature.volume_degree // 2)
+    def __init__(self, quadrature: Quadrature, on: CoefficientFunction | None = None) -> None:
+        """Of the cells, or with ``on`` of the walls where that is not 0."""
+        self.quadrature, self.mesh = quadrature, quadrature.mesh
+        if on is None:
+            self._space = IntegrationRuleSpace(self.mesh, order=quadrature.volume_degree // 2)
+            self._measure = quadrature.cells
+        else:
+            self._space = IntegrationRuleSpaceSurface(self.mesh, order=quadrature.facet_degree // 2)
+            self._measure = quadrature.walls
+        self._here = np.ones(self._space.ndof, dtype=bool)
+        self._here = self._loaded(CoefficientFunction(1.0) if on is None else on) != 0
         self.weights = self._loaded(CoefficientFunction(1.0))
 
     def _loaded(self, value: CoefficientFunction) -> np.ndarray:
         load = LinearForm(self._space)
-        load += value * self._space.TestFunction() * self.quadrature.cells
-        return load.Assemble().vec.FV().NumPy().copy()
+        load += value * self._space.TestFunction() * self._measure
+        loaded: np.ndarray = load.Assemble().vec.FV().NumPy()[self._here]
+        return loaded
 
     def values(self, f: CoefficientFunction) -> np.ndarray:
         """Values of a scalar on this mesh, (points,)."""
@@ -48,7 +56,7 @@ class QuadraturePoints:
     def function(self, values: np.ndarray) -> GridFunction:
         """A function to be used under integrals by this quadrature, with ``values``, (points,)."""
         result = GridFunction(self._space)
-        result.vec.FV().NumPy()[:] = values
+        result.vec.FV().NumPy()[self._here] = values
         return result
 
     def project(self, values: np.ndarray, space: L2, into: GridFunction) -> None:

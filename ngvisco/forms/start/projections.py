@@ -68,7 +68,7 @@ def project(
         return
     trial, test = space.TnT()
     mass, load = BilinearForm(space, symmetric=True), LinearForm(space)
-    weight, measure = (1.0, quadrature.cells) if unknown.on is None else (unknown.on, quadrature.facets)
+    weight, measure = (1.0, quadrature.cells) if unknown.on is None else (unknown.on, quadrature.walls)
     mass += weight * inner(trial, test) * measure
     load += weight * inner(value - target, test) * measure
     inverse = inverse_of(mass.Assemble().mat, space.FreeDofs(), Communicator.of(space.mesh))
