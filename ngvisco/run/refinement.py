@@ -261,9 +261,14 @@ class _First:
             for cell in mesh.Elements(VOL):
                 mesh.SetRefinementFlag(cell, bool(wanted[cell.nr]))
             mesh.Refine()
-        if self._order > 1:
-            mesh.Curve(self._order)
-        return None if _are_same(mesh, present) else mesh_image(mesh)
+        if _are_same(mesh, present):
+            return None
+        if self._order == 1:
+            return mesh_image(mesh)
+        mesh.Curve(1)  # Netgen writes what is curved by numbers of edges that only a mesh read anew has
+        curved = mesh_of(mesh_image(mesh))
+        curved.Curve(self._order)
+        return mesh_image(curved)
 
 
 def _centres(mesh: Mesh) -> np.ndarray:

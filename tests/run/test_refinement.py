@@ -6,7 +6,7 @@ from ngsolve import CF, Integrate, Mesh, exp, x, y
 
 import ngvisco as nv
 from ngvisco.forms.mesh.mesh_arrays import coordinates
-from ngvisco.geometries import box
+from ngvisco.geometries import box, disc
 from ngvisco.physics.variables import Jacobian
 
 FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J + 1 / J - 2))
@@ -193,5 +193,16 @@ def test_identified_walls_are_divided_alike(size, periodic):
         both = [places[abs(places[:, axis] - at) < 1e-12] for at in (0.0, length)]
         left, right = ({tuple(np.delete(p, axis).round(9)) for p in side} for side in both)
         assert left == right
+    assert abs(run.ledger.column("closure_relative")).max() < 1e-11
+    assert abs(run.ledger.column("mass_drift")).max() < 1e-13
+
+
+def test_curved_cells_are_divided_and_curved_anew():
+    model = nv.Model(material=nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0))
+    bump = exp(-20 * ((x - 0.6) ** 2 + y * y))
+    start = nv.Simulation(disc(1.0, maxh=0.5), model, dt=0.02, initial=nv.Initial(velocity=(0, bump)))
+    run = nv.run_refined(start, nv.Refinement(field="pressure", above=0.3, every=0.04), 0.12)
+    assert run.mesh.ne > start.mesh.ne and run.mesh.GetCurveOrder() == start.mesh.GetCurveOrder()
+    assert Integrate(CF(1.0), run.mesh) == pytest.approx(np.pi, rel=2e-4)  # straight: 8e-3 less
     assert abs(run.ledger.column("closure_relative")).max() < 1e-11
     assert abs(run.ledger.column("mass_drift")).max() < 1e-13
