@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.benchmarks import answers, creep, schemes
+from tests.benchmarks import answers, creep, long_steps, schemes
 from tests.benchmarks.__main__ import main
 from tests.benchmarks.table import against, summary, summary_of_schemes
 
@@ -78,6 +78,12 @@ def test_answers_say_what_to_choose_and_how_that_is_to_an_older_table(tmp_path, 
 def test_answers_measure_a_run():
     kinetic, seconds = answers.measured("shear wave", (2, 1), 1, 2, "midpoint")
     assert 0 < kinetic < 0.5 * 0.5 * 0.1**2 * 5 * 1.01 and seconds > 0  # of rho v^2/2, v = 0.1 c cos(2 pi x)
+
+
+def test_a_long_step_is_measured():
+    point = next(long_steps.points(2))
+    row = long_steps.row(long_steps.drifting("linearised", 2, point), 1)
+    assert len(row) == len(long_steps.COLUMNS) - 1 and row[0] == "1 of 1" and not row[-1]
 
 
 def test_rows_of_one_table_only_are_named():
