@@ -28,7 +28,6 @@ QUICK = [
     "case/test_outputs.py",
     "case/test_schema.py",
     "case/test_units.py",
-    "run/test_inputs.py",
     "run/test_output.py",
     "run/test_record.py",
     "run/test_refusals.py",
