@@ -2,38 +2,39 @@
 
 import math
 import warnings
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from materials import examples, table
-from ngsolve import CF, Mesh, Parameter, unit_square
-from scipy.integrate import solve_ivp
+from ngsolve import CF, Mesh, Parameter, log, unit_square
+from scipy.linalg import expm
+from support import central_difference, plane_strain, random_rotation, tensor, tensors, trace_free, value
 
 import ngvisco as nv
-from ngvisco.physics.material import cauchy_stress, conjugates, mandel_stress
+from ngvisco.physics.material import cauchy_stress, conjugates, mandel_stress, rate_power
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, LogJacobian, ReciprocalJacobian
 
 MESH = Mesh(unit_square.GenerateMesh(maxh=2))
 EXAMPLES = {example.constructor: example.material for example in examples()}
-FINITE = {
-    name: m
-    for name, m in EXAMPLES.items()
-    if not name.startswith(("LinearElastic", "HardeningElastic", "Isotropic"))
-}
+EVERYTHING = nv.CustomMaterial(
+    transported=(
+        *(Distortion(), Jacobian(), Cofactor(), Distortion("G", exponent=-1 / 3)),
+        *(Cofactor("B", exponent=-7 / 6), ReciprocalJacobian(), LogJacobian()),
+    ),
+    stored_energy=lambda F, J, H, G, B, A, K: (
+        square(F) / J + 0.3 * square(H) + 0.2 * square(G) * A + square(B) - 0.4 * K + J * J - log(J)
+    ),
+)
+ALL = EXAMPLES | {"everything": EVERYTHING}
+STRAIN = {n: m for n, m in ALL.items() if n.startswith(("LinearElastic", "HardeningElastic", "Isotropic"))}
+FINITE = {name: m for name, m in ALL.items() if name not in STRAIN}
 
 
 def at_point(f):
     """A coefficient function without x in it, as an array."""
     return np.array(f(MESH(0.3, 0.3))).reshape(f.dims or ())
-
-
-def tensor(array):
-    return CF(tuple(np.asarray(array, dtype=float).ravel()), dims=(3, 3))
-
-
-def values(material, F):
-    return {v.name: v.from_distortion(tensor(F)) for v in material.variables}
 
 
 def constants(material, F):
@@ -43,91 +44,141 @@ def constants(material, F):
     """
     return {
         name: tensor(at_point(z)) if z.dims else Parameter(float(at_point(z)))
-        for name, z in values(material, F).items()
+        for name, z in {v.name: v.from_distortion(tensor(F)) for v in material.variables}.items()
     }
 
 
-VARIABLES = [
-    Distortion(),
-    Distortion("H", exponent=-5 / 6),
-    Distortion("H", exponent=-1 / 3),
-    Distortion("H", exponent=0.7),
-    Cofactor(),
-    Cofactor("N", exponent=-7 / 6),
-    Cofactor("N", exponent=0.4),
-    Jacobian(),
-    ReciprocalJacobian(),
-    LogJacobian(),
-]
+def energy(material, z):
+    return float(at_point(material.energy(tensors(z))))
 
 
-@pytest.mark.parametrize(
-    "variable", VARIABLES, ids=lambda v: f"{type(v).__name__}{getattr(v, 'exponent', '')}"
-)
-@pytest.mark.parametrize("seed", [0, 1])
-def test_rate_is_that_of_the_function_of_F(variable, seed):
-    """dz/dt = rate(z; L, Pi) along F' = L F - F Pi, constant L and trace-free Pi, integrated to 1e-11."""
-    rng = np.random.default_rng(seed)
-    L = rng.uniform(-1, 1, (3, 3))
-    Pi = rng.uniform(-1, 1, (3, 3))
-    Pi -= np.trace(Pi) / 3 * np.eye(3)
-    F_0 = np.eye(3) + 0.3 * rng.uniform(-1, 1, (3, 3))
-    variables = [variable]
-    if variable.requires:
-        variables.append(ReciprocalJacobian())
-
-    def start(F):
-        return [at_point(v.from_distortion(tensor(F))) for v in variables]
-
-    shapes = [s.shape for s in start(F_0)]
-    sizes = [max(1, int(np.prod(shape))) for shape in shapes]
-
-    def rhs(_, state):
-        F = state[:9].reshape(3, 3)
-        rates, offset, z = [L @ F - F @ Pi], 9, {}
-        for v, shape, size in zip(variables, shapes, sizes, strict=True):
-            part = state[offset : offset + size]
-            z[v.name] = tensor(part) if shape else CF(float(part[0]))
-            offset += size
-        rates += [at_point(v.rate(z, tensor(L), tensor(Pi))) for v in variables]
-        return np.concatenate([np.ravel(r) for r in rates])
-
-    begin = np.concatenate([F_0.ravel(), *(np.ravel(s) for s in start(F_0))])
-    end = solve_ivp(rhs, (0, 0.4), begin, rtol=1e-11, atol=1e-13, method="DOP853").y[:, -1]
-    expected = start(end[:9].reshape(3, 3))[0]
-    assert np.allclose(end[9 : 9 + sizes[0]], np.ravel(expected), rtol=1e-9, atol=1e-10)
+def stress(material, z):
+    return at_point(cauchy_stress(material, tensors(z)))
 
 
-def test_printed_mooney_rivlin_rate_is_a_slip():
-    """The paper's (Cof' F)((grad v)H - H Pi) - 7/6 (div v)H is not the derivative of J^{-7/6} Cof F."""
-    rng = np.random.default_rng(3)
-    L, F = rng.uniform(-1, 1, (3, 3)), np.eye(3) + 0.3 * rng.uniform(-1, 1, (3, 3))
-
-    def cof(A):
-        return np.linalg.det(A) * np.linalg.inv(A).T
-
-    def H(A):
-        return np.linalg.det(A) ** (-7 / 6) * cof(A)
-
-    h = 1e-6
-    exact = (H(F + h * L @ F) - H(F - h * L @ F)) / (2 * h)
-    G = L @ H(F)
-    printed = (cof(F + h * G) - cof(F - h * G)) / (2 * h) - 7 / 6 * np.trace(L) * H(F)
-    variable = Cofactor("N", exponent=-7 / 6)
-    ours = at_point(variable.rate({"N": tensor(H(F))}, tensor(L), tensor(np.zeros((3, 3)))))
-    assert np.allclose(ours, exact, atol=1e-8)
-    assert np.abs(printed - exact).max() > 0.1
+def mandel(material, z, dim=3):
+    return at_point(mandel_stress(material, tensors(z), conjugates(material, tensors(z)), dim))
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+def state(name, rng):
+    """Values of a material's variables for a random F in plane strain, or of a random strain."""
+    A = plane_strain(rng.standard_normal((3, 3)))
+    if name in STRAIN:
+        return {"E": 0.3 * (A + A.T)}
+    F = expm(0.4 * A)
+    return {v.name: at_point(v.from_distortion(tensor(F))) for v in ALL[name].variables}
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_conjugates_are_the_energy_s_differences(name, rng):
+    material = ALL[name]
+    z = state(name, rng)
+    zeta = conjugates(material, {k: tensor(v) if v.shape else Parameter(float(v)) for k, v in z.items()})
+    for variable, array in z.items():
+        direction = rng.standard_normal(array.shape)
+        if "B" in material.states(3).slices and variable != "J":  # symmetric ones
+            direction = direction + direction.T
+
+        def along(s, variable=variable, direction=direction):
+            return energy(material, {**z, variable: z[variable] + s * direction})
+
+        expected = central_difference(along, 1e-4)
+        found = np.sum(at_point(zeta[variable]) * direction)
+        assert found == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+def test_linear_elastic_stress_is_hooke_s_with_the_energy_s_pressure(rng):
+    """T = S + phi I, S = K_e tr E I + 2 G_e dev E (paper: St.Venenat-Kirchhoff-linear); M = dev S."""
+    linear, E = EXAMPLES["LinearElastic"], state("LinearElastic", rng)["E"]
+    S = 10 * np.trace(E) * np.eye(3) + 10 * trace_free(E)
+    phi = 5 * np.trace(E) ** 2 + 5 * np.sum(trace_free(E) ** 2)
+    assert energy(linear, {"E": E}) == pytest.approx(phi, rel=1e-13)
+    assert stress(linear, {"E": E}) == pytest.approx(S + phi * np.eye(3), abs=1e-12)
+    assert mandel(linear, {"E": E}) == pytest.approx(trace_free(S), abs=1e-12)
+
+
+def test_neo_hookean_stress_is_the_paper_s(rng):
+    """T = phi'_F F^T + (J phi'_J + phi) I (paper: Cauchy-stress-polyconvex), derivatives by hand."""
+    K, G, eps = 3.0, 1.3, 0.4
+    material = nv.NeoHookean(K_e=K, G_e=G, epsilon=eps)
+    F = expm(0.4 * rng.standard_normal((3, 3)))
+    J = 1.2 * np.linalg.det(F)  # J is a variable of its own
+    S_F = 2 * G * J ** (-2 / 3) * F
+    S_J = K * (J - 1 + eps / K) - 2 / 3 * G * J ** (-5 / 3) * np.sum(F * F) - eps / J
+    phi = K / 2 * (J - 1 + eps / K) ** 2 + G * J ** (-2 / 3) * np.sum(F * F) - eps * np.log(J)
+    z = {"F": F, "J": np.array(J)}
+    assert energy(material, z) == pytest.approx(phi, rel=1e-13)
+    assert stress(material, z) == pytest.approx(S_F @ F.T + (J * S_J + phi) * np.eye(3), rel=1e-12)
+    FtS = F.T @ S_F
+    assert mandel(material, z) == pytest.approx(trace_free(FtS + FtS.T) / 2, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_plane_strain_mandel_stress_is_the_projected_3d_one(name, rng):
+    """In plane strain the creep rate keeps its 33 entry; it is that of the 3D body."""
+    z = state(name, rng)
+    M = mandel(ALL[name], z, dim=2)
+    assert mandel(ALL[name], z, dim=3) == pytest.approx(M, abs=1e-12)
+    assert abs(M[2, 2]) > 1e-3 or "Barotropic" in name
+
+
+@pytest.mark.parametrize("name", STRAIN)
+def test_rotating_the_strain_rotates_the_stress_and_the_spin_is_powerless(name, rng):
+    """S : (W E - E W) = 0, so that T is symmetric (paper: E:WS=E:SW)."""
+    material, Q, z = STRAIN[name], random_rotation(rng), state(name, rng)
+    T, star = stress(material, z), {"E": Q @ z["E"] @ Q.T}
+    assert pytest.approx(T.T, abs=1e-11) == T
+    assert energy(material, star) == pytest.approx(energy(material, z), rel=1e-13)
+    assert stress(material, star) == pytest.approx(Q @ T @ Q.T, abs=1e-11)
+    assert mandel(material, star) == pytest.approx(Q @ mandel(material, z) @ Q.T, abs=1e-11)
+
+
+@dataclass(frozen=True)
+class FirstEntry(nv.Material):
+    """(F_11)^2, which the package's own materials refuse."""
+
+    @property
+    def variables(self):
+        return (Distortion(),)
+
+    def energy(self, z):
+        return z["F"][0, 0] * z["F"][0, 0]
+
+
+def test_an_energy_that_is_not_objective_is_seen(rng):
+    """Negative control: (F_11)^2 has neither the same energy nor a symmetric stress."""
+    F, Q = expm(0.4 * rng.standard_normal((3, 3))), random_rotation(rng)
+    T = stress(FirstEntry(), {"F": F})
+    assert abs(energy(FirstEntry(), {"F": Q @ F}) - energy(FirstEntry(), {"F": F})) > 1e-2
+    assert np.abs(T - T.T).max() > 1e-2
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_component_vector_and_tensors_are_inverse(dim, rng):
+    states = EVERYTHING.states(dim)
+    assert states.size == {2: 4 * 5 + 3, 3: 4 * 9 + 3}[dim]
+    assert [i for w in states.slices.values() for i in range(w.start, w.stop)] == list(range(states.size))
+    vector = rng.standard_normal(states.size)
+    assert value(states.components(states.tensors(lambda: tensor(vector)))) == pytest.approx(
+        vector, abs=1e-14
+    )
+
+
+def test_rate_power_sums_all_variables(rng):
+    """sum zeta : rate(L, Pi) = T : L - phi tr L - M : Pi, the local energy balance."""
+    values = state("everything", rng)
+    z, T, M = tensors(values), stress(EVERYTHING, values), mandel(EVERYTHING, values)
+    L, A = rng.standard_normal((2, 3, 3))
+    Pi = trace_free(A + A.T)
+    power = float(value(rate_power(EVERYTHING, z, conjugates(EVERYTHING, z), tensor(L), tensor(Pi))))
+    expected = np.sum(T * L) - energy(EVERYTHING, values) * np.trace(L) - np.sum(M * Pi)
+    assert power == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", FINITE)
 def test_cauchy_stress_is_symmetric_and_the_derivative_of_energy(name):
     """T : A = d/dh [phi(F_h) J_h/J] at h = 0, F_h = (I + h A) F, the power of a volume that moves with A."""
-    material = EXAMPLES[name]
-    if name not in FINITE:
-        E = np.array([[0.1, 0.05, 0], [0.05, -0.02, 0.03], [0, 0.03, 0.07]])
-        T = at_point(cauchy_stress(material, {"E": tensor(E)}))
-        assert np.allclose(T, T.T, atol=1e-12)
-        return
+    material = FINITE[name]
     rng = np.random.default_rng(5)
     F = np.eye(3) + 0.2 * rng.uniform(-1, 1, (3, 3))
     A = rng.uniform(-1, 1, (3, 3))
@@ -259,6 +310,7 @@ def test_neo_hookean_simple_shear_has_the_closed_form(gamma):
     for name in ("NeoHookean", "ReferentialNeoHookean", "IsochoricNeoHookean", "LogarithmicNeoHookean"):
         T = at_point(cauchy_stress(EXAMPLES[name], constants(EXAMPLES[name], F)))
         assert math.isclose(T[0, 1], 10 * gamma, rel_tol=1e-12)
+        assert math.isclose(T[0, 0] - T[1, 1], 10 * gamma**2, rel_tol=1e-11)
 
 
 def test_three_referential_forms_are_one_material():
@@ -342,6 +394,16 @@ def test_energy_is_jointly_convex(name, dim):
         report = nv.check_convexity(EXAMPLES[name], dim=dim)
     assert report.passed
     assert report.samples > 1000
+
+
+@pytest.mark.parametrize("exponent, convex", [(-0.5, True), (-1.0, True), (-1.6, False), (0.5, False)])
+def test_convexity_sees_an_exponent_outside_its_range(exponent, convex):
+    """J^-a |F|^2 is jointly convex for 0 <= a <= 1 only."""
+    material = nv.CustomMaterial(
+        transported=(Distortion(), Jacobian()),
+        stored_energy=lambda F, J: J**exponent * square(F) + 1e-3 * (J - 1) * (J - 1),
+    )
+    assert nv.check_convexity(material, warn=False).passed == convex
 
 
 def test_non_convex_energy_warns_with_the_point():
