@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import own
@@ -245,29 +246,24 @@ def carried(dim: int) -> nv.Simulation:
     return run
 
 
-CASES = {
+OF_BOTH: dict[str, Callable[[str], nv.Simulation]] = {
+    **{"Yosida": yosida, "bodies": bodies, "heated": heated, "parameters": parameters, "block": block},
+    **{"disc": disc, "lid": lid, "window": window},
+}
+CASES: dict[str, Callable[[], nv.Simulation]] = {
+    f"{start}{name}": partial(make, solver)
+    for solver, start in (("coupled", ""), ("split", "split "))
+    for name, make in OF_BOTH.items()
+}
+CASES |= {
     "carried": lambda: carried(2),
     "carried in space": lambda: carried(3),
-    "Yosida": lambda: yosida("coupled"),
-    "split Yosida": lambda: yosida("split"),
     "observed": lambda: observed(2),
     "observed block": lambda: observed(3),
-    "bodies": lambda: bodies("coupled"),
-    "split bodies": lambda: bodies("split"),
-    "heated": lambda: heated("coupled"),
-    "split heated": lambda: heated("split"),
-    "parameters": lambda: parameters("coupled"),
-    "split parameters": lambda: parameters("split"),
     "swirl": lambda: swirl(0.3),
     "midpoint": lambda: swirl(0.3, scheme="midpoint"),
     "sdirk2": lambda: swirl(0.4, scheme="sdirk2"),
     "adaptive": lambda: swirl(0.4, stepping=nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-2)),
-    "block": block,
-    "disc": lambda: disc("coupled"),
-    "split disc": lambda: disc("split"),
-    "lid": lid,
-    "window": window,
-    "split window": lambda: window("split"),
     "channel": lambda: channel(passive=["reference_map"]),
     "split channel": lambda: channel("split"),
     "split channel, two levels": lambda: channel("split", newton=TWO_LEVELS),
@@ -279,11 +275,9 @@ CASES = {
     "split, two levels": lambda: swirl(0.2, newton=TWO_LEVELS, solver="split"),
     "split, Newton-Krylov": lambda: swirl(0.4, newton=KRYLOV, solver="split"),
     "split, long steps": lambda: swirl(0.25, dt=0.15, solver="split"),
-    "split block": lambda: block("split"),
     "split block, two levels": lambda: block("split", 0.5, newton=TWO_LEVELS),
     "split block, gamg": lambda: block("split", 0.5, newton=replace(TWO_LEVELS, coarse="gamg")),
     "split block, hypre": lambda: block("split", 0.5, newton=replace(TWO_LEVELS, coarse="hypre")),
-    "split lid": lambda: lid("split"),
     "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
     "split crowded": lambda: crowded("split"),
     "split, all regularisations": lambda: creep("split", passive=NAMES),

@@ -103,29 +103,20 @@ def leaning(solver: str, maxh: float = 0.6, **options) -> nv.Simulation:
 
 CASES = {
     "slip disc": lambda: slip_disc("coupled"),
+    "turned": lambda: turned("coupled"),
+    "quadrilateral": lambda: quadrilateral("coupled"),
+    "quadrilateral, k = 3": lambda: quadrilateral("coupled", 3),
+    "ball": lambda: ball("coupled", mu=None),
+    "turned ball": lambda: turned_ball("coupled", mu=None),
+    "leaning": lambda: leaning("coupled", mu=None),
     "split slip disc": lambda: slip_disc("split"),
     "split slip disc, two levels": lambda: slip_disc("split", newton=TWO_LEVELS),
-    "turned": lambda: turned("coupled"),
     "split turned": lambda: turned("split"),
-    "quadrilateral": lambda: quadrilateral("coupled"),
     "split quadrilateral": lambda: quadrilateral("split"),
-    "quadrilateral, k = 3": lambda: quadrilateral("coupled", 3),
     "split quadrilateral, k = 3": lambda: quadrilateral("split", 3),
-    "ball": lambda: ball("coupled", mu=None),
     "split ball": lambda: ball("split"),
-    "turned ball": lambda: turned_ball("coupled", mu=None),
     "split turned ball": lambda: turned_ball("split"),
-    "leaning": lambda: leaning("coupled", mu=None),
     "split leaning": lambda: leaning("split"),
 }
-STEPS = {
-    "slip disc": 2,
-    "quadrilateral, k = 3": 1,
-    "ball": 1,
-    "turned ball": 1,
-    "split ball": 1,
-    "split turned ball": 2,
-    "split turned": 2,
-    "leaning": 2,
-    "split leaning": 2,
-}
+STEPS = dict.fromkeys(("quadrilateral, k = 3", "ball", "turned ball", "split ball"), 1)
+STEPS |= dict.fromkeys(("slip disc", "split turned ball", "split turned", "leaning", "split leaning"), 2)
