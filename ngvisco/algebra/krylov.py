@@ -11,14 +11,17 @@ Products = Callable[[np.ndarray, np.ndarray], np.ndarray]
 _BREAKDOWN = 1e-14
 """A new direction's share outside of the old ones, relative to its length, that is rounding."""
 
+_ORTHOGONAL = 0.5
+"""Such a share above which it is orthogonal enough."""
+
 
 def gmres(
     operator: Map, right: np.ndarray, *, rtol: float, directions: int, products: Products = np.matmul
 ) -> tuple[np.ndarray, int]:
     """x with |right - operator(x)| <= ``rtol`` |right|, or the least in ``directions``, and how many it took.
 
-    Directions are made orthogonal by the classical Gram-Schmidt method, twice, so that a direction takes
-    two reductions over ranks, however many there are (SciPy's GMRES has one process's products only).
+    Directions are made orthogonal by the classical Gram-Schmidt method, again where that takes most of one:
+    one or two reductions over ranks, however many there are (SciPy's has one process's products only).
 
     Parameters
     ----------
@@ -34,30 +37,33 @@ def gmres(
         return np.zeros_like(right), 0
     if not np.isfinite(size):
         return np.full_like(right, np.nan), 0
-    basis = np.empty((directions + 1, len(right)))
+    basis = np.empty((directions + 1, len(right)), right.dtype)
     basis[0] = right / size
     hessenberg, start = np.zeros((directions + 1, directions)), np.zeros(directions + 1)
     start[0] = size
     for k in range(directions):
         new = basis[k + 1]
         new[:] = operator(basis[k])
-        column = products(basis[: k + 2], new)
-        length = float(np.sqrt(column[-1]))
-        if not np.isfinite(length):
-            return np.full_like(right, np.nan), k + 1
-        new -= column[:-1] @ basis[: k + 1]
-        again = products(basis[: k + 2], new)
-        new -= again[:-1] @ basis[: k + 1]
-        rest = float(np.sqrt(max(again[-1] - again[:-1] @ again[:-1], 0.0)))
-        hessenberg[: k + 1, k] = column[:-1] + again[:-1]
+        column, length = np.zeros(k + 1), 0.0
+        for _ in range(2):
+            *shares, square = products(basis[: k + 2], new)
+            if not np.isfinite(square):
+                return np.full_like(right, np.nan), k + 1
+            length = length or float(np.sqrt(square))
+            new -= np.asarray(shares, right.dtype) @ basis[: k + 1]
+            column += shares
+            rest = float(np.sqrt(max(square - np.dot(shares, shares), 0.0)))
+            if rest > _ORTHOGONAL * np.sqrt(square):
+                break
+        hessenberg[: k + 1, k] = column
         hessenberg[k + 1, k] = rest
         system, wanted = hessenberg[: k + 2, : k + 1], start[: k + 2]
-        shares = np.linalg.lstsq(system, wanted, rcond=None)[0]
-        left = float(np.linalg.norm(wanted - system @ shares))
+        y = np.linalg.lstsq(system, wanted, rcond=None)[0]
+        left = float(np.linalg.norm(wanted - system @ y))
         if left <= rtol * size or rest <= _BREAKDOWN * length:
             break
         new /= rest
-    return shares @ basis[: k + 1], k + 1
+    return y.astype(right.dtype) @ basis[: k + 1], k + 1
 
 
 def improved(

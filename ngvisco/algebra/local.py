@@ -118,11 +118,11 @@ class LocalMatrix:
         return np.einsum("npl,pl->np", rows[:, self.unknowns[cell]], self._blocks[cell, :, place])
 
     def by_cells(self, columns: np.ndarray) -> np.ndarray:
-        """matrix @ ``columns``, (width, n), cell by cell: (cells, rows of a cell, n)."""
-        return product(
-            self.blocks, np.take(np.ascontiguousarray(columns, self._blocks.dtype), self.unknowns, axis=0)
-        )
+        """matrix @ ``columns``, (width, n), cell by cell: (cells, n, rows of a cell)."""
+        local = np.take(np.ascontiguousarray(columns, self._blocks.dtype), self.unknowns, axis=0)
+        return product(local.swapaxes(1, 2), self._blocks)
 
     def tested(self, values: np.ndarray) -> np.ndarray:
-        """matrix^T @ ``values``, (cells, rows of a cell, n), without weights: (width, n)."""
-        return self._scatter @ product(self._blocks, values).reshape(self.unknowns.size, values.shape[2])
+        """matrix^T @ ``values``, (cells, n, rows of a cell), without weights: (width, n)."""
+        local = product(self._blocks, values.swapaxes(1, 2))
+        return self._scatter @ local.reshape(self.unknowns.size, values.shape[1])

@@ -62,31 +62,21 @@ class SplitOptions(_Checked):
     best one."""
     halvings: int = 5
     """Of such steps, at most."""
-    renewed_after: tuple[int, int] = (8, 12)
-    """Iterations for the flow's linear system after which its preconditioner is made anew."""
-    renewed_above: float = 0.5
-    """Increment after which it is: made at rest it does not know the curvature of v."""
+    renewed_after: tuple[int, int] = (10, 14)
+    """Iterations for the flow's linear system after which operator and preconditioner are made anew."""
+    renewed_above: float = 0.05
+    """Increment after which they are; below, only hyperviscosity, which changes suddenly, is followed."""
+    stale_above: float = 0.2
+    """Share of the increment before, above which they are too."""
     bends_above: float = 0.03
     """Relative increment of a creep rate field after which it is, where the one before was not three times as
     large: with its gradient's law of q = 4, made at Pi = 0, the iteration diverges."""
-    renewed_at_once_above: float = 0.1
-    """Increment, it or the one before, above which a worn preconditioner is made anew before the increment is
-    taken: an impulsive start with p = 4 fails otherwise, while a smooth run wastes a twentieth on it."""
-    linearised_above: float = 0.05
-    """Increment below which only hyperviscosity, which changes suddenly, is linearised anew."""
-    stale_above: float = 0.1
-    """Share of the increment before, above which everything is linearised anew for a steep flow rule."""
     rounding: float = 1e-8
     """Increment, relative to the smallest velocities, from which a stall may be rounding."""
-    forcing: float = 0.03
-    """Tolerance of the flow's linear system: 0.1 takes twice the iterations of Newton, 0.01 hardly fewer."""
     flow_iterations: int = 30
-    """Iterations for it at most."""
+    """Iterations for the flow's linear system at most."""
     direct_up_to: tuple[int, int] = (3_000, 3_000)
     """Unknowns of v up to which its tangent is factorised as a whole; above, two levels are faster."""
-    direct_at_most: tuple[int, int] = (100_000, 15_000)
-    """Unknowns of v up to which it is so in what is left of a step, where ``flow_iterations`` by two levels
-    do not solve the flow's system."""
     krylov_below: float = 0.05
     """Increment up to which Newton-Krylov takes over: farther off half of the step is solved at once."""
     penalty_degree: int = 4

@@ -54,5 +54,5 @@ def test_columns_cell_by_cell_and_their_tests_without_weights(matrix, weights):
     local = LocalMatrix(matrix, CELLS, weights)
     columns = values(matrix.shape[1]).T
     by_cells = local.by_cells(columns)
-    assert by_cells.reshape(-1, PARTS) == pytest.approx(matrix @ columns, abs=1e-14)
+    assert by_cells.swapaxes(1, 2).reshape(-1, PARTS) == pytest.approx(matrix @ columns, abs=1e-14)
     assert local.tested(by_cells) == pytest.approx(matrix.T @ (matrix @ columns), abs=1e-13)

@@ -1,9 +1,10 @@
 """The hyperviscosity's derivative in a direction of (v, a), for the flow's linear system, and its tangent.
 
 Of x = (v, a) a cell sees the coefficients of Hs and the jumps at its sides' points: B x in one small dense
-product with all components of v side by side, (cells, rows, dim).  The rows are B^T of what the law makes of
-these.  In the velocity tangent a is eliminated; on facets between ranks, of which each sees one side, a stays
-an unknown of it: its matrix is then the sum of what the ranks' cells make of it.
+product with all components of v at once, (cells, dim, rows): with points last, sums are as fast as memory.
+The rows are B^T of what the law makes of these.  In the velocity tangent a is eliminated; on facets between
+ranks, of which each sees one side, a stays an unknown of it: its matrix is then the sum of what the ranks'
+cells make of it.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ class HyperDerivative:
         self.cells = step.mesh.ne
         coarse = step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
         self.sides = SideJumps(hyper, SidePoints(step.mesh, penalty_degree)) if coarse else hyper.sides
-        self._weights = hyper.points.weights.reshape(self.cells, 1, hyper.h_values.per_cell, 1)
+        self._weights = hyper.points.weights.reshape(self.cells, 1, 1, hyper.h_values.per_cell)
         self._volume = hyper.points.weights.max(initial=0.0) or 1.0
         self._side_weights = self.sides.weights.reshape(self.cells, self.sides.jump.per_cell)
         self.dtype = precision.SINGLE
         self.of_component = self._together()
-        self._at_points = hyper.h_values.blocks.astype(self.dtype)
+        self._at_points = hyper.h_values.blocks.swapaxes(1, 2).astype(self.dtype)
         if not hyper.law.is_linear:
             squares = (hyper.s_values.blocks, self.sides.scalar.blocks)
             self._s_points, self._s_sides = (each.astype(self.dtype) for each in squares)
@@ -66,20 +67,17 @@ class HyperDerivative:
             self._normalise()
             return
         hessian = h.h_values(at.hess).reshape(h.dim, h.size, cells, h.h_values.per_cell)
-        self._hessian, self._j = (
-            hessian.transpose(2, 1, 3, 0),
-            jumps.reshape(h.dim, *shape).transpose(1, 2, 0),
-        )
+        self._hessian, self._j = hessian.transpose(2, 0, 1, 3), jumps.reshape(h.dim, *shape).swapaxes(0, 1)
         size, z, squared = h.term.size(self._on_sides), self._on_sides.z_tensors, sides.h**2
         weight = law.penalty / sides.h
-        q = np.einsum("cpi,cpi->cp", self._j, self._j).ravel()
+        q = np.einsum("cip,cip->cp", self._j, self._j).ravel()
         slope = weight * law.slope(size, z).value
         bend = 0.5 * (law.p - 4) * slope / size.value * q  # c'' |j|^2
         self._c = self._weights * h.s_values(at.coefficient).reshape(self._weights.shape)
         self._penalty = self._side_weights * h.term.stiffness(self._on_sides).value.reshape(shape)
         # second derivatives by s = P |Hs|^2 and q = |j|^2, tested with these: the same both ways
         s_slope = law.slope(Array(h.s_values(at.square), None), tensors).value
-        self._s_slope = self._weights[:, 0] * s_slope.reshape(cells, h.h_values.per_cell, 1)
+        self._s_slope = self._weights[:, 0, 0] * s_slope.reshape(cells, h.h_values.per_cell)
         self._ss = self._side_weights * bend.reshape(shape)
         self._sq = self._side_weights * (slope + bend / squared).reshape(shape)
         self._qq = self._side_weights * ((2 * slope + bend / squared) / squared).reshape(shape)
@@ -96,40 +94,34 @@ class HyperDerivative:
         for name, size in units.items():
             setattr(self, name, (getattr(self, name) / size).astype(self.dtype))
 
-    def _parts(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of B x: Hs at the points, (cells, components, points, dim), and jumps, (cells, points, dim)."""
-        split, h = self._of_hessian, self.hyper
-        shape = (self.cells, h.size, h.h_values.local, values.shape[2])
-        return _at_each(self._at_points, values[:, :split].reshape(shape)), values[:, split:]
-
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """The rows' derivative in the direction x = (v, a) side by side, (dim, unknowns)."""
-        length = _largest(x)
-        values = self.of_component.by_cells(x.T / length)
-        dH, dj = self._parts(values)
-        of_H, of_j = self._c * dH, self._penalty[..., None] * dj
-        if not self.hyper.law.is_linear:
+        length, split, h = _largest(x), self._of_hessian, self.hyper
+        values = self.of_component.by_cells(np.ascontiguousarray(x.T, self.dtype) / self.dtype(length))
+        dj, rows = values[..., split:], (self.cells, h.dim * h.size)
+        dH = product(values[..., :split].reshape(*rows, h.h_values.local), self._at_points)
+        dH = dH.reshape(self.cells, h.dim, h.size, h.h_values.per_cell)
+        of_H, of_j = self._c * dH, self._penalty[:, None] * dj
+        if not h.law.is_linear:
             self._bend(dH, dj, of_H, of_j)
-        loads, split = np.empty_like(values), self._of_hessian
-        tested = _at_each(self._at_points.transpose(0, 2, 1), of_H)
-        loads[:, :split] = tested.reshape(self.cells, split, values.shape[2])
-        loads[:, split:] = of_j
-        return np.float64(self._unit * length) * self.of_component.tested(loads).T
+        tested = product(of_H.reshape(*rows, h.h_values.per_cell), self._at_points.swapaxes(1, 2))
+        loads = np.concatenate([tested.reshape(self.cells, h.dim, split), of_j], axis=2)
+        return self.dtype(self._unit * length) * self.of_component.tested(loads).T
 
     def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
         """Add what the changes of s = P |Hs|^2 and of q = |j|^2 make, to the loads of Hs and j."""
         at_points, at_sides = self._s_points, self._s_sides
-        w = (self._weights[:, 0, :, 0] / self._volume).astype(self.dtype)
-        dq = 2 * np.einsum("cpi,cpi->cp", self._j, dj)
-        tested = (2 * w) * np.einsum("cbpi,cbpi->cp", self._hessian, dH)
+        w = (self._weights[:, 0, 0] / self._volume).astype(self.dtype)
+        dq = 2 * np.einsum("cip,cip->cp", self._j, dj)
+        tested = (2 * w) * np.einsum("cibp,cibp->cp", self._hessian, dH)
         ds = self._projected(_transposed(at_points, tested))
         ds_sides = product(at_sides, ds)[..., 0]
-        of_j += (self._sq * ds_sides + self._qq * dq)[..., None] * self._j
+        of_j += (self._sq * ds_sides + self._qq * dq)[:, None] * self._j
         # the coefficient's change: c_s = P c(s) + facets
-        dc = _transposed(at_points, (self._s_slope * product(at_points, ds))[..., 0])
+        dc = _transposed(at_points, self._s_slope * product(at_points, ds)[..., 0])
         dc += _transposed(at_sides, self._ss * ds_sides + self._sq * dq)
         change = product(at_points, self._projected(dc))[..., 0] * w
-        of_H += self._hessian * change[:, None, :, None]
+        of_H += self._hessian * change[:, None, None]
 
     def _projected(self, loads: np.ndarray) -> np.ndarray:
         """Coefficients of a projection from its loads, (cells, functions, 1), over the largest weight."""
@@ -170,13 +162,6 @@ def _transposed(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
     return product(matrices.transpose(0, 2, 1), values[..., None])
 
 
-def _at_each(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Matrices (cells, i, j) times values of each component, (cells, components, j, dim)."""
-    if matrices.shape[1:] == (1, 1):
-        return matrices[..., None] * values
-    return matrices[:, None] @ values
-
-
 class HyperTangent:
     """The hyperviscosity's second derivative in v and the kept a, with a = E v elsewhere, and facets' blocks.
 
@@ -195,9 +180,8 @@ class HyperTangent:
         number[order] = np.arange(len(order))
         self._assembled = ElementAssembly(number[values.unknowns], values.width)
         lifted, self._jump = np.split(values.blocks, [h.lift.per_cell], axis=1)
-        at_points = _at_each(
-            h.h_values.blocks, lifted.reshape(values.cells, h.size, h.h_values.local, values.local)
-        )
+        lifted = lifted.reshape(values.cells, h.size, h.h_values.local, values.local)
+        at_points = h.h_values.blocks[:, None] @ lifted
         of_each = at_points.reshape(values.cells, h.size * h.h_values.per_cell, values.local)
         weights = np.tile(h.points.weights.reshape(values.cells, h.h_values.per_cell), (1, h.size))
         self._of_hessians = _squared(of_each, weights).astype(precision.SINGLE)

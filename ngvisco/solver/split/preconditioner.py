@@ -17,6 +17,7 @@ from functools import partial
 
 import numpy as np
 
+from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import Direct, Fallback, MakesDirect, TwoLevelSolver, direct_solver
 from ngvisco.algebra.krylov import Map, gmres, improved
 from ngvisco.algebra.sparse import together
@@ -39,6 +40,8 @@ ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
 """What sweeps may leave of them: Newton's iteration contracts by as much.  0.05 takes the same iterations and
 a tenth more time in a smooth run with creep; with a steep flow rule fewer, and fewer operators, which are
 made anew where an increment is above a tenth of the one before."""
+_LINEAR = 1e-3
+"""Tolerance of the flow's linear systems down to which directions are in single precision."""
 _IN_WORDS = {"wall_stress": "stresses of oblique or curved walls", "Pi": "a creep rate field"}
 
 
@@ -54,7 +57,7 @@ class FieldsSystem:
         """Fields for which one application of the approximate inverse did, at this operator."""
 
     def renew(self) -> None:
-        """The operator was made anew: whether sweeps are enough is to be seen again."""
+        """Whether sweeps are enough is to be seen again."""
         self._swept_is_enough.clear()
 
     def z(self, rows: np.ndarray, tolerance: float) -> np.ndarray:
@@ -130,17 +133,11 @@ class Preconditioner:
         """The exchange of the tangent's unknowns: the flow's and, between ranks, the normal derivatives."""
         free = [mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.flow]
         self.free = np.concatenate(free)
-        self._whole: Callable[[], Direct] | None = None
-        """Makes a factorisation of the tangent as a whole, where two levels are in its place."""
-        self._two_levels: Direct | None = None
         self.solver = self._solver(np.concatenate([self.free, np.ones(self.dim * len(kept), dtype=bool)]))
         self._blocks = [unknowns.slices[name] for name in unknowns.flow]
-        self._rows = self.free
+        self._held = np.flatnonzero(~self.free)
         if residual.hyper is not None:
-            normals = unknowns.normal_slice
-            self._blocks.append(normals)
-            free_normals = np.ones(normals.stop - normals.start, dtype=bool)
-            self._rows = np.concatenate([self.free, free_normals])
+            self._blocks.append(unknowns.normal_slice)
         self._lengths = [self.exchange.length(where) for where in self._blocks]
         self._of_velocity = self.exchange.part(np.arange(residual.op.v.width))
         self.fields = FieldsSystem(self.operator, ENOUGH_WHERE_STEEP if steep else ENOUGH)
@@ -157,8 +154,6 @@ class Preconditioner:
         if count <= (largest := self.options.direct_up_to[self.dim - 2]):
             self.without_multigrid = f"up to {largest} unknowns of v are factorised as a whole, here {count}"
             return direct(free, symmetric=self.unknowns.flow == ["v"])
-        if count <= self.options.direct_at_most[self.dim - 2]:
-            self._whole = partial(direct, free, symmetric=self.unknowns.flow == ["v"])
         others = (number >= operator.nv) & (number < operator.size)
         vertices = is_velocity & (number % operator.op.v.width < operator.residual.step.mesh.nv)
         if self.ranks.any(others.any()):
@@ -169,25 +164,6 @@ class Preconditioner:
             multigrid = partial(SumInverse, exchange=exchange, method=self._coarse, kernel=kernel)
             direct = partial(Fallback, multigrid, direct, self._say)
         return TwoLevelSolver(free, vertices, others, direct, exchange)
-
-    @property
-    def has_more(self) -> bool:
-        """Whether a better one can take the place of two levels (``strengthen``)."""
-        return self._two_levels is None and self._whole is not None
-
-    def strengthen(self) -> None:
-        """Let the tangent be factorised as a whole from the next ``update`` on."""
-        assert self._whole is not None
-        self._two_levels, self.solver = self.solver, self._whole()
-        self._two_levels.release()
-
-    def relax(self) -> bool:
-        """Two levels again, from the next ``update`` on; whether there was something else."""
-        if self._two_levels is None:
-            return False
-        self.solver.release()
-        self.solver, self._two_levels = self._two_levels, None
-        return True
 
     def _say(self, reason: str) -> None:
         message = f"coarse = {self._coarse!r}: {reason}; the velocities of the vertices are factorised"
@@ -238,7 +214,8 @@ class Preconditioner:
         dz = self.sweep.fields(np.ascontiguousarray(r.z.T))
         rows = np.concatenate([r.flow, *([] if r.normals is None else [r.normals.ravel()])])
         rows[:size] -= self._of_velocity.sum(self.operator.force(dz)).ravel()
-        return np.where(self._rows, rows, 0.0)
+        rows[self._held] = 0.0
+        return rows
 
     def power(self, at: Evaluation, f: np.ndarray) -> float:
         """That of what is left of the flow's equations along the flow's part of an increment."""
@@ -252,9 +229,12 @@ class Preconditioner:
         scale = np.ones_like(start)
         for where, length in zip(self._blocks, self._lengths, strict=True):
             scale[where] = self.exchange.norm(start, where) / np.sqrt(length) or 1.0
+        # single precision does not hold directions apart down to the tolerances of a linear map
+        kind = precision.SINGLE if tolerance > _LINEAR else np.float64
+        units = scale.astype(kind)
         y, self.iterations = gmres(
-            lambda y: self._block(self._applied(scale * y)) / scale,
-            start / scale,
+            lambda y: self._block(self._applied(units * y)) / units,
+            (start / scale).astype(kind),
             rtol=tolerance,
             directions=self.options.flow_iterations,
             products=self.exchange.products,
@@ -271,7 +251,9 @@ class Preconditioner:
         rows, of_a = self.operator(*self._parts(y))
         if of_a is not None:
             rows = np.concatenate([rows, of_a.ravel()])
-        return np.where(self._rows, self.exchange.sum(rows), 0.0)
+        rows = self.exchange.sum(rows)
+        rows[self._held] = 0.0
+        return rows
 
     def _block(self, y: np.ndarray) -> np.ndarray:
         """The tangent of v solved, with the normal derivatives eliminated from it but between ranks."""
@@ -287,6 +269,6 @@ class Preconditioner:
         flow, kept = increment[: len(self.free)], increment[len(self.free) :].reshape(kept.shape)
         da = np.empty_like(a)
         da[:, tangent.kept] = kept
-        beside = np.concatenate([flow[:size].reshape(dim, size // dim), kept, others], axis=1)
+        beside = np.concatenate([flow[:size].reshape(dim, size // dim), kept, others], axis=1, dtype=a.dtype)
         da[:, tangent.eliminated] = together(tangent.solved, beside)
         return np.concatenate([flow, da.ravel()])

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from ngvisco.algebra import precision
 from ngvisco.algebra.sparse import ElementAssembly
 from ngvisco.reduced.by_forms import RestrictedForm
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
@@ -105,7 +106,7 @@ class FlowSchurComplement:
             rows, of_x = concurrently(lambda: self._with_fields(dv), lambda: hyper(x), size)
             rows += of_x[:, : dv.shape[1]]
             of_a = of_x[:, dv.shape[1] :]
-        result = np.zeros(self.size) if self.rest is None else self.rest @ flow
+        result = np.zeros(self.size, precision.SINGLE) if self.rest is None else self.rest @ flow
         result[: self.nv] += rows.ravel()
         return result, of_a
 

@@ -31,9 +31,11 @@ from ngvisco.solver.split.iteration import iterate
 from ngvisco.solver.split.preconditioner import Preconditioner
 from ngvisco.threads import on_arrays
 
+_FORCING = {2: 0.03, 3: 0.003}
+"""Tolerances of the flow's linear systems: in 3D a residual costs more directions than are saved by less."""
 _STEEP = 0.01
-"""The option ``linearised_above`` of a steep flow rule, at most: with 0.05 one of three steps of yield with
-G_m = 1e-6 Pa s is rejected."""
+"""Increment above which the operator of a steep flow rule is that of the next iterate: with 0.05 one of three
+steps of yield with G_m = 1e-6 Pa s is rejected."""
 _REVERSED, _LENGTHS = 0.5, 10
 """Share of an increment's power that may be left with the other sign, and lengths tried for less."""
 
@@ -54,7 +56,7 @@ class Split:
         self._turned = 0.0
         """Relative increment of a creep rate field, the last one."""
         self._stale = False
-        """Whether the last increment by the operator of a steep flow rule was too long beside that before."""
+        """Whether the last increment was too long beside that before."""
         self.holds = False
         """Whether increments of a steep flow rule are shortened by their power (``evaluated``)."""
         self._last: tuple[np.ndarray, np.ndarray, float] | None = None
@@ -87,7 +89,7 @@ class Split:
         """Iterate from ``guess``; the step's state is then the solution, or some iterate."""
         history: list[NewtonIteration] = []
         self._turned, self._stale, self._last = 0.0, False, None
-        self._relax()
+        self.preconditioner.fields.renew()  # what is known of earlier iterates a resumed run does not know
         self.step.state.vec.data = guess
         problem.pose()
         if not np.isfinite(guess.Norm()):
@@ -104,7 +106,6 @@ class Split:
         if status is Status.CONVERGED:
             # an energy that is kept at the quadrature points is asked for by the ledger and the output
             self.step.eliminate.refresh()
-            self._relax()  # now, so that a run that is resumed here begins its next step alike
             return Solution(status, tuple(history))
         last = history[-1].increment if history else np.inf
         reason = (
@@ -149,29 +150,22 @@ class Split:
         if not self.residual.ranks.all(at.residual.is_finite):
             return np.zeros_like(x), np.inf
         options, fresh = self.options.split, not self.is_factorised
-        far = min(options.linearised_above, _STEEP if self.is_steep else np.inf)
-        everything = last > far or self._stale
+        everything = fresh or (self.is_steep and (last > _STEEP or self._stale))
         if fresh:
             self.renew(problem, at)
         else:
             with self._clock("assembly"):
                 self.preconditioner.linearise(at, everything)
-        with self._clock("solves"):
-            f = self.preconditioner(at, options.forcing)
-        size = self.size(f)
-        worn = self.preconditioner.iterations > options.renewed_after[self.step.mesh.dim - 2]
-        matters = max(size, last) > options.renewed_at_once_above
-        if not fresh and ((worn and matters) or self._may_be_better):
-            f, size = self._with_anew(problem, at)
-        if self._may_be_better:
-            self.preconditioner.strengthen()
-            f, size = self._with_anew(problem, at)
-        if self.is_steep and (fresh or everything):
+        f, size = self._solved(at)
+        if not fresh and self.preconditioner.iterations >= options.flow_iterations:  # unsolved
+            self.renew(problem, at)
+            f, size = self._solved(at)
+        if self.is_steep and everything:
             if self.holds and size > options.rounding:
                 self._last = x, f.copy(), self.preconditioner.power(at, f)
             self._follow_creep(f)
         # where points begin to yield a steep rule changes suddenly, however small the increment
-        self._stale = self.is_steep and size > options.stale_above * last
+        self._stale = size > options.stale_above * last
         return f, size
 
     @property
@@ -211,29 +205,17 @@ class Split:
     def wear(self, f: np.ndarray, size: float) -> None:
         """Let the tangent be made anew for the next increment where this one, f, says that it wears out."""
         options, dim = self.options.split, self.step.mesh.dim
-        slow = self.preconditioner.iterations > options.renewed_after[dim - 2]
+        slow = self.preconditioner.iterations > options.renewed_after[dim - 2] or self._stale
         worn = slow and size > 1e3 * options.margin * self.options.tolerance
         before, self._turned = self._turned, self.sizes(f)[1] if self.norm.shared else 0.0
         bends = self._turned > max(options.bends_above, 0.3 * before)  # and the chord does not contract
         if worn or bends or size > options.renewed_above:
             self.reset()
 
-    def _relax(self) -> None:
-        if self.preconditioner.relax():
-            self.reset()
-
-    @property
-    def _may_be_better(self) -> bool:
-        """Whether the flow's linear system was left unsolved, so that its increment is none, and need not be
-        so."""
-        unsolved = self.preconditioner.iterations >= self.options.split.flow_iterations
-        return unsolved and self.preconditioner.has_more
-
-    def _with_anew(self, problem: Problem, at: Evaluation) -> tuple[np.ndarray, float]:
-        """The increment by a tangent made anew, and its size."""
-        self.renew(problem, at)
+    def _solved(self, at: Evaluation) -> tuple[np.ndarray, float]:
+        """The increment by the tangent at hand, and its size."""
         with self._clock("solves"):
-            f = self.preconditioner(at, self.options.split.forcing)
+            f = self.preconditioner(at, _FORCING[self.step.mesh.dim])
         return f, self.size(f)
 
     def renew(self, problem: Problem, at: Evaluation) -> None:
