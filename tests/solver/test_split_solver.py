@@ -1,6 +1,5 @@
 """The split solver's own duties: failures that are said, the choice of the solver, its parts."""
 
-
 import numpy as np
 import pytest
 from ngsolve import cos, pi, sin, x, y

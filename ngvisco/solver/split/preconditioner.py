@@ -20,7 +20,7 @@ import numpy as np
 from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import Direct, Fallback, MakesDirect, TwoLevelSolver, direct_solver
 from ngvisco.algebra.krylov import Map, gmres, improved
-from ngvisco.algebra.sparse import together
+from ngvisco.algebra.sparse import apply
 from ngvisco.errors import InputWarning
 from ngvisco.forms.mesh.mesh_arrays import mask_of, rigid_motions
 from ngvisco.parallel.petsc import SumInverse
@@ -263,12 +263,12 @@ class Preconditioner:
         tangent, dim, size = self.hyper_tangent, self.dim, self.operator.nv
         kept, others = a[:, tangent.kept], a[:, tangent.eliminated]
         rows = np.concatenate([rows, kept.ravel()])
-        of_others = together(tangent.E_t, others)[:, : size // dim]
+        of_others = apply(tangent.E_t, others)[:, : size // dim]
         rows[:size] += self._of_velocity.sum(of_others).ravel()
         increment = self.solver(rows)
         flow, kept = increment[: len(self.free)], increment[len(self.free) :].reshape(kept.shape)
         da = np.empty_like(a)
         da[:, tangent.kept] = kept
         beside = np.concatenate([flow[:size].reshape(dim, size // dim), kept, others], axis=1, dtype=a.dtype)
-        da[:, tangent.eliminated] = together(tangent.solved, beside)
+        da[:, tangent.eliminated] = apply(tangent.solved, beside)
         return np.concatenate([flow, da.ravel()])
