@@ -7,8 +7,7 @@ import pytest
 
 from ngvisco.solver.options import NewtonOptions, SplitOptions
 from ngvisco.solver.problem import Problem, Status
-from ngvisco.solver.split.iteration import iterate
-from ngvisco.solver.split.solver import Split
+from ngvisco.solver.split.solver import Split, iterate
 
 
 class Posed(Problem):

@@ -11,7 +11,7 @@ from ngsolve import CF, x, y
 import ngvisco as nv
 from ngvisco.geometries import annulus, box
 from ngvisco.physics.tensors import if_positive
-from ngvisco.solver.split.iteration import INNER, TOLERANCE
+from ngvisco.solver.split.solver import INNER, TOLERANCE
 
 MATERIALS = {
     "E": nv.LinearElastic(K_e=50.0, G_e=5.0),

@@ -28,7 +28,7 @@ from ngvisco.physics.arrays import Array
 from ngvisco.physics.flows import Flow
 from ngvisco.physics.increments import TINY
 from ngvisco.reduced.evaluation import with_values
-from ngvisco.solver.split.flow_elements import PointTangent
+from ngvisco.solver.split.flow_operator import PointTangent
 
 _BISECTIONS, _ITERATIONS = 25, 20
 _SOFTENED = (*10.0 ** -np.arange(10.0), 0.0)

@@ -27,10 +27,9 @@ from ngvisco.parallel.petsc import SumInverse
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.split.flow_elements import PointTangent
+from ngvisco.solver.split.flow_operator import FlowSchurComplement, PointTangent, at_points
 from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
 from ngvisco.solver.split.local_creep import LocalCreep
-from ngvisco.solver.split.schur_complement import FlowSchurComplement, at_points
 from ngvisco.solver.split.transport import TransportSweeps
 
 TOLERANCE, ITERATIONS = 0.05, 20

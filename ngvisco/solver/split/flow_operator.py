@@ -1,7 +1,12 @@
-"""The flow's derivatives at the points of a coarse rule, and the element matrices that they make.
+"""The flow's linear operator: dR/d(v, wall stress, Pi, a) with the fields carried along, and its derivatives.
 
-For an increment X = (grad dv, dPi) the fields follow at every point, neither convected nor carried through
-facets, as
+An increment of v changes z by rate(z; grad dv) - (dv . grad) z, carried by the transport within the step
+(``TransportSweeps``), and dz the elastic force: what remains of Newton's matrix when z is eliminated.
+Element matrices (``FlowElements``) are of a coarse rule, but for inertia: a rule that does not see all of P_k
+makes it singular.
+
+At a point (``PointTangent``) the fields follow an increment X = (grad dv, dPi), neither convected nor carried
+through facets, as
 
     dz = tau (1 - tau K)^{-1} (d rate/dX) X,    K = d(rate + creep + terms of z)/dz,
 
@@ -21,12 +26,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.algebra import precision
+from ngvisco.algebra.sparse import ElementAssembly
 from ngvisco.forms.fields import Fields
+from ngvisco.reduced.by_forms import RestrictedForm
 from ngvisco.reduced.evaluation import CellTerms, derivative_of, incremented
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.slope import PointwiseSlope
-from ngvisco.threads import product
+from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
+from ngvisco.solver.split.transport import TransportSweeps
+from ngvisco.threads import concurrently, product
 
 
 class PointTangent:
@@ -204,6 +213,153 @@ class FlowElements:
     def scattered(self, rows: np.ndarray) -> np.ndarray:
         """Sums over the cells of their rows (cells, local dim, 1), (dim, .)."""
         return (self._scatter @ rows.reshape(self.cells * self.local, self.dim)).T
+
+
+class FlowSchurComplement:
+    """The operator at the evaluation of the last ``update``."""
+
+    def __init__(
+        self,
+        residual: ReducedResidual,
+        points: PointTangent,
+        sweep: TransportSweeps,
+        derivative: HyperDerivative | None,
+    ) -> None:
+        self.residual, self.points, self.sweep, self.derivative = residual, points, sweep, derivative
+        step, u = residual.step, residual.unknowns
+        self.op, self.dim = points.op, step.mesh.dim
+        self.elements = FlowElements(points, residual.op)
+        self.nv, self.size = u.slices["v"].stop, u.flow_slice.stop
+        claims = residual.claims
+        others = claims.beside_the_points()
+        self.others = RestrictedForm(step, u.flow, others) if others else None
+        self.leading = claims.of_gradients()
+        self.inertial = claims.of_inertia()
+        self._assembled = ElementAssembly(self.elements.dofs, self.op.v.width)
+
+    def update(self, at: Evaluation, everything: bool = True) -> None:
+        """Linearise at an evaluation.
+
+        Without ``everything`` only hyperviscosity and a density equation that is not linear.
+        """
+        self.sweep.linearise()
+        if self.derivative is not None and at.hyper is not None:
+            self.derivative.update(at.hyper)
+        if not everything:
+            return
+        self.points.terms.context.start()
+        count = self.op.points.count * self.points.components**2
+        with self.residual.ranks.together(np.linalg.LinAlgError):
+            # the sweep first, in this thread: it exchanges with other ranks
+            concurrently(lambda: self.sweep.update(at), lambda: self.points.update(at), count)
+        self.elements.update(self._base(), self._inertia(at))
+        self.rest = self._rest()
+
+    def _inertia(self, at: Evaluation) -> np.ndarray:
+        """What multiplies w . dv by inertia, (points of the residual's rule,)."""
+        along = np.eye(self.dim)[:1, :, None]
+        return self.residual.cell_terms.derivatives(self.inertial, at.cells, v=along)["v"][0, 0]
+
+    def _base(self) -> np.ndarray:
+        """dR/d(v, grad v) of convection and viscosity: (points, 0 or 1 + j, i, k, 0 or 1 + l)."""
+        d, p = self.dim, self.points
+        along = np.eye(d * (1 + d)).reshape(-1, d, 1 + d, 1)
+        slots = p.terms.derivatives(self.leading, p.values, v=along[:, :, 0], grad_v=along[:, :, 1:])
+        A = np.empty((self.op.points.count, 1 + d, d, d * (1 + d)))
+        A[:, 0] = slots["v"].transpose(2, 0, 1)
+        A[:, 1:] = slots["grad v"].transpose(3, 1, 0, 2)
+        return A.reshape(-1, 1 + d, d, d, 1 + d)
+
+    def _rest(self) -> sp.csr_matrix | None:
+        """Walls, damping, the creep rate field and terms of others, as a matrix."""
+        rest = None if self.others is None else self.others.jacobian()
+        if "Pi" not in self.residual.unknowns.flow:
+            return rest
+        creep = self._creep_stiffness()
+        first = self.size - creep.shape[0]
+        creep = sp.block_diag([sp.csr_matrix((first, first)), creep], format="csr")
+        return creep if rest is None else (rest + creep).tocsr()
+
+    def _creep_stiffness(self) -> sp.csr_matrix:
+        """What M takes from a creep rate field Pi within the step, coupling to v left out."""
+        first = self.residual.rates.tensors.gradients
+        values = self.op.of("Pi")[0].matrix
+        C = self.points.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
+        size = C.shape[1]
+        blocks = [[values.T @ sp.diags(C[:, i, k]) @ values for k in range(size)] for i in range(size)]
+        return sp.bmat(blocks, format="csr")
+
+    def __call__(self, flow: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+        """Rows of the flow's unknowns and of a, of an increment of these; over ranks in parts."""
+        dv, of_a = flow[: self.nv].reshape(self.dim, -1), None
+        if self.derivative is None or normals is None:
+            rows = self._with_fields(dv)
+        else:
+            x, hyper = np.concatenate([dv, normals], axis=1), self.derivative
+            size = self.elements.own.size
+            rows, of_x = concurrently(lambda: self._with_fields(dv), lambda: hyper(x), size)
+            rows += of_x[:, : dv.shape[1]]
+            of_a = of_x[:, dv.shape[1] :]
+        result = np.zeros(self.size, precision.SINGLE) if self.rest is None else self.rest @ flow
+        result[: self.nv] += rows.ravel()
+        return result, of_a
+
+    def _with_fields(self, dv: np.ndarray) -> np.ndarray:
+        """Rows of v, (dim, .), without hyperviscosity, with the fields carried along."""
+        e = self.elements
+        rows, own = product(e.of_velocity, e.gathered(dv)), self.dim * e.local
+        carried = self.sweep.fields(-rows[:, own:].reshape(e.cells * e.functions, e.components))
+        of_cells = np.ascontiguousarray(rows[:, :own])
+        of_cells += product(e.from_fields, carried.reshape(e.cells, e.functions * e.components, 1))
+        return e.scattered(of_cells)
+
+    def force(self, dz: np.ndarray) -> np.ndarray:
+        """Rows of v in parts, (dim, .), of what sweeps make of the fields' rows, (cells' unknowns, n)."""
+        e = self.elements
+        return e.scattered(product(e.from_fields, dz.reshape(e.cells, e.functions * e.components, 1)))
+
+    def fields_rows(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
+        """What the rows of z, (cells' unknowns, n), take from an increment of v (dim, .) and Pi."""
+        e = self.elements
+        rows = product(e.to_fields, e.gathered(dv)).reshape(e.cells * e.functions, e.components)
+        if dPi is not None:
+            values = at_points(self.points.columns[:, :, self.dim**2 :], dPi)
+            rows -= self.op.z.test(values).T
+        return rows
+
+    def resolved(self, dz: np.ndarray) -> np.ndarray:
+        """(1 - tau P K)^{-1} dz of coefficients dz: both (cells' unknowns, n)."""
+        cells = dz.reshape(*self.points.resolvent.shape[:2], 1)  # of a rank without cells too
+        return product(self.points.resolvent, cells).reshape(dz.shape)
+
+    def tangent(self, hyper: HyperTangent | None) -> sp.csr_matrix:
+        """The velocity tangent: the operator with the fields predicted inside each cell, as a matrix.
+
+        What a cell's increments change its fields by takes the inverse of the transport's own block, without
+        what neighbours carry over: a sum over the cells.  Of the flow's unknowns and the normal derivatives
+        that ``hyper`` keeps, last; the others are a = E v, with the mean of both sides' d_n v, weighted by
+        the hyperviscosity's coefficient.  Over ranks in parts.
+        """
+        d, e = self.dim, self.elements
+        rows = e.to_fields.reshape(e.cells * e.functions, e.components * e.dim * e.local)
+        fields = self.sweep.in_cells(rows).reshape(e.to_fields.shape)
+        cells = (e.own - e.from_fields @ fields).reshape(e.cells, e.local, d, d, e.local)
+        blocks = [[self._assembled(cells[:, :, i, k]) for k in range(d)] for i in range(d)]
+        if hyper is not None:
+            n = self.op.v.width
+            for i in range(d):
+                blocks[i][i] = blocks[i][i] + hyper.matrix[:n, :n]
+        matrix, others = sp.bmat(blocks, format="csr"), self.size - self.nv
+        if others:
+            matrix = sp.block_diag([matrix, sp.csr_matrix((others, others))], format="csr")
+        if self.rest is not None:
+            matrix = (matrix + self.rest).tocsr()
+        return matrix if hyper is None or not len(hyper.kept) else hyper.bordered(matrix, d)
+
+
+def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Matrices (points, i, j) times values (j, points): (i, points)."""
+    return np.ascontiguousarray(product(matrices, values.T[:, :, None])[:, :, 0].T)
 
 
 def _resolvents(matrices: np.ndarray) -> np.ndarray:
