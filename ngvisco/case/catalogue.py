@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import Any, TypeAlias
 
-from ngvisco import geometries
+import ngvisco.geometries as geometries
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
