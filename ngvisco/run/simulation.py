@@ -131,14 +131,14 @@ class Simulation:
         passive: Sequence[str] = (),
         **former: Any,
     ) -> None:
-        require_type("Simulation.mesh", mesh, Mesh)
-        require_type("Simulation.model", model, Model)
+        initial = Initial() if initial is None else initial
+        newton = NewtonOptions() if newton is None else newton
+        discretisation = Discretisation() if discretisation is None else discretisation
         for name, value, kind in (
-            ("initial", initial, Initial),
-            ("discretisation", discretisation, Discretisation),
-            ("newton", newton, NewtonOptions),
+            *(("mesh", mesh, Mesh), ("model", model, Model), ("initial", initial, Initial)),
+            *(("discretisation", discretisation, Discretisation), ("newton", newton, NewtonOptions)),
         ):
-            require_type(f"Simulation.{name}", kind() if value is None else value, kind)
+            require_type(f"Simulation.{name}", value, kind)
         steps = time_steps(time, dt, scheme, former)
         check_arguments(observers, walls, passive, sources, terms)
         if model.heat is not None and model.heat.numerical_heating and steps.made.A != ((1.0,),):
@@ -165,12 +165,10 @@ class Simulation:
         self.observers = list(observers)
         self._t, self._number = 0.0, 0
         run_time.Set(0.0)  # whatever ran before: start values and walls are those of the start
-        F_0 = set_initial(self.rothe_step, initial or Initial(), self.sampler)
+        F_0 = set_initial(self.rothe_step, initial, self.sampler)
         typical = steps.velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
         self.set_velocity_scale(float(typical))
-        options = newton or NewtonOptions()
-        if solver is not None:
-            options = replace(options, method=solver)
+        options = newton if solver is None else replace(newton, method=solver)
         self.bounds = Bounds(self.rothe_step, self.sampler, steps.limiter)
         self.solver = RotheSolver(self.rothe_step, options, self.bounds.defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
