@@ -90,7 +90,8 @@ def faults_of(error: ValidationError, model: type[BaseModel], locator: Locator) 
         if one["type"] == "union_tag_invalid":
             path = (*path, one["ctx"]["discriminator"].strip("'"))
         if isinstance(raised, ParameterError):
-            path = (*path, *_parameter_path(raised.field, path))
+            parts = raised.field.split(".")  # NeoHookean.G_e in [material] is G_e there
+            path = (*path, *parts[1:]) if path else tuple(parts)
         found.append(locator.fault(path, _message(one, raised, path, here, known)))
     return sorted(found, key=lambda fault: (fault.line is None, fault.line or 0))
 
@@ -99,12 +100,6 @@ def nearest(name: str, known: Iterable[str]) -> str:
     """``; did you mean 'x'?`` or nothing."""
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
     return f"; did you mean {close[0]!r}?" if close else ""
-
-
-def _parameter_path(field: str, path: tuple[str, ...]) -> tuple[str, ...]:
-    """The key of a dataclass's parameter: NeoHookean.G_e in [material] is G_e there."""
-    parts = tuple(field.split("."))
-    return parts[1:] if path else parts
 
 
 def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: list[str]) -> str:

@@ -118,7 +118,8 @@ class Checkpoints:
     def start(self, simulation: Simulation) -> None:
         self._kept = {}
         if simulation.ranks.is_first and simulation.number > 0 and self.path.exists():
-            earlier = _read_snapshots(self.path)
+            with _opened(self.path) as file:
+                earlier = {int(name): _load(self.path, of) for name, of in file["checkpoints"].items()}
             since = 0 if self.chosen is None else self.chosen.step  # states before are of another mesh
             self._kept = {n: kept for n, kept in earlier.items() if since <= n < simulation.number}
         self._write(simulation)
@@ -228,11 +229,6 @@ def mesh_of_checkpoints(path: str | os.PathLike[str]) -> ChosenMesh | None:
         if "mesh" not in file:
             return None
         return ChosenMesh(file["mesh"][()].tobytes(), int(file["mesh"].attrs["step"]))
-
-
-def _read_snapshots(path: Path) -> dict[int, Snapshot]:
-    with _opened(path) as file:
-        return {int(name): _load(path, group) for name, group in file["checkpoints"].items()}
 
 
 def snapshot(simulation: Simulation) -> Snapshot:

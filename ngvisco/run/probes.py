@@ -339,7 +339,7 @@ class Bodies(Series):
     def unit(self, column: str) -> str:
         """SI unit of a column (per metre of thickness in plane strain)."""
         if column in ("step", "time"):
-            return {"step": "1", "time": "s"}[column]
+            return super().unit(column)
         name = next(name for name in sorted(self._names, key=len)[::-1] if column.startswith(f"{name}_"))
         quantity = column[len(name) + 1 :]
         return "kg m/s" if quantity.startswith("momentum") else UNITS.get(quantity, "m")

@@ -132,14 +132,6 @@ def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Pa
     return found
 
 
-def _pieces(path: Path) -> list[str]:
-    """The files of the ranks that a .pvtu names."""
-    try:
-        return [node.attrib["Source"] for node in ElementTree.parse(path).getroot().iter("Piece")]
-    except (OSError, KeyError, ElementTree.ParseError) as error:
-        raise CheckpointError(f"{path}: not a readable file of a VTK series ({error})") from error
-
-
 def _joined(parts: Sequence[Frame]) -> Frame:
     """The cells of all frames in one."""
     starts = np.cumsum([0, *(len(part.points) for part in parts)])
@@ -151,9 +143,10 @@ def _joined(parts: Sequence[Frame]) -> Frame:
 
 def read_frame(path: Path) -> Frame:
     """One file of a series; raises CheckpointError if it is not one of ours, or damaged."""
-    if path.suffix == ".pvtu":
-        return _joined([read_frame(path.parent / name) for name in _pieces(path)])
     try:
+        if path.suffix == ".pvtu":  # which names the files of the ranks
+            pieces = ElementTree.parse(path).getroot().iter("Piece")
+            return _joined([read_frame(path.parent / piece.attrib["Source"]) for piece in pieces])
         head, mark, tail = path.read_bytes().partition(_MARK)
         root = ElementTree.fromstring(head + b"</VTKFile>")
         raw = tail[tail.index(b"_") + 1 :] if mark else b""

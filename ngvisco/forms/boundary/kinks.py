@@ -11,7 +11,7 @@ far smaller than that between the straight facets of the same vertices, on strai
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -92,12 +92,12 @@ class _Facet:
 
 def _facets(mesh: Mesh, wall: Region) -> list[_Facet]:
     """The facets of a wall that this rank has."""
-    means, chord_normal, corners = _mean_normals(mesh), _chord_normal(mesh), _corner_normals(mesh)
+    means, corners = _mean_normals(mesh), _corner_normals(mesh)
     result = []
     for e in wall.Elements():
         mean = means[(e.edges if mesh.dim == 2 else e.faces)[0].nr]
         names = {v.nr: np.array(mesh[v].point).tobytes() for v in e.vertices}
-        chord, at = chord_normal(e), {v.nr: corners[e.nr, v.nr] for v in e.vertices}
+        chord, at = _chord_normal(mesh, e), {v.nr: corners[e.nr, v.nr] for v in e.vertices}
         parts = [[v.nr] for v in e.vertices]
         if mesh.dim == 3:
             parts = [[v.nr for v in mesh[edge].vertices] for edge in e.edges]
@@ -111,18 +111,14 @@ def _facets(mesh: Mesh, wall: Region) -> list[_Facet]:
     return result
 
 
-def _chord_normal(mesh: Mesh) -> Callable[[Any], np.ndarray]:
+def _chord_normal(mesh: Mesh, element: Any) -> np.ndarray:
     """The unit normal of the straight facet between a boundary element's vertices."""
-
-    def normal(element: Any) -> np.ndarray:
-        X = [np.asarray(mesh[v].point) for v in element.vertices]
-        if mesh.dim == 2:
-            n = np.array([X[1][1] - X[0][1], X[0][0] - X[1][0]])
-        else:  # of a quadrilateral the diagonals span it
-            n = np.cross(X[1] - X[0], X[2] - X[0]) if len(X) == 3 else np.cross(X[2] - X[0], X[3] - X[1])
-        return n / np.linalg.norm(n)
-
-    return normal
+    X = [np.asarray(mesh[v].point) for v in element.vertices]
+    if mesh.dim == 2:
+        n = np.array([X[1][1] - X[0][1], X[0][0] - X[1][0]])
+    else:  # of a quadrilateral the diagonals span it
+        n = np.cross(X[1] - X[0], X[2] - X[0]) if len(X) == 3 else np.cross(X[2] - X[0], X[3] - X[1])
+    return n / np.linalg.norm(n)
 
 
 def _mean_normals(mesh: Mesh) -> np.ndarray:

@@ -218,14 +218,12 @@ def distortion_of(
 ) -> CoefficientFunction | None:
     """F of the variables' values, by name, where one of them tells it; None otherwise."""
     variable = next((v for v in material.variables if isinstance(v, Distortion)), None)
-    return None if variable is None else _distortion_of(values[variable.name], variable.exponent)
-
-
-def _distortion_of(H: CoefficientFunction, exponent: float) -> CoefficientFunction | None:
-    """F of H = (det F)^exponent F, where it can be told from H alone."""
+    if variable is None:
+        return None
+    H, exponent = values[variable.name], variable.exponent  # H = (det F)^exponent F
+    power = 3 * exponent + 1  # det H = (det F)^power
     if exponent == 0:
         return H
-    power = 3 * exponent + 1  # det H = (det F)^power
     return None if abs(power) < 1e-12 else Det(H) ** (-exponent / power) * H
 
 
