@@ -32,6 +32,7 @@ from ngsolve.meshes import MakeStructured3DMesh
 
 from ngvisco import (
     BodyForce,
+    CentralGravity,
     Creep,
     Discretisation,
     Gravity,
@@ -41,17 +42,21 @@ from ngvisco import (
     LinearElastic,
     Material,
     Model,
+    NavierFriction,
     NeoHookean,
+    NoSlip,
     Observer,
+    PrescribedTangential,
     Simulation,
     StokesViscosity,
+    Traction,
     time,
 )
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
-from ngvisco.geometries import box
+from ngvisco.geometries import annulus, box, channel, disc
 from ngvisco.physics.tensors import dev, square
 from ngvisco.run.ledger import Ledger
 
@@ -359,3 +364,45 @@ class StopAt(Observer):
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
         if simulation.number == self.number:
             simulation.request_stop()
+
+
+ROTATION = (-y, x)
+WALLS = {
+    "no slip and slip": (
+        lambda: annulus(1, 2, 1),
+        {"inner": NoSlip()},
+        Initial(density=1 + 0.1 * x, velocity=ROTATION),
+        (CentralGravity(strength=1.0),),
+    ),
+    "accelerated rotating wall": (
+        lambda: disc(1, 0.7),
+        {"wall": PrescribedTangential((-y * (1 + 9 * time**2), x * (1 + 9 * time**2)))},
+        Initial(density=1 + 0.3 * x),
+        (),
+    ),
+    "accelerated lid": (
+        lambda: box((1, 1), 0.5),
+        {"top": PrescribedTangential((10 * time, 0.0)), ("left", "right"): NoSlip()},
+        Initial(density=1 + 0.3 * y),
+        (Gravity((0.0, -1.0 - time)),),
+    ),
+    "two lids, periodic": (
+        lambda: channel(1, 1, 0.5),
+        {"top": PrescribedTangential((1, 0)), "bottom": PrescribedTangential((-1, 0))},
+        Initial(),
+        (BodyForce((sin(2 * pi * x) * cos(9 * time), 0)),),
+    ),
+    "traction with friction": (
+        lambda: disc(1, 0.7),
+        {"wall": Traction(f=(-y * cos(9 * time), x), friction=0.1)},
+        Initial(),
+        (),
+    ),
+    "friction": (
+        lambda: box((1, 1), 0.5),
+        {"bottom": NavierFriction(2.0), "top": Traction(f=(sin(9 * time), 5.0))},
+        Initial(velocity=(sin(pi * x), 0)),
+        (),
+    ),
+}
+"""Mesh, walls, initial state and loads, of which what can change in time does."""

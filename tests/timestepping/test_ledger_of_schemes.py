@@ -4,17 +4,17 @@ from itertools import product
 
 import numpy as np
 import pytest
-from ngsolve import CF, cos, pi, sin, x, y
+import support
+from ngsolve import CF, x
 from support import EXAMPLES, SWIRL, assert_same, swirling
 
 import ngvisco as nv
-from ngvisco.geometries import annulus, block_with_hole, box, channel, disc
+from ngvisco.geometries import block_with_hole, box
 from ngvisco.run.ledger import NUMERICAL
 from ngvisco.timestepping.scheme import TimeScheme
 
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 SECOND_ORDER = ("midpoint", "sdirk2")
-ROTATION = (-y, x)
 BY_DEFAULT = {
     **dict.fromkeys(["LinearElastic", "OldroydB", "LogarithmicMooneyRivlin", "BarotropicFluid"], "midpoint"),
     **dict.fromkeys(["NeoHookean", 'LogarithmicMooneyRivlin(elastic_state="B")'], "sdirk2"),
@@ -44,45 +44,8 @@ def closes(run, until=0.06, bound=1e-12):
 
 WALLS = {
     "curved slip walls": (lambda: block_with_hole((1, 1), 0.25, 1), {}, nv.Initial(velocity=(0.5, 0.3)), ()),
-    "no slip and slip": (
-        lambda: annulus(1, 2, 1),
-        {"inner": nv.NoSlip()},
-        nv.Initial(density=1 + 0.1 * x, velocity=ROTATION),
-        (nv.CentralGravity(strength=1.0),),
-    ),
-    "accelerated rotating wall": (
-        lambda: disc(1, 0.7),
-        {"wall": nv.PrescribedTangential((-y * (1 + 9 * nv.time**2), x * (1 + 9 * nv.time**2)))},
-        nv.Initial(density=1 + 0.3 * x),
-        (),
-    ),
-    "accelerated lid": (
-        lambda: box((1, 1), 0.5),
-        {"top": nv.PrescribedTangential((10 * nv.time, 0.0)), ("left", "right"): nv.NoSlip()},
-        nv.Initial(density=1 + 0.3 * y),
-        (nv.Gravity((0.0, -1.0 - nv.time)),),
-    ),
-    "two lids, periodic": (
-        lambda: channel(1, 1, 0.5),
-        {"top": nv.PrescribedTangential((1, 0)), "bottom": nv.PrescribedTangential((-1, 0))},
-        nv.Initial(),
-        (nv.BodyForce((sin(2 * pi * x) * cos(9 * nv.time), 0)),),
-    ),
-    "traction with friction": (
-        lambda: disc(1, 0.7),
-        {"wall": nv.Traction(f=(-y * cos(9 * nv.time), x), friction=0.1)},
-        nv.Initial(),
-        (),
-    ),
-    "friction": (
-        lambda: box((1, 1), 0.5),
-        {"bottom": nv.NavierFriction(2.0), "top": nv.Traction(f=(sin(9 * nv.time), 5.0))},
-        nv.Initial(velocity=(sin(pi * x), 0)),
-        (),
-    ),
+    **support.WALLS,
 }
-
-
 WALLS_BY_DEFAULT = (
     *((name, "midpoint", "coupled") for name in ("accelerated rotating wall", "traction with friction")),
     ("accelerated lid", "sdirk2", "split"),
