@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 import ngvisco as nv
-from ngvisco.geometries import box
+from ngvisco.geometries import structured_box
 from ngvisco.physics.variables import Jacobian
 from ngvisco.run.outlines import averaged, outline
 from ngvisco.run.plots import figure
 from ngvisco.run.vtu import read_frame, read_series_files
 
 
-def simulation(maxh: float = 0.1, dt: float = 0.05, K_e: float = 50.0, **options) -> nv.Simulation:
+def simulation(cells=(20, 22), dt: float = 0.05, K_e: float = 50.0, **options) -> nv.Simulation:
     """1 m x 1 m; density 1 kg/m^3, viscosity 0.01 Pa s, shear modulus of the disc 0.1 Pa; a lid of 1 m/s."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J + 1 / J - 2))
     solid = nv.IsochoricNeoHookean(K_e=K_e, G_e=0.05, elastic_state="B")
@@ -26,7 +26,8 @@ def simulation(maxh: float = 0.1, dt: float = 0.05, K_e: float = 50.0, **options
     # velocities of order 3 do not lock where volumes are stiff; the lid's start is damped by two Euler steps
     options = {"time": nv.TimeSteps(dt=dt, scheme="midpoint", startup=2), **options}
     options = {"discretisation": nv.Discretisation(k=3)} | options
-    mesh = box((1, 1), maxh=maxh, refine={"top": maxh / 2}, split_corners=True)  # the film below the lid
+    # rows become flat towards the lid, below which the disc is a film
+    mesh = structured_box((1, 1), cells, grading={"y": 0.3}, split_corners=True)
     return nv.Simulation(mesh, model, **options)
 
 

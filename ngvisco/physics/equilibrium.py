@@ -34,48 +34,6 @@ Volumetric = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np
 """U, U' and U'' of values J at points of these numbers."""
 
 
-def equilibrium(volumetric: Sequence[Volumetric], n: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """V, its slope and its second derivative by amounts (points, bodies); NaN where there is none."""
-    points, bodies = n.shape
-    with np.errstate(all="ignore"):
-        J = np.repeat(1 / n.sum(axis=1, keepdims=True), bodies, axis=1)
-        p, done, U = (
-            np.full(points, np.nan),
-            np.zeros(points, dtype=bool),
-            np.full((3, points, bodies), np.nan),
-        )
-        active = np.flatnonzero((n.sum(axis=1) > 0) & np.isfinite(n).all(axis=1))
-        for iteration in range(_ITERATIONS):
-            if not len(active):
-                break
-            at, amounts = J[active], n[active]
-            found = [one(at[:, i], active) for i, one in enumerate(volumetric)]
-            now = np.stack([np.stack(one) for one in found], axis=2)
-            U[:, active] = now
-            if not iteration:
-                p[active] = -(amounts * now[1]).sum(axis=1) / amounts.sum(axis=1)
-            finished = done[active]
-            active, at, amounts, now = (a[~finished] for a in (active, at, amounts, np.moveaxis(now, 1, 0)))
-            rest = now[:, 1] + p[active][:, None]
-            free = (at > _FLAT) | (rest <= 0)
-            weight = free / now[:, 2]
-            stiffness = (np.maximum(amounts, 0.0) * weight).sum(axis=1)
-            change = ((amounts * (at - weight * rest)).sum(axis=1) - 1) / stiffness
-            step = -weight * (rest + change[:, None])
-            farthest = np.maximum(_LEAST * at, _FLAT) - at
-            length = np.where(step < farthest, farthest / step, 1.0).min(axis=1)
-            J[active] = at + length[:, None] * step
-            p[active] += length * change
-            done[active] = (abs(step) <= _CONVERGED * at).all(axis=1) & (length == 1)
-            active = active[np.isfinite(J[active]).all(axis=1)]
-        compliance = (n * ((J > _FLAT) | (U[1] + p[:, None] <= 0)) / U[2]).sum(axis=1)
-        good = done & (compliance > 0)
-        value = np.where(good, (n * U[0]).sum(axis=1), np.nan)
-        slope = np.where(good[:, None], U[0] + p[:, None] * J, np.nan)
-        hessian = J[:, :, None] * J[:, None, :] / np.where(good, compliance, np.nan)[:, None, None]
-    return value, slope, hessian
-
-
 class FreeEnergy(Protocol):
     """The part that heat has in a body's free energy, F = U(J) + ... (``Thermal``)."""
 
@@ -85,53 +43,62 @@ class FreeEnergy(Protocol):
     def free(self, theta: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, ...]: ...
 
 
-def thermal_equilibrium(
-    volumetric: Sequence[Volumetric], heat: Sequence[FreeEnergy], n: np.ndarray, s: np.ndarray
+def equilibrium(
+    volumetric: Sequence[Volumetric],
+    n: np.ndarray,
+    heat: Sequence[FreeEnergy] = (),
+    s: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """W, its slope and second derivative by amounts and the entropy s, J/(m^3 K), (points, bodies + 1); NaN
-    where there is none.
+    """V, its slope and second derivative by amounts (points, bodies); NaN where there is none.
 
-    Newton's method for J_i, p and ln theta, in which S_i is linear.
+    With ``heat`` of every body W, and by the entropy s, J/(m^3 K), last.  Newton's method for J_i, p and
+    ln theta, in which S_i is linear; without heat theta stays one.
     """
     points, bodies = n.shape
-    c = np.array([each.c for each in heat])
-    total, capacity = n.sum(axis=1), n @ c
-    p, log_theta = np.full(points, np.nan), np.full(points, np.nan)
+    s = np.zeros(points) if s is None else s
+    c, is_cold = np.array([each.c for each in heat] or np.zeros(bodies)), not heat
+    total, capacity = n.sum(axis=1), n @ c + is_cold
+    p, log_theta = np.full(points, np.nan), np.zeros(points)
     done = np.zeros(points, dtype=bool)
     # F, F_J, F_JJ, S and dS/dJ of the bodies
     found = np.full((5, points, bodies), np.nan)
+    found[3:] = 0.0 if is_cold else np.nan
     with np.errstate(all="ignore"):
         J = np.repeat(1 / total[:, None], bodies, axis=1)
         active = np.flatnonzero((total > 0) & (capacity > 0) & np.isfinite(n).all(axis=1) & np.isfinite(s))
-        # of 1 K, linear in its logarithm
-        at_one = np.stack([each.free(np.ones(points), J[:, 0])[3] for each in heat], axis=1)
-        log_theta[active] = ((s - (n * at_one).sum(axis=1)) / capacity)[active]
+        if heat:  # of 1 K, linear in its logarithm
+            at_one = np.stack([each.free(np.ones(points), J[:, 0])[3] for each in heat], axis=1)
+            log_theta = (s - (n * at_one).sum(axis=1)) / capacity
         for iteration in range(_ITERATIONS):
             if not len(active):
                 break
-            at, amounts, theta = J[active], n[active], np.exp(log_theta[active])
-            for i, (one, warm) in enumerate(zip(volumetric, heat, strict=True)):
-                of_heat = warm.free(theta, at[:, i])
-                cold = one(at[:, i], active)
-                found[:3, active, i] = [a + b for a, b in zip(cold, of_heat, strict=False)]
+            at, theta = J[active], np.exp(log_theta[active])
+            for i, one in enumerate(volumetric):
+                found[:3, active, i] = one(at[:, i], active)
+            for i, warm in enumerate(heat):
+                of_heat = np.stack(warm.free(theta, at[:, i]))
+                found[:3, active, i] += of_heat[:3]
                 found[3:, active, i] = of_heat[3:]
             if not iteration:
-                p[active] = -(amounts * found[1, active]).sum(axis=1) / amounts.sum(axis=1)
+                p[active] = -(n[active] * found[1, active]).sum(axis=1) / total[active]
             active = active[~done[active]]
             at, amounts, theta = J[active], n[active], np.exp(log_theta[active])
             _, first, second, S, dS = found[:, active]
-            rest, b = first + p[active][:, None], theta[:, None] * dS
-            free = (at > _FLAT) | (rest <= 0)
-            weight = free / second
+            rest = first + p[active][:, None]
+            weight = ((at > _FLAT) | (rest <= 0)) / second
             kept = np.maximum(amounts, 0.0)
-            soft, mixed = (kept * weight).sum(axis=1), -(kept * weight * b).sum(axis=1)
-            warm_up = (kept * (theta[:, None] * c + weight * b * b)).sum(axis=1)
-            volume = (amounts * (at - weight * rest)).sum(axis=1) - 1
-            entropy = theta * s[active] - (amounts * (theta[:, None] * S - weight * b * rest)).sum(axis=1)
-            determinant = soft * warm_up - mixed**2
-            dp = (warm_up * volume - mixed * entropy) / determinant
-            dl = (soft * entropy - mixed * volume) / determinant
-            step = -weight * (rest + dp[:, None] - b * dl[:, None])
+            soft, volume = (kept * weight).sum(axis=1), (amounts * (at - weight * rest)).sum(axis=1) - 1
+            dp, dl = volume / soft, 0.0 * soft
+            if heat:
+                b = theta[:, None] * dS
+                mixed = -(kept * weight * b).sum(axis=1)
+                warm_up = (kept * (theta[:, None] * c + weight * b * b)).sum(axis=1)
+                entropy = theta * s[active] - (amounts * (theta[:, None] * S - weight * b * rest)).sum(axis=1)
+                determinant = soft * warm_up - mixed**2
+                dp = (warm_up * volume - mixed * entropy) / determinant
+                dl = (soft * entropy - mixed * volume) / determinant
+                rest -= b * dl[:, None]
+            step = -weight * (rest + dp[:, None])
             farthest = np.maximum(_LEAST * at, _FLAT) - at
             length = np.where(step < farthest, farthest / step, 1.0).min(axis=1)
             length = np.minimum(length, 1 / np.maximum(abs(dl), 1.0))
@@ -146,12 +113,13 @@ def thermal_equilibrium(
         weight = ((J > _FLAT) | (first + p[:, None] <= 0)) / second
         # the entries of Q
         soft, mixed = (n * weight).sum(axis=1), -(n * weight * dS).sum(axis=1)
-        warm_up = (n * (c / theta[:, None] + weight * dS * dS)).sum(axis=1)
+        warm_up = (n * (c / theta[:, None] + weight * dS * dS)).sum(axis=1) + is_cold
         determinant = soft * warm_up - mixed**2
         good = done & (determinant > 0) & (soft > 0)
-        a = np.concatenate([np.stack([J, -S]), np.broadcast_to([[[0.0]], [[1.0]]], (2, points, 1))], axis=2)
+        value, slope, a = (n * F).sum(axis=1) + theta * s, F + p[:, None] * J, np.stack([J, -S])
+        if heat:
+            slope = np.concatenate([slope, theta[:, None]], axis=1)
+            a = np.concatenate([a, np.broadcast_to([[[0.0]], [[1.0]]], (2, points, 1))], axis=2)
         inverse = np.array([[warm_up, -mixed], [-mixed, soft]]) / np.where(good, determinant, np.nan)
-        slope = np.concatenate([F + p[:, None] * J, theta[:, None]], axis=1)
-        value = (n * F).sum(axis=1) + theta * s
     hessian = np.einsum("apk,abp,bpl->pkl", a, inverse, a)
     return np.where(good, value, np.nan), np.where(good[:, None], slope, np.nan), hessian

@@ -19,7 +19,7 @@ there is none of it, or less than none, it is turned and not stretched, and bear
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from operator import add
@@ -31,7 +31,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.physics.bodies import AMOUNT, Amount, Body, Content, PlasticContent
 from ngvisco.physics.equilibrium import Volumetric as VolumetricEnergy
-from ngvisco.physics.equilibrium import equilibrium, thermal_equilibrium
+from ngvisco.physics.equilibrium import equilibrium
 from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.mixed_heat import MixedHeat, heat_of, without_heat
@@ -208,6 +208,13 @@ class Mixture(Material):
             return False
         return same and (not others or not any(psi.reads_parameters_in_volume for psi in self.energies))
 
+    @cached_property
+    def stiffnesses(self) -> dict[str, float]:
+        """U_i'' at rest by the bodies' names, with what heat adds to it, Pa."""
+        heat = [0.0] * len(self.bodies) if self.heat is None else self.heat.stiffnesses
+        found = (psi.stiffness + more for psi, more in zip(self.energies, heat, strict=True))
+        return dict(zip(self.fractions.bodies, found, strict=True))
+
     def bounds(self, z: Values) -> dict[str, Values]:
         """What must be > 0: N; sum n_i/U_i'' at rest, less a tenth of its least value, where these differ, or
         there is no common pressure; sum n_i c_i, less a tenth of its least; and n_i, but for half of what f_i
@@ -215,10 +222,9 @@ class Mixture(Material):
         total = self.fractions.total(z)
         found = {"the sum of the amounts": total}
         if not self.has_one_volume:
-            heat = [0.0] * len(self.bodies) if self.heat is None else self.heat.stiffnesses
-            soft = [1 / (psi.stiffness + more) for psi, more in zip(self.energies, heat, strict=True)]
-            parts = (c * z[AMOUNT + name] for c, name in zip(soft, self.fractions.bodies, strict=True))
-            found["the compliance of the bodies"] = (1 / min(soft)) * reduce(add, parts) - 0.1 * total
+            stiffest = max(self.stiffnesses.values())
+            parts = (stiffest / K * z[AMOUNT + name] for name, K in self.stiffnesses.items())
+            found["the compliance of the bodies"] = reduce(add, parts) - 0.1 * total
         if self.heat is not None:
             least = min(each.c for each in self.heat.parts.values())
             found["the heat capacity of the bodies"] = (1 / least) * self.heat.capacity(
@@ -341,7 +347,7 @@ class _InEquilibrium:
         slices = mixture.states(dim).slices
         self.amounts = [slices[AMOUNT + body.name].start for body in mixture.bodies]
         self.shears = array_response(_Shears(mixture=mixture), dim)
-        self.heat = None if mixture.heat is None else tuple(mixture.heat.parts.values())
+        self.heat = () if mixture.heat is None else tuple(mixture.heat.parts.values())
         self.entropy = None if mixture.heat is None else mixture.heat.entropy
         self.of_entropy = -1 if self.entropy is None else slices[self.entropy.name].start
         self.volumes = []
@@ -360,20 +366,16 @@ class _InEquilibrium:
 
             return at
 
-        n = np.ascontiguousarray(states[:, self.amounts])
-        volumes, where = [volumetric(i) for i in range(len(self.volumes))], self.amounts
-        if self.entropy is None or self.heat is None:
-            value, slope, hessian = equilibrium(volumes, n)
-        else:
-            unit, where = self.entropy.unit, [*where, self.of_entropy]
-            value, slope, hessian = thermal_equilibrium(
-                volumes, self.heat, n, unit * states[:, self.of_entropy]
-            )
-            counted = np.append(np.ones(n.shape[1]), unit)
-            slope, hessian = slope * counted, hessian * np.outer(counted, counted)
+        n, where = np.ascontiguousarray(states[:, self.amounts]), self.amounts
+        volumes = [volumetric(i) for i in range(len(self.volumes))]
+        counted, entropy = np.ones(len(where)), np.zeros(len(n))
+        if self.entropy is not None:
+            where, counted = [*where, self.of_entropy], np.append(counted, self.entropy.unit)
+            entropy = self.entropy.unit * states[:, self.of_entropy]
+        value, slope, hessian = equilibrium(volumes, n, self.heat, entropy)
         result = self.shears(states)
-        result.slope[:, where] += slope
-        result.hessian[np.ix_(range(len(n)), where, where)] += hessian
+        result.slope[:, where] += slope * counted
+        result.hessian[np.ix_(range(len(n)), where, where)] += hessian * np.outer(counted, counted)
         bad = ~np.isfinite(value)
         failure = None
         if bad.any():
@@ -399,21 +401,21 @@ class MixedViscosity(Viscosity):
     def is_linear(self) -> bool:  # type: ignore[override]
         return all(part.is_linear for _, part in self.parts)
 
-    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def _mean(self, z: Values, of: Callable[[Viscosity], Any]) -> Any:
         theta = self.fractions.not_negative(z)
-        return reduce(add, (theta[name] * part.stress(eps, z) for name, part in self.parts))
+        return reduce(add, (theta[name] * of(part) for name, part in self.parts))
+
+    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+        return self._mean(z, lambda part: part.stress(eps, z))
 
     def bulk_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
-        theta = self.fractions.not_negative(z)
-        return reduce(add, (theta[name] * part.bulk_dissipation(eps, z) for name, part in self.parts))
+        return self._mean(z, lambda part: part.bulk_dissipation(eps, z))
 
     def shear_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
-        theta = self.fractions.not_negative(z)
-        return reduce(add, (theta[name] * part.shear_dissipation(eps, z) for name, part in self.parts))
+        return self._mean(z, lambda part: part.shear_dissipation(eps, z))
 
     def shear_viscosity(self, z: Values) -> ValueOfModulus:
-        theta = self.fractions.not_negative(z)
-        return reduce(add, (theta[name] * part.shear_viscosity(z) for name, part in self.parts))
+        return self._mean(z, lambda part: part.shear_viscosity(z))
 
     def require_dimension(self, dim: int) -> None:
         for _, part in self.parts:

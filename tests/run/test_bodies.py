@@ -1,5 +1,7 @@
 """Bodies of different material in one domain: mass, fractions, the ledger, both solvers, refusals."""
 
+import warnings
+
 import numpy as np
 import pytest
 from ngsolve import CF, IfPos, cos, pi, sin, x, y
@@ -372,3 +374,15 @@ def test_a_term_with_a_row_of_the_density_is_refused_by_name():
     """Which of the bodies the matter is of it does not say."""
     with pytest.raises(nv.ParameterError, match=r"Growth: it has a row of rho, .* the density is the sum"):
         simulation("solid in a fluid", "coupled", maxh=0.5, terms=[Growth()])
+
+
+@pytest.mark.parametrize(("K_e", "m", "warns"), [(0.4, 1, True), (0.4, 0, False), (2.0, 1, False)])
+def test_bulk_moduli_that_differ_much_are_warned_of_by_name(K_e, m, warns):
+    soft = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J - 2 + 1 / J))
+    model = nv.Model(bodies=[disc(), rest(material=soft)])
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        nv.Simulation(box((1, 1), 0.5), model, dt=0.1, discretisation=nv.Discretisation(m=m))
+    found = [str(one.message) for one in said if "common pressure" in str(one.message)]
+    assert len(found) == warns
+    assert all("'disc' and 'rest' have bulk moduli of 10 and 0.4 Pa" in text for text in found), found

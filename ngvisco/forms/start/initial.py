@@ -21,7 +21,7 @@ from ngvisco.forms.start.data_checks import (
     warn_of_own_energy,
 )
 from ngvisco.forms.start.projections import project, set_traces
-from ngvisco.forms.start.starting_bodies import starting_fractions, warn_of_rest_stresses
+from ngvisco.forms.start.starting_bodies import starting_fractions, warn_of_moduli, warn_of_rest_stresses
 from ngvisco.forms.start.variables import (
     as_shape,
     entropy_at,
@@ -119,6 +119,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     strains = [v.name for v in step.model.material.variables if v.is_strain]
     if initial.F is None and not set(strains) & set(initial.values):  # else a state of the user's own
         warn_of_rest_stresses(step, sampler)
+    warn_of_moduli(step, sampler.ranks)
     warn_of_normal_parts(step, initial.velocity)
     return F_0
 

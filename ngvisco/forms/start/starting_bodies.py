@@ -98,6 +98,9 @@ _PROBE = 1.01
 """Stretch at which an energy shows its stiffness."""
 _ROUNDING = 1e-9
 """Of that change of stress: less is rounding of the energies' constants."""
+_STIFFER = 10.0
+"""Ratio of bulk moduli above which a run is warned: at 20 steps are divided (``demos/collision``); with
+overshoots of a quarter the compliance may be negative from 5 on."""
 _MEETS = 0.3
 """Fraction of a body at a point of a cell from which on it is there: projections leave less beside it."""
 
@@ -131,6 +134,23 @@ def warn_of_rest_stresses(step: Step, sampler: Sampler) -> None:
             f"Take energies without stress at rest (ReferentialNeoHookean, OldroydB, ...), subtract the "
             f"constant T(I) from an energy of your own, or start where the stresses agree (Initial.F, or "
             f"Initial.values of J)",
+            InputWarning,
+            stacklevel=5,
+        )
+
+
+def warn_of_moduli(step: Step, ranks: Communicator) -> None:
+    """Say which bodies' bulk moduli are too different for amounts that overshoot (``Mixture.bounds``)."""
+    material = step.model.material
+    if not isinstance(material, Mixture) or material.has_one_volume or not step.discretisation.m:
+        return
+    (soft, least), *_, (stiff, most) = sorted(material.stiffnesses.items(), key=lambda one: one[1])
+    if most > _STIFFER * least:
+        ranks.warn(
+            f"bodies {stiff!r} and {soft!r} have bulk moduli of {most:.4g} and {least:.4g} Pa: where "
+            f"polynomials of order m = {step.discretisation.m} have less than nothing of {soft!r} there may "
+            f"be no common pressure, and steps are divided. Take Discretisation(m=0), or one volumetric "
+            f"energy for all where it does not matter",
             InputWarning,
             stacklevel=5,
         )
