@@ -22,7 +22,7 @@ TENSE = tense(15.0005)
 
 
 def warned(drop, rest=FLUID, where=None, others=(), mesh=MESH, **options):
-    """Messages at the start of a drop in the rest."""
+    """Messages of stresses at rest at the start of a drop in the rest."""
     bodies = [
         nv.Body(
             name="drop",
@@ -36,7 +36,8 @@ def warned(drop, rest=FLUID, where=None, others=(), mesh=MESH, **options):
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         nv.Simulation(mesh, nv.Model(bodies=bodies), dt=0.1, **options)
-    return [str(warning.message) for warning in found if warning.category is nv.InputWarning]
+    messages = [str(warning.message) for warning in found if warning.category is nv.InputWarning]
+    return [text for text in messages if "bulk moduli" not in text]  # what is said of these is another matter
 
 
 def test_both_bodies_both_stresses_and_the_remedy_are_named():
