@@ -28,19 +28,12 @@ import numpy as np
 from ngvisco.errors import ParameterError
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.heat import Function, Heat
-from ngvisco.physics.material import Material
 from ngvisco.physics.materials.thermal import Entropy, Thermal, entropy_in
 from ngvisco.physics.tensors import exp
 from ngvisco.physics.variables import Values
 
 _SAME = 1e-9
 """Relative difference of thermal pressures that are one function."""
-
-
-def without_heat(body: Body) -> Material:
-    """The body's material without its heat."""
-    warm = body.material
-    return warm.material if isinstance(warm, Thermal) and warm.material is not None else warm
 
 
 @dataclass(frozen=True)
@@ -120,8 +113,6 @@ def require_heat_of_all(bodies: Sequence[Body]) -> None:
             expected = f"nv.Thermal(material=...), as {warm[0].name!r} has: all have one temperature"
         elif body in warm and not isinstance(body.material, Thermal):
             expected = "nv.Thermal(material=...) itself: of no other energy is a body's entropy known"
-        elif isinstance(body.material, Thermal) and body.material.material is None:
-            expected = "heat of a material: a gas bears no tension, and has no pressure beside what does"
         elif len(units) > 1:
             expected = f"one entropy_unit for all bodies, not {sorted(units)}: they share one entropy"
         if expected:

@@ -34,7 +34,8 @@ from ngvisco.physics.equilibrium import Volumetric as VolumetricEnergy
 from ngvisco.physics.equilibrium import equilibrium
 from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
 from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.mixed_heat import MixedHeat, heat_of, without_heat
+from ngvisco.physics.materials.thermal import Thermal
+from ngvisco.physics.mixed_heat import MixedHeat, heat_of
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, told_apart
 from ngvisco.physics.pointwise import Respond, Response, array_response
 from ngvisco.physics.reference_energy import ReferenceEnergy, Volumetric
@@ -121,10 +122,14 @@ class Mixture(Material):
     @cached_property
     def energies(self) -> tuple[ReferenceEnergy, ...]:
         """psi_i of the bodies."""
-        return tuple(
-            ReferenceEnergy(material=without_heat(body), owner=f"bodies[{body.name!r}].material")
-            for body in self.bodies
-        )
+        found = []
+        for body in self.bodies:
+            warm = body.material if isinstance(body.material, Thermal) else None
+            cold = body.material if warm is None else warm.cold
+            is_gas = warm is not None and bool(warm.gruneisen)
+            owner = f"bodies[{body.name!r}].material"
+            found.append(ReferenceEnergy(material=cold, owner=owner, is_gas=is_gas))
+        return tuple(found)
 
     @cached_property
     def heat(self) -> MixedHeat | None:
@@ -381,7 +386,10 @@ class _InEquilibrium:
         if bad.any():
             at = ", ".join(f"{amount:.3g}" for amount in n[bad][0])
             common = "pressure" if self.entropy is None else "pressure and temperature"
-            failure = f"bodies have no common {common} at {int(bad.sum())} points, e.g. for the amounts {at}"
+            failure = (
+                f"bodies have no common {common} at {int(bad.sum())} points, e.g. for the amounts {at}; "
+                "nv.Discretisation(m=0) has none below zero, where stiffnesses differ by ten times and more"
+            )
         return Response(result.energy + value, result.slope, result.hessian, failure)
 
 

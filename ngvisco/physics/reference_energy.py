@@ -47,10 +47,13 @@ class ReferenceEnergy(Material):
     material : Material
     owner : str
         What messages call it.
+    is_gas : bool
+        Whether it is heat that makes it strictly convex in J, as of a gas and a stiffened one.
     """
 
     material: Material
     owner: str = field(compare=False)
+    is_gas: bool = False
 
     def __post_init__(self) -> None:
         of_volume = (Jacobian, ReciprocalJacobian, LogJacobian)
@@ -141,7 +144,7 @@ class ReferenceEnergy(Material):
                 'elastic_state="B" have it'
             )
             raise ParameterError(self.owner, self.material, expected)
-        if not (hessian[:, volume, volume] > 0).all():
+        if not (hessian[:, volume, volume] > 0).all() and not self.is_gas:
             expected = "an energy whose second derivative by J, per reference volume, is positive"
             raise ParameterError(self.owner, self.material, expected)
         report = check_convexity(self, warn=False)

@@ -86,6 +86,7 @@ def test_convexity_check_sees_an_energy_that_is_not_convex_in_s():
         ({"expansion": -1.0}, r"Thermal\.expansion"),
         ({"expansion": 0.1, "gruneisen": 1.0}, r"Thermal\.gruneisen"),
         ({"material": None}, r"Thermal\.gruneisen"),
+        ({"p_infinity": 1.0}, r"Thermal\.p_infinity.*of its own"),
         ({"material": 3}, r"Thermal\.material"),
         ({"material": nv.Thermal(c=1.0, theta_R=1.0, gruneisen=0.4)}, "without heat"),
     ],

@@ -72,7 +72,8 @@ class Thermal(Material):
     The heat capacity at constant volume is c.  With ``expansion`` the thermal pressure is Gamma c (theta -
     theta_R) with Gamma c = K ``expansion``, K the bulk modulus at rest of the material without heat, which is
     the isothermal one: no stress at theta_R beside that of the material.  With ``gruneisen`` it is Gamma c
-    theta/J, that of an ideal gas with the adiabatic exponent 1 + Gamma where there is no other material.
+    theta/J, that of an ideal gas with the adiabatic exponent 1 + Gamma where there is no other material, and
+    less ``p_infinity`` that of a stiffened one, as liquids are.
 
     Example::
 
@@ -81,6 +82,7 @@ class Thermal(Material):
         steel = nv.ReferentialNeoHookean(K_e=160e9, G_e=40e9)
         material = nv.Thermal(material=steel, c=3.6e6, expansion=3.6e-5, theta_R=293.0)
         air = nv.Thermal(c=862.0, gruneisen=0.4, theta_R=293.0, rho_R=1.2)
+        water = nv.Thermal(c=1.8e6, gruneisen=1.35, theta_R=293.0, p_infinity=7.1e8, rho_R=1000.0)
         print([variable.name for variable in material.variables], air.pressure(293.0, J=1.0))
 
     Parameters
@@ -96,6 +98,8 @@ class Thermal(Material):
         Thermal expansion of the volume, three times that of a length.
     gruneisen : float, optional
         Grueneisen's parameter Gamma, in place of ``expansion``.
+    p_infinity : float
+        Of a stiffened gas, whose pressure is Gamma c theta/J - p_infinity; default 0, an ideal gas.
     rho_R : float, optional
         Density where J = 1; with it the initial density and J follow from one another.
     entropy_unit : float, optional
@@ -105,7 +109,8 @@ class Thermal(Material):
     ------
     ParameterError
         If a parameter is out of its range, both of ``expansion`` and ``gruneisen`` are given, a gas has no
-        ``gruneisen``, a material with an expansion no bulk modulus, or the material has heat already.
+        ``gruneisen``, a material has a ``p_infinity`` or an expansion without a bulk modulus, or the material
+        has heat already.
     """
 
     material: Material | None = None
@@ -113,6 +118,7 @@ class Thermal(Material):
     theta_R: Annotated[float, Quantity("K", "> 0", 293.0)]
     expansion: Annotated[float | None, Quantity("1/K", ">= 0", 3.6e-5)] = None
     gruneisen: Annotated[float | None, Quantity("1", ">= 0", 0.4)] = None
+    p_infinity: Annotated[float, Quantity("Pa", ">= 0", 7.1e8)] = 0.0
     rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
     entropy_unit: Annotated[float | None, Quantity("J/(m^3 K)", "> 0", 3.6e6)] = None
     _Gamma: float = field(init=False, repr=False, default=0.0)
@@ -130,6 +136,9 @@ class Thermal(Material):
             raise ParameterError(f"{owner}.gruneisen", self.gruneisen, expected)
         if self.material is not None and entropy_in(self.material) is not None:
             raise ParameterError(f"{owner}.material", self.material, "a material without heat")
+        if self.material is not None and self.p_infinity:
+            expected = "0 beside a material, which has a pressure of its own: it is a gas that is stiffened"
+            raise ParameterError(f"{owner}.p_infinity", self.p_infinity, expected)
         Gamma = self.gruneisen or 0.0
         if self.expansion and self.material is not None:
             Gamma = self.expansion * bulk_modulus(self.material) / self.c
@@ -150,27 +159,25 @@ class Thermal(Material):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        own = () if self.material is None else self.material.variables
+        own = self.cold.variables
         volume = () if ReciprocalJacobian() in own else (ReciprocalJacobian(),)
         return (*own, *volume, self.entropy)
 
     @property
     def referential_density(self) -> Modulus | None:
-        if self.rho_R is not None or self.material is None:
-            return self.rho_R
-        return self.material.referential_density
+        return self.cold.referential_density if self.rho_R is None else self.rho_R
 
     @property
     def conformation(self) -> str | None:
-        return None if self.material is None else self.material.conformation
+        return self.cold.conformation
 
     @property
     def continued(self) -> frozenset[str]:
-        return frozenset() if self.material is None else self.material.continued
+        return self.cold.continued
 
     @property
     def lagged(self) -> frozenset[str]:
-        return frozenset() if self.material is None else self.material.lagged
+        return self.cold.lagged
 
     def energy(self, z: Values) -> CoefficientFunction:
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
@@ -178,9 +185,12 @@ class Thermal(Material):
         phi = heat * (A * exp(unit * z["s"] * J - self.g(J)) - A)
         if self.coupling and not self.is_absolute:
             phi = phi + heat * self._Gamma * (1 - A)
-        if self.material is None:
-            return phi
-        return phi + self.material.energy({v.name: z[v.name] for v in self.material.variables})
+        return phi + self.cold.energy({v.name: z[v.name] for v in self.cold.variables})
+
+    @property
+    def cold(self) -> Material:
+        """The material without its heat."""
+        return self.material or _Stiffening(self.p_infinity)
 
     @property
     def is_absolute(self) -> bool:
@@ -216,8 +226,23 @@ class Thermal(Material):
         return value, -excess * slope, curvature, S, slope
 
     def pressure(self, theta: float, J: float = 1.0) -> float:
-        """The thermal pressure, Pa."""
-        return self.coupling * (theta / J if self.is_absolute else theta - self.theta_R)
+        """The thermal pressure, of a gas the whole, Pa."""
+        of_heat = self.coupling * (theta / J if self.is_absolute else theta - self.theta_R)
+        return of_heat - self.p_infinity
+
+
+@dataclass(frozen=True)
+class _Stiffening(Material):
+    """What a stiffened gas is without its heat: p_infinity (J - 1) per reference volume."""
+
+    p_infinity: float
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (ReciprocalJacobian(),)
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        return self.p_infinity * (1 - z["A"])
 
 
 def temperature(material: Material, zeta: Values) -> CoefficientFunction | None:
