@@ -107,7 +107,9 @@ def placed(entry, kind):
     }
     if kind is not None:
         needed["geometry" if section == ("domain",) else "kind"] = kind
-    if kind in WRAPPERS:
+    if entry.path[-1] == "p_infinity":  # of a gas
+        needed["gruneisen"] = 0.4
+    elif kind in WRAPPERS:
         needed["material"] = data["material"]
     needed |= WITHIN.get(kind, {})
     node = data

@@ -121,8 +121,8 @@ def _stiffened(amplitude: float = 0.1) -> tuple[nv.Model, float]:
     Without conduction waves are isentropic, faster than isothermal ones, and so in a gas beside another or a
     liquid.
     label: c^2 = (M + (Gamma c)^2 theta_R/c)/rho, gamma p/rho of an ideal gas
-    setting: Standing waves in a box of 1 m, 1e-4 m/s, cells of 0.1 m, steps of 0.01 s, midpoint rule; gases as
-      bodies have 1 Pa, 1 K and half of the box each.
+    setting: Standing waves in a box of 1 m, 1e-4 m/s, cells of 0.1 m, steps of 0.01 s, midpoint rule;
+      gases as bodies have 1 Pa, 1 K and half of the box each.
     - largest relative error of a period <= 1e-3: (omega dt)^2/12 = 3e-4 of the step
     - isothermal over isentropic period >= 1.1: theory: 1.1068
     - a wave of the stiffened gas off its isentrope, relative <= 1e-3: (pi h)^2/8 of 2 %, P1
