@@ -188,7 +188,7 @@ def test_expressions_with_signs_like_units_stay_expressions():
     f = scaled.sections.initial.density
     from ngvisco.expressions import parse
 
-    mesh = nv.case.build.catalogue.GEOMETRIES["box"](size=[2000.0, 1000.0], maxh=2000.0)
+    mesh = nv.geometries.box(size=[2000.0, 1000.0], maxh=2000.0)
     nv.time.Set(120.0)
     assert parse(f).coefficient()(mesh(1000, 500)) == 1
     g = case(CASE, "initial.density='2 + y*(x + t)'").sections.initial.density
