@@ -44,11 +44,6 @@ class _Activation(ABC):
         own = {TEMPERATURE} if self.temperature is None else set()
         return self.law.reads | own | ({PRESSURE} if self.V else set())
 
-    @property
-    def is_linear(self) -> bool:
-        """Whether the law is linear."""
-        return self.law.is_linear
-
     def factor(self, z: Values) -> Any:
         """a at a point with the values ``z``."""
         theta = z[TEMPERATURE] if self.temperature is None else value_at(self.temperature, z)
@@ -92,7 +87,7 @@ class Activated(_Activation, FlowRule):  # type: ignore[override]
         super().__post_init__()
         if not isinstance(self.rule, FlowRule):
             raise ParameterError("Activated.rule", self.rule, "a flow rule")
-        for name in ("nu", "q", "floor", "rate_floor", "reads_conjugate", "has_trace"):
+        for name in ("nu", "q", "floor", "rate_floor", "reads_conjugate", "has_trace", "degree"):
             object.__setattr__(self, name, getattr(self.rule, name))
 
     @property
@@ -149,6 +144,10 @@ class ActivatedViscosity(_Activation, Viscosity):  # type: ignore[override]
     @property
     def law(self) -> Viscosity:
         return self.viscosity
+
+    @property
+    def is_linear(self) -> bool:  # type: ignore[override]
+        return self.viscosity.is_linear
 
     def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
         return (1 / self.factor(z)) * self.viscosity.stress(eps, z)

@@ -63,5 +63,9 @@ class Composite(FlowRule):
         return frozenset[str]().union(*(rule.reads for rule in self.rules))
 
     @property
+    def degree(self) -> float:  # type: ignore[override]
+        return max(rule.degree for rule in self.rules)
+
+    @property
     def has_trace(self) -> bool:  # type: ignore[override]
         return any(rule.has_trace for rule in self.rules)

@@ -67,6 +67,8 @@ class Creep(FlowRule):
     floor: Annotated[float, Quantity("1/(m s)", "> 0")] = 1e-10
     law: CreepLaw = "mandel"
 
+    degree = 1.0
+
     def __post_init__(self) -> None:
         require_choice(self, ("mandel", "conformation", "leonov"), law=self.law)
         if self.law != "mandel" and self.nu != 0:
@@ -111,7 +113,3 @@ class Creep(FlowRule):
     @property
     def flows(self) -> bool:
         return self.R > 0
-
-    @property
-    def is_linear(self) -> bool:
-        return True

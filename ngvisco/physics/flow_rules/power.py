@@ -61,6 +61,10 @@ class Norton(FlowRule):
         require_exponent(self, self.n)
         self._require_gradient()
 
+    @property
+    def degree(self) -> float:  # type: ignore[override]
+        return float(self.n)
+
     def rate(
         self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
     ) -> CoefficientFunction:

@@ -58,6 +58,8 @@ class FlowRule(ABC):
         Which of ``PRESSURE``, ``TEMPERATURE``, ``HARDENING`` (``physics.variables``) it reads in ``z``.
     has_trace : bool
         Whether tr Pi is not zero: the determinant of B is then not that of a distortion.
+    degree : float
+        As a polynomial of what degree in M the rate grows; infinite (default) of one that grows otherwise.
     """
 
     nu: float = 0.0
@@ -67,6 +69,7 @@ class FlowRule(ABC):
     reads_conjugate: bool = False
     reads: frozenset[str] = frozenset()
     has_trace: bool = False
+    degree: float = math.inf
 
     @abstractmethod
     def rate(
@@ -99,11 +102,6 @@ class FlowRule(ABC):
     def flows(self) -> bool:
         """Whether Pi is not zero always."""
         return True
-
-    @property
-    def is_linear(self) -> bool:
-        """Whether Pi is linear in M."""
-        return False
 
     @property
     def hardening(self) -> Hardening | None:

@@ -33,12 +33,12 @@ from ngvisco.solver.split.flow_operator import PointTangent
 _BISECTIONS, _ITERATIONS = 25, 20
 _SOFTENED = (*10.0 ** -np.arange(10.0), 0.0)
 """c of softened rates one after the other, in units of kappa, in cells that were not solved without."""
-_STRESSES, _SETTLED = 3, 1e-2
-"""Stresses of corrected z, which the tangent's stiffness knows to first order, and the correction that is
-small beside an increment."""
+_STRESSES, _SETTLED, _FIRST = 3, 1e-2, 0.03
+"""Stresses of corrected z, which the tangent's stiffness knows to first order, the correction that is small
+beside an increment, and the one after which the first order is enough."""
 _NEAR, _EXACT, _ROUNDING = 1e-2, 1e-8, 1e-15
-"""Relative defects at which iterations end: at single points, where the cells' begin, and of these, whose
-rest is for Newton's method of the step; and increments of softened stresses."""
+"""Where iterations end: relative increments at single points, from which the cells' begin, relative defects
+of these, whose rest is for Newton's method of the step; and increments of softened stresses."""
 _NOISE = 10 * _EXACT
 """Share of what creep does within the step below which an increment is not corrected: that would leave what
 the cells' equations are not solved by."""
@@ -71,8 +71,8 @@ class LocalCreep:
         rate, slope = self._along(M, stress.T - M)
         new = self._rate(stress.T).T
         found, missed = self._taken(columns, new), self._taken(columns, new - rate - slope)
-        small = max(_SETTLED * abs(dz).max(initial=0.0), _NOISE * abs(found).max(initial=0.0))
-        on = self._cells_above(missed, small)
+        size, noise = abs(dz).max(initial=0.0), _NOISE * abs(found).max(initial=0.0)
+        on = self._cells_above(missed, max(_SETTLED * size, noise))
         if not len(on):  # the rule is straight within the increment
             return added
         kappa = t.tau * force @ columns
@@ -87,7 +87,7 @@ class LocalCreep:
             if not np.isfinite(extra).all():
                 return np.zeros_like(dz)
             added, z, held = added + extra, z + t.op.z(extra), Pi
-            if abs(extra).max() <= small:
+            if abs(extra).max() <= max(_FIRST * size, noise):
                 break
             stress = self._stress(z)
         return added
@@ -120,26 +120,25 @@ class LocalCreep:
         return self.space.components(self.rates.mandel(u, self.flow)).value
 
     def _rate(self, M: np.ndarray, cells: np.ndarray | None = None) -> np.ndarray:
-        """The rate, (points, p), at stresses (points, p), those of some cells' points or of all."""
-        z = self._read
-        if cells is not None:
-            z = {name: self._of_cells(value, cells) for name, value in z.items()}
-        tensor = (1 / self.flow.share(z)) * self.space.tensor(Array(M.T, None))
+        """The rate, (points, ..., p), at stresses (points, ..., p) of some cells' points or of all."""
+        stress, count = M.reshape(-1, M.shape[-1]).T, M[0, ..., 0].size
+        z = {name: self._of_cells(value, cells, count) for name, value in self._read.items()}
+        tensor = (1 / self.flow.share(z)) * self.space.tensor(Array(stress, None))
         Pi = self.flow.rule.rate(tensor, None, z)
-        return np.broadcast_to(self.space.components(Pi).value, M.T.shape).T
+        return np.broadcast_to(self.space.components(Pi).value, stress.shape).T.reshape(M.shape)
 
-    def _of_cells(self, value: Array, cells: np.ndarray) -> Array:
-        """Values at the points of some cells."""
-        if value.value.shape[-1] == 1:
+    def _of_cells(self, value: Array, cells: np.ndarray | None, count: int) -> Array:
+        """Values at the points of some cells or of all, each as often as asked for."""
+        found = value.value
+        if found.shape[-1] == 1:
             return value
-        by_cells = self._by_cells(value.value)
-        return Array(by_cells[..., cells, :].reshape(*value.value.shape[:-1], -1), None)
+        if cells is not None:
+            found = self._by_cells(found)[..., cells, :].reshape(*found.shape[:-1], -1)
+        return Array(np.repeat(found, count, axis=-1) if count > 1 else found, None)
 
-    def _softened(self, X: np.ndarray, c: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """M along X with M + c rate(M) = X, c one a cell: Newton's method within a bracket."""
-        if not c.any():
-            return X
-        c, size = np.repeat(c, self.shapes.shape[1]), np.linalg.norm(X, axis=1)
+    def _shortened(self, X: np.ndarray, c: np.ndarray, cells: np.ndarray, settled: float) -> np.ndarray:
+        """M along X with M + c rate(M) = X, c at the points: Newton's method held by a bracket."""
+        size = np.linalg.norm(X, axis=1)
         along = X / np.where(size > 0, size, 1.0)[:, None]
         low, high, s = np.zeros_like(size), size.copy(), size
         for _ in range(2 * _BISECTIONS):
@@ -148,9 +147,13 @@ class LocalCreep:
             low, high = np.where(defect < 0, s, low), np.where(defect < 0, high, s)
             newton = s - defect / (1 + c * value.imag / TINY)
             before, s = s, np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-            if (abs(s - before) <= _ROUNDING * size).all():
+            if (abs(s - before) <= settled * size).all():
                 break
         return s[:, None] * along
+
+    def _softened(self, X: np.ndarray, c: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """M of rate_c(X), c one a cell."""
+        return self._shortened(X, np.repeat(c, self.shapes.shape[1]), cells, _ROUNDING) if c.any() else X
 
     def _along(self, M: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The rate at stresses and its derivative along a change of them, both (p, points)."""
@@ -159,8 +162,8 @@ class LocalCreep:
 
     def _slope(self, M: np.ndarray, cells: np.ndarray | None = None) -> np.ndarray:
         """The rate's derivative by the stress, (points, p, p)."""
-        units = np.eye(M.shape[1])
-        return np.stack([self._rate(M + 1j * TINY * unit, cells).imag / TINY for unit in units], axis=2)
+        units = 1j * TINY * np.eye(M.shape[1])
+        return self._rate(M[:, None] + units, cells).imag.swapaxes(1, 2) / TINY
 
     def _solved(
         self, kappa: np.ndarray, Y: np.ndarray, chosen: np.ndarray, start: np.ndarray | None
@@ -232,18 +235,8 @@ class LocalCreep:
         return self._rate(stress(x, every), chosen).reshape(Y.shape)
 
     def _at_points(self, kappa: np.ndarray, Y: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """rate(M) of the M along Y with M + kappa rate(M) = Y: Newton's method held by a bracket."""
-        shape, Y, kappa = Y.shape, Y.reshape(-1, Y.shape[-1]), kappa.reshape(-1, *kappa.shape[-2:])
-        size = np.linalg.norm(Y, axis=1)
-        along = Y / np.where(size > 0, size, 1.0)[:, None]
-        stiffness = np.einsum("pi,pij,pj->p", along, kappa, along)
-        low, high, s = np.zeros_like(size), size.copy(), 0.5 * size
-        for _ in range(_BISECTIONS):
-            value = (self._rate((s + 1j * TINY)[:, None] * along, cells) * along).sum(axis=1)
-            defect = s + stiffness * value.real - size
-            if (abs(defect) <= _NEAR * size).all():
-                break
-            low, high = np.where(defect < 0, s, low), np.where(defect < 0, high, s)
-            newton = s - defect / (1 + stiffness * value.imag / TINY)
-            s = np.where((newton > low) & (newton < high), newton, 0.5 * (low + high))
-        return self._rate(s[:, None] * along, cells).reshape(shape)
+        """rate(M) of the M along Y with M + kappa rate(M) = Y."""
+        flat = Y.reshape(-1, Y.shape[-1])
+        along = flat / np.maximum(np.linalg.norm(flat, axis=1), np.finfo(float).tiny)[:, None]
+        stiffness = np.einsum("pi,pij,pj->p", along, kappa.reshape(len(flat), *kappa.shape[-2:]), along)
+        return self._rate(self._shortened(flat, stiffness, cells, _NEAR), cells).reshape(Y.shape)

@@ -11,6 +11,7 @@ that start to move at once, one cell of the first step is enough.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import partial
@@ -105,13 +106,15 @@ class Preconditioner:
         """Why vertices are factorised where the options have a multigrid for them."""
         k, m = step.discretisation.k, step.discretisation.m
         rates = residual.rates
-        steep = [flow for flow in rates.flows if flow.rule.is_local and not flow.rule.is_linear]
+        steep = [flow for flow in rates.flows if flow.rule.is_local and flow.rule.degree > 1]
         thick = step.model.viscosity
         bends = thick is not None and not thick.is_linear
-        # a coarse rule knows a linear law; of another one it misses where it is steep, and of bodies how
-        # their moduli vary within a cell: of a slab in a medium increments then shrink by 0.99 only
+        # a coarse rule knows the derivative of a polynomial of M; of another law it misses where that is
+        # steep, and of bodies how moduli vary within a cell: increments of a slab then shrink by 0.99 only
         varies = len(step.model.bodies) > 1
-        self.op = residual.op if steep or bends or varies else Operators(step, max(k - 1, m))
+        order = 0.5 * m * (1 + max((flow.rule.degree for flow in steep), default=1.0))
+        is_fine = bends or varies or order > step.quadrature.volume_degree // 2
+        self.op = residual.op if is_fine else Operators(step, max(k - 1, math.ceil(order)))
         self.sweep = TransportSweeps(residual, options.inverse)
         derivative = (
             None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
