@@ -33,9 +33,9 @@ from ngvisco.solver.split.flow_operator import PointTangent
 _BISECTIONS, _ITERATIONS = 25, 20
 _SOFTENED = (*10.0 ** -np.arange(10.0), 0.0)
 """c of softened rates one after the other, in units of kappa, in cells that were not solved without."""
-_STRESSES, _SETTLED, _FIRST = 3, 1e-2, 0.03
-"""Stresses of corrected z, which the tangent's stiffness knows to first order, the correction that is small
-beside an increment, and the one after which the first order is enough."""
+_STRESSES, _SETTLED = 3, 0.03
+"""Stresses of corrected z, which the tangent's stiffness knows to first order, and the correction that is
+small beside an increment, of which sweeps leave a twentieth."""
 _NEAR, _EXACT, _ROUNDING = 1e-2, 1e-8, 1e-15
 """Where iterations end: relative increments at single points, from which the cells' begin, relative defects
 of these, whose rest is for Newton's method of the step; and increments of softened stresses."""
@@ -71,8 +71,8 @@ class LocalCreep:
         rate, slope = self._along(M, stress.T - M)
         new = self._rate(stress.T).T
         found, missed = self._taken(columns, new), self._taken(columns, new - rate - slope)
-        size, noise = abs(dz).max(initial=0.0), _NOISE * abs(found).max(initial=0.0)
-        on = self._cells_above(missed, max(_SETTLED * size, noise))
+        small = max(_SETTLED * abs(dz).max(initial=0.0), _NOISE * abs(found).max(initial=0.0))
+        on = self._cells_above(missed, small)
         if not len(on):  # the rule is straight within the increment
             return added
         kappa = t.tau * force @ columns
@@ -87,7 +87,7 @@ class LocalCreep:
             if not np.isfinite(extra).all():
                 return np.zeros_like(dz)
             added, z, held = added + extra, z + t.op.z(extra), Pi
-            if abs(extra).max() <= max(_FIRST * size, noise):
+            if abs(extra).max() <= small:
                 break
             stress = self._stress(z)
         return added
