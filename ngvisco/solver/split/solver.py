@@ -41,9 +41,9 @@ from ngvisco.threads import on_arrays
 
 _FORCING = {2: 0.03, 3: 0.003}
 """Tolerances of the flow's linear systems: in 3D a residual costs more directions than are saved by less."""
-_STEEP = 0.01
-"""Increment above which the operator of a steep flow rule is that of the next iterate: with 0.05 one of three
-steps of yield with G_m = 1e-6 Pa s is rejected."""
+_SHARP, _STEEP = 0.05, 0.01
+"""``sharpness`` from which on, and increment above which, the operator of a flow rule is that of the next
+iterate, stale or not: with 0.05 one of three steps of yield with G_m = 1e-6 Pa s is rejected."""
 _REVERSED, _LENGTHS = 0.5, 10
 """Share of an increment's power that may be left with the other sign, and lengths tried for less."""
 TOLERANCE, _DIRECTIONS = 0.01, 40
@@ -171,7 +171,7 @@ class Split:
         if not self.residual.ranks.all(at.residual.is_finite):
             return np.zeros_like(x), np.inf
         options, fresh = self.options.split, not self.is_factorised
-        everything = fresh or (self.is_steep and (last > _STEEP or self._stale))
+        everything = fresh or (self.is_steep and (self._stale or (last > _STEEP and self.sharpness < _SHARP)))
         if fresh:
             self.renew(problem, at)
         else:
@@ -226,7 +226,9 @@ class Split:
     def wear(self, f: np.ndarray, size: float) -> None:
         """Let the tangent be made anew for the next increment where this one, f, says that it wears out."""
         options, dim = self.options.split, self.step.mesh.dim
-        slow = self.preconditioner.iterations > options.renewed_after[dim - 2] or self._stale
+        slow = self.preconditioner.iterations > options.renewed_after[dim - 2] or (
+            self._stale and not self.is_steep
+        )
         worn = slow and size > 1e3 * options.margin * self.options.tolerance
         before, self._turned = self._turned, self.sizes(f)[1] if self.norm.shared else 0.0
         bends = self._turned > max(options.bends_above, 0.3 * before)  # and the chord does not contract
