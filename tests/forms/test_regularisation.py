@@ -17,7 +17,7 @@ from ngsolve import (
     x,
     y,
 )
-from support import parts_of
+from support import SWIRL, parts_of, swirling
 
 import ngvisco as nv
 from ngvisco.forms.terms.momentum import Convection
@@ -41,20 +41,17 @@ POINTS = box((1, 1), maxh=1)
 
 
 def simulation(regularisation, material="finite", dim=2, maxh=0.5, dt=0.02, creep=None, m=1):
-    if isinstance(material, str):
-        material = MATERIALS[material]
-    model = nv.Model(
-        material=material,
+    return swirling(
+        box((1,) * dim, maxh=maxh),
+        dt,
+        nv.Initial(velocity=(*SWIRL, CF(0))[:dim], density=1 + 0.2 * cos(pi * x)),
+        material=MATERIALS[material] if isinstance(material, str) else material,
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
         loads=[nv.Gravity((0.0,) * (dim - 1) + (-1.0,))],
         creep=creep,
         regularisation=regularisation,
+        discretisation=nv.Discretisation(m=m),
     )
-    swirl = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), CF(0))[:dim]
-    initial = nv.Initial(velocity=swirl, density=1 + 0.2 * cos(pi * x))
-    discretisation = nv.Discretisation(m=m)
-    mesh = box((1,) * dim, maxh=maxh)
-    return nv.Simulation(mesh, model, dt=dt, initial=initial, discretisation=discretisation)
 
 
 @pytest.mark.parametrize("material", MATERIALS)

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from ngsolve import CF, Det, Integrate, cos, pi, sin, x, y
+from ngsolve import CF, Det, Integrate, cos, pi, x, y
 from scipy.integrate import solve_ivp
+from support import swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -30,10 +31,8 @@ def relaxing(creep, dt, F_0, dim=2, **options):
 
 
 def swirl(creep, dt=0.02, material=MATERIAL, dim=2, maxh=None, **options):
-    model = nv.Model(material=material, creep=creep, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1))
-    v = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), CF(0))[:dim]
-    mesh = box((1,) * dim, maxh=maxh or (0.4 if dim == 2 else 2))
-    return nv.Simulation(mesh, model, dt=dt, initial=nv.Initial(velocity=v), **options)
+    viscosity, mesh = nv.StokesViscosity(K_v=0.1, G_v=0.1), box((1,) * dim, maxh or (0.4 if dim == 2 else 2))
+    return swirling(mesh, dt, material=material, creep=creep, viscosity=viscosity, **options)
 
 
 F_0 = np.diag([1.3, 0.9, 1.1])

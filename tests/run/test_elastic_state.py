@@ -5,7 +5,8 @@ import warnings
 
 import numpy as np
 import pytest
-from ngsolve import CF, IfPos, cos, pi, sin, x, y
+from ngsolve import CF, IfPos, sin, x, y
+from support import swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -105,14 +106,9 @@ def test_creep_in_homogeneous_shear_is_the_same_in_the_limit_of_dt(name):
     assert np.abs(coarse_B / coarse_F - 1).max() > 1e-3  # each step has its own error of time
 
 
-def swirl(state, dt, maxh, creep=None, until=0.04, **options):
-    model = nv.Model(
-        material=TWO_FORMED["NeoHookean"](elastic_state=state),
-        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
-        creep=creep,
-    )
-    initial = nv.Initial(velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))
-    run = nv.Simulation(box((1, 1), maxh=maxh), model, dt=dt, initial=initial, **options)
+def swirl(state, dt, maxh, until=0.04, **options):
+    material, viscosity = TWO_FORMED["NeoHookean"](elastic_state=state), nv.StokesViscosity(K_v=0.1, G_v=0.1)
+    run = swirling(maxh, dt, material=material, viscosity=viscosity, **options)
     run.run(until)
     return run
 
@@ -122,7 +118,7 @@ def test_short_runs_agree_at_first_order_in_time(creep):
     """Halving tau (and h) halves the difference of the stresses; velocities agree to 1 %."""
     gaps = []
     for dt, maxh in ((0.02, 0.35), (0.01, 0.175)):
-        by_F, by_B = (swirl(state, dt, maxh, creep) for state in "FB")
+        by_F, by_B = (swirl(state, dt, maxh, creep=creep) for state in "FB")
         T, S = (run.sampler.values(dev(run.fields["cauchy_stress"])) for run in (by_F, by_B))
         gaps.append(np.linalg.norm(T - S) / np.linalg.norm(T))
         v, w = (run.sampler.values(run.fields["velocity"]) for run in (by_F, by_B))

@@ -4,27 +4,22 @@ import io
 
 import numpy as np
 import pytest
-from ngsolve import cos, pi, sin, x, y
+from support import swirling
 
 import ngvisco as nv
-from ngvisco.geometries import box
 from ngvisco.run.stepping import FixedStepper
 from ngvisco.solver.problem import Solution, Status
 from ngvisco.solver.split.solver import Split
 
 DT = 0.04
-SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 
 
 def simulation(**options):
-    model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
-        viscosity=nv.StokesViscosity(K_v=0.05, G_v=0.05),
-        hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
-    )
-    initial = nv.Initial(velocity=SWIRL)
-    options = {"solver": "split", "passive": ("reference_map",)} | options
-    return nv.Simulation(box((1, 1), 0.5), model, dt=DT, initial=initial, **options)
+    laws = {
+        "viscosity": nv.StokesViscosity(K_v=0.05, G_v=0.05),
+        "hyperviscosity": nv.HyperViscosity(mu=1e-5, p=4),
+    }
+    return swirling(dt=DT, **{"solver": "split", "passive": ("reference_map",)} | laws | options)
 
 
 def fails_above(monkeypatch, length, calls=None):

@@ -4,7 +4,8 @@ import shutil
 
 import numpy as np
 import pytest
-from ngsolve import CF, cos, pi, sin, x, y, z
+from ngsolve import CF, pi, sin, x, y, z
+from support import SWIRL, swirling
 from test_scene import data_of, unpacked
 
 import ngvisco as nv
@@ -17,16 +18,8 @@ from ngvisco.run.vtu import cut, frame_of, read_frame, read_series_files
 
 
 def series(place, size, **options):
-    model = nv.Model(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1))
-    swirl = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), *(0,) * (len(size) - 2))
-    run = nv.Simulation(
-        box(size, 0.8),
-        model,
-        dt=0.02,
-        initial=nv.Initial(density=1 + x + 2 * y, velocity=swirl),
-        observers=[nv.VTKSeries(place)],
-        **options,
-    )
+    initial = nv.Initial(density=1 + x + 2 * y, velocity=(*SWIRL, CF(0))[: len(size)])
+    run = swirling(box(size, 0.8), initial=initial, observers=[nv.VTKSeries(place)], **options)
     run.run(0.04)
     return run
 

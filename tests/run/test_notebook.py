@@ -6,7 +6,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from ngsolve import cos, pi, sin, x, y
+from ngsolve import x, y
+from support import swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -14,11 +15,7 @@ from ngvisco.run.notebook import NotebookError, results_html
 
 
 def small(observers=()):
-    model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), loads=[nv.Gravity((0, -1), name="pull")]
-    )
-    initial = nv.Initial(velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))
-    return nv.Simulation(box((1, 1), 0.8), model, dt=0.02, initial=initial, observers=list(observers))
+    return swirling(0.8, loads=[nv.Gravity((0, -1), name="pull")], observers=list(observers))
 
 
 def words(page):

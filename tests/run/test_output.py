@@ -7,7 +7,7 @@ import xml.dom.minidom
 
 import numpy as np
 import pytest
-from ngsolve import cos, pi, sin, x, y
+from support import swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -18,14 +18,8 @@ from ngvisco.run.vtu import read_pvd
 
 
 def small_run(observers, material=None, steps=4):
-    model = nv.Model(
-        material=material or nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
-        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
-        loads=[nv.Gravity((0.0, -1.0))],
-    )
-    velocity = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
-    initial = nv.Initial(velocity=velocity)
-    run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=initial, observers=observers)
+    laws = {"viscosity": nv.StokesViscosity(K_v=0.01, G_v=0.01), "loads": [nv.Gravity((0.0, -1.0))]}
+    run = swirling(observers=observers, **laws | ({"material": material} if material else {}))
     run.run(steps * 0.02)
     return run
 

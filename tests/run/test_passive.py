@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from ngsolve import CF, Grad, Id, InnerProduct, Integrate, cos, pi, sin, sqrt, x, y
+from ngsolve import CF, Grad, Id, InnerProduct, Integrate, pi, sin, sqrt, x, y
+from support import swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box, disc
@@ -11,16 +12,9 @@ ALL = ("F_tot", "reference_map", "creep_strain")
 
 
 def simulation(passive=ALL, creep=2.0, dt=0.02, maxh=0.4, observers=()):
-    model = nv.Model(
-        material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1),
-        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
-        creep=nv.Creep(G_m=creep) if creep else None,
-    )
-    swirl = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
-    mesh = box((1, 1), maxh=maxh)
-    return nv.Simulation(
-        mesh, model, dt=dt, initial=nv.Initial(velocity=swirl), passive=passive, observers=observers
-    )
+    creep = nv.Creep(G_m=creep) if creep else None
+    viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.1)
+    return swirling(maxh, dt, viscosity=viscosity, creep=creep, passive=passive, observers=observers)
 
 
 def test_passive_fields_do_not_act_on_the_run():
@@ -58,12 +52,8 @@ def test_F_tot_is_the_inverse_gradient_of_the_reference_map():
 
 def through_a_periodic_cell(maxh=0.3, dt=0.02):
     """A shear wave that is carried through the cell's ends."""
-    model = nv.Model(
-        material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1), viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1)
-    )
-    wave = nv.Initial(velocity=(1.0, 0.3 * sin(2 * pi * x)))
-    mesh = box((1, 1), maxh=maxh, periodic="x")
-    return nv.Simulation(mesh, model, dt=dt, initial=wave, passive=ALL[:2])
+    mesh, wave = box((1, 1), maxh, periodic="x"), nv.Initial(velocity=(1.0, 0.3 * sin(2 * pi * x)))
+    return swirling(mesh, dt, wave, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1), passive=ALL[:2])
 
 
 def test_what_leaves_a_periodic_cell_comes_in_again():
