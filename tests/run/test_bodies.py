@@ -4,7 +4,8 @@ import warnings
 
 import numpy as np
 import pytest
-from ngsolve import CF, IfPos, cos, pi, sin, x, y
+from ngsolve import CF, IfPos, x, y
+from support import SWIRL
 
 import ngvisco as nv
 from ngvisco.forms.term import PointTerm
@@ -15,7 +16,6 @@ from ngvisco.physics.mixture import Fractions, Mixture
 from ngvisco.physics.variables import Jacobian
 from tests.verification.cases.unloaded import control, translated
 
-SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 STOKES = nv.StokesViscosity(K_v=0.05, G_v=0.05)
 SOLID = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
 FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J - 2 + 1 / J))

@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from ngsolve import CF, IfPos, sin, x, y
+from ngsolve import CF, sin, y
 from support import swirling
 
 import ngvisco as nv
@@ -14,6 +14,7 @@ from ngvisco.physics.tensors import dev, square, tr
 from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen
 from tests.verification.cases.conformation import FLUIDS, G_M
 from tests.verification.cases.shear import sheared
+from tests.verification.cases.winding import lid
 
 SCHEMES = {"backward-euler": 1, "midpoint": 2, "sdirk2": 2}
 """Orders in tau."""
@@ -201,18 +202,8 @@ def test_conformation_fluids_have_their_steady_shear_stresses(name):
 
 def under_a_lid(state):
     """Ten Maxwell times of the creeping body of the verification's ``winding-lid``, on a coarse mesh."""
-    model = nv.Model(
-        material=nv.ReferentialNeoHookean(K_e=20.0, G_e=0.05, elastic_state=state),
-        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
-        creep=nv.Creep(G_m=0.005),
-    )
-    nv.time.Set(0.0)
-    ramp = IfPos(nv.time - 0.2, 1, nv.time / 0.2)
-    lid = nv.PrescribedTangential((ramp * 16 * x * x * (1 - x) * (1 - x), 0.0))
-    walls = {"top": lid, ("left", "right", "bottom"): nv.NoSlip()}
-    return nv.Simulation(
-        box((1, 1), maxh=0.3), model, time=nv.TimeSteps(dt=0.05, velocity_scale=1.0), walls=walls
-    )
+    of = nv.ReferentialNeoHookean(K_e=20.0, G_e=0.05, elastic_state=state)
+    return lid(of, 0.3, 0.05, creep=nv.Creep(G_m=0.005))
 
 
 def test_run_that_winds_up_warns_once_and_names_the_remedy():

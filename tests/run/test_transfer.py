@@ -2,23 +2,18 @@
 
 import numpy as np
 import pytest
-from ngsolve import CF, Integrate, cos, exp, pi, sin, x, y
+from ngsolve import CF, Integrate, exp, x, y
+from support import SWIRL, swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box, disc
 
-SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
-
 
 def simulation(maxh=0.3, dt=0.02, G_e=5.0, g=-1.0, observers=(), mesh=None, velocity=SWIRL, **options):
-    model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=G_e, epsilon=0.1),
-        viscosity=nv.StokesViscosity(K_v=0.05, G_v=0.05),
-        loads=[nv.Gravity((0.0, g), **({"name": options.pop("load")} if "load" in options else {}))],
-    )
-    initial = nv.Initial(density=1 + 0.3 * x * y, velocity=velocity)
-    mesh = mesh or box((1, 1), maxh=maxh)
-    return nv.Simulation(mesh, model, dt=dt, initial=initial, observers=list(observers), **options)
+    options["loads"] = [nv.Gravity((0.0, g), **({"name": options.pop("load")} if "load" in options else {}))]
+    options["material"] = nv.NeoHookean(K_e=10.0, G_e=G_e, epsilon=0.1)
+    options |= {"viscosity": nv.StokesViscosity(K_v=0.05, G_v=0.05), "observers": list(observers)}
+    return swirling(mesh or maxh, dt, nv.Initial(density=1 + 0.3 * x * y, velocity=velocity), **options)
 
 
 def gap(a, b, name):
@@ -77,10 +72,8 @@ def with_bodies(maxh=0.4, density=2.0, radius=0.25, reverse=False, observers=())
         nv.Body(name="disc", where=place, material=solid, density=density, viscosity=stokes),
         nv.Body(name="rest", material=solid, density=1.0, viscosity=stokes),
     ]
-    mesh, initial = box((1, 1), maxh), nv.Initial(velocity=SWIRL)
-    model = nv.Model(bodies=bodies[::-1] if reverse else bodies)
     newton = nv.NewtonOptions(tolerance=1e-12)  # what closes to rounding
-    return nv.Simulation(mesh, model, dt=0.02, initial=initial, observers=observers, newton=newton)
+    return swirling(maxh, bodies=bodies[::-1] if reverse else bodies, observers=observers, newton=newton)
 
 
 def amounts(run):

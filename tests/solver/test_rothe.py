@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from ngsolve import CF, Id, IfPos, Integrate, OuterProduct, cos, pi, sin, x, y
-from support import MATERIALS
+from support import MATERIALS, SWIRL
 
 from ngvisco import (
     HyperViscosity,
@@ -19,7 +19,6 @@ from ngvisco import (
 from ngvisco.geometries import box
 from ngvisco.solver.problem import iterations
 
-SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 JUMP = Id(3) + IfPos(x - 0.4, 0.4, -0.2) * OuterProduct(CF((1, 0, 0)), CF((0.3, 1, 0)))
 
 
