@@ -28,7 +28,7 @@ from ngvisco.errors import ParameterError, Quantity, require_choice
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.parameters import Modulus, Parameter, expressions_in, parameters_in, require_ranges
 from ngvisco.physics.signals import sampled
-from ngvisco.physics.tensors import identity_like, if_positive, log, square, tr
+from ngvisco.physics.tensors import IDENTITY, identity_like, if_positive, log, square, tr
 from ngvisco.physics.variables import Jacobian, LogJacobian, ReciprocalJacobian, SmallStrain, Values, Variable
 
 
@@ -257,12 +257,11 @@ def _spherical(variables: tuple[Variable, ...], z: Values, J: Any) -> dict[str, 
         elif isinstance(v, LogJacobian):
             found[v.name] = log(J) / J
         else:
-            identity = identity_like(z[v.name]) if v.kind != "scalar" else CF(1.0)
-            ratio = v.volume_ratio(identity)
+            ratio = v.volume_ratio(CF(1.0) if v.kind == "scalar" else IDENTITY)
             assert ratio is not None  # as checked when the material was made
             power = ratio[1] if v.kind == "scalar" else ratio[1] / 3
             size = J if power == 1 else J ** float(power)
-            found[v.name] = size if v.kind == "scalar" else size * identity
+            found[v.name] = size if v.kind == "scalar" else size * identity_like(z[v.name])
     return found
 
 
