@@ -61,7 +61,7 @@ YIELDING = nv.Perzyna(sigma_Y=0.1, G_m=1.0)
 @pytest.mark.parametrize("kind", CLOSED)
 def test_a_closed_box_keeps_its_energy_and_gains_entropy_in_both_solvers(kind):
     """All mechanisms on: creep beyond a yield stress, damage that grows, and friction at a wall.  What
-    is left is the iteration's tolerance; what the growth of damage dissipates as a scheme is a column and no heat."""
+    is left is the tolerance of the iteration.  The damage's ``bregman_damage`` is no heat."""
     conductivity, options, numerical = CLOSED[kind]
     all_on = {"material": replace(SOLID, material=BREAKING), "laws": ALL | {"creep": YIELDING}}
     heat, found = nv.Heat(conductivity=conductivity, numerical_heating=numerical), []
