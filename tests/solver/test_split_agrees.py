@@ -15,8 +15,6 @@ from tests.verification.manufactured import Exact
 from tests.verification.models import model as manufactured_model
 from tests.verification.sources import Sources
 
-DOWN = nv.Gravity((0.0, -1.0))
-
 
 def model(material=None, dim=2, **parts):
     settings = {

@@ -16,8 +16,6 @@ from test_ledger_of_schemes import ALL_TERMS
 import ngvisco as nv
 from ngvisco.geometries import disc
 
-ORDER = {"midpoint": 2, "sdirk2": 2, "backward-euler": 1}
-
 
 def run_to(until, steps, scheme, mesh=0.5, **options):
     """By the coupled solver, which on few straight cells takes less time; both find the same."""
