@@ -13,6 +13,7 @@ import numpy as np
 from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.errors import NgviscoError, ParameterError, _is_number
+from ngvisco.forms.term import PRODUCTION
 from ngvisco.run.files import write_atomically
 from ngvisco.run.outlines import outline
 from ngvisco.run.vtu import Frame, cut, frame_of
@@ -181,12 +182,24 @@ def plot_schemes(ledgers: Mapping[str, Ledger], path: str | os.PathLike[str]) ->
 
 
 def plot_history(ledger: Ledger, path: str | os.PathLike[str]) -> None:
-    """Dissipations and powers, extrema, iterations and step lengths over time, an axis for each quantity;
-    formats as ``plot_energies``."""
+    """Dissipations and powers, extrema, iterations and step lengths over time, an axis for each quantity,
+    and with heat the entropy's production and the least temperature; formats as ``plot_energies``."""
     _require_steps("plot_history.ledger", ledger)
-    fig, axes = figure(4, 2, (PAGE, 9.5))
-    (rates, density), (volume, speed), (effort, rejected), (lengths, courant) = axes
+    is_warm = "temperature_min" in ledger.columns
+    fig, axes = figure(5 if is_warm else 4, 2, (PAGE, 11.9 if is_warm else 9.5))
+    (rates, density), (volume, speed), (effort, rejected), (lengths, courant) = axes[:4]
     t = ledger.column("time")
+    if is_warm:
+        production, warmth = axes[4]
+        for entry in ledger.entries:
+            if entry.name.startswith(PRODUCTION):
+                label = entry.name.removeprefix(PRODUCTION).replace("_", " ")
+                production.plot(t[1:], ledger.column(entry.name)[1:], label=label)
+        production.set(title="production of entropy, W/K")
+        if production.lines:
+            production.legend(fontsize=LABELS)
+        warmth.plot(t, ledger.column("temperature_min"))
+        warmth.set(title="least temperature, K")
     for entry in ledger.entries:
         if entry.kind in _OF_ENERGY:
             style = "--" if entry.kind == "power" else "-"

@@ -109,11 +109,12 @@ def test_progress_prints_every_nth_step_and_the_last(tmp_path, capsys):
 
 
 def test_what_is_no_energy_is_not_drawn_as_one(tmp_path, monkeypatch):
-    """Entropies are not, and a share of the stored energy is a state, not a rate."""
+    """Entropies, which have axes of their own, and a share of the stored energy, a state and no rate."""
     drawn = {}
     monkeypatch.setattr("ngvisco.run.plots.save", lambda figure, path: drawn.update({path.stem: figure}))
     cold = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
-    warm = nv.Model(material=nv.Thermal(material=cold, c=2.0, theta_R=1.0), loads=[nv.Gravity((0, -1))])
+    laws = {"loads": [nv.Gravity((0, -1))], "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1)}
+    warm = nv.Model(material=nv.Thermal(material=cold, c=2.0, theta_R=1.0), **laws)
     broken = nv.Model(material=nv.Damaged(material=cold, G_c=0.1, length=0.5), loads=[nv.Gravity((0, -1))])
     labels = {}
     for name, model in (("warm", warm), ("broken", broken)):
@@ -124,6 +125,10 @@ def test_what_is_no_energy_is_not_drawn_as_one(tmp_path, monkeypatch):
         for picture in (name, f"{name}-history"):
             labels[picture] = {line.get_label() for line in drawn[picture].axes[0].lines}
     assert not any("entropy" in label for of in labels.values() for label in of)
+    *others, production, warmth = drawn["warm-history"].axes
+    assert len(others) == len(drawn["broken-history"].axes)
+    assert {line.get_label() for line in production.lines} == {"stokes bulk", "stokes shear"}
+    assert warmth.get_title() == "least temperature, K" and warmth.lines[0].get_ydata()[0] == 1.0
     surface = next(line for line in drawn["broken"].axes[0].lines if "surface" in line.get_label())
     assert surface.get_label() == "stored surface − initial"
     column = ledger.column("stored_surface")

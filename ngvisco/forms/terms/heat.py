@@ -218,8 +218,8 @@ class Conduction(_OfEntropy):
     f = kappa d_n theta - p (theta - theta_hat), p = s kappa/h, theta_hat and f_hat the means of both sides.
     f - f_hat is half of the difference of both sides' f, the mean flux less p times half of the jump,
     opposite on both sides, so that chi = 1 gives zero: heat is kept to rounding.  On walls f_hat = f: they
-    are insulated.  Incomplete: the term by which it would be symmetric in theta and chi is left out, since it
-    has no part in either identity and brings down the production of entropy.
+    are insulated.  Incomplete: the term by which it would be symmetric in theta and chi is left out: for
+    chi = 1 it is zero, and for chi = 1/theta it doubles the one without a sign.
     """
 
     def __init__(self, law: HeatLaw, entropy: Entropy, flux: MeanHeatFlux) -> None:
