@@ -122,7 +122,8 @@ class ReducedResidual:
         """Of the flow's unknowns and the normal derivatives."""
         self.shared_density = exchange.part(u.places(u.density))
         """Of the density's unknowns: its traces, where its equation is not linear, are iterated."""
-        self._traces = exchange.part(u.places([next(n for n in ("rho_hat", "z_hat") if n in u.ranges)]))
+        # of one component: those of rho, which bodies have not, lie alike
+        self._traces = exchange.part(u.places(["z_hat"])[: self.side_op.hat.width])
         self.trace_mass = FacetMass(self.side_op.hat, self._traces)
         self.trace_mass.update(self.side_op.points.weights * mean_share(self.side_op.inner))
         self.diffusion: FieldDiffusionRows | None = None
