@@ -86,7 +86,7 @@ class CellMeans:
     def coefficients(self, name: str) -> np.ndarray:
         """Of the present state's ``"rho"`` or ``"z"``, (components, functions), not a copy."""
         state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges[name]]
-        return state.reshape(-1, len(self.one))
+        return state.reshape(1 if name == "rho" else self.step.layout.states.size, -1)  # without cells, too
 
     def functions(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The functions of some cells, (cells,) of bool, and the cell of each."""
