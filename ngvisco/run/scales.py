@@ -74,6 +74,8 @@ class Scales:
     scheme: TimeScheme = field(default_factory=backward_euler)
     densities: float = 1.0
     """The largest over the least density at the start."""
+    one_bulk_energy: bool = True
+    """Whether all bodies have the same."""
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -127,6 +129,12 @@ class Scales:
                 "is light is thrown about, and steps are hard to solve; take a ratio up to "
                 f"{_DENSER:g}, and what is light as viscous as the other"
             )
+        if not self.one_bulk_energy and self.densities > _DENSER * (1 + 1e-6):
+            said.append(
+                "bodies of such densities have different bulk energies: few steps are solved; where it does "
+                "not matter give all of them one, e.g. a medium beside ReferentialNeoHookean "
+                'kind = "Custom" with energy = "K_e/2*(J + 1/J - 2)"'
+            )
         if self.velocity * self.dt > self.cell:
             said.append(
                 f"the body moves by {self.velocity * self.dt / self.cell:.2g} cells a step: steps are hard "
@@ -158,6 +166,7 @@ def scales(simulation: Simulation) -> Scales:
         places = [Place(step.model, {}, mass / Integrate(CF(1.0), mesh), np.empty(0))]
     fast, slow, viscosities, maxwell = zip(*(place.scales(mesh.dim) for place in places), strict=True)
     least, most = simulation.sampler.extrema(step.now.rho)
+    material = step.model.material
     return Scales(
         length=float(np.ptp(coordinates(mesh), axis=0).min()),
         cell=float(np.median(step.context.h.vec.FV().NumPy())),
@@ -168,6 +177,7 @@ def scales(simulation: Simulation) -> Scales:
         dt=simulation.dt,
         scheme=simulation.scheme,
         densities=most / least,
+        one_bulk_energy=not isinstance(material, Mixture) or material.has_one_volume,
     )
 
 

@@ -107,6 +107,9 @@ def test_advice_foresees_steps_that_are_hard_to_solve():
     assert Scales(**sound | {"speeds": (80.0, 1.0)}).advice == []  # backward Euler damps them
     (uneven,) = Scales(**sound, densities=1e5).advice
     assert "densities differ 1e+05 times" in uneven and "a ratio up to 100," in uneven
+    assert Scales(**sound, one_bulk_energy=False).advice == []
+    *_, unlike = Scales(**sound, densities=1e5, one_bulk_energy=False).advice
+    assert "different bulk energies" in unlike and "K_e/2*(J + 1/J - 2)" in unlike
 
 
 def test_waves_about_a_strained_state_have_the_speed_of_their_lagrangian_law():
