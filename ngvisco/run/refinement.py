@@ -53,7 +53,7 @@ class Refinement:
     Parameters
     ----------
     field : str
-        A scalar among the run's ``fields``, e.g. ``"disc_fraction"`` or ``"von_mises"``.
+        Among the run's ``fields``, e.g. ``"disc_fraction"`` or ``"creep_rate"``, whose norm counts.
     above : float
         Divided are cells in which, with those around them, the field varies by more than this share of its
         range over the domain.
@@ -94,10 +94,9 @@ class Refinement:
         fields = simulation.fields
         if self.field not in fields:
             raise UnknownNameError("Refinement.field", self.field, fields)
-        if fields[self.field].dim != 1:
-            raise ParameterError("Refinement.field", self.field, "a scalar field")
         mesh, sampler = simulation.mesh, simulation.sampler
-        cells, values = sampler.points["nr"], sampler.rows(fields[self.field])[:, 0]
+        cells, rows = sampler.points["nr"], sampler.rows(fields[self.field])
+        values = rows[:, 0] if rows.shape[1] == 1 else np.linalg.norm(rows, axis=1)
         low, high = np.full(mesh.ne, math.inf), np.full(mesh.ne, -math.inf)
         np.minimum.at(low, cells, values)
         np.maximum.at(high, cells, values)

@@ -5,7 +5,7 @@ import pytest
 from ngsolve import CF, Integrate, Mesh, exp, x, y
 
 import ngvisco as nv
-from ngvisco.forms.mesh.mesh_arrays import coordinates
+from ngvisco.forms.mesh.mesh_arrays import coordinates, vertices
 from ngvisco.geometries import box, disc
 from ngvisco.physics.variables import Jacobian
 
@@ -108,7 +108,6 @@ def test_a_run_goes_on_from_a_checkpoint_to_the_bit(tmp_path, interrupted):
     ("options", "named"),
     [
         ({"field": "vorticity"}, "vorticity"),
-        ({"field": "velocity"}, "scalar"),
         ({"field": "J", "above": 1.5}, "Refinement.above"),
         ({"field": "J", "levels": 0}, "Refinement.levels"),
         ({"field": "J", "every": 0.03}, "Refinement.every"),
@@ -206,3 +205,10 @@ def test_curved_cells_are_divided_and_curved_anew():
     assert Integrate(CF(1.0), run.mesh) == pytest.approx(np.pi, rel=2e-4)  # straight: 8e-3 less
     assert abs(run.ledger.column("closure_relative")).max() < 1e-11
     assert abs(run.ledger.column("mass_drift")).max() < 1e-13
+
+
+def test_cells_are_divided_where_the_norm_of_a_tensor_is_steep():
+    start = pulse()
+    marked = nv.Refinement(field="cauchy_stress", above=0.3, every=0.2).steep(start)
+    centres = coordinates(start.mesh)[vertices(start.mesh)].mean(axis=1)[:, 0]
+    assert marked[abs(centres - 0.5) < 0.2].all() and not marked[centres > 1.6].any()
