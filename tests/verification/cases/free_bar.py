@@ -9,8 +9,8 @@ thousandth of what bends CSM3's; what comes out is the limit of small deflection
 E' = E/(1 - nu^2), I = a^3/12.  CSM3's tip swings to and fro by 65.160 mm about -63.607 mm with 1.0995 Hz; a
 thousand times the small deflection, and its frequency, say how far that is from linear.
 
-In a medium of a thousandth of its density it bends by all of that.  Both have one bulk modulus, a medium with
-one of 1 kPa the first step's iteration stalls.  The centroid of a bent beam sinks by 0.4 of what its tip does.
+In a medium of a thousandth of its density it bends by all of that.  Both have one bulk modulus: with
+1 kPa in the medium the first step's iteration stalls.  The centroid of a bent beam sinks by 0.4 of the tip.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ def _csm3() -> Outcome:
         ),
         Plot("The tip over the share of the weight, by the centroid", "t, s", "mm", curves),
         "Bounds were written after trials (0.985 Hz and 69.6 mm of all the weight, 1.06 Hz of a hundredth).",
-        "The whole swing is damped by 1.5/s on these cells: its lowest point was 91 mm in place of CSM3's 128.8 "
-        "mm, to which no bound is held.  Steps are rejected where a cell's mean density turns negative "
+        "The whole swing is damped by 1.5/s on these cells: its lowest point was 91 mm in place of CSM3's "
+        "128.8 mm, to which no bound is held.  Steps are rejected where a cell's mean density turns negative "
         "beside the bar.  With another bulk modulus, 1 kPa, the first step's iteration stalls at 7e-4.",
     )
