@@ -119,4 +119,4 @@ class RightHandSide:
 
     def of(self, names: Iterable[str]) -> np.ndarray:
         """The rows of these unknowns, one after the other."""
-        return np.concatenate([self.rows[name] for name in names])
+        return np.concatenate([np.zeros(0), *(self.rows[name] for name in names)])
