@@ -13,5 +13,6 @@ EXAMPLES: dict[str, nv.FlowRule] = {
     "Voce": nv.Perzyna(sigma_Y=0.5, G_m=0.5, n=2, Q=1.0, b=5.0),
     "Drucker-Prager": nv.DruckerPrager(cohesion=0.3, friction_angle=30.0, G_m=0.5),
     "Eyring": nv.Eyring(A=0.5, sigma_0=0.5),
+    "activated": nv.Activated(rule=nv.Norton(A=0.3, n=3), E=1e4, theta_R=300.0, temperature=320.0),
     "composite": nv.Composite(rules=(nv.Creep(G_m=5.0), nv.Norton(A=0.2, n=4))),
 }

@@ -57,6 +57,12 @@ def test_strength_grows_with_pressure_and_is_never_negative(pressure):
     assert not rate(rule, 0.999 * strength * SHEAR, pressure).any()
 
 
+def test_every_shipped_rule_is_among_the_examples():
+    """Which ``tests/solver/test_rules_in_flows.py`` runs by all materials, solvers, dimensions, schemes."""
+    shipped = {each for each in vars(nv).values() if isinstance(each, type) and issubclass(each, nv.FlowRule)}
+    assert {type(rule) for rule in EXAMPLES.values()} == shipped - {nv.FlowRule}
+
+
 WITH_POTENTIAL = [name for name, rule in EXAMPLES.items() if type(rule).psi is not nv.FlowRule.psi]
 
 

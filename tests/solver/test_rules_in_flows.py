@@ -96,6 +96,16 @@ def test_yield_has_a_rate_independent_limit(material):
 
 @pytest.mark.long
 @pytest.mark.ci
+def test_the_coupled_solver_says_who_solves_yield_that_it_does_not():
+    """It takes yield of 1e-3 Pa s in whole steps; of 1e-6 Pa s none does."""
+    ledger = sheared(nv.Perzyna(sigma_Y=0.5, G_m=1e-3), MATERIALS["B"], "coupled").run(0.06)
+    assert not ledger.column("rejections").any()
+    with pytest.raises(nv.StepError, match='or solver = "split", which solves a steep flow rule'):
+        sheared(nv.Perzyna(sigma_Y=0.5, G_m=1e-6), MATERIALS["E"], "coupled").run(0.06)
+
+
+@pytest.mark.long
+@pytest.mark.ci
 def test_the_last_bits_of_the_data_do_not_decide_how_well_yield_closes():
     """At 11 Newton-Krylov ended 3e-11 from a solution, by fields solved to 5 %; the ledger closed to 2e-8.
 

@@ -33,12 +33,12 @@ from ngvisco.solver.split.flow_operator import PointTangent
 _BISECTIONS, _ITERATIONS = 25, 20
 _SOFTENED = (*10.0 ** -np.arange(10.0), 0.0)
 """c of softened rates one after the other, in units of kappa, in cells that were not solved without."""
-_STRESSES, _SETTLED = 3, 0.03
+_STRESSES, _SETTLED = 3, 1e-2
 """Stresses of corrected z, which the tangent's stiffness knows to first order, and the correction that is
-small beside an increment, of which sweeps leave a twentieth."""
+small beside an increment."""
 _NEAR, _EXACT, _ROUNDING = 1e-2, 1e-8, 1e-15
-"""Where iterations end: relative increments at single points, from which the cells' begin, relative defects
-of these, whose rest is for Newton's method of the step; and increments of softened stresses."""
+"""Relative defects at which iterations end: at single points, where the cells' begin, and of these, whose
+rest is for Newton's method of the step; and increments of softened stresses."""
 _NOISE = 10 * _EXACT
 """Share of what creep does within the step below which an increment is not corrected: that would leave what
 the cells' equations are not solved by."""
@@ -136,9 +136,11 @@ class LocalCreep:
             found = self._by_cells(found)[..., cells, :].reshape(*found.shape[:-1], -1)
         return Array(np.repeat(found, count, axis=-1) if count > 1 else found, None)
 
-    def _shortened(self, X: np.ndarray, c: np.ndarray, cells: np.ndarray, settled: float) -> np.ndarray:
-        """M along X with M + c rate(M) = X, c at the points: Newton's method held by a bracket."""
-        size = np.linalg.norm(X, axis=1)
+    def _softened(self, X: np.ndarray, c: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """M along X with M + c rate(M) = X, c one a cell: Newton's method within a bracket."""
+        if not c.any():
+            return X
+        c, size = np.repeat(c, self.shapes.shape[1]), np.linalg.norm(X, axis=1)
         along = X / np.where(size > 0, size, 1.0)[:, None]
         low, high, s = np.zeros_like(size), size.copy(), size
         for _ in range(2 * _BISECTIONS):
@@ -147,13 +149,9 @@ class LocalCreep:
             low, high = np.where(defect < 0, s, low), np.where(defect < 0, high, s)
             newton = s - defect / (1 + c * value.imag / TINY)
             before, s = s, np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-            if (abs(s - before) <= settled * size).all():
+            if (abs(s - before) <= _ROUNDING * size).all():
                 break
         return s[:, None] * along
-
-    def _softened(self, X: np.ndarray, c: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """M of rate_c(X), c one a cell."""
-        return self._shortened(X, np.repeat(c, self.shapes.shape[1]), cells, _ROUNDING) if c.any() else X
 
     def _along(self, M: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The rate at stresses and its derivative along a change of them, both (p, points)."""
@@ -235,8 +233,18 @@ class LocalCreep:
         return self._rate(stress(x, every), chosen).reshape(Y.shape)
 
     def _at_points(self, kappa: np.ndarray, Y: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """rate(M) of the M along Y with M + kappa rate(M) = Y."""
-        flat = Y.reshape(-1, Y.shape[-1])
-        along = flat / np.maximum(np.linalg.norm(flat, axis=1), np.finfo(float).tiny)[:, None]
-        stiffness = np.einsum("pi,pij,pj->p", along, kappa.reshape(len(flat), *kappa.shape[-2:]), along)
-        return self._rate(self._shortened(flat, stiffness, cells, _NEAR), cells).reshape(Y.shape)
+        """rate(M) of the M along Y with M + kappa rate(M) = Y: Newton's method held by a bracket."""
+        shape, Y, kappa = Y.shape, Y.reshape(-1, Y.shape[-1]), kappa.reshape(-1, *kappa.shape[-2:])
+        size = np.linalg.norm(Y, axis=1)
+        along = Y / np.where(size > 0, size, 1.0)[:, None]
+        stiffness = np.einsum("pi,pij,pj->p", along, kappa, along)
+        low, high, s = np.zeros_like(size), size.copy(), 0.5 * size
+        for _ in range(_BISECTIONS):
+            value = (self._rate((s + 1j * TINY)[:, None] * along, cells) * along).sum(axis=1)
+            defect = s + stiffness * value.real - size
+            if (abs(defect) <= _NEAR * size).all():
+                break
+            low, high = np.where(defect < 0, s, low), np.where(defect < 0, high, s)
+            newton = s - defect / (1 + stiffness * value.imag / TINY)
+            s = np.where((newton > low) & (newton < high), newton, 0.5 * (low + high))
+        return self._rate(s[:, None] * along, cells).reshape(shape)

@@ -41,7 +41,7 @@ from ngvisco.threads import on_arrays
 
 _FORCING = {2: 0.03, 3: 0.003}
 """Tolerances of the flow's linear systems: in 3D a residual costs more directions than are saved by less."""
-_SHARP, _STEEP = 0.05, 0.01
+_SHARP, _STEEP = 0.3, 0.01
 """``sharpness`` from which on, and increment above which, the operator of a flow rule is that of the next
 iterate, stale or not: with 0.05 one of three steps of yield with G_m = 1e-6 Pa s is rejected."""
 _REVERSED, _LENGTHS = 0.5, 10
