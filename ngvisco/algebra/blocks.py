@@ -41,6 +41,13 @@ class BlockInverse:
         )
         self._entries = [_entries(group) for group in self.groups]
 
+    @classmethod
+    def of(cls, matrix: sp.csr_matrix) -> "BlockInverse":
+        """The inverse of a matrix that stays what it is."""
+        inverse = cls(matrix)
+        inverse.update(matrix)
+        return inverse
+
     def update(self, matrix: sp.csr_matrix) -> None:
         """Invert the blocks of ``matrix``."""
         blocks = [

@@ -112,11 +112,6 @@ class LocalMatrix:
             flat = (self._scatter @ np.ascontiguousarray(flat.T)).T
         return flat.reshape(*values.shape[:-1], self.width)
 
-    def at(self, where: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """The values at some places of matrix @ each of ``rows``, (n, width) -> (n, places)."""
-        cell, place = np.divmod(where, self.per_cell)
-        return np.einsum("npl,pl->np", rows[:, self.unknowns[cell]], self._blocks[cell, :, place])
-
     def by_cells(self, columns: np.ndarray) -> np.ndarray:
         """matrix @ ``columns``, (width, n), cell by cell: (cells, n, rows of a cell)."""
         local = np.take(np.ascontiguousarray(columns, self._blocks.dtype), self.unknowns, axis=0)

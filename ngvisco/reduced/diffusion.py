@@ -68,9 +68,7 @@ class FieldDiffusionRows:
             return matrix[where[test], where[trial]].tocsr()
 
         mean, jump = (traces.summed_blocks(block(name, name)) for name in ("zeta_delta_hat", "z_slope_hat"))
-        self._mean, self._jump = BlockInverse(mean), BlockInverse(jump)
-        self._mean.update(mean)
-        self._jump.update(jump)
+        self._mean, self._jump = map(BlockInverse.of, (mean, jump))
         self._to_mean = -(self._mean.matrix() @ block("zeta_delta_hat", "zeta")).tocsr()
         self._to_jump = -(self._jump.matrix() @ block("z_slope_hat", "z_slope")).tocsr()
         self._traces, self._ranks = traces.exchange, traces.exchange.communicator

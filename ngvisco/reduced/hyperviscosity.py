@@ -129,9 +129,7 @@ class MatrixHyperviscosity:
         self.sides = SideJumps(self, sides)
         if not self.law.is_linear:
             self.s_values = self._local(self.points.values(self.squares))
-            mass = mass_matrix(self.s_values.matrix, self.points.weights)
-            self.s_inverse = BlockInverse(mass)
-            self.s_inverse.update(mass)
+            self.s_inverse = BlockInverse.of(mass_matrix(self.s_values.matrix, self.points.weights))
         if not self.is_uniform:
             self._z = LocalMatrix(self.points.values(self.fields), step.mesh.ne)
 
@@ -162,9 +160,7 @@ class MatrixHyperviscosity:
         step.quadrature.add(form, self.term.lifting(self.fields_of(self.component.TrialFunction()), X))
         loads = pruned(csr(form.Assemble().mat))
         self.h_values = self._local(self.points.values(scalar))
-        mass = mass_matrix(self.h_values.matrix, self.points.weights)
-        self.h_inverse = BlockInverse(mass)
-        self.h_inverse.update(mass)
+        self.h_inverse = BlockInverse.of(mass_matrix(self.h_values.matrix, self.points.weights))
         self.size, self.h_count = size, scalar.ndof
         # rows cell by cell, the components of Hs after each other in a cell
         inverse = sp.block_diag([self.h_inverse.matrix()] * size, format="csr")

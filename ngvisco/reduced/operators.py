@@ -101,8 +101,8 @@ class FacetMass:
     def __init__(self, values: LocalMatrix, exchange: Exchange) -> None:
         """``values`` at the sides' points of functions of facets, whose unknowns ``exchange`` shares."""
         matrix, self.exchange = values.matrix, exchange
-        self._pattern = BlockInverse((abs(matrix).T @ abs(matrix)).tocsr())
-        (self.unknowns,) = self._pattern.groups or [np.zeros((0, 1), dtype=np.int64)]
+        pattern = BlockInverse((abs(matrix).T @ abs(matrix)).tocsr())
+        (self.unknowns,) = pattern.groups or [np.zeros((0, 1), dtype=np.int64)]
         self.of_facets = exchange.part(self.unknowns[:, 0])
         """The exchange of one value a facet."""
         facet_of, place = np.zeros((2, matrix.shape[1]), dtype=np.int64)
@@ -141,32 +141,10 @@ class FacetMass:
             # with what the other rank has of a shared facet
             self.inverses = np.linalg.inv(self.of_facets.sum(blocks.transpose(1, 2, 0)).transpose(2, 0, 1))
         """(facets, functions of a facet, the same)."""
-        self.__dict__.pop("inverse", None)
 
-    def summed(self, values: np.ndarray, where: np.ndarray | None = None) -> np.ndarray:
-        """At the sides' points the sum of ``values`` (points,) at both sides' points of the facet.
-
-        ``where`` are the points of these values if not all, of the same facets on all ranks.
-        """
-        if where is None:
-            return self.of_facets.sum(np.bincount(self.facet, values, len(self.unknowns)))[self.facet]
-        facets, facet = np.unique(self.facet[where], return_inverse=True)
-        return self.of_facets.part(facets).sum(np.bincount(facet, values, len(facets)))[facet]
-
-    def fitted(self, values: np.ndarray, weights: np.ndarray, where: np.ndarray) -> np.ndarray:
-        """The facets' functions fitted to ``values`` (n, points), by blocks of the last ``update``.
-
-        ``where`` are the sides' points, all of some facets, the same on all ranks, ``weights`` theirs.
-        """
-        facets, facet = np.unique(self.facet[where], return_inverse=True)
-        shapes = self.shapes[:, where]
-        loads = np.empty((len(facets), len(shapes), len(values)))
-        for i, shape in enumerate(weights * shapes):
-            for j, value in enumerate(values):
-                loads[:, i, j] = np.bincount(facet, shape * value, len(facets))
-        loads = self.of_facets.part(facets).sum(loads.transpose(1, 2, 0)).transpose(2, 0, 1)
-        fit = self.inverses[facets] @ loads  # (facets, functions, n)
-        return np.einsum("ip,pin->np", shapes, fit[facet])
+    def summed(self, values: np.ndarray) -> np.ndarray:
+        """At the sides' points the sum of ``values`` (points,) at both sides' points of the facet."""
+        return self.of_facets.sum(np.bincount(self.facet, values, len(self.unknowns)))[self.facet]
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
         """Inverse times ``loads`` (..., unknowns)."""
@@ -174,12 +152,3 @@ class FacetMass:
         local = loads[..., self.unknowns][..., None]
         result[..., self.unknowns] = (self.inverses @ local)[..., 0]
         return result
-
-    @cached_property
-    def inverse(self) -> sp.csr_matrix:
-        """The inverse as a sparse matrix."""
-        size = self.unknowns.shape[1]
-        rows = np.repeat(self.unknowns, size, axis=1).ravel()
-        columns = np.tile(self.unknowns, (1, size)).ravel()
-        n = self._pattern.size
-        return sp.csr_matrix((self.inverses.ravel(), (rows, columns)), shape=(n, n))

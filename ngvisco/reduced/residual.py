@@ -101,9 +101,7 @@ class ReducedResidual:
         self.facet_terms = FacetTerms(step, self.side_op)
         self.slope = PointwiseSlope(step, self.op.points)
         self.claims = claims = Claims.of(step)
-        self.mass = mass_matrix(self.op.z.matrix, self.op.weights)
-        self.inverse_mass = BlockInverse(self.mass)
-        self.inverse_mass.update(self.mass)
+        self.inverse_mass = BlockInverse.of(mass_matrix(self.op.z.matrix, self.op.weights))
         flow, density = self.unknowns.flow, self.unknowns.density
         self.by_forms = RestrictedForm(step, flow, claims.by_forms) if claims.by_forms else None
         self.density = RestrictedForm(step, density, claims.density) if claims.density else None

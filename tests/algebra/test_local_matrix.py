@@ -44,12 +44,6 @@ def test_values_and_tests_are_those_of_the_matrix(matrix, weights, dtype):
     assert local.test(y) == pytest.approx((weights * y) @ matrix, abs=1e-14)
 
 
-def test_values_at_some_places_are_those_at_all(matrix):
-    local, where = LocalMatrix(matrix, CELLS), np.array([14, 0, 7, 7, 3])
-    x = values(matrix.shape[1])
-    assert local.at(where, x) == pytest.approx((x @ matrix.T)[:, where], abs=1e-14)
-
-
 def test_columns_cell_by_cell_and_their_tests_without_weights(matrix, weights):
     local = LocalMatrix(matrix, CELLS, weights)
     columns = values(matrix.shape[1]).T
