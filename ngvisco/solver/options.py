@@ -67,7 +67,8 @@ class SplitOptions(_Checked):
     renewed_above: float = 0.05
     """Increment after which they are; below, only hyperviscosity, which changes suddenly, is followed."""
     stale_above: float = 0.2
-    """Share of the increment before, above which they are too."""
+    """Share of the increment before, above which they are too.  For a steep flow rule, whose operator is made
+    anew by itself, ten times the one and half of the other."""
     bends_above: float = 0.03
     """Relative increment of a creep rate field after which it is, where the one before was not three times as
     large: with its gradient's law of q = 4, made at Pi = 0, the iteration diverges."""

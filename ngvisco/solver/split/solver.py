@@ -186,7 +186,7 @@ class Split:
                 self._last = x, f.copy(), self.preconditioner.power(at, f)
             self._follow_creep(f)
         # where points begin to yield a steep rule changes suddenly, however small the increment
-        self._stale = size > options.stale_above * last
+        self._stale = size > options.stale_above * (0.5 if self.is_steep else 1.0) * last
         return f, size
 
     @property
@@ -226,13 +226,13 @@ class Split:
     def wear(self, f: np.ndarray, size: float) -> None:
         """Let the tangent be made anew for the next increment where this one, f, says that it wears out."""
         options, dim = self.options.split, self.step.mesh.dim
-        slow = self.preconditioner.iterations > options.renewed_after[dim - 2] or (
-            self._stale and not self.is_steep
-        )
+        slow = self.preconditioner.iterations > options.renewed_after[dim - 2]
+        slow |= self._stale and not self.is_steep  # whose operator follows without its preconditioner
         worn = slow and size > 1e3 * options.margin * self.options.tolerance
         before, self._turned = self._turned, self.sizes(f)[1] if self.norm.shared else 0.0
         bends = self._turned > max(options.bends_above, 0.3 * before)  # and the chord does not contract
-        if worn or bends or size > options.renewed_above:
+        far = options.renewed_above * (10 if self.is_steep else 1)
+        if worn or bends or size > far:
             self.reset()
 
     def _solved(self, at: Evaluation) -> tuple[np.ndarray, float]:
