@@ -231,11 +231,10 @@ class Preconditioner:
         scale = np.ones_like(start)
         for where, length in zip(self._blocks, self._lengths, strict=True):
             scale[where] = self.exchange.norm(start, where) / np.sqrt(length) or 1.0
-        # single precision does not hold directions apart down to the tolerances of a linear map
+        # single precision does not hold directions apart down to the tolerances of a linear map, nor units
         kind = precision.SINGLE if tolerance > _LINEAR else np.float64
-        units = scale.astype(kind)
         y, self.iterations = gmres(
-            lambda y: self._block(self._applied(units * y)) / units,
+            lambda y: (self._block(self._applied(scale * y)) / scale).astype(kind),
             (start / scale).astype(kind),
             rtol=tolerance,
             directions=self.options.flow_iterations,
