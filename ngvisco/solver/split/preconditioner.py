@@ -18,7 +18,6 @@ from functools import partial
 
 import numpy as np
 
-from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import Direct, Fallback, MakesDirect, TwoLevelSolver, direct_solver
 from ngvisco.algebra.krylov import Map, gmres, improved
 from ngvisco.algebra.sparse import apply
@@ -40,8 +39,6 @@ ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
 """What sweeps may leave of them: Newton's iteration contracts by as much.  0.05 takes the same iterations and
 a tenth more time in a smooth run with creep; with a steep flow rule fewer, and fewer operators, which are
 made anew where an increment is above a tenth of the one before."""
-_LINEAR = 1e-3
-"""Tolerance of the flow's linear systems down to which directions are in single precision."""
 _IN_WORDS = {"wall_stress": "stresses of oblique or curved walls", "Pi": "a creep rate field"}
 
 
@@ -112,7 +109,7 @@ class Preconditioner:
         # a coarse rule knows the derivative of a polynomial of M; of another law it misses where that is
         # steep, and of bodies how moduli vary within a cell: increments of a slab then shrink by 0.99 only
         varies = len(step.model.bodies) > 1
-        order = 0.5 * m * (1 + max((flow.rule.degree for flow in steep), default=1.0))
+        order = m and 0.5 * m * (1 + max((flow.rule.degree for flow in steep), default=1.0))
         is_fine = bends or varies or order > step.quadrature.volume_degree // 2
         self.op = residual.op if is_fine else Operators(step, max(k - 1, math.ceil(order)))
         self.sweep = TransportSweeps(residual, options.inverse)
@@ -231,11 +228,9 @@ class Preconditioner:
         scale = np.ones_like(start)
         for where, length in zip(self._blocks, self._lengths, strict=True):
             scale[where] = self.exchange.norm(start, where) / np.sqrt(length) or 1.0
-        # single precision does not hold directions apart down to the tolerances of a linear map, nor units
-        kind = precision.SINGLE if tolerance > _LINEAR else np.float64
         y, self.iterations = gmres(
-            lambda y: (self._block(self._applied(scale * y)) / scale).astype(kind),
-            (start / scale).astype(kind),
+            lambda y: self._block(self._applied(scale * y)) / scale,
+            start / scale,
             rtol=tolerance,
             directions=self.options.flow_iterations,
             products=self.exchange.products,

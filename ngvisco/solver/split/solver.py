@@ -171,9 +171,9 @@ class Split:
         if not self.residual.ranks.all(at.residual.is_finite):
             return np.zeros_like(x), np.inf
         options, fresh = self.options.split, not self.is_factorised
+        follows = self._stale or (last > _STEEP and self.sharpness < _SHARP)
         # in a step's first increment, too: a resumed run knows the state of the last preconditioner only
-        follows = self._stale or last == np.inf or (last > _STEEP and self.sharpness < _SHARP)
-        everything = fresh or (self.is_steep and follows)
+        everything = fresh or last == np.inf or (self.is_steep and follows)
         if fresh:
             self.renew(problem, at)
         else:
