@@ -1,5 +1,6 @@
 """Laws that temperature and pressure speed up: the factor of Arrhenius, of flow rules and of viscosities."""
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -87,8 +88,11 @@ class Activated(_Activation, FlowRule):  # type: ignore[override]
         super().__post_init__()
         if not isinstance(self.rule, FlowRule):
             raise ParameterError("Activated.rule", self.rule, "a flow rule")
-        for name in ("nu", "q", "floor", "rate_floor", "reads_conjugate", "has_trace", "degree"):
+        for name in ("nu", "q", "floor", "rate_floor", "reads_conjugate", "has_trace"):
             object.__setattr__(self, name, getattr(self.rule, name))
+
+        # with a factor that is no polynomial; linear in M where the rule is
+        object.__setattr__(self, "degree", 1.0 if self.rule.degree == 1 else math.inf)
 
     @property
     def law(self) -> FlowRule:

@@ -126,7 +126,7 @@ class Mixture(Material):
         for body in self.bodies:
             warm = body.material if isinstance(body.material, Thermal) else None
             cold = body.material if warm is None else warm.cold
-            is_gas = warm is not None and bool(warm.gruneisen)
+            is_gas = warm is not None and warm.material is None
             owner = f"bodies[{body.name!r}].material"
             found.append(ReferenceEnergy(material=cold, owner=owner, is_gas=is_gas))
         return tuple(found)
@@ -386,10 +386,13 @@ class _InEquilibrium:
         if bad.any():
             at = ", ".join(f"{amount:.3g}" for amount in n[bad][0])
             common = "pressure" if self.entropy is None else "pressure and temperature"
-            failure = (
-                f"bodies have no common {common} at {int(bad.sum())} points, e.g. for the amounts {at}; "
-                "nv.Discretisation(m=0) has none below zero, where stiffnesses differ by ten times and more"
+            remedy = (
+                "a gas without p_infinity presses on what it meets, and matter in tension does not bear that"
             )
+            if (n[bad] < 0).any():
+                remedy = "with m = 0 few are below zero, where stiffnesses differ by ten times and more"
+            points = f"{int(bad.sum())} points, e.g. for the amounts {at}"
+            failure = f"bodies have no common {common} at {points}; {remedy}"
         return Response(result.energy + value, result.slope, result.hessian, failure)
 
 

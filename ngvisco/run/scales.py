@@ -121,7 +121,7 @@ class Scales:
         if slow > 0 and (fast / slow) ** 2 > _STIFF:
             said.append(
                 f"the modulus of compression is {(fast / slow) ** 2:.2g} times that of shear: cells lock "
-                "with k = 2, and steps are hard to solve; take discretisation.k = 3, or a smaller K_e"
+                "with k = 2 (take discretisation.k = 3), and steps are hard to solve; or take a smaller K_e"
             )
         if self.densities > _DENSER * (1 + 1e-6):
             said.append(

@@ -274,7 +274,7 @@ class RotheSolver:
         rules = [flow.rule for flow in self.step.model.flows if flow.rule.is_local]
         if self.method == "split" or all(rule.degree == 1 for rule in rules) or split_obstacle(self.step):
             return None
-        return 'or solver = "split", which solves a steep flow rule at the points'
+        return 'or the split solver (method = "split"), which solves a steep flow rule at the points'
 
     def _judged(self, solution: Solution) -> Solution:
         """The solution, which has failed too where its energy is no number or rho or J is not positive."""

@@ -156,8 +156,10 @@ def test_ledgers_and_tables_are_those_of_one_process(group, ranks):
     for name in names:
         one, several = found(1, *names)[name], found(ranks, *names)[name]
         assert (one["cells"], one["unknowns"]) == (several["cells"], several["unknowns"])
-        # whether the last one is wanted is decided by a contraction that linear systems leave open
-        assert_same_ledger(one["rows"], several["rows"], spare=2 if "split" in name else 0)
+        # whether the last are wanted is decided by a contraction that linear systems leave open: of bodies,
+        # at a tolerance of 1e-12, 8e-13 is enough on three ranks, while 1e-12 in one process takes two more
+        spare = 2 if name == "split bodies" else 1 if "split" in name else 0
+        assert_same_ledger(one["rows"], several["rows"], spare)
         assert_same_tables(one["tables"], several["tables"])
         if name not in own.CASES:  # which take so few that one more is a tenth
             assert several["linear"] <= 1.1 * one["linear"], name

@@ -171,3 +171,26 @@ def test_a_resumed_run_has_the_same_bits(rule, tmp_path):
     rest.run(0.1)
     a, b = (each.rothe_step.state.vec.FV().NumPy() for each in (whole, rest))
     assert np.array_equal(a, b)
+
+
+@pytest.mark.parametrize("creep", [nv.Perzyna(sigma_Y=0.5, G_m=0.5), nv.Eyring(A=0.1, sigma_0=1.0)])
+def test_cells_of_one_value_creep_by_rules_that_are_no_polynomials(creep):
+    found = {}
+    for solver in ("split", "coupled"):
+        lid = {"top": nv.PrescribedTangential(CF((16 * x**2 * (1 - x) ** 2, 0)))}
+        model = nv.Model(
+            material=nv.ReferentialNeoHookean(K_e=50.0, G_e=5.0, elastic_state="B"),
+            viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+            creep=creep,
+        )
+        run = nv.Simulation(
+            box((1, 1), maxh=0.3),
+            model,
+            dt=0.02,
+            walls=lid,
+            solver=solver,
+            discretisation=nv.Discretisation(m=0),
+        )
+        found[solver] = run.run(0.06).column("dissipation_creep")[-1]
+    assert found["split"] > 0
+    assert found["split"] == pytest.approx(found["coupled"], rel=1e-8)

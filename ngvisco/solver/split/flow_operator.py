@@ -300,7 +300,7 @@ class FlowSchurComplement:
             rows, of_x = concurrently(lambda: self._with_fields(dv), lambda: hyper(x), size)
             rows += of_x[:, : dv.shape[1]]
             of_a = of_x[:, dv.shape[1] :]
-        result = np.zeros(self.size, precision.SINGLE) if self.rest is None else self.rest @ flow
+        result = np.zeros(self.size) if self.rest is None else self.rest @ flow
         result[: self.nv] += rows.ravel()
         return result, of_a
 

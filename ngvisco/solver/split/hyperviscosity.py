@@ -97,7 +97,7 @@ class HyperDerivative:
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """The rows' derivative in the direction x = (v, a) side by side, (dim, unknowns)."""
         length, split, h = _largest(x), self._of_hessian, self.hyper
-        values = self.of_component.by_cells(np.ascontiguousarray(x.T, self.dtype) / self.dtype(length))
+        values = self.of_component.by_cells(x.T / length)
         dj, rows = values[..., split:], (self.cells, h.dim * h.size)
         dH = product(values[..., :split].reshape(*rows, h.h_values.local), self._at_points)
         dH = dH.reshape(self.cells, h.dim, h.size, h.h_values.per_cell)
@@ -106,7 +106,7 @@ class HyperDerivative:
             self._bend(dH, dj, of_H, of_j)
         tested = product(of_H.reshape(*rows, h.h_values.per_cell), self._at_points.swapaxes(1, 2))
         loads = np.concatenate([tested.reshape(self.cells, h.dim, split), of_j], axis=2)
-        return self.dtype(self._unit * length) * self.of_component.tested(loads).T
+        return np.float64(self._unit * length) * self.of_component.tested(loads).T
 
     def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
         """Add what the changes of s = P |Hs|^2 and of q = |j|^2 make, to the loads of Hs and j."""

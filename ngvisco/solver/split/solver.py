@@ -171,9 +171,10 @@ class Split:
         if not self.residual.ranks.all(at.residual.is_finite):
             return np.zeros_like(x), np.inf
         options, fresh = self.options.split, not self.is_factorised
-        follows = self._stale or (last > _STEEP and self.sharpness < _SHARP)
         # in a step's first increment, too: a resumed run knows the state of the last preconditioner only
-        everything = fresh or last == np.inf or (self.is_steep and follows)
+        everything = fresh or last == np.inf
+        if self.is_steep and not everything:
+            everything = self._stale or (last > _STEEP and self.sharpness < _SHARP)
         if fresh:
             self.renew(problem, at)
         else:
@@ -185,7 +186,8 @@ class Split:
             f, size = self._solved(at)
         if self.is_steep and everything:
             if self.holds and size > options.rounding:
-                self._last = x, f.copy(), self.preconditioner.power(at, f)
+                power = self.preconditioner.power(at, f)
+                self._last = (x, f.copy(), power) if power else None  # without power there is none to reverse
             self._follow_creep(f)
         # where points begin to yield a steep rule changes suddenly, however small the increment
         self._stale = size > options.stale_above * (0.5 if self.is_steep else 1.0) * last
