@@ -78,6 +78,9 @@ class SplitOptions(_Checked):
     """Iterations for the flow's linear system at most."""
     direct_up_to: tuple[int, int] = (3_000, 3_000)
     """Unknowns of v up to which its tangent is factorised as a whole; above, two levels are faster."""
+    direct_at_most: tuple[int, int] = (100_000, 15_000)
+    """Unknowns of v up to which it is so in what is left of a step, where ``flow_iterations`` by two levels
+    do not solve the flow's system: a bar of CSM3 in a light medium finds no first step without."""
     krylov_below: float = 0.05
     """Increment up to which Newton-Krylov takes over: farther off half of the step is solved at once."""
     penalty_degree: int = 4

@@ -1,5 +1,7 @@
 """The split solver's own duties: failures that are said, the choice of the solver, its parts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ngsolve import cos, pi, sin, x, y
@@ -8,7 +10,7 @@ from scipy.sparse.linalg import LinearOperator, gmres
 
 import ngvisco as nv
 from ngvisco.algebra import precision
-from ngvisco.algebra.factorised import TwoLevelSolver
+from ngvisco.algebra.factorised import DirectSolver, TwoLevelSolver
 from ngvisco.forms.term import Integrand
 from ngvisco.geometries import box, disc, structured_box
 from ngvisco.solver.options import SplitOptions
@@ -292,18 +294,41 @@ def test_two_levels_lead_to_the_same_solution(k):
     assert np.linalg.norm(state(two_level) - state(direct)) <= 1e-9 * np.linalg.norm(state(direct))
 
 
-def test_where_two_levels_do_not_solve_the_flow_the_tangent_is_made_anew():
-    """And where that is not enough either, the increment is taken: the same solution in more iterations."""
+def test_where_two_levels_do_not_solve_the_flow_the_tangent_is_factorised_as_a_whole():
+    """In what is left of the step, up to so many unknowns; the next step begins with two levels."""
     few = SplitOptions(direct_up_to=(0, 0), flow_iterations=3)
-    runs = [simulation(newton=nv.NewtonOptions(split=options)) for options in (SplitOptions(), few)]
-    preconditioner, made = runs[1].solver.newton.preconditioner, []
-    update = preconditioner.update
-    preconditioner.update = lambda *arguments: (made.append(preconditioner.iterations), update(*arguments))
+    runs = [
+        simulation(newton=nv.NewtonOptions(split=options))
+        for options in (SplitOptions(), few, replace(few, direct_at_most=(10, 10)))
+    ]
+    used = [updates(run) for run in runs]
     for run in runs:
         run.advance()
-    whole, by_few = (state(run) for run in runs)
-    assert np.linalg.norm(by_few - whole) <= 1e-9 * np.linalg.norm(whole)
-    assert made.count(3) > 1
+    whole, *others = (state(run) for run in runs)
+    for other in others:
+        assert np.linalg.norm(other - whole) <= 1e-9 * np.linalg.norm(whole)
+    took = [run.ledger.column("newton_iterations")[-1] for run in runs]
+    assert took[1] < took[2]
+    assert set(used[0]) == {DirectSolver} and set(used[2]) == {TwoLevelSolver}
+    first = used[1].index(DirectSolver)
+    assert first > 0 and set(used[1][:first]) == {TwoLevelSolver} and set(used[1][first:]) == {DirectSolver}
+    assert not runs[1].solver.newton.is_factorised
+    used[1].clear()
+    runs[1].advance()
+    assert used[1][0] is TwoLevelSolver
+
+
+def updates(run):
+    """The kinds of solver of the velocity tangent, at each time that it is made anew."""
+    preconditioner, kinds = run.solver.newton.preconditioner, []
+    update = preconditioner.update
+
+    def noted(*arguments):
+        kinds.append(type(preconditioner.solver))
+        update(*arguments)
+
+    preconditioner.update = noted
+    return kinds
 
 
 @pytest.mark.long

@@ -132,6 +132,9 @@ class Preconditioner:
         """The exchange of the tangent's unknowns: the flow's and, between ranks, the normal derivatives."""
         free = [mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.flow]
         self.free = np.concatenate(free)
+        self._whole: Callable[[], Direct] | None = None
+        """Makes a factorisation of the tangent as a whole, where two levels are in its place."""
+        self._two_levels: Direct | None = None
         self.solver = self._solver(np.concatenate([self.free, np.ones(self.dim * len(kept), dtype=bool)]))
         self._blocks = [unknowns.slices[name] for name in unknowns.flow]
         self._held = np.flatnonzero(~self.free)
@@ -153,6 +156,8 @@ class Preconditioner:
         if count <= (largest := self.options.direct_up_to[self.dim - 2]):
             self.without_multigrid = f"up to {largest} unknowns of v are factorised as a whole, here {count}"
             return direct(free, symmetric=self.unknowns.flow == ["v"])
+        if count <= self.options.direct_at_most[self.dim - 2]:
+            self._whole = partial(direct, free, symmetric=self.unknowns.flow == ["v"])
         others = (number >= operator.nv) & (number < operator.size)
         vertices = is_velocity & (number % operator.op.v.width < operator.residual.step.mesh.nv)
         if self.ranks.any(others.any()):
@@ -163,6 +168,22 @@ class Preconditioner:
             multigrid = partial(SumInverse, exchange=exchange, method=self._coarse, kernel=kernel)
             direct = partial(Fallback, multigrid, direct, self._say)
         return TwoLevelSolver(free, vertices, others, direct, exchange)
+
+    def strengthen(self) -> bool:
+        """Let the tangent be factorised as a whole from the next ``update`` on, if it is not and may be."""
+        if self._whole is None or self._two_levels is not None:
+            return False
+        self._two_levels, self.solver = self.solver, self._whole()
+        self._two_levels.release()
+        return True
+
+    def relax(self) -> bool:
+        """Two levels again, from the next ``update`` on; whether there was something else."""
+        if self._two_levels is None:
+            return False
+        self.solver.release()
+        self.solver, self._two_levels = self._two_levels, None
+        return True
 
     def _say(self, reason: str) -> None:
         message = f"coarse = {self._coarse!r}: {reason}; the velocities of the vertices are factorised"

@@ -92,6 +92,10 @@ class Split:
         self._last = None
         self.reset()
 
+    def _relax(self) -> None:
+        if self.preconditioner.relax():
+            self.reset()
+
     def factorise(self, problem: Problem) -> None:
         """Make the tangent at the present state; raises StepError if it is singular."""
         problem.pose()
@@ -110,6 +114,7 @@ class Split:
         """Iterate from ``guess``; the step's state is then the solution, or some iterate."""
         history: list[NewtonIteration] = []
         self._turned, self._stale, self._last = 0.0, False, None
+        self._relax()
         self.preconditioner.fields.renew()  # what is known of earlier iterates a resumed run does not know
         self.step.state.vec.data = guess
         problem.pose()
@@ -127,6 +132,7 @@ class Split:
         if status is Status.CONVERGED:
             # an energy that is kept at the quadrature points is asked for by the ledger and the output
             self.step.eliminate.refresh()
+            self._relax()  # now, so that a run that is resumed here begins its next step alike
             return Solution(status, tuple(history))
         last = history[-1].increment if history else np.inf
         reason = (
@@ -181,9 +187,10 @@ class Split:
             with self._clock("assembly"):
                 self.preconditioner.linearise(at, everything)
         f, size = self._solved(at)
-        if not fresh and self.preconditioner.iterations >= options.flow_iterations:  # unsolved
-            self.renew(problem, at)
-            f, size = self._solved(at)
+        for better in (lambda: not fresh, self.preconditioner.strengthen):
+            if self.preconditioner.iterations >= options.flow_iterations and better():  # unsolved
+                self.renew(problem, at)
+                f, size = self._solved(at)
         if self.is_steep and everything:
             if self.holds and size > options.rounding:
                 power = self.preconditioner.power(at, f)
