@@ -337,7 +337,7 @@ class Case:
     def _made(self, part: Section, path: tuple[str, ...], dim: int) -> Any:
         """What a section describes."""
         with self.blame.located(*path):
-            return owner_of(type(part))(**self._values(part, path, dim))
+            return part.completed(owner_of(type(part))(**self._values(part, path, dim)))
 
     def _values(self, part: Section, path: tuple[str, ...], dim: int) -> dict[str, Any]:
         """A section's parameters with its expressions as coefficient functions."""

@@ -36,7 +36,9 @@ GEOMETRIES: Kinds = {
 MATERIALS: Kinds = {
     "BarotropicFluid": materials.BarotropicFluid,
     "Custom": custom_material,
-    **_of(materials, "FENEP HardeningElastic"),
+    "FENEP": materials.FENEP,
+    "Gas": materials.Thermal,
+    "HardeningElastic": materials.HardeningElastic,
     "IsentropicFluid": materials.BarotropicFluid.from_state_equation,
     "IsochoricNeoHookean": materials.IsochoricNeoHookean,
     "IsotropicStrainEnergy": isotropic_strain_energy,
@@ -44,7 +46,7 @@ MATERIALS: Kinds = {
     **_of(materials, "OldroydB ReferentialMooneyRivlin ReferentialNeoHookean"),
 }
 
-WRAPPERS: Kinds = _of(materials, "PerReferentialVolume Damaged Thermal Yosida WithQuadratic")
+WRAPPERS: Kinds = _of(materials, "PerReferentialVolume Damaged Yosida WithQuadratic")
 """Materials of another one, [material.material]: of those above, and of wrappers before them here."""
 
 ALL_MATERIALS: Kinds = {**MATERIALS, **WRAPPERS}

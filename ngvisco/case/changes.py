@@ -31,7 +31,8 @@ CHANGEABLE = "title, time, loads, walls, numbers of material and rheology, solve
 
 _INSTEAD = "start a new run with its fields: ngvisco run CASE -o NEW --from"
 
-FIXED = ("domain", "initial", "discretisation", "material.kind", "bodies", "output.passive")
+FIXED = ("domain", "initial", "discretisation")
+FIXED += ("material.kind", "material.thermal", "bodies", "output.passive")
 """What it may not, of bodies all but the numbers of their materials and mechanisms: another mesh or other
 unknowns are a new run, which takes over the fields of this one."""
 
@@ -54,12 +55,13 @@ def _value(case: Case, key: str) -> Any:
         kept, mechanisms = ("name", "where", "density", "order"), ("viscosity", "creep")
         return [
             {name: body[name] for name in kept}
-            | {"kind": body["material"]["kind"], **{name: body[name] is not None for name in mechanisms}}
+            | {"kind": body["material"]["kind"], "has heat": body["material"]["thermal"] is not None}
+            | {name: body[name] is not None for name in mechanisms}
             for body in node["bodies"]
         ]
     for part in key.split("."):
         node = None if node is None else node[part]
-    return node
+    return node is not None if key == "material.thermal" else node
 
 
 def check_change(place: RunDirectory, case: Case, simulation: Simulation) -> None:

@@ -10,11 +10,12 @@ from pydantic import Discriminator, Field, Tag, create_model, model_validator
 
 from ngvisco.case import catalogue
 from ngvisco.case.output import Output
-from ngvisco.case.section import Section, laws, section, tagged
+from ngvisco.case.section import Section, laws, parameters, section, tagged
 from ngvisco.case.values import RegionText
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.material import Material as MaterialObject
+from ngvisco.physics.materials import Thermal
 from ngvisco.physics.rheology import Viscosity as ViscosityObject
 from ngvisco.run.refinement import Refinement
 
@@ -39,7 +40,33 @@ class Meshed(Section):
 
 
 Domain = tagged("geometry", catalogue.GEOMETRIES, Meshed)
-Material = laws(MaterialObject, catalogue.MATERIALS, catalogue.WRAPPERS, has_default=False)
+HeatCapacity = section(Thermal, wrapped={}, is_whole=False)
+
+
+class Heated(Section):
+    """What every material has besides its own keys.
+
+    Parameters
+    ----------
+    thermal
+        Its heat, where the material has a temperature: the table's other keys are of the material without.
+    """
+
+    thermal: HeatCapacity | None = None  # type: ignore[valid-type]
+
+    def completed(self, made: MaterialObject) -> MaterialObject:
+        """The material, with its heat if it has any."""
+        if self.thermal is None:
+            return made
+        try:
+            return Thermal(material=made, **parameters(self.thermal))
+        except ParameterError as error:
+            owner, *rest = error.field.split(".")
+            key = ".".join([owner, *(["thermal"] if owner == "Thermal" else []), *rest])
+            raise ParameterError(key, error.value, error.expected) from error
+
+
+Material = laws(MaterialObject, catalogue.MATERIALS, catalogue.WRAPPERS, has_default=False, base=Heated)
 Load = tagged("kind", catalogue.LOADS)
 Wall = tagged("kind", catalogue.WALLS)
 Shape = tagged("kind", catalogue.SHAPES)

@@ -107,6 +107,7 @@ def section(
     wrapped: Mapping[Any, Any] | None = None,
     is_default: bool = False,
     base: type[Section] = Section,
+    is_whole: bool = True,
 ) -> type[Section]:
     """The section that holds a dataclass's (or function's) parameters.
 
@@ -121,6 +122,8 @@ def section(
         Whether the section is this one where the tag's key is left out.
     base : class
         With the keys that it has besides.
+    is_whole : bool
+        Whether the object can be made of the section alone, and is, to check it.
     """
     # of a dataclass its fields', each with the names that its own class's module knows
     hints = get_type_hints(target)
@@ -136,7 +139,8 @@ def section(
                 raise TypeError(f"{target.__qualname__}.{name}: a case file cannot give a {hints.get(name)}")
             continue
         fields[name] = (annotation, ... if required else _default(annotation, parameter.default))
-    base = _checked_section(target) if _is_plain(target, fields, hints.get("return")) else base
+    if is_whole and _is_plain(target, fields, hints.get("return")):
+        base = _checked_section(base)
     model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
     _TARGETS[model] = target
     _ANNOTATIONS[model] = {name: annotation for name, (annotation, _) in fields.items()}
@@ -190,12 +194,12 @@ def _has_field_value(annotation: Any) -> bool:
     return annotation in FIELDS or any(_has_field_value(part) for part in get_args(annotation))
 
 
-def _checked_section(target: Callable[..., Any]) -> type[Section]:
-    class Checked(Section):
+def _checked_section(base: type[Section]) -> type[Section]:
+    class Checked(base):  # type: ignore[valid-type, misc]
         @model_validator(mode="after")
         def _admitted(self) -> Any:
             try:
-                target(**parameters(self))
+                made(self)
             except UnknownNameError as error:  # a KeyError, which pydantic would let through
                 raise ValueError(str(error)) from error
             return self
@@ -227,7 +231,7 @@ def parameters(part: Section) -> dict[str, Any]:
 
 def made(part: Section) -> Any:
     """What a section without functions of time describes."""
-    return owner_of(type(part))(**parameters(part))
+    return part.completed(owner_of(type(part))(**parameters(part)))
 
 
 def moduli(model: type[BaseModel]) -> set[str]:
@@ -241,8 +245,14 @@ def tagged(key: str, table: Mapping[str, Any], base: type[Section] = Section) ->
     return _choice(key, tuple(section(table[name], (key, name), base=base) for name in table))
 
 
-def laws(base: type, table: Mapping[str, Any], wrappers: Mapping[str, Any], has_default: bool = True) -> Any:
-    """One of the laws of a class, by ``kind``, and the wrappers of those before them.
+def laws(
+    law: type,
+    table: Mapping[str, Any],
+    wrappers: Mapping[str, Any],
+    has_default: bool = True,
+    base: type[Section] = Section,
+) -> Any:
+    """One of the laws of a class, by ``kind``, or a wrapper of those before it; with ``base``'s keys.
 
     Where ``has_default`` it is the first one of the table where no kind is said.
     """
@@ -255,9 +265,12 @@ def laws(base: type, table: Mapping[str, Any], wrappers: Mapping[str, Any], has_
         found = _choice("kind", models)
         return found if first is None else Annotated[found, BeforeValidator(with_kind)]
 
-    models = tuple(section(table[name], ("kind", name), is_default=name == first) for name in table)
+    models = tuple(
+        section(target, ("kind", name), {}, is_default=name == first, base=base)
+        for name, target in table.items()
+    )
     for name, target in wrappers.items():
-        models = (*models, section(target, ("kind", name), {base: choice()}))
+        models = (*models, section(target, ("kind", name), {law: choice()}, base=base))
     return choice()
 
 

@@ -17,3 +17,7 @@ class Section(BaseModel):
     @classmethod
     def _converted(cls, data: Any, info: ValidationInfo) -> Any:
         return info.context(cls, data) if info.context and isinstance(data, dict) else data
+
+    def completed(self, made: Any) -> Any:
+        """What the keys that are no parameters make of the object that the others describe."""
+        return made

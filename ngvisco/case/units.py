@@ -59,19 +59,25 @@ def _registry() -> Any:
 
 
 def factor(unit: str, wanted: str) -> float:
-    """How many of ``wanted`` (SI) one ``unit`` is.  Raises UnitError."""
+    """How many of ``wanted`` (SI) one ``unit`` is.  Raises UnitError, also for degC, whose zero is none."""
+    value = converted(1.0, unit, wanted)
+    if not 0 < value < math.inf or converted(0.0, unit, wanted) != 0.0:
+        raise UnitError(f"{unit!r} cannot be converted to {wanted}")
+    return value
+
+
+def converted(number: float, unit: str, wanted: str) -> float:
+    """``number`` of a ``unit`` in ``wanted`` (SI).  Raises UnitError."""
     import pint
 
     _require_small_powers(unit)
     units = _registry()
     try:
-        value = units.Quantity(1.0, units.parse_units(unit)).to(units.parse_units(wanted)).magnitude
+        value = units.Quantity(number, units.parse_units(unit)).to(units.parse_units(wanted)).magnitude
     except pint.DimensionalityError as error:
         raise UnitError(f"{unit!r} has not the dimension of {wanted}") from error
     except Exception as error:  # pint's parser raises many kinds
         raise UnitError(f"{unit!r} is no unit that is known") from error
-    if not (math.isfinite(value) and value > 0):
-        raise UnitError(f"{unit!r} cannot be converted to {wanted}")
     return float(value)
 
 
@@ -190,7 +196,7 @@ class Converter:
             return text  # the schema says what is wrong with it
         if unit == "1":
             raise UnitError("a pure number is expected, without a unit")
-        return float(match[1]) * factor(match[2].strip(), unit)
+        return converted(float(match[1]), match[2].strip(), unit)
 
     def _expression(self, text: str, unit: str) -> str:
         """The same function of x, y, z in m and t in s, with values in SI units."""

@@ -274,25 +274,26 @@ class Ledger:
         """What rounding may leave of the stored energy at the present state, J.
 
         An energy that is zero at rest, such as tr B - ln det B - 3, is a difference of terms that are not.
-        Their size is int |phi''(z)[z, z]|.
+        Their size is int |phi''(z)[z, z]|, and that of the heat above theta_R is int c theta.
         """
         z = self.step.now.z_tensors
         factors = (1 - _STRETCH, 1.0, 1 + _STRETCH)
         stretched = ({name: factor * value for name, value in z.items()} for factor in factors)
         less, here, more = (self.step.energy.samples(state, self.sampler) for state in stretched)
         scale = np.nan_to_num(abs(less - 2 * here + more), posinf=0.0) / _STRETCH**2
-        return _OPERATIONS * np.finfo(float).eps * self.sampler.integral(scale)
+        return _OPERATIONS * np.finfo(float).eps * (self.sampler.integral(scale) + self.heat(1.0))
 
-    def heat(self) -> float:
+    def heat(self, s: float | None = None) -> float:
         """int theta |s|, the size of the heat beside that of the reference temperature, J; 0 without heat.
 
-        Warm and cold places cancel in the energy, and do not in what an iteration leaves.
+        Warm and cold places cancel in the energy, and do not in what an iteration leaves.  ``s`` in units of
+        the entropy, else the present one.
         """
         entropy = entropy_in(self.step.model.material)
         if entropy is None:
             return 0.0
         u = self.step.now
-        heat = u.zeta_tensors[entropy.name] * u.z_tensors[entropy.name]
+        heat = u.zeta_tensors[entropy.name] * (u.z_tensors[entropy.name] if s is None else s)
         return float(self.step.quadrature.integrate_cells(sqrt(heat * heat)))
 
     def _sum(self, values: dict[str, float], kind: str) -> float:

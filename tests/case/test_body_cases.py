@@ -333,15 +333,11 @@ def test_keys_of_bodies_are_explained():
 
 def test_bodies_of_a_case_have_heat_each_by_its_own_material_and_law():
     cold = '{ kind = "ReferentialNeoHookean", K_e = 10, G_e = 0.1, epsilon = 0.1 }'
-    warm = '{ kind = "Thermal", c = 3.0, theta_R = 300.0, expansion = 0.001, material = ' + cold + " }"
-    text = BODIES.replace(cold, warm).replace('kind = "ReferentialNeoHookean"\nK_e = 10', "@")
-    text, disc = text.split("[bodies.material]\n@")
+    warm = cold[:-2] + ", thermal = { c = 3.0, theta_R = 300.0, expansion = 0.001 } }"
+    text, disc = BODIES.replace(cold, warm).split("[bodies.material]\n")
     disc = (
-        '[bodies.heat]\nconductivity = "0.5*theta"\nsource = "1 + x"\n[bodies.material]\nkind = "Thermal"\n'
-        + (
-            'c = 1.0\ntheta_R = 300.0\n[bodies.material.material]\nkind = "ReferentialNeoHookean"\nK_e = 10'
-            + disc
-        )
+        '[bodies.heat]\nconductivity = "0.5*theta"\nsource = "1 + x"\n[bodies.material]\n'
+        "thermal = { c = 1.0, theta_R = 300.0 }\n" + disc
     )
     heat = '[rheology.heat]\nconductivity = 0.1\n[initial]\ntemperature = "310 + x"\n'
     model = case(HEAD + heat + text + disc).model(2)

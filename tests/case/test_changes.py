@@ -84,6 +84,7 @@ def test_a_change_that_was_interrupted_is_taken_up(run, monkeypatch):
         ("domain.maxh=0.3", r"domain.maxh \(set on the command line\): cannot change when a run goes on"),
         ("discretisation.k=3", "discretisation.k .*cannot change"),
         ("initial.density=2", "initial.density .*cannot change"),
+        ("material.thermal={c=1.0, theta_R=300.0}", "material.thermal .*cannot change"),
         ("output.passive=['F_tot']", "output.passive .*--from"),
         ("time.dt=-1", "time.dt .*-1.0: expected"),
         ("time.dt=0.03", "time.until: .*a multiple of dt"),

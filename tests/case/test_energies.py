@@ -249,13 +249,12 @@ geometry = "box"
 size = [1, 1]
 maxh = 0.7
 [material]
-kind = "Thermal"
-c = 3
-theta_R = 300
-[material.material]
 kind = "LinearElastic"
 K_e = 10
 G_e = 10
+[material.thermal]
+c = 3
+theta_R = 300
 [rheology.heat]
 conductivity = "0.1*(theta/300)**1.5 + 0.2*exp(-theta/300)"
 [initial]
@@ -265,6 +264,14 @@ temperature = "300 + 100*x"
 dt = 0.02
 until = 0.02
 """
+
+
+def test_a_body_at_rest_with_a_temperature_closes_its_ledger():
+    text = WARM.replace("theta_R = 300", 'theta_R = "300 degC"').replace('temperature = "300 + 100*x"', "")
+    case = parse_case(text, "case", Path("."))
+    ledger = case.simulation(case.mesh()).run(case.until)
+    assert ledger.column("temperature_min") == pytest.approx(573.15, rel=1e-12)
+    assert abs(ledger.column("closure_relative")).max() < 1e-8
 
 
 @pytest.mark.parametrize("method", ["coupled", "split"])

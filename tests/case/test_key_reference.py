@@ -107,9 +107,9 @@ def placed(entry, kind):
     }
     if kind is not None:
         needed["geometry" if section == ("domain",) else "kind"] = kind
-    if entry.path[-1] == "p_infinity":  # of a gas
+    if kind == "Gas":
         needed["gruneisen"] = 0.4
-    elif kind in WRAPPERS:
+    if kind in WRAPPERS:
         needed["material"] = data["material"]
     needed |= WITHIN.get(kind, {})
     node = data
@@ -138,6 +138,7 @@ CASES = [
     if not entry.is_table
     for kind in (entry.kinds or (None,))
     if entry.path[-1] not in ("kind", "geometry")
+    and (entry.name, kind) not in (("material.expansion", "Gas"), ("material.thermal.p_infinity", None))
 ]
 
 

@@ -80,7 +80,7 @@ NEEDED = {
     "LogarithmicMooneyRivlin": {"K_e": 10.0, "G_e": 5.0, "G_mr": 1.0, "epsilon": 0.1},
     "PerReferentialVolume": {"material": {"kind": "NeoHookean", "K_e": 10.0, "G_e": 5.0, "epsilon": 0.1}},
     "ReferentialMooneyRivlin": {"K_e": 10.0, "G_e": 5.0, "G_mr": 1.0},
-    "Thermal": {"c": 1.0, "theta_R": 300.0, "material": {"kind": "LinearElastic", "K_e": 10.0, "G_e": 5.0}},
+    "Gas": {"c": 1.0, "theta_R": 300.0, "gruneisen": 0.4},
     "MooneyRivlin": {"K_e": 10.0, "G_e": 5.0, "G_mr": 1.0, "epsilon": 0.1},
     "Yosida": {"eps": 1e-3, "material": {"kind": "LinearElastic", "K_e": 10.0, "G_e": 5.0}},
     "WithQuadratic": {"delta": 1e-3, "material": {"kind": "LinearElastic", "K_e": 10.0, "G_e": 5.0}},

@@ -7,7 +7,7 @@ import pytest
 import ngvisco as nv
 from ngvisco.case.build import parse_case
 from ngvisco.case.reference import entries
-from ngvisco.case.units import SI, UnitError, factor
+from ngvisco.case.units import SI, UnitError, converted, factor
 
 CASE = """\
 [units]
@@ -173,6 +173,13 @@ def test_a_wrong_unit_is_a_fault_of_its_key(setting, message):
     with pytest.raises(nv.CaseError, match=message):
         loaded = case(CASE, setting)
         loaded.mesh()
+
+
+def test_a_zero_that_is_none_is_converted_in_numbers_and_is_no_factor():
+    assert converted(-20.0, "degC", "K") == pytest.approx(253.15, rel=1e-15)
+    assert converted(2.0, "W/(m delta_degC)", "W/(m K)") == pytest.approx(2.0, rel=1e-15)
+    with pytest.raises(UnitError, match="degC"):
+        factor("degC", "K")
 
 
 @pytest.mark.parametrize("unit", ["m" * 500, "(", "m**m", "1/0", "m**1e400", "\0", "degC", "-m", "[[", "m;m"])
