@@ -31,8 +31,10 @@ CHANGEABLE = "title, time, loads, walls, numbers of material and rheology, solve
 
 _INSTEAD = "start a new run with its fields: ngvisco run CASE -o NEW --from"
 
-FIXED = ("domain", "initial", "discretisation")
-FIXED += ("material.kind", "material.thermal", "bodies", "output.passive")
+FIXED = (
+    *("domain", "initial", "discretisation"),
+    *("material.kind", "material.thermal", "bodies", "output.passive"),
+)
 """What it may not, of bodies all but the numbers of their materials and mechanisms: another mesh or other
 unknowns are a new run, which takes over the fields of this one."""
 
