@@ -1,4 +1,4 @@
-"""Direct solution with a matrix of scipy's by NGSolve's factorisations."""
+"""Direct solution with a matrix of scipy's by factorisations."""
 
 from collections.abc import Callable
 from functools import cache, partial
@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.sparse as sp
 from ngsolve.la import SparseMatrixd
-from scipy.sparse.linalg import eigsh
+from scipy.sparse.linalg import eigsh, splu
 
 from ngvisco.algebra import precision
 from ngvisco.errors import StepError
@@ -36,54 +36,53 @@ class MakesDirect(Protocol):
     def __call__(self, free: np.ndarray, *, symmetric: bool) -> Direct: ...
 
 
+_WITHOUT_PIVOTS: dict[str, Any] = {
+    "permc_spec": "MMD_AT_PLUS_A",
+    "diag_pivot_thresh": 0.0,
+    "options": {"SymmetricMode": True},
+}
+
+
 class DirectSolver:
     """The factorised matrix on its free unknowns; the others get 0."""
 
-    def __init__(self, free: np.ndarray, inverse: str, symmetric: bool = False) -> None:
-        """``free`` is a mask of unknowns, ``inverse`` NGSolve's name of a nonsymmetric solver.
-
-        ``symmetric`` factorises the symmetric part instead, by a Cholesky factorisation: half the work.
-        """
+    def __init__(self, free: np.ndarray, symmetric: bool = False) -> None:
+        """``free`` is a mask of unknowns; of the matrix's symmetric part, which needs no pivots, where that
+        is said."""
         self.free, self.symmetric = np.flatnonzero(free), symmetric
-        self.inverse_type = "sparsecholesky" if symmetric else inverse
-        self._matrix: Any = None
-        self._inverse: Any = None
+        self._factors: Any = None
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
         """Raises StepError if the matrix is singular."""
-        matrix = matrix[self.free][:, self.free]
+        matrix, how = matrix[self.free][:, self.free], {}
         if self.symmetric:
             matrix = 0.5 * (matrix + matrix.T)
-        matrix = matrix.tocoo()
-        n = matrix.shape[0]
+            how = {
+                "permc_spec": "MMD_AT_PLUS_A",
+                "diag_pivot_thresh": 0.0,
+                "options": {"SymmetricMode": True},
+            }
         try:
-            self._matrix = SparseMatrixd.CreateFromCOO(
-                matrix.row.astype(np.int32), matrix.col.astype(np.int32), matrix.data, n, n
-            )
-            self._inverse = self._matrix.Inverse(inverse=self.inverse_type)
-        except Exception as error:  # NGSolve raises NgException and std::exception alike
-            raise StepError(f"the velocity tangent has no factorisation: {error}") from error
-        self._b, self._x = self._matrix.CreateColVector(), self._matrix.CreateColVector()
+            self._factors = splu(matrix.tocsc(), **how) if len(self.free) else None
+        except RuntimeError as error:  # of SuperLU
+            raise StepError(f"a matrix of the step has no factorisation: {error}") from error
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
-        self._b.FV().NumPy()[:] = r[self.free]
-        self._x.data = self._inverse * self._b
         result = np.zeros_like(r)
-        result[self.free] = self._x.FV().NumPy()
+        if self._factors is not None:
+            result[self.free] = self._factors.solve(r[self.free])
         return result
 
     def release(self) -> None:
-        """Drop matrix and factorisation."""
-        self._matrix = self._inverse = None
+        """Drop the factorisation."""
+        self._factors = None
 
 
-def direct_solver(
-    free: np.ndarray, inverse: str, exchange: Owned, *, symmetric: bool = False
-) -> DirectSolver | SumInverse:
-    """By NGSolve's ``inverse`` on one process; over ranks by PETSc, of matrices in parts."""
+def direct_solver(free: np.ndarray, exchange: Owned, *, symmetric: bool = False) -> DirectSolver | SumInverse:
+    """By SuperLU on one process; over ranks by PETSc, of matrices in parts."""
     if exchange.is_distributed:
         return SumInverse(free, exchange, symmetric)
-    return DirectSolver(free, inverse, symmetric)
+    return DirectSolver(free, symmetric)
 
 
 class Fallback:

@@ -1,5 +1,6 @@
 """GMRES and preconditioned conjugate gradients with inner products of the caller's, as those over ranks."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -41,6 +42,7 @@ def gmres(
     basis[0] = right / size
     hessenberg, start = np.zeros((directions + 1, directions)), np.zeros(directions + 1)
     start[0] = size
+    rotations, left = list[tuple[float, float]](), size
     for k in range(directions):
         new = basis[k + 1]
         new[:] = operator(basis[k])
@@ -57,12 +59,16 @@ def gmres(
                 break
         hessenberg[: k + 1, k] = column
         hessenberg[k + 1, k] = rest
-        system, wanted = hessenberg[: k + 2, : k + 1], start[: k + 2]
-        y = np.linalg.lstsq(system, wanted, rcond=None)[0]
-        left = float(np.linalg.norm(wanted - system @ y))
+        last = float(column[0])  # turned by the rotations that made the columns before triangular
+        for (cosine, sine), value in zip(rotations, column[1:].tolist(), strict=True):
+            last = cosine * value - sine * last
+        turned = math.hypot(last, rest)
+        rotations.append((last / turned, rest / turned) if turned else (0.0, 1.0))
+        left *= rotations[-1][1]
         if left <= rtol * size or rest <= _BREAKDOWN * length:
             break
         new /= rest
+    y = np.linalg.lstsq(hessenberg[: k + 2, : k + 1], start[: k + 2], rcond=None)[0]
     return y.astype(right.dtype) @ basis[: k + 1], k + 1
 
 

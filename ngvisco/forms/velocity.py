@@ -82,7 +82,7 @@ class WallProjection:
         if exchange.is_distributed:
             self._solver = SumInverse(solved, exchange)
         else:
-            self._solver = DirectSolver(solved, "umfpack", symmetric=True)
+            self._solver = DirectSolver(solved, symmetric=True)
 
     def update(self, diagonal: np.ndarray) -> None:
         """D, of the free coefficients.

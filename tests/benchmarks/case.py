@@ -149,7 +149,7 @@ def direct_floor(run: nv.Simulation) -> float:
     """The same with a factorisation of the velocity tangent as a whole, where the solver takes two levels."""
     newton = run.solver.newton
     preconditioner = newton.preconditioner
-    solver = DirectSolver(preconditioner.free, "umfpack", symmetric=True)
+    solver = DirectSolver(preconditioner.free, symmetric=True)
     with TaskManager():
         at = newton.residual(newton.unknowns.pack())
         began = time.perf_counter()

@@ -99,7 +99,7 @@ def rows(run: nv.Simulation) -> dict[str, np.ndarray]:
 
 def factorised(reduced: ReducedResidual, at: Evaluation, d: np.ndarray) -> list[np.ndarray]:
     """Solutions of the density's and the diffusing fields' systems for rows ``d``, packed."""
-    unknowns, sweep = reduced.unknowns, TransportSweeps(reduced, "umfpack")
+    unknowns, sweep = reduced.unknowns, TransportSweeps(reduced)
     sweep.update(at)
     sweep.linearise()
     z = d[unknowns.slices["z"]].reshape(unknowns.components["z"], -1)

@@ -1,7 +1,5 @@
 """The smoother of the two-level solver, and the facets of which the flow's operator takes notice."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -36,7 +34,7 @@ def test_two_levels_are_sweeps_around_a_coarse_solution():
     A = B @ B.T + n * np.eye(n)
     free, vertices, others = np.ones(n, dtype=bool), np.arange(n) < 10, np.zeros(n, dtype=bool)
     free[[3, 20]] = False
-    direct = partial(DirectSolver, inverse="umfpack")
+    direct = DirectSolver
     exchange = Exchange(n, {}, Communicator())
     solver = TwoLevelSolver(free, vertices, others, direct, exchange, dropped=1e-300)
     solver.factorise(sp.csr_matrix(A))

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from ngvisco.algebra import precision
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
-from ngvisco.algebra.sparse import ElementAssembly
+from ngvisco.algebra.sparse import ElementAssembly, Rounded, largest
 from ngvisco.forms.mesh.side_points import SidePoints
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity, SideJumps, value_of
@@ -85,10 +85,10 @@ class HyperDerivative:
 
     def _normalise(self) -> None:
         """Measure all in units of its own and round it: in SI units numbers may leave single precision."""
-        self._unit = unit = _largest(self._c)
+        self._unit = unit = largest(self._c)
         units = {"_c": unit, "_penalty": unit}
         if not self.hyper.law.is_linear:
-            H, j = _largest(self._hessian), _largest(self._j)
+            H, j = largest(self._hessian), largest(self._j)
             units |= {"_hessian": H, "_j": j}
             units |= {"_s_slope": unit / H**2, "_ss": unit / H**2, "_sq": unit / (H * j), "_qq": unit / j**2}
         for name, size in units.items():
@@ -96,7 +96,7 @@ class HyperDerivative:
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """The rows' derivative in the direction x = (v, a) side by side, (dim, unknowns)."""
-        length, split, h = _largest(x), self._of_hessian, self.hyper
+        length, split, h = largest(x), self._of_hessian, self.hyper
         values = self.of_component.by_cells(x.T / length)
         dj, rows = values[..., split:], (self.cells, h.dim * h.size)
         dH = product(values[..., :split].reshape(*rows, h.h_values.local), self._at_points)
@@ -152,11 +152,6 @@ class HyperDerivative:
         return c, law.penalty / sides.h * stretched
 
 
-def _largest(values: np.ndarray) -> float:
-    """The largest modulus, 1 where all are zero."""
-    return float(abs(values).max(initial=0.0)) or 1.0
-
-
 def _transposed(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Transposes of stacked matrices (cells, i, j) times values (cells, i): (cells, j, 1)."""
     return product(matrices.transpose(0, 2, 1), values[..., None])
@@ -202,15 +197,14 @@ class HyperTangent:
         _, coupling, facets = self._in_parts(of_jumps)
         self._facets.update(facets)
         E = -(self._facets.matrix() @ coupling.T).tocsr()
-        self.E_t = E.T.tocsr().astype(precision.SINGLE)
+        self.E_t = Rounded(E.T)
         own, coupling, others = self._in_parts(of_jumps + cell[:, None, None] * self._of_hessians)
         cross = (coupling.T + others @ E).tocsr()
         self.matrix = (own + coupling @ E + E.T @ cross).tocsr()
         self._facets.update(others)
-        # a = E v + (blocks)^{-1} (r - cross v), of (v, r) side by side, v with the kept a
-        solved = self._facets.matrix()
-        of_a = sp.hstack([E - solved @ cross, solved], format="csr")
-        self.solved = of_a.astype(precision.SINGLE)
+        # a = E v + (blocks)^{-1} (r - cross v), v with the kept a
+        of_rows = self._facets.matrix()
+        self.of_velocity, self.of_rows = Rounded(E - of_rows @ cross), Rounded(of_rows)
 
     def bordered(self, matrix: sp.csr_matrix, dim: int) -> sp.csr_matrix:
         """A matrix of the flow's unknowns, v's components first, with rows and columns of the kept a."""

@@ -18,9 +18,9 @@ from functools import partial
 
 import numpy as np
 
+from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import Direct, Fallback, MakesDirect, TwoLevelSolver, direct_solver
 from ngvisco.algebra.krylov import Map, gmres, improved
-from ngvisco.algebra.sparse import apply
 from ngvisco.errors import InputWarning
 from ngvisco.forms.mesh.mesh_arrays import mask_of, rigid_motions
 from ngvisco.parallel.petsc import SumInverse
@@ -39,6 +39,8 @@ ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
 """What sweeps may leave of them: Newton's iteration contracts by as much.  0.05 takes the same iterations and
 a tenth more time in a smooth run with creep; with a steep flow rule fewer, and fewer operators, which are
 made anew where an increment is above a tenth of the one before."""
+_LINEAR = 1e-3
+"""Tolerance of the flow's linear systems down to which directions are in single precision."""
 _IN_WORDS = {"wall_stress": "stresses of oblique or curved walls", "Pi": "a creep rate field"}
 
 
@@ -98,7 +100,7 @@ class Preconditioner:
     def __init__(self, residual: ReducedResidual, options: NewtonOptions) -> None:
         step, unknowns = residual.step, residual.unknowns
         self.unknowns, self.options, self.dim = unknowns, options.split, step.mesh.dim
-        self._inverse, self._coarse = options.inverse, options.coarse
+        self._coarse = options.coarse
         self.without_multigrid: str | None = None
         """Why vertices are factorised where the options have a multigrid for them."""
         k, m = step.discretisation.k, step.discretisation.m
@@ -112,7 +114,7 @@ class Preconditioner:
         order = m and 0.5 * m * (1 + max((flow.rule.degree for flow in steep), default=1.0))
         is_fine = bends or varies or order > step.quadrature.volume_degree // 2
         self.op = residual.op if is_fine else Operators(step, max(k - 1, math.ceil(order)))
-        self.sweep = TransportSweeps(residual, options.inverse)
+        self.sweep = TransportSweeps(residual)
         derivative = (
             None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
         )
@@ -149,7 +151,7 @@ class Preconditioner:
     def _solver(self, free: np.ndarray) -> Direct:
         """A solver for the velocity tangent with these free unknowns."""
         exchange, operator = self._of_tangent, self.operator
-        direct: MakesDirect = partial(direct_solver, inverse=self._inverse, exchange=exchange)
+        direct: MakesDirect = partial(direct_solver, exchange=exchange)
         number = np.arange(len(free))
         is_velocity = number < operator.nv
         count = int(self.ranks.total(int((free & exchange.owned)[: operator.size].sum())))
@@ -249,9 +251,11 @@ class Preconditioner:
         scale = np.ones_like(start)
         for where, length in zip(self._blocks, self._lengths, strict=True):
             scale[where] = self.exchange.norm(start, where) / np.sqrt(length) or 1.0
+        # single precision does not hold directions apart down to the tolerances of a linear map
+        kind = precision.SINGLE if tolerance > _LINEAR else np.float64
         y, self.iterations = gmres(
             lambda y: self._block(self._applied(scale * y)) / scale,
-            start / scale,
+            (start / scale).astype(kind),
             rtol=tolerance,
             directions=self.options.flow_iterations,
             products=self.exchange.products,
@@ -280,12 +284,12 @@ class Preconditioner:
         tangent, dim, size = self.hyper_tangent, self.dim, self.operator.nv
         kept, others = a[:, tangent.kept], a[:, tangent.eliminated]
         rows = np.concatenate([rows, kept.ravel()])
-        of_others = apply(tangent.E_t, others)[:, : size // dim]
+        of_others = tangent.E_t(others)[:, : size // dim]
         rows[:size] += self._of_velocity.sum(of_others).ravel()
         increment = self.solver(rows)
         flow, kept = increment[: len(self.free)], increment[len(self.free) :].reshape(kept.shape)
         da = np.empty_like(a)
         da[:, tangent.kept] = kept
-        beside = np.concatenate([flow[:size].reshape(dim, size // dim), kept, others], axis=1, dtype=a.dtype)
-        da[:, tangent.eliminated] = apply(tangent.solved, beside)
+        beside = np.concatenate([flow[:size].reshape(dim, size // dim), kept], axis=1)
+        da[:, tangent.eliminated] = tangent.of_velocity(beside) + tangent.of_rows(others)
         return np.concatenate([flow, da.ravel()])

@@ -178,9 +178,9 @@ class Split:
             return np.zeros_like(x), np.inf
         options, fresh = self.options.split, not self.is_factorised
         # in a step's first increment, too: a resumed run knows the state of the last preconditioner only
-        everything = fresh or last == np.inf
-        if self.is_steep and not everything:
-            everything = self._stale or (last > _STEEP and self.sharpness < _SHARP)
+        steep = self.is_steep and not fresh
+        follows = steep and (last == np.inf or self._stale or (last > _STEEP and self.sharpness < _SHARP))
+        everything = fresh or follows
         if fresh:
             self.renew(problem, at)
         else:

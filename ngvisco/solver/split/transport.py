@@ -166,7 +166,7 @@ class ConductionBlocks:
 class TransportSweeps:
     """Approximate inverses of the scalar transport of z and of the density equation."""
 
-    def __init__(self, residual: ReducedResidual, inverse: str) -> None:
+    def __init__(self, residual: ReducedResidual) -> None:
         self.residual, self.sweeps = residual, LEAST
         self.coupling = FacetCoupling(residual.side_op, residual.trace_mass)
         self._neighbours = self.coupling.neighbours()
@@ -178,14 +178,14 @@ class TransportSweeps:
         if residual.diffusion is not None:
             self._laplacian = residual.diffusion.laplacian(residual.inverse_mass)
             self._unknowns = residual.diffusion.unknowns
-            self._whole = direct_solver(np.ones(self._unknowns.count, dtype=bool), inverse, self._unknowns)
+            self._whole = direct_solver(np.ones(self._unknowns.count, dtype=bool), self._unknowns)
         self._conduction: ConductionBlocks | None = None
         for term in residual.claims.conducting:
             self._conduction = ConductionBlocks(residual, term, self.coupling)
             self._of_heat = HaloUnknowns(self.coupling.halo, op.z.blocks.shape[2])
-            self._heat = direct_solver(np.ones(self._of_heat.count, dtype=bool), inverse, self._of_heat)
+            self._heat = direct_solver(np.ones(self._of_heat.count, dtype=bool), self._of_heat)
         if residual.density is not None:
-            self._own = direct_solver(residual.density.free, inverse, residual.shared_density)
+            self._own = direct_solver(residual.density.free, residual.shared_density)
 
     def update(self, at: Evaluation) -> None:
         """Form the matrices and invert at an evaluation."""
