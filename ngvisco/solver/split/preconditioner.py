@@ -260,7 +260,8 @@ class Preconditioner:
             directions=self.options.flow_iterations,
             products=self.exchange.products,
         )
-        return y * scale
+        # sums of directions may have other last bits on each rank, and a resumed run has the owner's
+        return self.exchange.of_owners(y * scale)
 
     def _parts(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """The unknowns of the tangent of v and, where there is a hyperviscosity, the normal derivatives."""
