@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
-from ngvisco.case.faults import CaseError, Locator, expected_of, given, has_key, shown, tables_of
+from ngvisco.case.faults import CaseError, Locator, given, has_key, in_case, refused, shown, tables_of
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import Section, names_of, parameters
 from ngvisco.errors import InitialDataError, MeshError, NgviscoError, ParameterError, UnknownNameError
@@ -25,7 +25,7 @@ class Blame:
 
     def error(self, path: tuple[str, ...], message: str) -> CaseError:
         """The error of one fault, at a key path."""
-        return CaseError(self.source, [self.locator.fault(path, message)])
+        return CaseError(self.source, [self.locator.fault(path, in_case(message))])
 
     @contextmanager
     def located(self, *path: str) -> Iterator[None]:
@@ -36,9 +36,7 @@ class Blame:
             raise
         except ParameterError as error:
             key = key_of(error.field, path, self.sections, error.value)
-            raise self.error(
-                key, f"{self._written(key, error.value)}: expected {expected_of(error)}"
-            ) from error
+            raise self.error(key, refused(self._written(key, error.value), error)) from error
         except UnknownNameError as error:
             where = (*_SECTION_OF_NAME.get(error.kind, path), error.name)
             key = (*path, "names") if error.kind == "subdomain" else where
@@ -51,9 +49,8 @@ class Blame:
                 message = f"its energy at rest is not finite: expected other values of {names}"
                 raise self.error(("material",), message) from error
             key = self._initial_key(error.field, path)
-            start = (
-                f"{self._written(key, error.field)}: at the start {error.value}; expected {error.expected}"
-            )
+            there = shown(self._written(key, error.field))
+            start = f"{there}: at the start {error.value}; expected {error.expected}"
             raise self.error(key, str(error) if key[0] == "initial" else start) from error
         except MeshError as error:
             of_file = self.sections.domain.geometry == "file"  # type: ignore[attr-defined]
@@ -78,11 +75,11 @@ class Blame:
         known = ((key,) for word, key in _INITIAL_KEYS.items() if word in field)
         return ("initial", *next(chain(named, known), ()))
 
-    def _written(self, key: tuple[str, ...], value: object) -> str:
+    def _written(self, key: tuple[str, ...], value: object) -> object:
         """What the file has under a key, or what was made of it."""
         there = given(self.sections, key)
         is_whole = there is None or (isinstance(there, list) and any(isinstance(p, Section) for p in there))
-        return shown(value if is_whole else there)
+        return value if is_whole else there
 
 
 def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = None) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from ngvisco.case import toml
 from ngvisco.case.blame import Blame
-from ngvisco.case.faults import CaseError, Fault, Locator, faults_of, numbers_out_of_range
+from ngvisco.case.faults import CaseError, Fault, Locator, faults_of, numbers_out_of_range, refused
 from ngvisco.case.places import copy_of, digest_of, parts_of, reads_z, shape_of, shapes_with_files, united
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import Section, field_names, made, owner_of, parameters
@@ -321,7 +321,7 @@ class Case:
                 key = {("probes", "points"): "point", ("integrals", "integrands"): "of"}.get(
                     (path[1], key), key
                 )
-                raise refuse((*path, key), f"{error.value!r:.60}: expected {error.expected}") from error
+                raise refuse((*path, key), refused(error.value, error)) from error
             except UnknownNameError as error:
                 raise refuse((*path, {"wall": "walls"}.get(error.kind, "fields")), str(error)) from error
             except ExpressionError as error:

@@ -4,10 +4,13 @@ import difflib
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from ngvisco.case.schema import CaseSections
+from ngvisco.case.section import TAGS, models_in, owner_of, place_in
 from ngvisco.case.table import Section
 from ngvisco.case.toml import line_of, value_text
 from ngvisco.errors import NgviscoError, ParameterError
@@ -107,7 +110,7 @@ def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: 
     if isinstance(value, Wrong):
         return str(value)
     if isinstance(raised, ParameterError):
-        return f"{shown(raised.value)}: expected {expected_of(raised)}"
+        return refused(raised.value, raised)
     if raised is not None:
         return f"{shown(value)}: {raised}"
     if kind == "extra_forbidden":
@@ -138,11 +141,49 @@ def shown(value: object) -> str:
     return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
 
 
-def expected_of(error: ParameterError) -> str:
-    """What would be right, in the words of a case file."""
-    words = {"None": "nothing", "True": "true", "False": "false"}
-    expected = re.sub(r"(\w+) = None", r"no \1", error.expected)
-    return re.sub(r"\b(None|True|False)\b", lambda word: words[word[0]], expected)
+def refused(value: object, error: ParameterError) -> str:
+    """What a key has, nothing or a value, and what would be right."""
+    return f"{'is missing' if value is None else shown(value)}: expected {in_case(error.expected)}"
+
+
+def in_case(text: str) -> str:
+    """A text with what it names of Python, as ``nv.Slip(straight=True)``, as a case file has it."""
+    words = {"None": "nothing", "True": "true", "False": "false", "coefficient function": "expression"}
+
+    def key(named: re.Match[str]) -> str:
+        name, arguments, parameter = named.groups()
+        if name not in _places():
+            return named[0]
+        path, kind = _places()[name]
+        if parameter is not None:
+            return f"{path}.{parameter}"
+        given = [one.split("=", 1) for one in arguments.split(", ") if "=" in one and "..." not in one]
+        kinds = [] if kind is None else [f'{path}.kind = "{kind}"']
+        return ", ".join([*kinds, *(f"{path}.{key} = {value}" for key, value in given)]) or path
+
+    text = re.sub(r"(\w+) = None", r"no \1", text)
+    text = re.sub(r"(\w+)\['(\w+)'\]", r"\1.\2", text)
+    text = re.sub(r"\b(?:nv\.)?([A-Z]\w*)(?:\(([^()]*)\)|\.(\w+))", key, text)
+    return re.sub(rf"\b({'|'.join(words)})\b", lambda word: words[word[0]], text)
+
+
+@cache
+def _places() -> dict[str, tuple[str, str | None]]:
+    """The tables that hold the parameters of classes and functions, by their names, and their kinds."""
+    found: dict[str, tuple[str, str | None]] = {"Model": ("rheology", None)}
+
+    def look(model: type[BaseModel], path: tuple[str, ...]) -> None:
+        tags = [tag for tag in TAGS if tag in model.model_fields]
+        kind = str(get_args(model.model_fields[tags[0]].annotation)[0]) if tags else None
+        for name in (model.__name__, owner_of(model).__name__):
+            if name not in found or len(path) < len(found[name][0].split(".")):
+                found[name] = ".".join(path), kind
+        for name, field in model.model_fields.items():
+            for inner in models_in(field.annotation):
+                look(inner, (*path, name, *place_in(field.annotation)))
+
+    look(CaseSections, ())
+    return found
 
 
 def _resolve(model: type[BaseModel], location: tuple[Any, ...]) -> tuple[tuple[str, ...], str, list[str]]:
@@ -167,13 +208,6 @@ def _resolve(model: type[BaseModel], location: tuple[Any, ...]) -> tuple[tuple[s
             known = list(fields)
             path.append(str(part))
     return tuple(path), here, known
-
-
-def models_in(annotation: Any) -> list[type[BaseModel]]:
-    """The sections that a schema's type holds."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return list(dict.fromkeys(found for part in get_args(annotation) for found in models_in(part)))
 
 
 def numbers_out_of_range(sections: Section, locator: Locator) -> list[Fault]:

@@ -9,7 +9,7 @@ import inspect
 import json
 import re
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -17,22 +17,22 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 from pydantic import BaseModel
 
 from ngvisco.case import catalogue, toml
-from ngvisco.case.faults import models_in
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import _TARGETS, annotation_of, owner_of
+from ngvisco.case.section import _TARGETS, TAGS, annotation_of, models_in, owner_of, place_in
 from ngvisco.case.values import (
     LawValue,
     ModulusValue,
     NumberValues,
     RegionText,
+    RowsValue,
     ScalarValue,
     TensorValue,
     VectorValue,
 )
 from ngvisco.errors import ParameterError, Quantity
-
-_TAGS = ("geometry", "kind")
+from ngvisco.run import fields as output
+from ngvisco.run import passive
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def _walk(model: type[BaseModel], path: tuple[str, ...], kinds: tuple[str, ...])
     fields = sorted(model.model_fields.items(), key=lambda field: bool(models_in(field[1].annotation)))
     for name, field in fields:  # tables come last, as in a file
         here, inner = (*path, name), models_in(field.annotation)
-        if name in _TAGS:
+        if name in TAGS:
             continue
         said, default = quantity(model, name), None if inner or field.is_required() else field.default
         example = (
@@ -126,13 +126,13 @@ def _walk(model: type[BaseModel], path: tuple[str, ...], kinds: tuple[str, ...])
             meaning(model, name),
             None if inner else example,
         )
-        below = (*here, *_place(field.annotation))
+        below = (*here, *place_in(field.annotation))
         if inner and below not in _SAME_KEYS:
             yield from _walk_kinds(inner, below, name)
 
 
 def _walk_kinds(models: list[type[BaseModel]], path: tuple[str, ...], name: str) -> Iterator[Entry]:
-    tag = next((tag for tag in _TAGS if tag in models[0].model_fields), None)
+    tag = next((tag for tag in TAGS if tag in models[0].model_fields), None)
     if tag is not None:
         names = tuple(kind_of(model, tag) for model in models)
         required = all(model.model_fields[tag].is_required() for model in models)
@@ -159,12 +159,6 @@ def kind_of(model: type[BaseModel], tag: str) -> str:
     return str(get_args(model.model_fields[tag].annotation)[0])
 
 
-def _place(annotation: Any) -> tuple[str, ...]:
-    """What stands between a table's name and its keys: nothing, a name, or an index."""
-    origin = get_origin(annotation)
-    return ("NAME",) if origin is dict else ("N",) if origin is list else ()
-
-
 def type_text(annotation: Any) -> str:
     """A schema's type in words."""
     plain = {
@@ -177,6 +171,7 @@ def type_text(annotation: Any) -> str:
         LawValue: "number, expression of theta, or three rows of three numbers",
         ScalarValue: "number or expression",
         VectorValue: "array of numbers or expressions",
+        RowsValue: "three rows of three numbers or expressions",
         TensorValue: "number, expression, or three rows of three of them",
     }
     if annotation in plain:
@@ -204,7 +199,7 @@ def type_text(annotation: Any) -> str:
 
 
 def explain(path: str) -> str:
-    """What a key, or a section with all its keys, means.
+    """What a key, a section with its keys, a kind or a field of the output means, or where a word is said.
 
     Raises ParameterError with the nearest known paths.
 
@@ -212,7 +207,7 @@ def explain(path: str) -> str:
     ----------
     path : str
         As in messages and in ``--set``: ``time.dt``, ``walls.top.velocity``, ``loads.0.g``, ``material``, or
-        a kind: ``NeoHookean``, ``material.NeoHookean``.
+        a kind: ``NeoHookean``, ``material.NeoHookean``; in any case of letters, where that is one of them.
     """
     every = entries()
     wanted = tuple(part for part in path.strip().strip(".").split(".") if part)
@@ -220,29 +215,60 @@ def explain(path: str) -> str:
         if len(wanted) > len(place) and matches(place, wanted[: len(place)]):
             wanted = (*same, *wanted[len(place) :])
     kinds = {kind: entry.path[:-1] for entry in every for kind in entry.kinds}
+    fields = [f"output: the field {name} is {what}" for name, what in _fields(wanted[-1] if wanted else "")]
+    names = [*{entry.path[-1] for entry in every}, *kinds]
+    if wanted and not fields and wanted[-1] not in names:
+        found = [name for name in sorted(names) if name.lower() == wanted[-1].lower()]
+        wanted = (*wanted[:-1], *(found or wanted[-1:])[:1])
     if wanted and wanted[-1] in kinds:
         kind, section = wanted[-1], kinds[wanted[-1]]
-        own = [e for e in every if e.path[:-1] == section and (kind in e.kinds or e.path[-1] in _TAGS)]
-        doc = next((summary(made) for model, made in _TARGETS.items() if model.__name__ == kind), "")
-        return "\n\n".join([f"{kind}: {doc}" if doc else kind, *(card(entry) for entry in own)])
+        tag = [replace(e, example=kind) for e in every if e.path[:-1] == section and e.path[-1] in TAGS]
+        own = [*tag, *(e for e in every if e.path[:-1] == section and kind in e.kinds)]
+        return "\n\n".join([_said_of(kind), *cards(own)])
     exact = [entry for entry in every if matches(entry.path, wanted)]
     # a name alone is that of a key in all tables that have it
     exact = exact or [entry for entry in every if entry.path[-1:] == wanted]
     below = [e for e in every if len(e.path) > len(wanted) and matches(e.path[: len(wanted)], wanted)]
-    if not wanted or not exact + below:
+    if wanted and below:
+        title = [f"[{path}]  {entry.type}: {entry.meaning}" for entry in exact]
+        return "\n".join([*title, *(line(entry) for entry in below)])
+    said = [*cards(exact), *fields] or _mentions(every, kinds, wanted)
+    if not said:
         last = {entry.path[-1]: entry.name for entry in every}
-        alike = [*last, *kinds] if wanted else []
-        close = [last.get(name, name) for name in alike if name.lower() == wanted[-1].lower()]
-        close += [last[name] for name in difflib.get_close_matches(wanted[-1], last, n=2)] if wanted else []
-        names = dict.fromkeys(entry.name for entry in every)
-        close += difflib.get_close_matches(path, [*names, *kinds], n=3, cutoff=0.4)
+        close = [last[name] for name in difflib.get_close_matches(wanted[-1], last, n=2)] if wanted else []
+        names = [*dict.fromkeys(entry.name for entry in every), *kinds]
+        close += difflib.get_close_matches(path, names, n=3, cutoff=0.4)
         close = list(dict.fromkeys(close))[:3]
         hint = f"such as {', '.join(close)}; " if close else ""
         raise ParameterError("KEY", path, f"a key of a case file, {hint}ngvisco list --keys has them all")
-    if not below:
-        return "\n\n".join(card(entry) for entry in exact)
-    title = [f"[{path}]  {entry.type}: {entry.meaning}" for entry in exact]
-    return "\n".join([*title, *(line(entry) for entry in below)])
+    return "\n\n".join(said)
+
+
+def _said_of(kind: str) -> str:
+    """A kind, and what it is."""
+    doc = next((summary(made) for model, made in _TARGETS.items() if model.__name__ == kind), "")
+    return f"{kind}: {doc}" if doc else kind
+
+
+def _fields(name: str) -> list[tuple[str, str]]:
+    """Fields of the output of this name, and what their modules say of them."""
+    tables = f"{output.__doc__}{passive.__doc__}"
+    rows = re.findall(r"^\| (\w+) +\| (.*\S) +\| [^|]*\|$", tables, re.M)
+    return [(name, what) for named, what in rows if named == re.sub(r"_\d$", "_i", name)]
+
+
+def _mentions(
+    every: Sequence[Entry], kinds: Mapping[str, tuple[str, ...]], wanted: tuple[str, ...]
+) -> list[str]:
+    """Kinds and keys of which a word is said; none where it is said of half of them."""
+    word = re.compile(rf"\b{re.escape(wanted[0])}" if len(wanted) == 1 else r"\Z\b", re.IGNORECASE)
+    docs = {model.__name__: inspect.getdoc(made) or "" for model, made in _TARGETS.items()}
+    said = [_said_of(kind) for kind in kinds if word.search(re.split(r"\n\w+\n--", docs.get(kind, ""))[0])]
+    said += [line(entry).strip() for entry in every if word.search(f"{entry.type} {entry.meaning}")]
+    return said if len(said) < _MANY else []
+
+
+_MANY = 40
 
 
 def listing() -> str:
@@ -266,15 +292,24 @@ def line(entry: Entry) -> str:
     return f"  {entry.name}{kinds}: {entry.type}{unit}; {entry.default_text}; {entry.meaning}"
 
 
-def card(entry: Entry) -> str:
-    """A key with all that is known of it, on lines of their own."""
+def cards(every: Sequence[Entry]) -> list[str]:
+    """Keys with all that is known of them, on lines of their own; kinds that differ by words share a card."""
+    groups: dict[tuple[str, ...], list[Entry]] = {}
+    for entry in every:
+        groups.setdefault((entry.name, entry.type, entry.unit, entry.default_text), []).append(entry)
+    return [_card(group) for group in groups.values()]
+
+
+def _card(group: list[Entry]) -> str:
+    entry, is_one = group[0], len(group) == 1
     rows = [("type", entry.type)]
     if entry.unit:
         rows.append(("unit", "none (a pure number)" if entry.unit == "1" else entry.unit))
-    rows += [("default", entry.default_text), ("meaning", entry.meaning)]
+    rows.append(("default", entry.default_text))
+    rows += [("meaning", e.meaning if is_one else f"{e.meaning} ({', '.join(e.kinds)})") for e in group]
     if entry.example is not None:
         rows.append(("example", entry.example_text))
-    if entry.kinds:
+    if is_one and entry.kinds:
         rows.append(("of", ", ".join(entry.kinds)))
     return "\n".join([entry.name, *(f"  {name:8s} {text}" for name, text in rows)])
 
@@ -326,7 +361,7 @@ def json_schema() -> dict[str, Any]:
         node = schema if model is CaseSections else schema["$defs"][name]
         node["title"] = name
         for field_name, prop in list(node["properties"].items()):
-            if field_name not in _TAGS:
+            if field_name not in TAGS:
                 if quantity(model, field_name).unit not in ("", "1", "any"):
                     node["properties"][field_name] = prop = _with_quantities(prop)
                 prop.update(_annotations(model, field_name))

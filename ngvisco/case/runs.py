@@ -17,6 +17,7 @@ from ngsolve import CoefficientFunction, Mesh
 from ngvisco.case import changes
 from ngvisco.case.build import Case
 from ngvisco.case.directory import RunDirectory, RunDirectoryError
+from ngvisco.case.faults import in_case
 from ngvisco.errors import CheckpointError, StepError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
@@ -312,7 +313,7 @@ def noting_warnings(note: Callable[[str], None]) -> Iterator[None]:
     shown = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
-        note(f"{category.__name__}: {message}")
+        note(f"{category.__name__}: {in_case(str(message))}")
         shown(message, category, *where, **options)
 
     with warnings.catch_warnings():

@@ -27,6 +27,7 @@ from ngvisco.case.values import (
     LawValue,
     ModulusValue,
     NumberValues,
+    RowsValue,
     ScalarValue,
     TensorValue,
     VectorValue,
@@ -40,6 +41,8 @@ from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.run.stepping import AdaptiveSteps
 
+TAGS = ("geometry", "kind")
+"""Keys whose value chooses a section."""
 _LAWS: tuple[type, ...] = (MaterialObject, FlowRule, Viscosity)
 
 
@@ -59,7 +62,7 @@ def _annotation(hint: Any) -> Any:
     if origin in (Union, types.UnionType):
         if _mentions_function(hint):
             is_vector = any(get_origin(part) is collections.abc.Sequence for part in arguments)
-            field = VectorValue if is_vector else ScalarValue if float in arguments else TensorValue
+            field = VectorValue if is_vector else ScalarValue if float in arguments else RowsValue
             return field | None if type(None) in arguments else field
         of_python = (collections.abc.Callable, os.PathLike)  # no case file has these
         given = [part for part in arguments if get_origin(part) not in of_python]
@@ -150,6 +153,19 @@ def section(
 _ANNOTATIONS: dict[type[BaseModel], dict[str, Any]] = {}
 """As they were given: pydantic takes those apart that say which functions a key takes."""
 _TARGETS: dict[type[BaseModel], Callable[..., Any]] = {}
+
+
+def models_in(annotation: Any) -> list[type[BaseModel]]:
+    """The sections that a schema's type holds."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return list(dict.fromkeys(found for part in get_args(annotation) for found in models_in(part)))
+
+
+def place_in(annotation: Any) -> tuple[str, ...]:
+    """What stands between a table's name and its keys: nothing, a name, or an index."""
+    origin = get_origin(annotation)
+    return ("NAME",) if origin is dict else ("N",) if origin is list else ()
 
 
 def annotation_of(model: type[BaseModel], name: str) -> Any:

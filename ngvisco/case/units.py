@@ -17,9 +17,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from ngvisco.case.faults import Wrong, models_in
+from ngvisco.case.faults import Wrong
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.reference import quantity
+from ngvisco.case.section import models_in
 from ngvisco.case.values import FIELDS, NumberValues, is_table
 from ngvisco.expressions import ExpressionError, parse, parse_region
 

@@ -45,11 +45,15 @@ def _check_vector(value: Any) -> Any:
 
 def _check_tensor(value: Any) -> Any:
     """A number or an expression, or three rows of three of them; raises ValueError."""
-    if not isinstance(value, list):
-        return _check_scalar(value)
-    if [len(row) if isinstance(row, list) else 0 for row in value] != [3, 3, 3]:
+    return _check_rows(value) if isinstance(value, list) else _check_scalar(value)
+
+
+def _check_rows(value: Any) -> Any:
+    """Three rows of three numbers or expressions; raises ValueError."""
+    rows = value if isinstance(value, list) else []
+    if [len(row) if isinstance(row, list) else 0 for row in rows] != [3, 3, 3]:
         raise ValueError("expected three rows of three, as in [[1, 0, 0], [0, 1, 0], [0, 0, 1]]")
-    for row in value:
+    for row in rows:
         for part in row:
             _check_scalar(part)
     return value
@@ -67,7 +71,9 @@ TensorValue = Annotated[
     Any, AfterValidator(_check_tensor), WithJsonSchema({"type": ["number", "string", "array"]})
 ]
 """A tensor field, or a variable, which may be a scalar."""
-FIELDS = (ScalarValue, VectorValue, TensorValue)
+RowsValue = Annotated[Any, AfterValidator(_check_rows), WithJsonSchema({"type": "array"})]
+"""A tensor field."""
+FIELDS = (ScalarValue, VectorValue, TensorValue, RowsValue)
 
 
 def _check_numbers(value: list[Any]) -> list[Any]:

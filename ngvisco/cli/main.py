@@ -302,10 +302,12 @@ def _notices() -> Callable[..., None]:
     """Warnings in the words of the command: where in the code one arose helps no user of case files."""
     from ngvisco.notices import Notices
 
-    return Notices(
-        lambda message, category: streams.complain(f"warning: {message}"),
-        lambda message, *where, **options: streams.complain(f"warning: {message}"),
-    )
+    def say(message: object, *where: object, **options: object) -> None:
+        from ngvisco.case.faults import in_case  # late, as the commands
+
+        streams.complain(f"warning: {in_case(str(message))}")
+
+    return Notices(say, say)
 
 
 def _say(message: str, code: int) -> int:

@@ -11,6 +11,7 @@ from ngvisco import case as cases
 from ngvisco.case.directory import RunDirectory
 from ngvisco.errors import CheckpointError, ParameterError
 from ngvisco.run.checkpoint import read_ledger
+from ngvisco.run.refinement import stretches
 from ngvisco.run.scales import scales
 from ngvisco.run.simulation import Simulation
 from ngvisco.threads import computing
@@ -25,6 +26,8 @@ def check(options: argparse.Namespace) -> int:
     case = cases.load_case(options.case, options.settings)
     mesh = case.mesh()
     run = case.simulation(mesh)
+    if (adapt := case.refinement) is not None:
+        first, mesh = mesh, (run := next(stretches(run, adapt, case.until, mesh, None))[0]).mesh
     layout = run.rothe_step.layout
     condensed = sum(layout.space.FreeDofs(True))
     steps = round(case.until / run.dt)
@@ -32,6 +35,12 @@ def check(options: argparse.Namespace) -> int:
     print(f"{options.case}: valid")
     walls = ", ".join(sorted(set(mesh.GetBoundaries())))
     print(f"mesh       {mesh.ne} cells, {mesh.nv} vertices, {kind}, walls {walls}")
+    if adapt is not None:
+        most = first.ne * 2 ** (mesh.dim * adapt.levels)
+        print(
+            f"adapt      by {adapt.field}, anew every {adapt.every:g} s: from {first.ne} cells to about "
+            f"{most}; all sizes and times here are those of the start"
+        )
     print(f"unknowns   {layout.space.ndof}, of which {condensed} are solved for after condensation")
     print(
         f"time       {steps} steps of {run.dt:g} s to t = {case.until:g} s"
@@ -104,9 +113,9 @@ def info(options: argparse.Namespace) -> int:
     if not len(ledger.get("time", ())):
         raise CheckpointError(f"{place.run_file}: its ledger is empty")
     end, step = ledger["time"][-1], int(ledger["step"][-1])
-    finished = end >= case.until * (1 - 1e-9)
-    state = "finished" if finished else f"resumable: ngvisco resume {place.path}"
-    print(f"state      t = {end:g} of {case.until:g} s, step {step}; {state}")
+    of = " s, beyond the case's" if end > case.until * (1 + 1e-9) else " of"
+    state = f"resumable: ngvisco resume {place.path}" if end < case.until * (1 - 1e-9) else "finished"
+    print(f"state      t = {end:g}{of} {case.until:g} s, step {step}; {state}")
     print(f"energy     kinetic {ledger['kinetic'][-1]:.6e} J, stored {ledger['stored'][-1]:.6e} J")
     print(
         f"ledger     largest |closure| {np.abs(ledger['closure_relative']).max():.1e}, "

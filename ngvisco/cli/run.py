@@ -53,9 +53,9 @@ class ProgressBar(Progress):
         )
 
     def finish(self, simulation: Simulation) -> None:
-        is_over = simulation.stop_requested or simulation.t >= self.until * (1 - 1e-9)
-        advice = dissipation_advice(simulation) if is_over else None
-        streams.write("\n" if advice is None else f"\n{advice}\n")
+        if simulation.stop_requested or simulation.t >= self.until * (1 - 1e-9):
+            advice = dissipation_advice(simulation)
+            streams.write("\n" if advice is None else f"\n{advice}\n")
 
     def _draw(self, simulation: Simulation, row: dict[str, float]) -> None:
         done, left = simulation.t / self.until, self._left(simulation)

@@ -23,6 +23,7 @@ from ngvisco.physics.flow_rules.linear import Creep
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically
+from ngvisco.run.scales import diameter
 from ngvisco.run.stepping import step_under_way
 from ngvisco.run.vtu import shown_by, write_vtu
 from ngvisco.solver.problem import Attempt, iterations
@@ -34,6 +35,8 @@ _SHOWN = 4
 """Increments of an attempt's last iterations that a report shows."""
 _RULE = 80 * "-"
 
+_ROUNDING = 1e-12
+"""Of the usual |v|/h, up to which the flow is at rest."""
 _FAST = 1.0
 """Courant number above which a report speaks of it."""
 
@@ -58,8 +61,8 @@ class FailureReport:
     state : array or None
         All coefficients of that solution, over ranks this rank's, for ``showing``.
     courant : float
-        Largest tau |v|/h at the state before, in cell ``fastest`` at ``place`` (m), near ``wall``.  Cells
-        have their numbers in the whole mesh, or None where that is not known.
+        Largest tau |v|/h at the state before, 0 at rest, in cell ``fastest`` at ``place`` (m), near ``wall``.
+        Cells have their numbers in the whole mesh, or None where that is not known.
     history : tuple of Attempt
         What was tried, from which start values.
     advice : tuple of str
@@ -84,7 +87,9 @@ class FailureReport:
         near = "" if self.wall is None else f", nearest wall {self.wall!r}"
         cell = "" if self.fastest is None else f"in cell {self.fastest} "
         first, *others = self.advice
-        what = self.violation or f"no solution was found; the flow is fastest at ({at}) m{near}"
+        where = f"the flow is fastest at ({at}) m{near}" if self.courant else "from rest"
+        what = self.violation or f"no solution was found; {where}"
+        fast = f"Courant number {self.courant:.3g} at most, {cell}at ({at}) m{near}"
         lines = [
             f"what       step {self.number} over {self.tau:.4g} s was not taken: {what}",
             f"change     {first}",
@@ -92,7 +97,7 @@ class FailureReport:
             _RULE,
             *(f"or change  {line}" for line in others),
             f"reason     {self.reason}",
-            f"flow       Courant number {self.courant:.3g} at most, {cell}at ({at}) m{near}",
+            f"flow       {fast if self.courant else 'at rest'}",
             *(f"tried      {line}" for line in _described(self.history)),
         ]
         return "\n".join(lines)
@@ -148,7 +153,9 @@ def _fastest(simulation: Simulation) -> tuple[float, int | None, tuple[float, ..
         cell = number_of(simulation.mesh, int(sampler.cells[fastest]))
         mine = float(rates[fastest]), cell, tuple(float(c) for c in place)
     every = [one for one in simulation.ranks.gathered(mine) if one is not None]
-    return min(every, key=lambda one: (-one[0], -1 if one[1] is None else one[1]))
+    rate, fastest, place = min(every, key=lambda one: (-one[0], -1 if one[1] is None else one[1]))
+    usual = simulation.velocity_scale / diameter(simulation.mesh, simulation.ranks)
+    return rate if rate > _ROUNDING * usual else 0.0, fastest, place
 
 
 def _of_sharp_creep(creep: FlowRule | None, rate: float) -> list[str]:
@@ -169,7 +176,8 @@ def _advice(simulation: Simulation, violation: Violation | None, courant: float,
         shorter += f"; the largest Courant number is {courant:.3g}"
     lines.append(shorter)
     if violation is None:
-        lines[:0] = _of_sharp_creep(simulation.model.creep, rate)
+        met, way = simulation.rothe_step.energy.last_failure, simulation.solver.other_way
+        lines[:0] = [*_of_sharp_creep(simulation.model.creep, rate), *filter(None, (met, way))]
         lines.append("more viscosity, or a start, walls and loads that change over several steps")
         return lines
     near = "there" if violation.wall is None else f"near {violation.wall!r}"

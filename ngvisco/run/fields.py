@@ -1,4 +1,15 @@
-"""The fields of a run under their names, for output, plots and users.
+"""The fields of a run under their names, for output, plots and users; beside them the material's variables.
+
+| name                 | what                                                                  | unit |
+|----------------------|-----------------------------------------------------------------------|------|
+| velocity             | v                                                                     | m/s  |
+| density              | rho, kg/m^3                                                           |      |
+| cauchy_stress        | T, 3x3: of the stored energy, without the viscous stress              | Pa   |
+| pressure             | -tr T/3                                                               | Pa   |
+| pressure_from_rest   | the same less that of F = I, which a body of fixed shape does not feel | Pa  |
+| von_mises            | sqrt(3/2) |dev T|                                                     | Pa   |
+| temperature          | theta, of materials with heat                                         | K    |
+| body                 | the number, from 1, of the body whose fraction is the largest         | 1    |
 
 Further stresses and rates are written only where they are asked for by name:
 
@@ -54,11 +65,7 @@ def require_names_of_their_own(material: Material, further: Sequence[str] = ()) 
 
 
 def output_fields(step: Step) -> dict[str, CoefficientFunction]:
-    """Velocity, density, variables, Cauchy stress, pressure, von Mises stress, further unknowns that evolve.
-
-    ``pressure_from_rest`` is the pressure less that of the material at rest, F = I, whose stress phi(I) I
-    a body of a fixed shape does not feel.  Those of ``ngvisco.run.fields`` follow.
-    """
+    """Those of the module's docstring, the material's variables, and further unknowns that evolve."""
     u, material = step.now, step.model.material
     T = cauchy_stress(material, u.z_tensors, u.zeta_tensors, step.energy.anywhere(u))
     theta = temperature(material, u.zeta_tensors)

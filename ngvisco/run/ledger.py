@@ -50,7 +50,7 @@ _UNITS = {
     "kg": ("mass",),
     "kg/m^3": ("rho_min", "rho_max"),
     "m/s": ("v_max",),
-    "K": ("temperature_min",),
+    "K": ("temperature_min", "temperature_max"),
     "J/K": ("entropy",),
     "W/m^3": ("creep_power_min",),
     "m^3": ("cutoff_volume",),
@@ -128,7 +128,7 @@ class Ledger:
         self._rates = EntryIntegrals(step, {e.name: e for e in self.entries if e.kind in RATES})
         theta = temperature(step.model.material, step.now.zeta_tensors)
         power = step.context.rates.dissipation(step.now)
-        watched = {"temperature_min": theta, CREEP_POWER: power}
+        watched = {"temperature_min": theta, "temperature_max": theta, CREEP_POWER: power}
         self._watched = {name: value for name, value in watched.items() if value is not None}
         self._monitors = self._monitor_functions()
         self._warned: set[type[NgviscoWarning]] = set()
@@ -358,7 +358,10 @@ class Ledger:
             "defect_max": largest,
             "v_max": ranks.most(values[:, 2]),
             "cfl": tau * ranks.most(values[:, 3]),
-            **{name: ranks.least(values[:, 4 + i]) for i, name in enumerate(self._watched)},
+            **{
+                name: (ranks.most if name.endswith("_max") else ranks.least)(values[:, 4 + i])
+                for i, name in enumerate(self._watched)
+            },
         }
 
     def _relative_defects(self, time: float) -> tuple[float, float]:

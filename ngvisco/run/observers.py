@@ -58,6 +58,7 @@ class Progress:
         require_count("Progress", every=every)
         require_positive("Progress", until=until)
         self.until, self.every, self.stream = float(until), int(every), stream
+        self._last = ""
 
     def _set_out(self, simulation: Simulation) -> None:
         self._began, self._from = clock.perf_counter(), simulation.t
@@ -75,7 +76,10 @@ class Progress:
         steps = (
             "adaptive steps" if simulation.is_adaptive else f"{self._total[1:]} steps of {simulation.dt:g} s"
         )
-        self._print(f"{cells} cells, {unknowns} unknowns, {steps}, {simulation.scheme}")
+        line = f"{cells} cells, {unknowns} unknowns, {steps}, {simulation.scheme}"
+        if line != self._last:  # a run on meshes that follow a field starts on each of them
+            self._print(line)
+        self._last = line
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
         at_end = simulation.t >= self.until * (1 - 1e-9)
@@ -97,10 +101,11 @@ class Progress:
 
     def finish(self, simulation: Simulation) -> None:
         finished = simulation.t >= self.until * (1 - 1e-9)
-        word = "finished at" if finished else "stopped at" if simulation.stop_requested else "reached"
-        self._print(f"{word} t = {simulation.t:g} s after {steps_in_words(simulation)}")
-        advice = dissipation_advice(simulation) if word != "reached" else None
-        if advice is not None:
+        if not (finished or simulation.stop_requested):  # it goes on
+            return
+        word = "finished" if finished else "stopped"
+        self._print(f"{word} at t = {simulation.t:g} s after {steps_in_words(simulation)}")
+        if (advice := dissipation_advice(simulation)) is not None:
             self._print(advice)
 
     def _print(self, line: str) -> None:
@@ -112,7 +117,7 @@ class Progress:
 def steps_in_words(simulation: Simulation) -> str:
     """How many steps there were, and of how many parts where some were not taken as a whole."""
     steps, rows = simulation.step_number, simulation.number
-    return f"{steps} steps" if steps == rows else f"{steps} steps in {rows} parts"
+    return f"{steps} step{'s' * (steps != 1)}" + (f" in {rows} parts" if steps != rows else "")
 
 
 def limited_in_words(row: dict[str, float]) -> str:

@@ -30,6 +30,8 @@ PAGE, LABELS = 7.2, 9
 """Width of pictures, inches, that of a page; the size of the smallest labels, points."""
 COLOURS, SHRINK = "viridis", 0.75
 """The scale of colours, and its length in heights of what it is beside."""
+_LEVEL = 1e-10
+"""Of a quantity: by less it is drawn as varying by nothing."""
 _PIECES, _DRAWN = 6, 200_000  # of the sides of triangles, and triangles in all
 
 
@@ -183,7 +185,8 @@ def plot_schemes(ledgers: Mapping[str, Ledger], path: str | os.PathLike[str]) ->
 
 def plot_history(ledger: Ledger, path: str | os.PathLike[str]) -> None:
     """Dissipations and powers, extrema, iterations and step lengths over time, an axis for each quantity,
-    and with heat the entropy's production and the least temperature; formats as ``plot_energies``."""
+    and with heat the entropy's production and the temperature; formats as ``plot_energies``.  What varies by
+    rounding is drawn as a level line."""
     _require_steps("plot_history.ledger", ledger)
     is_warm = "temperature_min" in ledger.columns
     fig, axes = figure(5 if is_warm else 4, 2, (PAGE, 11.9 if is_warm else 9.5))
@@ -198,8 +201,8 @@ def plot_history(ledger: Ledger, path: str | os.PathLike[str]) -> None:
         production.set(title="production of entropy, W/K")
         if production.lines:
             production.legend(fontsize=LABELS)
-        warmth.plot(t, ledger.column("temperature_min"))
-        warmth.set(title="least temperature, K")
+        warmth.plot(t, np.transpose([ledger.column(f"temperature_{end}") for end in ("min", "max")]))
+        warmth.set(title="least and largest temperature, K")
     for entry in ledger.entries:
         if entry.kind in _OF_ENERGY:
             style = "--" if entry.kind == "power" else "-"
@@ -207,8 +210,7 @@ def plot_history(ledger: Ledger, path: str | os.PathLike[str]) -> None:
     rates.set(title="dissipations and powers, W")
     if rates.lines:
         rates.legend(fontsize=LABELS)
-    for name, label in (("rho_min", "min"), ("rho_max", "max")):
-        density.plot(t, ledger.column(name), label=label)
+    density.plot(t, np.transpose([ledger.column(name) for name in ("rho_min", "rho_max")]))
     density.set(title="least and largest density, kg/m³")
     for axis, name, title in (
         (volume, "J_min", "least J"),
@@ -228,7 +230,16 @@ def plot_history(ledger: Ledger, path: str | os.PathLike[str]) -> None:
             axis.set_ylim(0, 1.1 * float(values[1:].max()) or 1.0)
     for axis in axes[-1]:
         axis.set_xlabel("time, s")
+    for axis in axes.ravel():
+        axis.set_ylim(widened(*axis.get_ylim()))
     save(fig, path)
+
+
+def widened(low: float, high: float) -> tuple[float, float]:
+    """The range of a quantity, a tenth of it where it varies by rounding."""
+    size = max(abs(low), abs(high))
+    more = 0.05 * size if high - low < _LEVEL * size else 0.0
+    return low - more, high + more
 
 
 def plot_fields(
@@ -271,6 +282,7 @@ def plot_fields(
     for name, axis, image in zip(named, picture.axes, picture.images, strict=True):
         axis.set_title(name)
         image.autoscale()
+        image.set_clim(*widened(*image.get_clim()))
     picture.suptitle(title)
     save(picture.figure, path)
 

@@ -34,7 +34,9 @@ from ngvisco.forms.mesh.mesh_arrays import coordinates, is_simplicial, vertices
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import of_whole, whole_of
 from ngvisco.run.checkpoint import Checkpoints, ChosenMesh, mesh_of_checkpoints
+from ngvisco.run.fields import field_unit
 from ngvisco.run.meshfile import mesh_image, mesh_of
+from ngvisco.run.scales import Place, diameter, extreme_places
 from ngvisco.run.simulation import Simulation
 from ngvisco.run.transfer import go_on, require_fit, transfer
 
@@ -42,8 +44,10 @@ _TOO_LARGE = 1.5
 """Volume of a cell over that asked for from which it is divided: bisection gives powers of two."""
 _SAME_TIME = 1e-9
 """Of ``every``, up to which a time is one at which the mesh is chosen."""
-_FLAT = 1e-9
-"""Of its largest value; a field that varies by less over the domain is steep nowhere."""
+_FLAT, _ROUNDING = 1e-9, 1e-12
+"""Of its largest value, and of what is usual in the run; a field that varies by less over the domain is steep
+nowhere."""
+_LEVELS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,15 +74,15 @@ class Refinement:
 
     field: Annotated[str, Quantity(example="pressure")]
     above: Annotated[float, Quantity("1", "in (0, 1)", 0.1)] = 0.1
-    levels: Annotated[int, Quantity("1", ">= 1")] = 1
+    levels: Annotated[int, Quantity("1", f"from 1 to {_LEVELS}")] = 1
     every: Annotated[float, Quantity("s", "> 0", 0.1)]
 
     def __post_init__(self) -> None:
         require_positive(self, every=self.every, above=self.above)
         if self.above >= 1:
             raise ParameterError("Refinement.above", self.above, "a share of the field's range, < 1")
-        if (levels := as_integer(self.levels)) is None or not 1 <= levels <= 8:
-            raise ParameterError("Refinement.levels", self.levels, "a whole number from 1 to 8")
+        if (levels := as_integer(self.levels)) is None or not 1 <= levels <= _LEVELS:
+            raise ParameterError("Refinement.levels", self.levels, f"a whole number from 1 to {_LEVELS}")
 
     def check(self, simulation: Simulation) -> None:
         """Raise MeshError, ParameterError or UnknownNameError unless a run can follow its field."""
@@ -94,7 +98,7 @@ class Refinement:
         fields = simulation.fields
         if self.field not in fields:
             raise UnknownNameError("Refinement.field", self.field, fields)
-        mesh, sampler = simulation.mesh, simulation.sampler
+        mesh, sampler, usual = simulation.mesh, simulation.sampler, self._usual(simulation)
         cells, rows = sampler.points["nr"], sampler.rows(fields[self.field])
         values = rows[:, 0] if rows.shape[1] == 1 else np.linalg.norm(rows, axis=1)
         low, high = np.full(mesh.ne, math.inf), np.full(mesh.ne, -math.inf)
@@ -104,13 +108,21 @@ class Refinement:
         if whole is None:
             return np.zeros(0, dtype=bool)
         extent = high.max() - low.min()
-        if extent <= _FLAT * max(abs(low).max(), abs(high).max()):
+        if extent <= max(_FLAT * max(abs(low).max(), abs(high).max()), _ROUNDING * usual):
             return np.zeros(whole.ne, dtype=bool)
         corners = vertices(whole)
         least, most = np.full(whole.nv, math.inf), np.full(whole.nv, -math.inf)
         np.minimum.at(least, corners, low[:, None])
         np.maximum.at(most, corners, high[:, None])
         return most[corners].max(axis=1) - least[corners].min(axis=1) > self.above * extent
+
+    def _usual(self, simulation: Simulation) -> float:
+        """How large velocities, rates and stresses may be; 0 of other fields, which are not small at rest."""
+        step, length = simulation.rothe_step, diameter(simulation.mesh, simulation.ranks)
+        places = extreme_places(step, simulation.sampler) or [Place(step.model, {}, 1.0, np.empty(0))]
+        stress = max(place.density * place.scales(simulation.mesh.dim)[0] ** 2 for place in places)
+        velocity = simulation.velocity_scale
+        return {"m/s": velocity, "1/s": velocity / length, "Pa": stress}.get(field_unit(self.field), 0.0)
 
 
 def run_refined(

@@ -269,19 +269,20 @@ class RotheSolver:
             self._factorised[name].FV().NumPy()[self._part(name)] = values
 
     @cached_property
-    def _other_way(self) -> str | None:
+    def other_way(self) -> str | None:
         """What solves a steep flow rule, as yield of little viscosity, where the coupled solver stalls."""
         rules = [flow.rule for flow in self.step.model.flows if flow.rule.is_local]
         if self.method == "split" or all(rule.degree == 1 for rule in rules) or split_obstacle(self.step):
             return None
-        return 'or the split solver (method = "split"), which solves a steep flow rule at the points'
+        return 'solver.method = "split", which solves a steep flow rule at the points'
 
     def _judged(self, solution: Solution) -> Solution:
         """The solution, which has failed too where its energy is no number or rho or J is not positive."""
         energy = self.step.energy
         if not solution.converged:
             noted = self.exchange.communicator.noted()
-            parts = solution.reason, energy.last_failure, self._other_way, *noted
+            other_way = self.other_way and f"or {self.other_way}"
+            parts = solution.reason, energy.last_failure, other_way, *noted
             return replace(solution, reason="; ".join(filter(None, parts)))
         if energy.failure is not None:  # of the last increment, which is added without a test
             return Solution(Status.INADMISSIBLE, solution.history, energy.failure)

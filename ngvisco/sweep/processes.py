@@ -66,6 +66,7 @@ def _check_workers(client: Any, scheduler: str) -> None:
     others = {address: there for address, there in found.items() if there != own}
     if others:
         address, there = next(iter(others.items()))
+        own, there = (one or "one of a clone that is not installed" for one in (own, there))
         message = f"expected ngvisco {own} on its workers, but {address} has {there}"
         raise SweepError(f"--scheduler {scheduler}: {message}")
 

@@ -1,10 +1,14 @@
 """[domain.adapt]: cases on meshes that follow a field."""
 
+import re
+from itertools import pairwise
+
 import pytest
 
 import ngvisco as nv
 from ngvisco.case.build import parse_case
 from ngvisco.case.faults import CaseError
+from ngvisco.cli.main import main
 from ngvisco.run.checkpoint import mesh_of_checkpoints
 from ngvisco.solver.rothe import RotheSolver
 
@@ -50,7 +54,19 @@ def test_a_run_that_ended_early_goes_on_to_the_bit(tmp_path, until):
     assert mesh_of_checkpoints(tmp_path / "whole" / "run.h5").step > 0
     taken = whole.ledger.column("transfer").sum()
     assert taken > 0 and loaded[0].ledger["transfer"].sum() == pytest.approx(taken)
-    assert "reached t = 0.2 s" in (tmp_path / "whole" / "log.txt").read_text()
+    log = (tmp_path / "whole" / "log.txt").read_text()
+    meshes = re.findall(r"\d+ cells, \d+ unknowns", log)
+    assert len(meshes) > 1 and all(one != other for one, other in pairwise(meshes))
+    assert log.count("step ") == 16 and "reached" not in log
+
+
+def test_check_says_that_the_sizes_are_those_of_the_start(tmp_path, capsys):
+    (tmp_path / "pulse.toml").write_text(PULSE.replace('"pressure"', '"velocity"'))
+    assert main(["check", str(tmp_path / "pulse.toml")]) == 0
+    said = capsys.readouterr().out
+    coarse, start = case(tmp_path).mesh().ne, int(re.search(r"mesh +(\d+) cells", said)[1])
+    assert coarse < start < 4 * coarse
+    assert f"by velocity, anew every 0.2 s: from {coarse} cells to about {4 * coarse};" in said
 
 
 def test_another_run_takes_over_its_last_state(tmp_path):

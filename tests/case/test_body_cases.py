@@ -111,7 +111,7 @@ REFUSED = [
     ('name = "disc"', 'name = "fluid"', "bodies.1.name: 'fluid': expected a name that no other"),
     ('name = "disc"', 'name = "a disc"', "bodies.1.name: 'a disc': expected a letter"),
     ('name = "disc"', "", "bodies.1.name: is missing"),
-    ("where = {", "#", "bodies.1.where: None: expected a place: bodies.0 has none"),
+    ("where = {", "#", "bodies.1.where: is missing: expected a place: bodies.0 has none"),
     ('kind = "Ball"', 'kind = "Bal"', "expected one of Ball, Block"),
     ("radius = 0.2", "radius = -1", "bodies.1.where.radius: -1.0: expected a finite number > 0"),
     ("radius = 0.2", "radios = 1", "unknown key; did you mean 'radius'?"),
@@ -153,7 +153,7 @@ def test_what_bodies_have_themselves_is_refused_beside_them(extra, message):
 
 
 def test_a_case_without_material_and_bodies_is_refused():
-    with pytest.raises(CaseError, match=r"material: None: expected a table \[material\], or bodies"):
+    with pytest.raises(CaseError, match=r"material: is missing: expected a table \[material\], or bodies"):
         case(HEAD)
 
 

@@ -299,5 +299,5 @@ def test_the_end_says_that_it_is_one_and_what_closure_is(case_file, tmp_path, ca
 def test_warnings_are_in_the_log(case_file, tmp_path, capsys):
     setting = "walls.top={kind='Traction', f=[0, 1]}"
     assert ended("run", case_file, "-o", tmp_path / "out", "--quiet", "--set", setting) == 0
-    assert "ngvisco: warning: walls['top'].f: 100% of the traction" in capsys.readouterr().err
-    assert "InputWarning: walls['top'].f: 100%" in (tmp_path / "out" / "log.txt").read_text()
+    assert "ngvisco: warning: walls.top.f: 100% of the traction" in capsys.readouterr().err
+    assert "InputWarning: walls.top.f: 100%" in (tmp_path / "out" / "log.txt").read_text()

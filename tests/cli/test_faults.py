@@ -70,6 +70,11 @@ def test_a_disk_that_fills_up_loses_nothing(half, finished):
     assert_same_run(half, finished)
 
 
+def test_a_run_that_went_on_beyond_its_case_is_not_late(half):
+    assert command("resume", half, "--until", 0.06, "--quiet")[0] == DONE
+    assert "t = 0.06 s, beyond the case's 0.04 s, step 3; finished" in command("info", half)[1]
+
+
 def test_no_space_left_is_said(half):
     (half / "log.txt").unlink()
     (half / "log.txt").symlink_to("/dev/full")

@@ -223,6 +223,8 @@ def test_heat_is_refused_where_it_makes_no_sense():
         nv.Simulation(
             box((1, 1), maxh=0.7), nv.Model(material=cold), dt=0.1, initial=nv.Initial(temperature=1.0)
         )
+    with pytest.warns(nv.InputWarning, match=r"walls\['left'\]\.heat: nothing conducts"):
+        run_of("coupled", walls=walls, steps=0)
     with pytest.raises(nv.NgviscoError, match=r"numerical_heating.*backward Euler"):
         run_of("coupled", nv.Heat(numerical_heating=True), scheme="midpoint", steps=0)
 

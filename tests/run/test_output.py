@@ -13,7 +13,7 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.fields import usual
 from ngvisco.run.ledger import unit
-from ngvisco.run.plots import plot_energies, plot_history
+from ngvisco.run.plots import plot_energies, plot_history, widened
 from ngvisco.run.vtu import read_pvd
 
 
@@ -128,7 +128,11 @@ def test_what_is_no_energy_is_not_drawn_as_one(tmp_path, monkeypatch):
     *others, production, warmth = drawn["warm-history"].axes
     assert len(others) == len(drawn["broken-history"].axes)
     assert {line.get_label() for line in production.lines} == {"stokes bulk", "stokes shear"}
-    assert warmth.get_title() == "least temperature, K" and warmth.lines[0].get_ydata()[0] == 1.0
+    assert warmth.get_title() == "least and largest temperature, K"
+    assert [line.get_ydata()[0] for line in warmth.lines] == [1.0, 1.0]
+    for low, high, wide in ((1, 1 + 1e-12, True), (1, 1 + 1e-8, False), (-15, -15, True), (0, 1e-15, False)):
+        least, most = widened(low, high)
+        assert (most - least > 0.09 * abs(high)) if wide else (least, most) == (low, high)
     surface = next(line for line in drawn["broken"].axes[0].lines if "surface" in line.get_label())
     assert surface.get_label() == "stored surface − initial"
     column = ledger.column("stored_surface")

@@ -212,3 +212,13 @@ def test_cells_are_divided_where_the_norm_of_a_tensor_is_steep():
     marked = nv.Refinement(field="cauchy_stress", above=0.3, every=0.2).steep(start)
     centres = coordinates(start.mesh)[vertices(start.mesh)].mean(axis=1)[:, 0]
     assert marked[abs(centres - 0.5) < 0.2].all() and not marked[centres > 1.6].any()
+
+
+def test_at_rest_nothing_is_steep():
+    """What is there of rates and stresses is rounding."""
+    material = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+    run = nv.Simulation(box((1, 1), 0.3), nv.Model(material=material, creep=nv.Creep(G_m=5.0)), dt=0.02)
+    run.run(0.04)
+    for field in ("creep_rate", "velocity", "von_mises"):
+        assert run.sampler.rows(run.fields[field]).any(), field
+        assert not nv.Refinement(field=field, every=0.02).steep(run).any(), field

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -14,7 +15,7 @@ from ngvisco.case.build import load_case
 from ngvisco.case.directory import RunDirectory
 from ngvisco.cli.main import main
 from ngvisco.sweep import Study, Variation
-from ngvisco.sweep.processes import connected
+from ngvisco.sweep.processes import _check_workers, connected
 from ngvisco.sweep.table import Outcome
 from ngvisco.sweep.variations import SweepError
 
@@ -243,6 +244,12 @@ def test_an_address_without_a_port_is_refused_before_a_client_is_made(monkeypatc
     with pytest.raises(SweepError, match="tcp://host:8786"), connected(address, 1):
         pass
     assert not made
+
+
+def test_a_worker_without_a_version_is_no_worker_of_none():
+    client = SimpleNamespace(run=lambda version: {"tcp://there:1": None})
+    with pytest.raises(SweepError, match="tcp://there:1 has one of a clone that is not installed"):
+        _check_workers(client, "tcp://there:0")
 
 
 @pytest.mark.long

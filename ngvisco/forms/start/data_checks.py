@@ -185,6 +185,19 @@ def warn_of_normal_parts(step: Step, velocity: VectorLike | None) -> None:
         )
 
 
+def warn_of_heat_at_walls(step: Step) -> None:
+    """Say at which walls heat comes in that nothing conducts."""
+    heats = {name: wall.heat for name, wall in step.walls.conditions.items() if wall.heat is not None}
+    for name, heat in heats.items():
+        comes_in = heat.flux is not None or heat.temperature is not None
+        if comes_in and not step.model.heat_law.conducts:
+            _warn(
+                step,
+                f"walls[{name!r}].heat: nothing conducts what comes in: it heats the cells beside the wall, "
+                "the more the smaller they are; give a conductivity, Heat.conductivity",
+            )
+
+
 def _warn(step: Step, message: str) -> None:
     Communicator.of(step.mesh).warn(message, InputWarning, stacklevel=6)
 

@@ -16,6 +16,7 @@ from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.data_checks import (
     distortion_of,
+    warn_of_heat_at_walls,
     warn_of_mismatch,
     warn_of_normal_parts,
     warn_of_own_energy,
@@ -121,6 +122,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         warn_of_rest_stresses(step, sampler)
     warn_of_moduli(step, sampler.ranks)
     warn_of_normal_parts(step, initial.velocity)
+    warn_of_heat_at_walls(step)
     return F_0
 
 

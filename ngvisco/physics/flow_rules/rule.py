@@ -59,7 +59,8 @@ class FlowRule(ABC):
     has_trace : bool
         Whether tr Pi is not zero: the determinant of B is then not that of a distortion.
     degree : float
-        As a polynomial of what degree in M the rate grows; infinite (default) of one that grows otherwise.
+        The power of |M| that the rate grows as, 1 of a linear rule; infinite (default) of one that grows
+        otherwise.
     """
 
     nu: float = 0.0

@@ -129,10 +129,13 @@ class Thermal(Material):
         owner = type(self).__name__
         if not (self.material is None or isinstance(self.material, Material)):
             raise ParameterError(f"{owner}.material", self.material, "a Material, or None for a gas")
+        if self.material is None and self.expansion is not None:
+            expected = "None without a material: a gas has its pressure by gruneisen, > 0"
+            raise ParameterError(f"{owner}.expansion", self.expansion, expected)
         if self.expansion is not None and self.gruneisen is not None:
             raise ParameterError(f"{owner}.gruneisen", self.gruneisen, "None beside an expansion")
         if self.material is None and not self.gruneisen:
-            expected = "a number > 0 without a material: a gas has a pressure by it"
+            expected = "a number > 0, by which a gas has its pressure; else a material that is no gas"
             raise ParameterError(f"{owner}.gruneisen", self.gruneisen, expected)
         if self.material is not None and entropy_in(self.material) is not None:
             raise ParameterError(f"{owner}.material", self.material, "a material without heat")

@@ -55,9 +55,7 @@ class LocalCreep:
         """The flow's Pi among what rates are linear in."""
         self.shapes = np.asarray(tangent.op.z.blocks)
         """Values of the cells' functions, (cells, points of a cell, functions)."""
-        mass = mass_matrix(tangent.op.z.matrix, tangent.op.weights)
-        self._project = BlockInverse(mass)
-        self._project.update(mass)
+        self._project = BlockInverse.of(mass_matrix(tangent.op.z.matrix, tangent.op.weights))
 
     def __call__(self, dz: np.ndarray) -> np.ndarray:
         """What is to be added to increments of z from the tangent's state; both coefficients (n, .)."""

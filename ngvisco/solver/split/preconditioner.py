@@ -36,8 +36,9 @@ TOLERANCE, ITERATIONS = 0.05, 20
 """Of z's and rho's increments, by GMRES at most; 0.1 takes an iteration of Newton more in twenty, 0.01 no
 fewer."""
 ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
-"""What sweeps may leave of them: Newton's iteration contracts by as much.  0.05 takes the same iterations and
-a tenth more time in a smooth run with creep; with a steep flow rule fewer, and fewer operators, which are
+"""Share of the right side that sweeps alone may leave, without GMRES: Newton's iteration then contracts by
+as much.  In a smooth run with creep 0.05 takes as many iterations as 0.15 and a tenth more time.  Steep are
+local rules of creep that are not linear: there 0.05 takes fewer iterations, and fewer operators, which are
 made anew where an increment is above a tenth of the one before."""
 _LINEAR = 1e-3
 """Tolerance of the flow's linear systems down to which directions are in single precision."""
