@@ -128,6 +128,8 @@ def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: 
     if kind in _LIMITS:
         (limit,) = context.values()
         return f"{shown(value)}: expected a number {_LIMITS[kind]} {limit:g}"
+    if kind == "list_type" and isinstance(value, dict):
+        return f"{shown(value)}: expected an array of tables, [[{'.'.join(path)}]]"
     if kind == "literal_error":
         return f"{shown(value)}: expected {context['expected']}"
     return f"{shown(value)}: {_TYPES.get(kind, one['msg'].lower())}"
@@ -170,20 +172,25 @@ def in_case(text: str) -> str:
 @cache
 def _places() -> dict[str, tuple[str, str | None]]:
     """The tables that hold the parameters of classes and functions, by their names, and their kinds."""
-    found: dict[str, tuple[str, str | None]] = {"Model": ("rheology", None)}
+    found: list[tuple[int, str, str, str | None]] = [(0, "Model", "rheology", None)]
 
     def look(model: type[BaseModel], path: tuple[str, ...]) -> None:
         tags = [tag for tag in TAGS if tag in model.model_fields]
         kind = str(get_args(model.model_fields[tags[0]].annotation)[0]) if tags else None
-        for name in (model.__name__, owner_of(model).__name__):
-            if name not in found or len(path) < len(found[name][0].split(".")):
-                found[name] = ".".join(path), kind
+        for away, name in ((0, model.__name__), (_OTHER, owner_of(model).__name__)):
+            found.append((len(path) + away, name, ".".join(path), kind))
         for name, field in model.model_fields.items():
             for inner in models_in(field.annotation):
                 look(inner, (*path, name, *place_in(field.annotation)))
 
     look(CaseSections, ())
-    return found
+    # the last one stays: that of the class's own name, and of these the highest
+    nearest = sorted(found, key=lambda one: one[0], reverse=True)
+    return {name: (path, kind) for _, name, path, kind in nearest}
+
+
+_OTHER = 100
+"""Levels by which a table that has another name than its class is farther away."""
 
 
 def _resolve(model: type[BaseModel], location: tuple[Any, ...]) -> tuple[tuple[str, ...], str, list[str]]:

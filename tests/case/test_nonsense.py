@@ -77,6 +77,7 @@ ONE | energy -> det(F) - det(F) | material.energy: 'det(F) - det(F)': expected a
 TWO | LAW_OF_DISC -> kind = "Custom", variables = ["J"], energy = "0*J + 1"
   | bodies.1.material.energy: '0*J + 1': expected an energy that changes with J
 # what was blamed on something else
+ONE | [[loads]] -> [loads] | loads: { kind = "Gravity", g = [0, -1] }: expected an array of tables, [[loads]]
 ONE | g = [0, -1] -> g = -1 | loads.0.g: -1: expected an array of its components
 ONE | K_e = 10 -> K_e = "10*x" | material.K_e: '10*x': at the start minimum
 ONE | G_v = 0.01 -> G_v = "x - 2" | rheology.viscosity.G_v: 'x - 2': at the start minimum -2
@@ -104,7 +105,7 @@ TWO | LAW_OF_DISC -> kind = "NeoHookean", K_e = 10, G_e = 5, epsilon = 0.1
 TWO | until = 0.04 -> until = 0.04; [initial]; density = 2
   | initial.density: 2: expected nothing with bodies
 ONE | density = 1 -> temperature = 300
-  | initial.temperature: 300: expected nothing for a material without a temperature; material.kind = "Thermal"
+  | initial.temperature: 300: expected nothing for a material without a temperature; material.thermal gives it
 ONE | density = 1 -> F = 1.1 | initial.F: 1.1: expected three rows of three, as in
 ONE | gas ->  | material.gruneisen: is missing: expected a number > 0, by which a gas has its pressure
 ONE | gas -> expansion = 1e-4 | material.expansion: 0.0001: expected nothing without a material: a gas has
@@ -134,7 +135,7 @@ def rows():
         elif old == "energy":
             old, new = LAW, f'kind = "Custom"\nvariables = ["F"]\nenergy = "{new}"\n'
         elif old == "gas":
-            old, new = LAW, f'kind = "Thermal"\nc = 1.0\ntheta_R = 293\n{new}\n'
+            old, new = LAW, f'kind = "Gas"\nc = 1.0\ntheta_R = 293\n{new}\n'
         for known in ("BALL", "LAW_OF_DISC"):
             old, new = (part.replace(known, globals()[known]) for part in (old, new))
         found.append(pytest.param({"ONE": ONE, "TWO": TWO}[name], old, new, message, id=message))
