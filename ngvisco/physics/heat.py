@@ -14,7 +14,6 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, as_number
 from ngvisco.physics.tensors import linear_map
-from ngvisco.physics.variables import Values
 
 Function: TypeAlias = float | CoefficientFunction
 """A number, or a function of the place and the run's time."""
@@ -131,16 +130,7 @@ class Heat:
         """Whether heat is conducted at all."""
         return callable(self.conductivity) or bool(np.any(np.asarray(self.conductivity)))
 
-    @property
-    def sources(self) -> list[tuple[str | None, Function]]:
-        """Heat that is produced, W/m^3, and by which body; None for all."""
-        return [] if self.source is None else [(None, self.source)]
-
-    def share(self, body: str | None, z: Values) -> Any:
-        """How much of a point with the values ``z`` is a body's."""
-        return 1.0
-
-    def size(self, theta: CoefficientFunction, z: Values) -> Any:
+    def size(self, theta: CoefficientFunction) -> Any:
         """kappa, of a matrix its largest eigenvalue, W/(m K)."""
         if callable(self.conductivity):
             return self.conductivity(theta)
@@ -148,13 +138,11 @@ class Heat:
             return float(np.linalg.eigvalsh(np.array(self.conductivity))[-1])
         return self.conductivity
 
-    def flux(
-        self, theta: CoefficientFunction, slope: CoefficientFunction, z: Values, dim: int
-    ) -> CoefficientFunction:
+    def flux(self, theta: CoefficientFunction, slope: CoefficientFunction, dim: int) -> CoefficientFunction:
         """kappa grad theta, W/m^2."""
         if isinstance(self.conductivity, tuple):
             return linear_map(np.array(self.conductivity)[:dim, :dim], slope, (dim,))
-        return self.size(theta, z) * slope
+        return self.size(theta) * slope
 
 
 _TEMPERATURES = 10.0 ** np.arange(-3, 5)

@@ -17,11 +17,11 @@ an expression; else ``ngvisco.physics.equilibrium`` has it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from operator import add
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -57,13 +57,9 @@ class MixedHeat:
     @cached_property
     def has_one_pressure(self) -> bool:
         """Whether the thermal pressure is one function of J and theta."""
-        first, *others = self.parts.values()
-        kinds = {each.is_absolute for each in self.parts.values() if each.coupling}
-        at_rest = [(each.coupling, each.coupling * each.theta_R) for each in (first, *others)]
-        return len(kinds) < 2 and bool(
-            np.ptp([kappa for kappa, _ in at_rest]) <= _SAME * abs(first.coupling)
-            and (True in kinds or np.ptp([p for _, p in at_rest]) <= _SAME * abs(at_rest[0][1]))
-        )
+        J, theta = np.meshgrid([0.5, 1.0, 2.0], [1.0, 300.0])
+        first, *others = (each.free(theta, J)[1] for each in self.parts.values())
+        return all(abs(other - first).max() <= _SAME * abs(first).max() for other in others)
 
     @property
     def reference_temperature(self) -> float | None:
@@ -74,7 +70,7 @@ class MixedHeat:
     @property
     def stiffnesses(self) -> list[float]:
         """What heat adds to U_i'' at rest, Pa."""
-        return [each.coupling * each.theta_R if each.is_absolute else 0.0 for each in self.parts.values()]
+        return [float(each.free(np.array(each.theta_R), np.ones(()))[2]) for each in self.parts.values()]
 
     def capacity(self, n: Mapping[str, Any]) -> Any:
         """sum n_i c_i, J/(m^3 K)."""
@@ -128,43 +124,40 @@ def require_heat_of_all(bodies: Sequence[Body]) -> None:
 
 
 @dataclass(frozen=True)
-class HeatOfBodies:
-    """What a model says of heat and, by its fraction, each body: kappa = kappa_0 + sum theta_i kappa_i.
+class HeatLaw:
+    """What a model says of heat and, by its fraction, each body: kappa = kappa_0 + sum theta_i kappa_i."""
 
-    Its methods are those of ``Heat``.
-    """
-
-    common: Heat
-    parts: Mapping[str, Heat]
-    fractions: Any
-    """``ngvisco.physics.mixture.Fractions``."""
+    parts: Mapping[str | None, Heat]
+    """By the bodies' names; None for all matter."""
+    fractions: Any = None
+    """``ngvisco.physics.mixture.Fractions`` of bodies."""
 
     @property
     def conducts(self) -> bool:
-        return self.common.conducts or any(law.conducts for law in self.parts.values())
+        """Whether heat is conducted at all."""
+        return any(law.conducts for law in self.parts.values())
 
     @property
     def numerical_heating(self) -> bool:
-        return self.common.numerical_heating
+        return any(law.numerical_heating for law in self.parts.values())
 
     @property
     def sources(self) -> list[tuple[str | None, Function]]:
-        found = [(name, law.source) for name, law in self.parts.items() if law.source is not None]
-        return [*self.common.sources, *found]
+        """Heat that is produced, W/m^3, and by which body; None for all."""
+        return [(name, law.source) for name, law in self.parts.items() if law.source is not None]
 
     def share(self, body: str | None, z: Values) -> Any:
+        """How much of a point with the values ``z`` is a body's."""
         return 1.0 if body is None else self.fractions.not_negative(z)[body]
 
     def size(self, theta: Any, z: Values) -> Any:
-        return reduce(add, (share * law.size(theta, z) for share, law in self._conducting(z)))
+        """kappa, of a matrix its largest eigenvalue, W/(m K)."""
+        return self._sum(z, lambda law: law.size(theta))
 
     def flux(self, theta: Any, slope: Any, z: Values, dim: int) -> Any:
-        return reduce(add, (share * law.flux(theta, slope, z, dim) for share, law in self._conducting(z)))
+        """kappa grad theta, W/m^2."""
+        return self._sum(z, lambda law: law.flux(theta, slope, dim))
 
-    def _conducting(self, z: Values) -> Iterator[tuple[Any, Heat]]:
-        for name, law in ((None, self.common), *self.parts.items()):
-            if law.conducts:
-                yield self.share(name, z), law
-
-
-HeatLaw: TypeAlias = Heat | HeatOfBodies
+    def _sum(self, z: Values, of: Callable[[Heat], Any]) -> Any:
+        conducting = {name: law for name, law in self.parts.items() if law.conducts or name is None}
+        return reduce(add, (self.share(name, z) * of(law) for name, law in conducting.items()))

@@ -19,26 +19,25 @@ there is none of it, or less than none, it is turned and not stretched, and bear
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from operator import add
 from typing import Any
 
 import numpy as np
-from ngsolve import CoefficientFunction
+from ngsolve import CoefficientFunction, Det
 
 from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.physics.bodies import AMOUNT, Amount, Body, Content, PlasticContent
-from ngvisco.physics.equilibrium import Volumetric as VolumetricEnergy
-from ngvisco.physics.equilibrium import equilibrium
+from ngvisco.physics.equilibrium import Volumetric, equilibrium
 from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.materials.thermal import Thermal
 from ngvisco.physics.mixed_heat import MixedHeat, heat_of
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, told_apart
 from ngvisco.physics.pointwise import Respond, Response, array_response
-from ngvisco.physics.reference_energy import ReferenceEnergy, Volumetric
+from ngvisco.physics.reference_energy import ReferenceEnergy
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
 from ngvisco.physics.tensors import IDENTITY, identity_like, if_positive, sqrt
 from ngvisco.physics.variables import PRESSURE, Values, Variable
@@ -207,8 +206,8 @@ class Mixture(Material):
     def has_one_volume(self) -> bool:
         """Whether U_i' is one function for all bodies, of J alone: V has an expression."""
         first, *others = self.energies
-        size = _SAME * abs(first.volumetric).max()
-        same = all(abs(psi.volumetric - first.volumetric).max() <= size for psi in others)
+        size = _SAME * abs(first.pressures).max()
+        same = all(abs(psi.pressures - first.pressures).max() <= size for psi in others)
         if self.heat is not None and not self.heat.has_one_pressure and others:
             return False
         return same and (not others or not any(psi.reads_parameters_in_volume for psi in self.energies))
@@ -224,32 +223,26 @@ class Mixture(Material):
         """What must be > 0: N; sum n_i/U_i'' at rest, less a tenth of its least value, where these differ, or
         there is no common pressure; sum n_i c_i, less a tenth of its least; and n_i, but for half of what f_i
         or phi_h adds to it, where one is not linear or hardens."""
-        total = self.fractions.total(z)
+        n, total = self.amounts(z), self.fractions.total(z)
+
+        def above(share: float, sizes: Sequence[float]) -> Any:
+            """sum of size_i n_i over the least size, less a share of N."""
+            each = zip(sizes, n.values(), strict=True)
+            return reduce(add, ((size / min(sizes) - share) * amount for size, amount in each))
+
         found = {"the sum of the amounts": total}
         if not self.has_one_volume:
-            stiffest = max(self.stiffnesses.values())
-            parts = (stiffest / K * z[AMOUNT + name] for name, K in self.stiffnesses.items())
-            found["the compliance of the bodies"] = reduce(add, parts) - 0.1 * total
+            found["the compliance of the bodies"] = above(0.1, [1 / K for K in self.stiffnesses.values()])
         if self.heat is not None:
-            least = min(each.c for each in self.heat.parts.values())
-            found["the heat capacity of the bodies"] = (1 / least) * self.heat.capacity(
-                self.amounts(z)
-            ) - 0.1 * total
+            found["the heat capacity of the bodies"] = above(0.1, [b.c for b in self.heat.parts.values()])
         nonlinear = not all(psi.is_linear for psi in self.energies)
         if nonlinear or self.plastic_contents:
             half = 0.5 * (TRACE if nonlinear else HARDENING_TRACE)
-            for name in self.fractions.bodies:
-                found[f"{AMOUNT}{name} + {half:g} N"] = z[AMOUNT + name] + half * total
-        if self._densities_differ:
-            least = min(body.density or 0.0 for body in self.bodies)
-            parts = (((body.density or 0.0) / least - 0.5) * z[AMOUNT + body.name] for body in self.bodies)
-            found[_LIGHTEST] = reduce(add, parts)
-        return {"": found}
-
-    @property
-    def _densities_differ(self) -> bool:
+            found |= {f"{AMOUNT}{name} + {half:g} N": value + half * total for name, value in n.items()}
         densities = [body.density or 0.0 for body in self.bodies]
-        return max(densities) > 2 * min(densities)
+        if max(densities) > 2 * min(densities):
+            found[_LIGHTEST] = above(0.5, densities)
+        return {"": found}
 
     @property
     def where_means_do(self) -> frozenset[str]:
@@ -266,13 +259,17 @@ class Mixture(Material):
         shares = self.fractions.taking_part(z)
         return {X.name: share for name, share in shares.items() for X in self.contents(name)}
 
+    def filled(self, shares: Mapping[str, Any], F: CoefficientFunction) -> dict[str, Any]:
+        """n_i and X_i where bodies take up these shares of the volume, by name, with the distortion F."""
+        found = {AMOUNT + name: share / Det(F) for name, share in shares.items()}
+        for name, share in shares.items():
+            found |= {X.name: share * X.tensor.from_distortion(F) for X in self.contents(name)}
+        return found
+
     def at_rest(self, z: Values) -> Values:
-        theta = self.fractions.at(z)
-        rest = {**z, **{AMOUNT + name: value for name, value in theta.items()}}
-        for name, value in theta.items():
-            rest |= {X.name: value * IDENTITY for X in self.contents(name)}
         total = self.fractions.total(z)
-        return rest | {K.name: z[K.name] / total for K in self.plastic_contents.values()}
+        hardening = {K.name: z[K.name] / total for K in self.plastic_contents.values()}
+        return {**z, **self.filled(self.fractions.at(z), IDENTITY), **hardening}
 
     def shears(self, z: Values) -> dict[str, Any]:
         """n_i f_i(X_i/n_i) by the bodies' names, with n_i phi_h(K_i/n_i) where they harden, Pa."""
@@ -285,16 +282,13 @@ class Mixture(Material):
             if not X:
                 continue
             unit = {name: identity_like(value) for name, value in X.items()}
-            if psi.is_linear:
-                at, rest = X, {name: n * each for name, each in unit.items()}
-                weight: Any = 1
-            else:
-                scale = 1 / (1 + TRACE * len(self.bodies))
+            size, weight = n, 1
+            if not psi.is_linear:
+                size, weight = one, (1 / (1 + TRACE * len(self.bodies))) * (n + TRACE * total)
                 inverse = 1 / (n + TRACE * total)
-                at = {name: inverse * (value + TRACE * (total * unit[name])) for name, value in X.items()}
-                rest = {name: one * each for name, each in unit.items()}
-                weight = scale * (n + TRACE * total)
-            shear = psi.energy({**own, **at, "J": one}) - psi.energy({**own, **rest, "J": one})
+                X = {name: inverse * (value + TRACE * (total * unit[name])) for name, value in X.items()}
+            rest = {name: size * each for name, each in unit.items()}
+            shear = psi.energy({**own, **X, "J": one}) - psi.energy({**own, **rest, "J": one})
             found[body.name] = weight * shear
             law = None if body.creep is None else body.creep.hardening
             if law is not None:
@@ -303,13 +297,11 @@ class Mixture(Material):
                 found[body.name] = found[body.name] + w * law.energy({**own, PLASTIC_STRAIN.name: k})
         return found
 
-    def volumes_at_rest(self, z: Values) -> dict[str, Any]:
-        """n_i U_i(1) by the bodies' names, Pa: what of V comes with the matter, whatever its volume."""
-        found = {}
-        for body, psi in zip(self.bodies, self.energies, strict=True):
-            n = z[AMOUNT + body.name]
-            found[body.name] = n * Volumetric(psi=psi).energy({**z, "J": 1 + 0 * n})
-        return found
+    def volumes(self, z: Values, J: Any) -> dict[str, Any]:
+        """n_i U_i(J) by the bodies' names, Pa; at J = 1 what of V comes with the matter."""
+        amounts, at = self.amounts(z), {**z, "J": J}
+        each = zip(amounts.items(), self.energies, strict=True)
+        return {name: n * psi.volumetric(at) for (name, n), psi in each}
 
     def energy(self, z: Values) -> CoefficientFunction:
         if not self.has_one_volume:
@@ -318,51 +310,51 @@ class Mixture(Material):
                 "ngvisco.physics.pointwise.respond(material, dim)"
             )
         J = 1 / self.fractions.total(z)
-        parts = [
-            z[AMOUNT + body.name] * Volumetric(psi=psi).energy({**z, "J": J})
-            for body, psi in zip(self.bodies, self.energies, strict=True)
-        ]
+        parts = [*self.volumes(z, J).values(), *self.shears(z).values()]
         if self.heat is not None:
             parts.append(self.heat.energy(self.amounts(z), z[self.heat.entropy.name], J))
-        return reduce(add, [*parts, *self.shears(z).values()])
+        return reduce(add, parts)
 
     def response(self, dim: int) -> Respond | None:
         return None if self.has_one_volume else _InEquilibrium(self, dim)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Shears(Material):
-    """sum n_i f_i(X_i/n_i) of a mixture."""
+@dataclass(frozen=True)
+class _Part(Material):
+    """A part of an energy, as a function of some variables' values."""
 
-    mixture: Mixture
+    of: Callable[[Values], Any]
+    transported: tuple[Variable, ...]
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        return self.mixture.variables
+        return self.transported
 
     def energy(self, z: Values) -> CoefficientFunction:
-        nothing = 0.0 * self.mixture.fractions.total(z)
-        return reduce(add, self.mixture.shears(z).values(), nothing)
+        return self.of(z)
 
 
 class _InEquilibrium:
     """The energy of bodies with different U_i and its derivatives, for arrays of states."""
 
     def __init__(self, mixture: Mixture, dim: int) -> None:
+        def shear(z: Values) -> Any:
+            return reduce(add, mixture.shears(z).values(), 0.0 * mixture.fractions.total(z))
+
         slices = mixture.states(dim).slices
         self.amounts = [slices[AMOUNT + body.name].start for body in mixture.bodies]
-        self.shears = array_response(_Shears(mixture=mixture), dim)
+        self.shears = array_response(_Part(shear, mixture.variables), dim)
         self.heat = () if mixture.heat is None else tuple(mixture.heat.parts.values())
         self.entropy = None if mixture.heat is None else mixture.heat.entropy
         self.of_entropy = -1 if self.entropy is None else slices[self.entropy.name].start
         self.volumes = []
         for psi in mixture.energies:
-            material = Volumetric(psi=psi)
-            parameters = [slices[v.name].start for v in material.variables[1:]]
-            self.volumes.append((array_response(material, dim), parameters))
+            own = tuple(v for v in psi.variables if v not in psi.tensors)
+            parameters = [slices[v.name].start for v in own[1:]]
+            self.volumes.append((array_response(_Part(psi.volumetric, own), dim), parameters))
 
     def __call__(self, states: np.ndarray) -> Response:
-        def volumetric(number: int) -> VolumetricEnergy:
+        def volumetric(number: int) -> Volumetric:
             response, parameters = self.volumes[number]
 
             def at(J: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from ngvisco.physics.materials.damaged import damage_in
 from ngvisco.physics.materials.hardened import hardened
 from ngvisco.physics.materials.heterogeneous import carrying
 from ngvisco.physics.materials.thermal import entropy_in, thermal_part, warming
-from ngvisco.physics.mixed_heat import HeatLaw, HeatOfBodies, require_heat_of_all
+from ngvisco.physics.mixed_heat import HeatLaw, require_heat_of_all
 from ngvisco.physics.mixture import MixedViscosity, Mixture, mixed_viscosity
 from ngvisco.physics.parameters import parameters_in, told_apart
 from ngvisco.physics.regularisation import Regularisation
@@ -234,11 +234,9 @@ class Model:
     @property
     def heat_law(self) -> HeatLaw:
         """What the model and its bodies say of heat."""
-        common = self.heat or Heat()
-        parts = {body.name: body.heat for body in self.bodies if body.heat is not None}
-        if not (parts and isinstance(self.material, Mixture)):
-            return common
-        return HeatOfBodies(common, parts, self.material.fractions)
+        parts: dict[str | None, Heat] = {None: self.heat or Heat()}
+        parts |= {body.name: body.heat for body in self.bodies if body.heat is not None}
+        return HeatLaw(parts, self.material.fractions if isinstance(self.material, Mixture) else None)
 
     def _check_heat(self, material: Material) -> None:
         if self.heat is not None and entropy_in(material) is None:

@@ -94,6 +94,12 @@ class ReferenceEnergy(Material):
                 own[v.name] = log(J) / J if isinstance(v, LogJacobian) else z[v.name]
         return J * substituted(self.material, lambda expression: expression.at(z)).energy(own)
 
+    def volumetric(self, z: Values) -> CoefficientFunction:
+        """U(J) = psi(I, J), Pa."""
+        J: Any = z["J"]
+        identity = J.constant(np.eye(3)) if hasattr(J, "constant") else IDENTITY
+        return self.energy({**z, **{v.name: identity for v in self.tensors}})
+
     @cached_property
     def _sampled(self) -> tuple[np.ndarray, np.ndarray]:
         """Second derivatives at states, (states, n, n), and which components are those of tensors."""
@@ -113,7 +119,7 @@ class ReferenceEnergy(Material):
         return bool(abs(hessian[:, tensors]).max(initial=0.0) <= _ROUNDING * abs(hessian).max())
 
     @cached_property
-    def volumetric(self) -> np.ndarray:
+    def pressures(self) -> np.ndarray:
         """U'(J) at ``_VOLUMES``, Pa; parameters have their typical values."""
         rest = StateSampling(self, 3).rest()
         states, at = np.tile(rest, (len(_VOLUMES), 1)), self.states(3).slices["J"].start
@@ -123,7 +129,7 @@ class ReferenceEnergy(Material):
     @cached_property
     def stiffness(self) -> float:
         """U''(1), Pa; parameters have their typical values."""
-        return float(np.interp(1.0, _VOLUMES, np.gradient(self.volumetric, _VOLUMES)))
+        return float(np.interp(1.0, _VOLUMES, np.gradient(self.pressures, _VOLUMES)))
 
     @cached_property
     def reads_parameters_in_volume(self) -> bool:
@@ -152,22 +158,6 @@ class ReferenceEnergy(Material):
             raise ParameterError(
                 self.owner, self.material, f"an energy convex per reference volume; J phi is {report}"
             )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Volumetric(Material):
-    """U(J) = psi(I, J) of a reference energy, Pa."""
-
-    psi: ReferenceEnergy
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        return tuple(v for v in self.psi.variables if v not in self.psi.tensors)
-
-    def energy(self, z: Values) -> CoefficientFunction:
-        J: Any = z["J"]
-        identity = J.constant(np.eye(3)) if hasattr(J, "constant") else IDENTITY
-        return self.psi.energy({**z, **{v.name: identity for v in self.psi.tensors}})
 
 
 def _is_density(variable: DistortionTensor) -> bool:

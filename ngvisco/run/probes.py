@@ -377,7 +377,7 @@ def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
     for flow in rates.flows:
         if flow.body == name:
             loss = loss + rates.power_of_creep(flow, rates.local_creep(flow, u), u)
-    shears, rest = material.shears(values), material.volumes_at_rest(values)
+    shears, rest = material.shears(values), material.volumes(values, CF(1.0))
     of_volume = rates.stored(u) - sum((*shears.values(), *rest.values()), CF(0.0))
     return [
         mass,

@@ -89,7 +89,7 @@ class Sources:
             total = total + model.regularisation.friction(speed) * speed
         theta = temperature(model.material, new.conjugates)
         if model.heat is not None and theta is not None:
-            flux = model.heat.flux(theta, CF(tuple(gradient(theta, dim))), new.values, dim)
+            flux = model.heat.flux(theta, CF(tuple(gradient(theta, dim))), dim)
             total = total + sum((d[i] for i, d in enumerate(gradient(flux, dim))), CF(0.0))
         return total
 

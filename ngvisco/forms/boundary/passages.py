@@ -135,10 +135,8 @@ def _entering_bodies(
     if wall.density is not None:
         raise ParameterError(f"{owner}.density", wall.density, "none with bodies: it is sum rho_i n_i")
     n = {name: as_shape(f"{owner}.amounts[{name!r}]", wall.amounts.get(name, 0.0), ()) for name in names}
-    given: dict[str, CoefficientFunction] = {AMOUNT + name: value for name, value in n.items()}
     assert isinstance(model.material, Mixture)
-    for name, value in n.items():
-        given |= {X.name: value * X.tensor.from_distortion(Id(3)) for X in model.material.contents(name)}
+    given = model.material.filled(n, Id(3))
     given |= {K.name: CF(0.0) for K in model.material.plastic_contents.values()}
     for name in wall.values:
         if name.startswith(AMOUNT):

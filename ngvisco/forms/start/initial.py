@@ -119,7 +119,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     warn_of_own_energy(step, sampler.rows(step.now.z))
     strains = [v.name for v in step.model.material.variables if v.is_strain]
     if initial.F is None and not set(strains) & set(initial.values):  # else a state of the user's own
-        warn_of_rest_stresses(step, sampler)
+        warn_of_rest_stresses(step, sampler.ranks)
     warn_of_moduli(step, sampler.ranks)
     warn_of_normal_parts(step, initial.velocity)
     warn_of_heat_at_walls(step)
@@ -221,15 +221,10 @@ def _of_bodies(step: Step, initial: Initial, F: CoefficientFunction) -> dict[str
         return {}
     if initial.density is not None:
         raise ParameterError("Initial.density", initial.density, "None with bodies, which have theirs")
-    values = {}
-    for name, part in starting_fractions(step.mesh, material.bodies, step.discretisation.m).items():
-        if AMOUNT + name in initial.values:
-            raise ParameterError("Initial.values", AMOUNT + name, "places of the bodies, not amounts")
-        values[AMOUNT + name] = part / Det(F)
-        for X in material.contents(name):
-            if X.name not in initial.values:
-                values[X.name] = part * X.tensor.from_distortion(F)
-    return values
+    shares = starting_fractions(step.mesh, material.bodies, step.discretisation.m)
+    for name in sorted(set(initial.values) & {AMOUNT + name for name in shares}):
+        raise ParameterError("Initial.values", name, "places of the bodies, not amounts")
+    return {name: v for name, v in material.filled(shares, F).items() if name not in initial.values}
 
 
 def _check_moduli(step: Step, parameters: Mapping[str, CoefficientFunction], sampler: Sampler) -> None:

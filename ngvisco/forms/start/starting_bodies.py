@@ -1,23 +1,16 @@
 """Where bodies are at the start: fractions, from their places; what they do to each other there."""
 
 from collections.abc import Sequence
-from itertools import combinations
 
 import numpy as np
-from ngsolve import H1, VOL, CoefficientFunction, Id, Integrate, Mesh, x, y, z
+from ngsolve import VOL, CoefficientFunction, ElementId, Integrate, Mesh
 
 from ngvisco.errors import InputWarning, ParameterError
-from ngvisco.forms.mesh.mesh_arrays import vertices
-from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.bodies import Body
-from ngvisco.physics.material import cauchy_stress
+from ngvisco.physics.materials.thermal import rest_stress_and_modulus
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.parameters import substituted
-from ngvisco.physics.tensors import tr
-from ngvisco.physics.variables import Values
 from ngvisco.shapes.fractions import MISSED, fractions, volumes
 from ngvisco.shapes.shape import Shape, as_shape
 
@@ -66,15 +59,12 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> dict[s
 def _require_some_body_in_each_cell(mesh: Mesh, bodies: Sequence[Body], rest: CoefficientFunction) -> None:
     """Raise ParameterError for a cell that is in no body at all: there are no shares to fill it by."""
 
-    def of_cells(f: CoefficientFunction) -> np.ndarray:
-        return np.array(Integrate(f, mesh, VOL, element_wise=True))
-
-    size, free = of_cells(CoefficientFunction(1.0)), of_cells(rest)
-    moments = [of_cells(coordinate) for coordinate in (x, y, z)[: mesh.dim]]
+    covered = np.array(Integrate(1 - rest, mesh, VOL, element_wise=True))
     with Communicator.of(mesh).together(ParameterError):
-        if np.any(empty := free >= (1 - _COVERED) * size):
-            first = int(np.argmax(empty))
-            place = ", ".join(f"{moment[first] / size[first]:.4g}" for moment in moments)
+        if np.any(empty := covered <= _COVERED * covered.max(initial=0.0)):
+            corners = mesh[ElementId(VOL, int(np.argmax(empty)))].vertices
+            middle = np.mean([mesh[vertex].point for vertex in corners], axis=0)
+            place = ", ".join(f"{c:.4g}" for c in middle)
             expected = f"one without a place, for the rest: a cell at ({place}) is in no body"
             raise ParameterError("Model.bodies", [body.name for body in bodies], expected)
 
@@ -94,46 +84,33 @@ def _require_order(mesh: Mesh, placed: Sequence[Body], shapes: dict[str, Shape])
                 raise ParameterError(f"bodies[{second.name!r}].order", second.order, expected)
 
 
-_PROBE = 1.01
-"""Stretch at which an energy shows its stiffness."""
 _ROUNDING = 1e-9
-"""Of that change of stress: less is rounding of the energies' constants."""
+"""Of the stiffness: less of a stress is rounding of the energies' constants."""
 _STIFFER = 10.0
 """Ratio of bulk moduli above which a run is warned: at 20 steps are divided (``demos/collision``); with
 overshoots of a quarter the compliance may be negative from 5 on."""
-_MEETS = 0.3
-"""Fraction of a body at a point of a cell from which on it is there: projections leave less beside it."""
 
 
-def warn_of_rest_stresses(step: Step, sampler: Sampler) -> None:
-    """Say which bodies that meet have different stresses at rest, F = I, and so push each other.
+def warn_of_rest_stresses(step: Step, ranks: Communicator) -> None:
+    """Say where bodies have different stresses at rest, F = I, and so push each other.
 
     An energy per actual volume has the stress phi(I) I at rest, on top of what its derivatives give: a
     ``NeoHookean`` body is under tension there, a ``BarotropicFluid`` under pressure.  Alone in its box a body
     does not feel it; a drop of it in another body is pulled together or driven apart from the first step on.
+    Of bodies that fill a domain some two with different stresses meet where not all have one.
     """
-    material, z = step.model.material, step.now.z_tensors
-    if not isinstance(material, Mixture) or step.sources is not None:
+    if step.sources is not None or not step.model.bodies:
         return
-    theta = {name: sampler.values(value) for name, value in material.fractions.at(z).items()}
-    at_rest, stiffness, ranks = {}, 0.0, sampler.ranks
-    for body in material.bodies:
-        there = theta[body.name] >= 0.5 * ranks.most(theta[body.name])
-        rest, probed = (sampler.values(_mean_stress(body, z, s))[there] for s in (1.0, _PROBE))
-        total, count = ranks.totals(np.array([rest.sum(), len(rest)]))
-        at_rest[body.name] = float(total / count)
-        stiffness = max(stiffness, ranks.most(np.abs(probed - rest)))
-    presence = {name: _at_vertices(step, sampler, values) for name, values in theta.items()}
-    for a, b in combinations(at_rest, 2):
-        difference = at_rest[a] - at_rest[b]
-        if abs(difference) <= _ROUNDING * stiffness or not ranks.any((presence[a] & presence[b]).any()):
-            continue
+    found = {body.name: rest_stress_and_modulus(body.material) for body in step.model.bodies}
+    stresses, stiffnesses = zip(*found.values(), strict=True)
+    if max(stresses) - min(stresses) > _ROUNDING * max(abs(K) for K in stiffnesses):
+        names = ", ".join(repr(name) for name in found)
+        values = ", ".join(f"{stress:.4g} Pa" for stress in stresses)
         ranks.warn(
-            f"bodies {a!r} and {b!r} meet with different stresses at rest, T(I) = {at_rest[a]:.4g} Pa and "
-            f"{at_rest[b]:.4g} Pa (mean normal stress): they move from the first step on until they balance. "
-            f"Take energies without stress at rest (ReferentialNeoHookean, OldroydB, ...), subtract the "
-            f"constant T(I) from an energy of your own, or start where the stresses agree (Initial.F, or "
-            f"Initial.values of J)",
+            f"bodies {names} meet with different stresses at rest, T(I) = {values} (mean normal stress): "
+            f"they move from the first step on until they balance. Take energies without stress at rest "
+            f"(ReferentialNeoHookean, OldroydB, ...), subtract the constant T(I) from an energy of your own, "
+            f"or start where the stresses agree (Initial.F, or Initial.values of J)",
             InputWarning,
             stacklevel=5,
         )
@@ -154,22 +131,3 @@ def warn_of_moduli(step: Step, ranks: Communicator) -> None:
             InputWarning,
             stacklevel=5,
         )
-
-
-def _mean_stress(body: Body, z: Values, stretch: float) -> CoefficientFunction:
-    """tr T/3 of a body at F = stretch I, Pa, with the moduli of the points where it is evaluated."""
-    material = substituted(body.material, lambda expression: expression.at(z))
-    strained = {
-        v.name: v.from_distortion(stretch * Id(3)) if v.is_strain else z[v.name] for v in material.variables
-    }
-    return tr(cauchy_stress(material, strained)) / 3
-
-
-def _at_vertices(step: Step, sampler: Sampler, fraction: np.ndarray) -> np.ndarray:
-    """Whether a body is in one of the cells, also of other ranks, at a vertex of the mesh, (vertices,)."""
-    mesh, cells = step.mesh, vertices(step.mesh)
-    found = np.zeros(mesh.nv)
-    if len(cells):
-        there = fraction.reshape(len(cells), -1).max(axis=1) > _MEETS
-        found[cells[there].ravel()] = 1.0
-    return Exchange.of(H1(mesh, order=1), Communicator.of(mesh)).sum(found) > 0

@@ -144,7 +144,7 @@ class Thermal(Material):
             raise ParameterError(f"{owner}.p_infinity", self.p_infinity, expected)
         Gamma = self.gruneisen or 0.0
         if self.expansion and self.material is not None:
-            Gamma = self.expansion * bulk_modulus(self.material) / self.c
+            Gamma = self.expansion * rest_stress_and_modulus(self.material)[1] / self.c
             if not Gamma > 0:
                 expected = "None, or a material whose bulk modulus at rest is > 0"
                 raise ParameterError(f"{owner}.expansion", self.expansion, expected)
@@ -254,12 +254,14 @@ def temperature(material: Material, zeta: Values) -> CoefficientFunction | None:
     return None if entropy is None else zeta[entropy.name] / entropy.unit
 
 
-def bulk_modulus(material: Material) -> float:
-    """d^2(J phi)/dJ^2 along F = J^{1/3} I at rest, Pa, where parameters have their typical values."""
+def rest_stress_and_modulus(material: Material) -> tuple[float, float]:
+    """Mean stress and bulk modulus, Pa: (J phi)' and (J phi)'' by J along F = J^{1/3} I at J = 1, where
+    parameters have their typical values."""
     J = CF(1.0).MakeVariable()
     typical = substituted(material, lambda expression: expression.typical)
     z = {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables}
-    return float(np.mean(sampled((J * typical.energy(z)).Diff(J).Diff(J))))
+    stress = (J * typical.energy(z)).Diff(J)
+    return float(np.mean(sampled(stress))), float(np.mean(sampled(stress.Diff(J))))
 
 
 def warming(material: Material, entropy: Entropy) -> float:

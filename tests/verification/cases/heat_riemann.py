@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 
 import ngvisco as nv
 from ngvisco.geometries import structured_box
-from ngvisco.physics.materials.thermal import bulk_modulus
+from ngvisco.physics.materials.thermal import rest_stress_and_modulus
 from ngvisco.physics.variables import Cofactor, Distortion, Jacobian
 from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
 from tests.verification.cases import riemann
@@ -36,7 +36,7 @@ def strip(cells: int, start: CoefficientFunction, nu: float, kappa: float, end: 
     """A periodic strip of two rows with a start velocity along it, at its end; nu = K_v + 4/3 G_v."""
     h = 1 / cells
     cold = nv.CustomMaterial(transported=(Distortion(), Cofactor(), Jacobian()), stored_energy=riemann.energy)
-    expansion = GAMMA * HEAT_CAPACITY / bulk_modulus(cold)
+    expansion = GAMMA * HEAT_CAPACITY / rest_stress_and_modulus(cold)[1]
     model = nv.Model(
         material=nv.Thermal(material=cold, c=HEAT_CAPACITY, theta_R=THETA_R, expansion=expansion),
         viscosity=nv.StokesViscosity(K_v=nu / 3, G_v=nu / 2),
