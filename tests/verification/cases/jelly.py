@@ -7,7 +7,7 @@ Both have a viscosity of 1e-3 Pa s.  Without it backward Euler takes, iterations
     0.001     0.005    0.3        595 and 1, the first; 1,843 and 19 where points may be as light as rho > 0
     0.001     0.005    0.6        1,260 and 1
 
-To 5 s it comes by the tensors' own limiter (``ngvisco.forms.cell_means``): without it X has an eigenvalue of
+To 5 s it comes by the bounds of the tensors (``Mixture.bounds``): without these X has an eigenvalue of
 -136 at 4.84 s in four cells at the floor, by (0.4, 0) m, where half is jelly, and velocities rise from 0.2 to
 19 m/s.  Energies that are linear in X have no least value where it is not positive.
 
