@@ -114,7 +114,10 @@ class Preconditioner:
         varies = len(step.model.bodies) > 1
         order = m and 0.5 * m * (1 + max((flow.rule.degree for flow in steep), default=1.0))
         is_fine = bends or varies or order > step.quadrature.volume_degree // 2
-        self.op = residual.op if is_fine else Operators(step, max(k - 1, math.ceil(order)))
+        # on triangles one of degree 2, k - 1, misses convection, where no hyperviscosity holds: at a Courant
+        # number of 0.2 a step takes 16 iterations and seven operators in place of 9 and one
+        least = k if self.dim == 2 and residual.hyper is None else k - 1
+        self.op = residual.op if is_fine else Operators(step, max(least, math.ceil(order)))
         self.sweep = TransportSweeps(residual)
         derivative = (
             None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
