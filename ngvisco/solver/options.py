@@ -104,8 +104,8 @@ class NewtonOptions(_Checked):
     min_damping : float
         Smallest damping of a Newton step that is tried.
     inverse : str
-        Sparse direct solver, "umfpack", and "pardiso" (``pip install mkl``) or "mumps" where the installation
-        has them.
+        Sparse direct solver of the coupled solver, "umfpack", and "pardiso" (``pip install mkl``) or "mumps"
+        where the installation has them.
     coarse : str
         What solves for the velocities of the vertices in the split solver's two levels: "direct", or for more
         vertices than can be factorised PETSc's multigrid, "gamg" or "hypre". A warning says where it has no
