@@ -1,6 +1,7 @@
 """Small tools of the unit tests: constant tensors in and out of NGSolve, random states, differences."""
 
 import importlib.util
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache
@@ -33,6 +34,7 @@ from ngsolve.meshes import MakeStructured3DMesh
 from ngvisco import (
     BodyForce,
     CentralGravity,
+    Checkpoints,
     Creep,
     Discretisation,
     Gravity,
@@ -52,6 +54,7 @@ from ngvisco import (
     Traction,
     time,
 )
+from ngvisco.case import reference
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
@@ -300,6 +303,12 @@ def swirling(
     return Simulation(mesh, Model(**of_model), dt=dt, initial=initial, **options)
 
 
+def state(run: Simulation) -> np.ndarray:
+    """All coefficients, a copy."""
+    found: np.ndarray = run.rothe_step.state.vec.FV().NumPy().copy()
+    return found
+
+
 def evolved(run: Simulation) -> dict[str, np.ndarray]:
     """Coefficients of v, rho, which bodies have not, and z."""
     state, ranges = run.rothe_step.state.vec.FV().NumPy(), run.rothe_step.layout.ranges
@@ -313,12 +322,34 @@ def assert_same(run: Simulation, other: Simulation, of: float = 1e-9) -> None:
         assert np.abs(values - second[name]).max() <= of * np.abs(values).max(), name
 
 
+def assert_balanced(ledger: Ledger, bound: float = 1e-10, drift: float = 1e-12) -> None:
+    """The ledger closes, and mass is kept."""
+    assert np.abs(ledger.column("closure_relative")).max() <= bound
+    assert np.abs(ledger.column("mass_drift")).max() <= drift
+
+
 def assert_closed(run: Simulation, until: float, bound: float = 1e-12) -> Ledger:
     """Run on to a time and return the ledger: it closes, and mass is kept."""
     ledger = run.run(until)
-    assert np.abs(ledger.column("closure_relative")).max() <= bound
-    assert np.abs(ledger.column("mass_drift")).max() <= min(bound, 1e-11)
+    assert_balanced(ledger, bound, min(bound, 1e-11))
     return ledger
+
+
+def assert_goes_on(make: Callable[..., Simulation], path: Path, until: float, *steps: int) -> Simulation:
+    """A run by ``make`` with observers that goes on from checkpoints of ``steps``, -1 that of the last but
+    one, has the uninterrupted one's ledger and state, bit by bit; returns the latter."""
+    whole = make(observers=[Checkpoints(path, every=1, keep=99)])
+    whole.run(until)
+    for step in steps:
+        again = make(observers=[])
+        again.restore(path, step=step if step > 0 else whole.number + step)
+        again.run(until)
+        assert state(whole).tobytes() == state(again).tobytes()
+        for name in whole.ledger.columns:  # NaN where there is nothing to say
+            np.testing.assert_array_equal(again.ledger.column(name), whole.ledger.column(name))
+        for name, array in {} if whole.passive is None else whole.passive.arrays().items():
+            assert np.array_equal(array, again.passive.arrays()[name])
+    return whole
 
 
 def by_both_solvers(
@@ -345,8 +376,7 @@ def demo(name: str) -> Any:
 
 def assert_sound(ledger: Ledger, material: Material) -> None:
     """What the paper proves of a run with gravity and creep."""
-    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
-    assert np.abs(ledger.column("mass_drift")).max() <= 1e-12
+    assert_balanced(ledger)
     assert ledger.column("rho_min").min() > 0
     J = ledger.column("J_min")
     assert np.isnan(J).all() or J.min() > 0
@@ -406,3 +436,27 @@ WALLS = {
     ),
 }
 """Mesh, walls, initial state and loads, of which what can change in time does."""
+
+
+def required(section: tuple[str, ...], kind: str | None = None) -> dict[str, Any]:
+    """Examples of the keys that a section of this kind requires, by the reference of case files."""
+    own = (e for e in reference.entries() if e.path[:-1] == section and kind in (e.kinds or (kind,)))
+    needed = {e.path[-1]: e.example for e in own if e.required and e.example is not None}
+    return {key: value for key, value in needed.items() if key not in reference.TAGS}
+
+
+def faults(table: str, texts: Mapping[str, str]) -> list[Any]:
+    """Case files and what is said of them, by lines NAME | OLD -> NEW | MESSAGE.
+
+    NAME is that of a text, in which OLD is replaced; + LINES stand at its end.  "; " parts lines, names of
+    texts stand for them, and lines with two spaces before them go on.
+    """
+    found = []
+    for line in re.sub(r"^#.*\n", "", table, flags=re.M).replace("\n  ", " ").splitlines():
+        name, change, message = line.split(" | ")
+        line = re.sub(r"[A-Z_]{3,}", lambda known: texts.get(known[0], known[0]), change.replace("; ", "\n"))
+        old, _, new = line.partition(" -> ")
+        text = texts[name] + old[2:] if old.startswith("+ ") else texts[name].replace(old, new, 1)
+        assert text != texts[name], line
+        found.append(pytest.param(text, message, id=message))
+    return found

@@ -10,7 +10,7 @@ import numpy as np
 from ngvisco.errors import CheckpointError, ParameterError, UnknownNameError
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.fields import USUAL, field_unit
-from ngvisco.run.plots import LABELS, PAGE, figure, save
+from ngvisco.run.plots import LABELS, PAGE, figure, save, widened
 
 _OF_BODIES = ("x", "y", "z", "kinetic", "stored")
 _MOST = 16
@@ -73,7 +73,7 @@ def _draw(tables: Mapping[str, Table], columns: Sequence[str], path: Path) -> No
         for number, (label, table) in enumerate(tables.items()):
             style = ("-", "--", "-.", ":")[number // 10 % 4]
             axis.plot(table["time"], table[name], f"C{number % 10}{style}", label=label)
-        axis.set_title(name.replace("_", " "))
+        axis.set(title=name.replace("_", " "), ylim=widened(*axis.get_ylim()))
     for axis in axes.ravel()[len(columns) :]:
         axis.set_axis_off()
     for axis in axes[-1]:

@@ -7,7 +7,6 @@ import pytest
 
 import ngvisco as nv
 from ngvisco.case.build import parse_case
-from ngvisco.case.faults import CaseError
 from ngvisco.cli.main import main
 from ngvisco.run.checkpoint import mesh_of_checkpoints
 from ngvisco.solver.rothe import RotheSolver
@@ -90,17 +89,3 @@ def test_a_step_that_fails_on_a_later_mesh_leaves_the_steps_before(tmp_path, mon
     kept = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"case.toml", "ledger.csv", "run.h5", "failed.txt"} <= kept
     assert nv.load(tmp_path / "out").time > 0.2  # on the second mesh
-
-
-@pytest.mark.parametrize(
-    ("setting", "said"),
-    [
-        ("domain.adapt.field=vorticity", "domain.adapt.field .*unknown"),
-        ("domain.adapt.every=0.03", "domain.adapt.every .*multiple of dt"),
-        ("domain.adapt.levels=9", "domain.adapt.levels .*from 1 to 8"),
-    ],
-)
-def test_what_cannot_be_is_refused_before_the_run(tmp_path, setting, said):
-    with pytest.raises(CaseError, match=said):
-        one = case(tmp_path, setting)
-        one.simulation(one.mesh())

@@ -4,15 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import state as values
 
 import ngvisco as nv
 from ngvisco.case import resume, run
 
 DEMOS = Path(__file__).resolve().parents[2] / "demos"
-
-
-def values(simulation):
-    return simulation.rothe_step.state.vec.FV().NumPy().copy()
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jsonschema
 import pytest
-from support import A_BODY
+from support import A_BODY, required
 
 import ngvisco as nv
 from ngvisco.case import reference, template, toml
@@ -17,7 +17,6 @@ from ngvisco.case.catalogue import WRAPPERS
 from ngvisco.case.reference import meanings, quantities
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import models_in
-from ngvisco.case.values import TensorValue, VectorValue
 
 ENTRIES = reference.entries()
 COMPANIONS = {
@@ -97,14 +96,7 @@ def placed(entry, kind):
         del data["material"]
     path = [{"NAME": "left", "N": "0"}.get(part, part) for part in entry.path]
     section = entry.path[:-1]
-    needed = {
-        e.path[-1]: e.example
-        for e in ENTRIES
-        if e.path[:-1] == section
-        and e.required
-        and e.example is not None
-        and (not e.kinds or kind in e.kinds)
-    }
+    needed = required(section, kind)
     if kind is not None:
         needed["geometry" if section == ("domain",) else "kind"] = kind
     if kind == "Gas":
@@ -237,10 +229,3 @@ def test_what_is_no_key_is_refused_with_the_nearest(path):
 def test_the_page_in_the_package_is_the_generated_one():
     page = Path(reference.__file__).with_name("reference.md")
     assert page.read_text(encoding="utf-8") == reference.markdown(), "ngvisco list --markdown > " + str(page)
-
-
-def test_types_are_said_in_words():
-    assert reference.type_text(TensorValue) == "number, expression, or three rows of three of them"
-    assert reference.type_text(VectorValue | None) == "array of numbers or expressions"
-    assert reference.type_text(dict[str, float] | None) == "table of numbers"
-    assert reference.type_text(str | list[str]) == "text or array of texts"

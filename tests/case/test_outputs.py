@@ -68,10 +68,8 @@ def test_what_is_measured_does_not_change_the_case(tmp_path):
     [
         ("output.probes.0.point=[2, 2]", r"output.probes.0.point .*expected a point of the domain"),
         ("output.probes.0.point=[1]", r"output.probes.0.point .*points of 2 finite coordinates"),
-        ("output.probes.0.point=[inf, 1]", r"output.probes.0.point .*points of 2 finite coordinates"),
         ("output.probes.0.fields=['veloctiy']", "output.probes.0.fields .*did you mean 'velocity'"),
         ("output.probes.0.name='a/b'", "output.probes.0.name .*'a/b': expected at most 60 letters"),
-        ("output.probes.0.name=''", "output.probes.0.name .*expected at most 60 letters"),
         ("output.integrals.0.name='tip'", "output.integrals.0.name .*a name that no other of the tables has"),
         ("output.lines.0.name='forces'", "output.lines.0.name .*both would write forces.csv"),
         ("output.lines.0.end=[0, 0.5]", "output.lines.0.end .*another point than start"),
@@ -80,9 +78,7 @@ def test_what_is_measured_does_not_change_the_case(tmp_path):
         ("output.forces.walls=['botom']", "output.forces.walls .*did you mean 'bottom'"),
         ("output.forces.about=[0]", "output.forces.about .*points of 2"),
         ("output.integrals.0.of='densty'", "output.integrals.0.of .*did you mean 'density'"),
-        ("output.integrals.0.of='1/0'", "output.integrals.0.of .*no finite number"),
         ("output.integrals.0.of='__import__(1)'", "output.integrals.0.of .*unknown function"),
-        ("output.integrals.0.every=0", "output.integrals.0.every .*0: "),
     ],
 )
 def test_faults_of_outputs_are_named_with_their_key(setting, message, tmp_path):

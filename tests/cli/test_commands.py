@@ -164,20 +164,10 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
         (("frobnicate",), "invalid choice"),
         (("run",), "required: CASE"),
         (("run", "missing.toml"), "missing.toml: cannot be read"),
-        (("run", "CASE", "--set", "material.Ge=1"), "did you mean 'G_e'"),
         (("run", "CASE", "--set", "nonsense"), "expected key.path=value"),
         (("run", "CASE", "--set", "time.until=-1"), "time.until (set on the command line): -1.0"),
         (("run", "CASE", "--threads", "0"), "expected a whole number >= 1"),
-        (("run", "CASE", "--threads", "many"), "many: expected a whole number >= 1"),
         (("run", "CASE", "--threads", "100000"), "100000: expected at most"),
-        (("run", "CASE", "--set", "walls.lef.kind=Slip"), "unknown boundary 'lef'"),
-        (("run", "CASE", "--set", "initial.density=log(x-2)"), "initial.density"),
-        (("check", "CASE", "--set", "domain.maxh=0"), "domain.maxh"),
-        (("check", "CASE", "--set", 'domain={geometry="file", path="a.vol"}'), "no such file"),
-        (
-            ("check", "CASE", "--set", 'domain={geometry="file", path="small.toml"}'),
-            "a name that ends in .vol",
-        ),
         (("resume", "EMPTY"), "not a run directory"),
         (("resume", "RUN", "--until", "soon"), "invalid float"),
         (("resume", "RUN", "--until", "nan"), "--until = nan"),
@@ -215,19 +205,11 @@ def test_a_case_with_output_times_writes_them(tmp_path):
 
 
 REFUSED = {
-    "wrong key": "material.Ge=1",
-    "wrong value": "time.dt=-1",
-    "unknown wall": "walls.lef.kind=Slip",
-    "start": "initial.density=x - 0.5",
-    "load": "loads.0.g=[0, 'log(x - 2)']",
-    "later load": "loads.0.g=[0, 'sqrt(0.05 - t)']",
-    "output": "output.vtk.fields=['Jj']",
-    "mesh": "domain.maxh=1e-9",
-    "length": "domain.size=[1, 1e-12]",
-    "solver": "solver.inverse=mumps",
-    "energy": "material.epsilon=1e300",
-    "friction": "walls.top={kind='NavierFriction', coefficient='x - 0.5'}",
-    "moving wall": "walls.top={kind='PrescribedTangential', velocity=[0, 1]}",
+    "when it is read": "material.Ge=1",
+    "with the mesh": "domain.maxh=1e-9",
+    "at the start": "loads.0.g=[0, 'log(x - 2)']",
+    "at a later time": "loads.0.g=[0, 'sqrt(0.05 - t)']",
+    "as output": "output.vtk.fields=['Jj']",
 }
 
 
@@ -238,7 +220,7 @@ def test_a_refused_case_leaves_nothing_and_cites_the_users_file(setting, case_fi
     assert not out.exists() and sorted(tmp_path.iterdir()) == [case_file]
     said = capsys.readouterr().err
     assert said.startswith(f"ngvisco: {case_file}: ") or said.startswith(f"ngvisco: {case_file}:")
-    assert "(set on the command line)" in said or setting == REFUSED["energy"]  # of three moduli together
+    assert "(set on the command line)" in said
 
 
 def test_force_removes_nothing_for_a_case_that_is_refused(half, case_file):
@@ -264,14 +246,6 @@ def test_a_lock_is_there_only_while_it_is_held(tmp_path, case_file, half):
         with pytest.raises(nv.RunDirectoryError, match="in use by process"), place.locked():
             pass
     assert not place.path.exists()
-
-
-def test_a_huge_file_is_not_read(tmp_path, capsys):
-    path = tmp_path / "huge.toml"
-    with path.open("wb") as file:
-        file.truncate(3_000_000_000)  # no blocks are written
-    assert ended("check", path) == 2
-    assert "longer than 1000000 bytes" in capsys.readouterr().err
 
 
 @pytest.mark.filterwarnings("default")

@@ -1,8 +1,11 @@
 """Unknowns of further terms that evolve: schemes, ledger, error estimate, restart and transfer count them."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from ngsolve import CF, Integrate, exp, x, y
+from support import assert_goes_on
 
 import ngvisco as nv
 from ngvisco.errors import ParameterError, UnknownNameError
@@ -174,16 +177,8 @@ def test_restart_is_bitwise(tmp_path):
         "solver": "split",
         "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-2),
     }
-    path = tmp_path / "run.h5"
-    run = simulation(Pores(), observers=[nv.Checkpoints(path, every=1, keep=9)], **options)
-    run.run(0.2)
-    again = simulation(Pores(), **options)
-    again.restore(path, step=run.number - 1)
-    again.run(0.2)
-    assert again.ledger.rows[-1]["error_estimate"] > 0
-    assert theta_of(again).tobytes() == theta_of(run).tobytes()
-    state, same = (one.rothe_step.state.vec.FV().NumPy() for one in (run, again))
-    assert state.tobytes() == same.tobytes()
+    run = assert_goes_on(partial(simulation, Pores(), **options), tmp_path / "run.h5", 0.2, -1)
+    assert run.ledger.rows[-1]["error_estimate"] > 0
 
 
 @pytest.mark.parametrize("place", ["continuous", "cells"])

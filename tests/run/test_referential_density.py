@@ -176,8 +176,6 @@ def test_hash_of_a_case_without_a_density_is_that_of_the_default():
     ("setting", "words"),
     [
         ('initial.values={J="1.1"}', ["initial.density", "rho_0 J_0 from 2.75"]),
-        ("material.a=-1", ["material.a", "> 0"]),
-        ("material.rho_R=0", ["material.rho_R", "> 0"]),
         ("material.gamma=900", ["material.a", "finite"]),
         ("rheology.viscosity.D=[[1, 2], [3, 4]]", ["rheology.viscosity.D", "6x6"]),
         ("rheology.viscosity.D=[[1, 'a']]", ["rheology.viscosity.D", "not of 'a'"]),

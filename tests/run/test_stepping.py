@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from ngsolve import GridFunction, InnerProduct, Integrate, cos, pi, sin, x, y
 from support import StopAt
+from support import state as values
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -30,10 +31,6 @@ def simulation(stepping=None, observers=(), dt=0.02, scale=1.0, scheme="backward
         initial=initial,
         observers=observers,
     )
-
-
-def values(run):
-    return run.rothe_step.state.vec.FV().NumPy().copy()
 
 
 def refuse(run, monkeypatch, is_refused):

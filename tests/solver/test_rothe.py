@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from ngsolve import CF, Id, IfPos, Integrate, OuterProduct, cos, pi, sin, x, y
-from support import MATERIALS, SWIRL
+from support import MATERIALS, SWIRL, state
 
 from ngvisco import (
     HyperViscosity,
@@ -30,10 +30,6 @@ def simulation(material: str = "neo_hookean", speed: float = 1.0, F=None, dt: fl
     )
     velocity = tuple(speed * component for component in SWIRL)
     return Simulation(box((1, 1), 0.5), model, dt=dt, initial=Initial(velocity=velocity, F=F), **options)
-
-
-def state(run: Simulation) -> np.ndarray:
-    return run.rothe_step.state.vec.FV().NumPy().copy()
 
 
 @pytest.mark.parametrize("material", ["linear", "neo_hookean"])

@@ -7,6 +7,7 @@ import pytest
 from ngsolve import cos, pi, sin, x, y
 from ngsolve.meshes import MakeStructured2DMesh
 from scipy.sparse.linalg import LinearOperator, gmres
+from support import state
 
 import ngvisco as nv
 from ngvisco.algebra import precision
@@ -38,10 +39,6 @@ def simulation(maxh=0.4, mesh=None, hyperviscosity=None, regularisation=None, sp
 
 
 TWO_LEVELS = nv.NewtonOptions(split=SplitOptions(direct_up_to=(0, 0)))
-
-
-def state(run):
-    return run.rothe_step.state.vec.FV().NumPy().copy()
 
 
 def taken(run):

@@ -215,7 +215,6 @@ def test_a_run_that_ended_early_is_listed_as_stopped(case_file, tmp_path):
     [
         ([], "nothing to vary"),
         (["--vary", "material.G_e=1,-2"], "material.G_e (set on the command line)"),
-        (["--vary", "material.Ge=1"], "did you mean 'G_e'"),
         (["--vary", "material.G_e=1,1.0"], "the same case"),
         (["--vary", "material.G_e=1", "--set", "material.G_e=2"], "it is in both"),
         (["--vary", "domain.maxh=0.5,1e-9"], "domain"),
