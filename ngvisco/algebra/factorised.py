@@ -41,6 +41,7 @@ _WITHOUT_PIVOTS: dict[str, Any] = {
     "diag_pivot_thresh": 0.0,
     "options": {"SymmetricMode": True},
 }
+"""How SuperLU factorises a symmetric matrix."""
 
 
 class DirectSolver:
@@ -54,14 +55,10 @@ class DirectSolver:
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
         """Raises StepError if the matrix is singular."""
-        matrix, how = matrix[self.free][:, self.free], {}
+        matrix, how = matrix[self.free][:, self.free], dict[str, Any]()
         if self.symmetric:
             matrix = 0.5 * (matrix + matrix.T)
-            how = {
-                "permc_spec": "MMD_AT_PLUS_A",
-                "diag_pivot_thresh": 0.0,
-                "options": {"SymmetricMode": True},
-            }
+            how = _WITHOUT_PIVOTS
         try:
             self._factors = splu(matrix.tocsc(), **how) if len(self.free) else None
         except RuntimeError as error:  # of SuperLU
