@@ -35,7 +35,7 @@ from functools import cached_property
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction
 
-from ngvisco.forms.cell_means import SHARE, CellMeans, Ranges, least_of
+from ngvisco.forms.cell_means import SHARE, CellMeans, Ranges, Stretches, least_of
 from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
@@ -152,8 +152,8 @@ class Bounds:
         """s of rho in the last limited state."""
         self.refused: tuple[Violation, np.ndarray] | None = None
         """The last solution that had a ``defect``: where, and its coefficients."""
-        self.has_limited = False
-        """Whether it was limited there."""
+        self.takes_energy = False
+        """Whether more than tensors of linear energies was limited there."""
 
     @cached_property
     def _means(self) -> CellMeans:
@@ -163,6 +163,11 @@ class Bounds:
     def ranges(self) -> Ranges:
         """Those of the parameters."""
         return Ranges(self.step, self.sampler, self._means)
+
+    @cached_property
+    def stretches(self) -> Stretches:
+        """The tensors of bodies whose energies are linear."""
+        return Stretches(self.step, self.sampler, self._means)
 
     @cached_property
     def _bounds_of_means(self) -> CoefficientFunction:
@@ -221,9 +226,9 @@ class Bounds:
         if found is not None:
             self._limit(found)
             changed = np.union1d(changed, found.cells)
-        count = int(self._ranks.total(len(changed)))
-        self.has_limited = count > 0
-        return count
+        self.takes_energy = self._ranks.total(len(changed)) > 0
+        changed = np.union1d(changed, self.stretches.limit())
+        return int(self._ranks.total(len(changed)))
 
     def _limit(self, found: _Outside) -> None:
         """Scale rho and z in the cells that were found outside; of bodies z alone, which has rho in it."""
@@ -243,7 +248,7 @@ class Bounds:
 
     def is_exceeded(self) -> bool:
         """Whether ``limit`` would change the present state."""
-        return self.ranges.is_exceeded() or self._outside() is not None
+        return self.ranges.is_exceeded() or self._outside() is not None or self.stretches.is_exceeded()
 
     def _scale(self, name: str, found: _Outside, group: np.ndarray, target: np.ndarray) -> None:
         """Scale rho or z in the cells where bounds of the ``group`` are broken, until these are kept."""

@@ -6,6 +6,17 @@ A parameter is transported, dt theta + (v . grad) theta = 0, so that its exact s
 of its start; a discontinuous polynomial overshoots where it jumps.  Where it has left its range at a point of
 a cell, its mean there is put back into the range, if need be, and it is scaled towards its mean (Zhang and
 Shu, J. Comput. Phys. 229, 2010).
+
+``Stretches``: the tensors of bodies stay positive where their energies, linear in them, do not see to it.
+
+Body i carries n_i and X_i = n_i B, and C : (X_i - n_i I) has no least value where X_i is not positive: such
+matter is stretched without end.  Where X_i is not positive at a point of a cell of which the body is a part,
+while its mean is, B goes towards that of the means,
+
+    X_i <- s X_i + (1 - s) (n_i/n_iK) X_iK,
+
+with the largest s that leaves ``SHARE`` of the second at each such point.  n_i, the mean of X_i and, with it,
+an energy that is linear in X_i are kept, and so are rho and v: the limiter takes nothing by it.
 """
 
 from functools import cached_property
@@ -154,3 +165,66 @@ class Ranges:
         low, high = (np.array(ends) for ends in zip(*(self.step.ranges[n] for n in self.names), strict=True))
         slack = SLACK * np.maximum(high - low, np.maximum(abs(low), abs(high)) * (high == low))
         return ((least < low - slack) | (largest > high + slack)).T, least.T, largest.T
+
+
+_PART = 0.1
+"""Fraction from which on the body takes part (``Mixture.taking_part``)."""
+
+
+class Stretches:
+    """Keeps X_i of a step's present state positive.
+
+    Parameters
+    ----------
+    step : Step
+        With ``linear_contents`` of its material.
+    sampler : Sampler
+        Its points are those at which values are looked at.
+    """
+
+    def __init__(self, step: Step, sampler: Sampler, means: CellMeans) -> None:
+        self.step, self.sampler, self._means = step, sampler, means
+        z, variables = step.now.z_tensors, {v.name: v for v in step.model.material.variables}
+        self._amounts, self._signs = {}, {}
+        for X, (amount, theta) in step.model.material.linear_contents(z).items():
+            self._amounts[X] = amount
+            self._signs[X] = CF((theta - _PART, *variables[X].positive(z[X]).values()))
+
+    def is_exceeded(self) -> bool:
+        """Whether ``limit`` would change the present state."""
+        return any(self.sampler.ranks.any(len(self._outside(X)[0]) > 0) for X in self._amounts)
+
+    def limit(self) -> np.ndarray:
+        """Make X_i of the present state positive; gives the cells of this rank that were changed."""
+        changed = [self._limited(X) for X in self._amounts]
+        return np.unique(np.concatenate([np.zeros(0, dtype=int), *changed]))
+
+    def _outside(self, content: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points at which X_i of a body that takes part is not positive, cells, B of means, which is."""
+        signs = self.sampler.rows(self._signs[content])
+        points = np.flatnonzero((signs[:, 0] > 0) & ~(signs[:, 1:] > 0).all(axis=1))
+        if self.sampler.ranks.any(len(points) > 0):
+            self._means.project()
+        states, means = self.step.layout.states, self._means.of_cells("z")
+        cells = self.sampler.cells[points]
+        amount = means[states.slices[self._amounts[content]].start][cells]
+        mean = (means[states.slices[content]].T[cells] @ states.spaces[content].columns.T).reshape(-1, 3, 3)
+        good = (amount > 0) & (np.linalg.eigvalsh(mean)[:, 0] > 0)
+        return points[good], cells[good], mean[good] / amount[good, None, None]
+
+    def _limited(self, content: str) -> np.ndarray:
+        points, cells, mean = self._outside(content)
+        if not len(points):
+            return cells
+        states, z, means = self.step.layout.states, self.step.now.z_tensors, self._means.of_cells("z")
+        amount, at = self._amounts[content], self.sampler.points[points]
+        X, n = states.slices[content], states.slices[amount].start
+        value = np.asarray(z[content](at)).reshape(-1, 3, 3) / np.asarray(z[amount](at)).reshape(-1, 1, 1)
+        inverse = np.linalg.inv(np.linalg.cholesky(mean))
+        least = np.linalg.eigvalsh(inverse @ value @ inverse.transpose(0, 2, 1))[:, 0]
+        share = np.ones(self.step.mesh.ne)
+        np.minimum.at(share, cells, (1 - SHARE) / (1 - np.minimum(least, 0.0)))
+        values, (dofs, of) = self._means.coefficients("z"), self._means.functions(share < 1)
+        uniform = means[X][:, of] / means[n][of] * values[n, dofs]
+        values[X, dofs] = uniform + share[of] * (values[X, dofs] - uniform)
+        return np.unique(cells)

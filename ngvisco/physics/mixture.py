@@ -51,9 +51,6 @@ HARDENING_TRACE = 0.1
 _LIGHTEST = "the density, less half of that of the lightest body"
 """What is lighter than any of its parts is thrown by forces that these bear."""
 
-_PART = 0.1
-"""The fraction from which on tensors of linear energies are kept positive."""
-
 _HALF = 1 / 5
 """The fraction at which matter takes half a part."""
 
@@ -224,8 +221,8 @@ class Mixture(Material):
 
     def bounds(self, z: Values) -> dict[str, Values]:
         """What must be > 0: N; sum n_i/U_i'' at rest, less a tenth of its least value, where these differ, or
-        there is no common pressure; sum n_i c_i, less a tenth of its least; n_i, but for half of what f_i or
-        phi_h adds to it, where one is not linear or hardens; and minors of X_i where f_i is linear."""
+        there is no common pressure; sum n_i c_i, less a tenth of its least; and n_i, but for half of what f_i
+        or phi_h adds to it, where one is not linear or hardens."""
         n, total = self.amounts(z), self.fractions.total(z)
 
         def above(share: float, sizes: Sequence[float]) -> Any:
@@ -245,22 +242,16 @@ class Mixture(Material):
         densities = [body.density or 0.0 for body in self.bodies]
         if max(densities) > 2 * min(densities):
             found[_LIGHTEST] = above(0.5, densities)
-        return {"": {**found, **self._positive(z)}}
+        return {"": found}
 
     @property
     def where_means_do(self) -> frozenset[str]:
-        rest = {v.name: v.from_distortion(IDENTITY) for v in self.variables}
-        return frozenset([_LIGHTEST, *self._positive(rest)])
+        return frozenset([_LIGHTEST])
 
-    def _positive(self, z: Values) -> Values:
-        """Minors of X_i of linear energies, which have no least value where these are negative: such matter
-        is stretched without end.  One where there is little of the body."""
-        found: dict[str, Any] = {}
-        for (name, theta), psi in zip(self.fractions.at(z).items(), self.energies, strict=True):
-            for X in self.contents(name) if psi.is_linear else ():
-                minors = X.positive(z[X.name])
-                found |= {what: if_positive(theta - _PART, of, 0 * of + 1) for what, of in minors.items()}
-        return found
+    def linear_contents(self, z: Values) -> dict[str, tuple[str, Any]]:
+        linear = (b.name for b, psi in zip(self.bodies, self.energies, strict=True) if psi.is_linear)
+        theta = self.fractions.at(z)
+        return {X.name: (AMOUNT + name, theta[name]) for name in linear for X in self.contents(name)}
 
     def taking_part(self, z: Values) -> Values:
         if len(self.bodies) == 1:

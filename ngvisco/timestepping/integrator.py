@@ -382,7 +382,7 @@ class Integrator:
         omega = 2.0
         if self.bounds is not None:
             end_at(omega)
-        if self.bounds is not None and self.bounds.has_limited:
+        if self.bounds is not None and self.bounds.takes_energy:
             # R jumps where cells begin to be limited, and such a step is not without dissipation anyway
             omega = 2.0 if wanted is None else wanted
         elif lost > noise:
