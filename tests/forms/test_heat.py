@@ -355,7 +355,8 @@ def test_friction_shares_its_heat_with_the_wall(solver):
     assert lost[1:] == pytest.approx(
         (1 - share) * ledger.column("dissipation_friction_bottom")[1:], rel=1e-12
     )
-    assert np.diff(energy(ledger)) == pytest.approx(-0.05 * lost[1:], rel=1e-8)
+    # 3e-12 of the energy, some tolerances of the solver
+    assert np.diff(energy(ledger)) == pytest.approx(-0.05 * lost[1:], rel=1e-8, abs=1e-11)
     kept = produced(ledger).sum(axis=0) + ledger.column("entropy_supply_friction_bottom")[1:]
     assert np.diff(ledger.column("entropy")) == pytest.approx(0.05 * kept, rel=1e-9)
     with pytest.raises(nv.NgviscoError, match=r"walls\['left'\]\.heat\.friction_share.*without friction"):
