@@ -59,9 +59,10 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> dict[s
 def _require_some_body_in_each_cell(mesh: Mesh, bodies: Sequence[Body], rest: CoefficientFunction) -> None:
     """Raise ParameterError for a cell that is in no body at all: there are no shares to fill it by."""
 
-    covered = np.array(Integrate(1 - rest, mesh, VOL, element_wise=True))
+    one = CoefficientFunction(1.0)
+    size, covered = (np.array(Integrate(f, mesh, VOL, element_wise=True)) for f in (one, 1 - rest))
     with Communicator.of(mesh).together(ParameterError):
-        if np.any(empty := covered <= _COVERED * covered.max(initial=0.0)):
+        if np.any(empty := covered <= _COVERED * size):
             corners = mesh[ElementId(VOL, int(np.argmax(empty)))].vertices
             middle = np.mean([mesh[vertex].point for vertex in corners], axis=0)
             place = ", ".join(f"{c:.4g}" for c in middle)
