@@ -6,12 +6,15 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 from support import faults
 
 import ngvisco as nv
 from ngvisco.case import CaseError
 from ngvisco.case.build import parse_case
-from ngvisco.case.toml import parse_override, write
+from ngvisco.case.faults import Locator, faults_of
+from ngvisco.case.schema import CaseSections
+from ngvisco.case.toml import key_lines, override, parse_override, write
 
 CASE = """\
 title = "a case"
@@ -296,6 +299,31 @@ def test_any_text_is_a_case_or_a_case_error(text):
 )
 def test_a_damaged_case_is_a_case_or_a_case_error(start, length, insertion):
     outcome(CASE[:start] + insertion + CASE[start + length :])
+
+
+VALUES = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**20), 10**20)
+    | st.floats()
+    | st.text(alphabet=st.characters(codec="utf-8", exclude_characters="\r"), max_size=10),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text("abg_", min_size=1), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+PATHS = sorted(".".join(path) for path in key_lines(CASE))
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(PATHS), VALUES)
+def test_any_value_of_any_key_is_a_case_or_a_case_error(path, value):
+    data = tomllib.loads(CASE)
+    override(data, tuple(path.split(".")), value)
+    try:
+        CaseSections.model_validate(data)
+    except ValidationError as error:
+        assert faults_of(error, CaseSections, Locator(key_lines(CASE)))
 
 
 TABLES = st.dictionaries(
