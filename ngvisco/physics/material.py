@@ -21,10 +21,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction
+from ngsolve import CF, CoefficientFunction, Id
 
 from ngvisco.errors import ParameterError
-from ngvisco.physics.parameters import Modulus, require_ranges
+from ngvisco.physics.parameters import Modulus, require_ranges, substituted
+from ngvisco.physics.signals import sampled
 from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import IDENTITY, constant, inner, skw, sym, tr, trace_free_tensors
 from ngvisco.physics.variables import Values, Variable
@@ -203,6 +204,16 @@ def cauchy_stress(
             entries.append(rate_power(material, z, zeta, constant(unit), zero))
     phi = material.energy(z) if phi is None else phi
     return CF(tuple(entries), dims=(3, 3)) + phi * IDENTITY
+
+
+def rest_stress_and_modulus(material: Material) -> tuple[float, float]:
+    """Mean stress and bulk modulus, Pa: (J phi)' and (J phi)'' by J along F = J^{1/3} I at J = 1, where
+    parameters have their typical values."""
+    J = CF(1.0).MakeVariable()
+    typical = substituted(material, lambda expression: expression.typical)
+    z = {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables}
+    stress = (J * typical.energy(z)).Diff(J)
+    return float(np.mean(sampled(stress))), float(np.mean(sampled(stress.Diff(J))))
 
 
 def mandel_stress(

@@ -9,7 +9,7 @@ from ngvisco.errors import InputWarning, ParameterError
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.bodies import Body
-from ngvisco.physics.materials.thermal import rest_stress_and_modulus
+from ngvisco.physics.material import rest_stress_and_modulus
 from ngvisco.physics.mixture import Mixture
 from ngvisco.shapes.fractions import MISSED, fractions, volumes
 from ngvisco.shapes.shape import Shape, as_shape

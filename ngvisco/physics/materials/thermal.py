@@ -17,7 +17,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, Id
 
 from ngvisco.errors import ParameterError, Quantity
-from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.material import ElasticState, Material, rest_stress_and_modulus
 from ngvisco.physics.parameters import Modulus, require_ranges, substituted
 from ngvisco.physics.signals import sampled
 from ngvisco.physics.tensors import exp, log, tr
@@ -252,16 +252,6 @@ def temperature(material: Material, zeta: Values) -> CoefficientFunction | None:
     """theta, K, by the conjugates' values; None of a material without heat."""
     entropy = entropy_in(material)
     return None if entropy is None else zeta[entropy.name] / entropy.unit
-
-
-def rest_stress_and_modulus(material: Material) -> tuple[float, float]:
-    """Mean stress and bulk modulus, Pa: (J phi)' and (J phi)'' by J along F = J^{1/3} I at J = 1, where
-    parameters have their typical values."""
-    J = CF(1.0).MakeVariable()
-    typical = substituted(material, lambda expression: expression.typical)
-    z = {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables}
-    stress = (J * typical.energy(z)).Diff(J)
-    return float(np.mean(sampled(stress))), float(np.mean(sampled(stress.Diff(J))))
 
 
 def warming(material: Material, entropy: Entropy) -> float:
