@@ -7,7 +7,17 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
-from ngvisco.case.faults import CaseError, Locator, given, has_key, in_case, refused, shown, tables_of
+from ngvisco.case.faults import (
+    CaseError,
+    Locator,
+    given,
+    has_key,
+    in_case,
+    names_in,
+    refused,
+    shown,
+    tables_of,
+)
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import Section, names_of, parameters
 from ngvisco.errors import InitialDataError, MeshError, NgviscoError, ParameterError, UnknownNameError
@@ -89,7 +99,7 @@ def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = Non
     ``path`` is that of the section from which the object with the parameter was made; where several tables
     may be meant it is the one that has the ``value``.
     """
-    owner, *rest = re.sub(r"\[[\"']?(.*?)[\"']?\]", r".\1", field).split(".")
+    owner, *rest = names_in(field)
     if owner in ("loads", "bodies"):
         names = [str(part.name) for part in getattr(sections, owner)]
         if not rest or rest[0] not in names:

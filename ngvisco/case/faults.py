@@ -3,7 +3,7 @@
 import difflib
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import cache
 from typing import Any, get_args
 
@@ -93,10 +93,19 @@ def faults_of(error: ValidationError, model: type[BaseModel], locator: Locator) 
         if one["type"] == "union_tag_invalid":
             path = (*path, one["ctx"]["discriminator"].strip("'"))
         if isinstance(raised, ParameterError):
-            parts = raised.field.split(".")  # NeoHookean.G_e in [material] is G_e there
+            parts = names_in(raised.field)  # NeoHookean.G_e in [material] is G_e there
             path = (*path, *parts[1:]) if path else tuple(parts)
-        found.append(locator.fault(path, _message(one, raised, path, here, known)))
+            written = given(locator.data, path) if is_dataclass(raised.value) else None
+            message = refused(raised.value if written is None else written, raised)
+        else:
+            message = _message(one, raised, path, here, known)
+        found.append(locator.fault(path, message))
     return sorted(found, key=lambda fault: (fault.line is None, fault.line or 0))
+
+
+def names_in(field: str) -> list[str]:
+    """The names and indices in that of a parameter, ``walls['top'].f`` or ``Composite.rules[0].nu``."""
+    return re.sub(r"\[[\"']?(.*?)[\"']?\]", r".\1", field).split(".")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -109,8 +118,6 @@ def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: 
     kind, value, context = one["type"], one["input"], one.get("ctx") or {}
     if isinstance(value, Wrong):
         return str(value)
-    if isinstance(raised, ParameterError):
-        return refused(raised.value, raised)
     if raised is not None:
         return f"{shown(value)}: {raised}"
     if kind == "extra_forbidden":

@@ -130,6 +130,10 @@ ONE | density = 1 -> temperature = 300
 ONE | density = 1 -> F = 1.1 | initial.F: 1.1: expected three rows of three, as in
 ONE | LAW -> GAS | material.gruneisen: is missing: expected a number > 0, by which a gas has its pressure
 ONE | LAW -> GASexpansion = 1e-4 | material.expansion: 0.0001: expected nothing without a material: a gas has
+ONE | LAW -> kind = "Damaged"; G_c = 1; length = 1; material = { kind = "BarotropicFluid", B = 1, gamma = 2 }
+  | material.material: { kind = "BarotropicFluid", B = 1, gamma = 2 }: expected one without stress at rest
+ONE | + [rheology.creep]; kind = "Composite"; rules = [{ kind = "Perzyna", sigma_Y = 1, G_m = 1, Q = 2 }]
+  | rheology.creep.rules.0.Q: 2.0: expected a rule without hardening
 ONE | maxh = 0.5 -> maxh = 0.5; adapt = { field = "G", every = 0.02 } | unknown domain.adapt.field 'G'
 ONE | maxh = 0.5 -> maxh = 0.5; adapt = { field = "J", every = 0.03 } | domain.adapt.every: 0.03: expected a
 ONE | maxh = 0.5 -> maxh = 0.5; adapt = { field = "J", every = 0.02, levels = 9 } | a whole number from 1 to 8

@@ -36,14 +36,16 @@ class Composite(FlowRule):
         if not isinstance(self.rules, (tuple, list)) or not self.rules:
             raise ParameterError("Composite.rules", self.rules, "a sequence of flow rules")
         object.__setattr__(self, "rules", tuple(self.rules))
-        for rule in self.rules:
+        for i, rule in enumerate(self.rules):
             if not isinstance(rule, FlowRule):
                 raise ParameterError("Composite.rules", rule, "flow rules")
             if not rule.is_local:
-                raise ParameterError(f"Composite.rules[{type(rule).__name__}].nu", rule.nu, "0 within a sum")
+                raise ParameterError(f"Composite.rules[{i}].nu", rule.nu, "0 within a sum")
             if rule.hardening is not None:
                 expected = "a rule without hardening: of a sum's rate no part is that of its plastic strain"
-                raise ParameterError(f"Composite.rules[{type(rule).__name__}].H", rule.hardening, expected)
+                name = "Q" if rule.hardening.H == 0 else "H"
+                value = getattr(rule.hardening, name)
+                raise ParameterError(f"Composite.rules[{i}].{name}", value, expected)
 
     def rate(
         self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
