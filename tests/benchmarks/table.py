@@ -2,7 +2,7 @@
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,28 @@ PARTS = (
     *("traces", "projections", "rows", "hyperviscosity", "forms"),
     *("assembly", "factorisation", "solves"),
 )
+
+
+def _part(name: str) -> Callable[[dict], str]:
+    return lambda row: f"{row['parts'].get(name, 0.0):.2f}" if "parts" in row else ""
+
+
+COLUMNS: dict[str, Callable[[dict], str]] = {
+    "cells": lambda row: f"{row['cells']:,}",
+    "unknowns": lambda row: f"{row['unknowns']:,}",
+    "threads": lambda row: str(row["threads"]),
+    "its": lambda row: f"{row['iterations']:.1f}",
+    "step, s": lambda row: f"{row['step']:.2f}",
+    **{name: _part(name) for name in PARTS},
+    "floor, s": lambda row: f"{row['floor']:.2f}",
+    "step/floor": lambda row: f"{row['step'] / row['floor']:.1f}",
+    "step/direct": lambda row: f"{row['step'] / row['direct']:.1f}" if "direct" in row else "",
+    "set-up/step": lambda row: f"{row['set-up'] / row['step']:.1f}",
+    "first/step": lambda row: f"{row['first'] / row['step']:.1f}",
+    "GB": lambda row: f"{row['memory']:.2f}",
+    "closure": lambda row: f"{row['closure']:.0e}",
+}
+"""What a table says of a row, by its head."""
 
 FITTED = (700, 40_000)
 """Cells between which rows count for the growth exponents, where three of them do: below them a step takes
@@ -23,22 +45,7 @@ def markdown(rows: list[dict]) -> str:
     "floor" is one assembly, factorisation and solve with the solver's own tangent, "direct" the same with a
     factorisation of it as a whole; "step" is the mean of those after the first.
     """
-    head = [
-        "case",
-        "cells",
-        "unknowns",
-        "threads",
-        "its",
-        "step, s",
-        *PARTS,
-        "floor, s",
-        "step/floor",
-        "step/direct",
-        "set-up/step",
-        "first/step",
-        "GB",
-        "closure",
-    ]
+    head = ["case", *COLUMNS]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for row in rows:
         name = f"{row['dim']}D {row['method']}, h = {row['maxh']:g}"
@@ -47,23 +54,7 @@ def markdown(rows: list[dict]) -> str:
         if "failed" in row:
             lines.append(f"| {name} | {row['failed']} |" + " |" * (len(head) - 2))
             continue
-        parts = [f"{row['parts'].get(part, 0.0):.2f}" if "parts" in row else "" for part in PARTS]
-        cells = [
-            name,
-            f"{row['cells']:,}",
-            f"{row['unknowns']:,}",
-            str(row["threads"]),
-            f"{row['iterations']:.1f}",
-            f"{row['step']:.2f}",
-            *parts,
-            f"{row['floor']:.2f}",
-            f"{row['step'] / row['floor']:.1f}",
-            f"{row['step'] / row['direct']:.1f}" if "direct" in row else "",
-            f"{row['set-up'] / row['step']:.1f}",
-            f"{row['first'] / row['step']:.1f}",
-            f"{row['memory']:.2f}",
-            f"{row['closure']:.0e}",
-        ]
+        cells = [name, *(say(row) for say in COLUMNS.values())]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
@@ -81,25 +72,15 @@ def summary(rows: list[dict]) -> str:
             ratio = seconds / creeping[dim, maxh, "one body"]
             lines.append(f"- {dim}D, h = {maxh:g}: a step of two bodies over one of one {ratio:.2f}")
     done = [row for row in done if not row.get("creeping")]
+    steps = {(row["dim"], row["maxh"], row["method"], row["threads"]): row["step"] for row in done}
     for row in done:
-        partner = [
-            other
-            for other in done
-            if other["method"] == "coupled" != row["method"]
-            and (other["dim"], other["maxh"], other["threads"]) == (row["dim"], row["maxh"], row["threads"])
-        ]
-        if partner:
-            ratio = partner[0]["step"] / row["step"]
-            lines.append(f"- {row['dim']}D, {row['cells']:,} cells: coupled over split {ratio:.2f}")
-        single = [
-            other
-            for other in done
-            if other["threads"] == 1 < row["threads"]
-            and (other["dim"], other["maxh"], other["method"]) == (row["dim"], row["maxh"], row["method"])
-        ]
-        if single:
-            ratio = single[0]["step"] / row["step"]
-            lines.append(f"- {row['dim']}D, {row['cells']:,} cells: one thread over two {ratio:.2f}")
+        dim, maxh, method, threads = (row[name] for name in ("dim", "maxh", "method", "threads"))
+        for name, other in {
+            "coupled over split": (dim, maxh, "coupled", threads),
+            "one thread over two": (dim, maxh, method, 1),
+        }.items():
+            if other in steps and other != (dim, maxh, method, threads):
+                lines.append(f"- {dim}D, {row['cells']:,} cells: {name} {steps[other] / row['step']:.2f}")
     for dim in (2, 3):
         split = [
             r for r in done if r["dim"] == dim and r["method"] == "split" and not r.get("structured", False)
@@ -114,44 +95,6 @@ def summary(rows: list[dict]) -> str:
             for name in ("step", "memory"):
                 exponent = np.polyfit(size, np.log([row[name] for row in series]), 1)[0]
                 lines.append(f"- {dim}D split, {cells}: {name} grows like cells^{exponent:.2f}")
-    return "\n".join(lines) + "\n"
-
-
-def markdown_of_schemes(rows: list[dict]) -> str:
-    """A Markdown table: the cheapest run of each scheme within an error of the kinetic energy at the end."""
-    head = ["scheme", "error asked for", "error", "dt, s", "steps", "iterations", "time, s", "numerical, J"]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for row in rows:
-        if "failed" in row:
-            lines.append(f"| {row['scheme']} | {row['failed']} |" + " |" * (len(head) - 2))
-            continue
-        cells = [
-            row["scheme"],
-            f"{row['tolerance']:.1%}",
-            f"{row['error']:.2%}",
-            f"{row['dt']:.3g}",
-            f"{row['steps']:,}",
-            f"{row['iterations']:,}",
-            f"{row['seconds']:.1f}",
-            f"{row['numerical']:.1e}",
-        ]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
-
-
-def summary_of_schemes(rows: list[dict]) -> str:
-    """Ratios of the backward Euler scheme's time and iterations to another's, to the same error."""
-    done = [row for row in rows if "failed" not in row]
-    euler = {row["tolerance"]: row for row in done if row["scheme"] == "backward-euler"}
-    lines = []
-    for row in done:
-        if row["scheme"] != "backward-euler" and row["tolerance"] in euler:
-            other = euler[row["tolerance"]]
-            times, iterations = (other[name] / row[name] for name in ("seconds", "iterations"))
-            lines.append(
-                f"- to {row['tolerance']:.1%}: backward-euler over {row['scheme']} {times:.1f} in time, "
-                f"{iterations:.1f} in iterations"
-            )
     return "\n".join(lines) + "\n"
 
 

@@ -1,11 +1,15 @@
 """Scripts under mpirun, by a Python that has petsc4py: this one, or that of NGVISCO_PARALLEL_PYTHON."""
 
+import json
 import os
 import shutil
 import subprocess
 import sys
 from functools import cache
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PYTHON = os.environ.get("NGVISCO_PARALLEL_PYTHON", sys.executable)
@@ -34,3 +38,15 @@ def run(*words: str | Path, ranks: int = 1, timeout: float = 900) -> subprocess.
     return subprocess.run(
         [*start, PYTHON, *map(str, words)], env=environment, capture_output=True, text=True, timeout=timeout
     )
+
+
+def printed(*words: str | Path, ranks: int = 1, timeout: float = 900) -> Any:
+    """What they print in their last line, as JSON."""
+    result = run(*words, ranks=ranks, timeout=timeout)
+    assert result.returncode == 0, result.stderr[-2000:]
+    return json.loads(result.stdout.splitlines()[-1])
+
+
+needs_petsc = pytest.mark.skipif(
+    not has_petsc(), reason="no MPI or PETSc: see the README's 'Several processes'"
+)

@@ -1,11 +1,10 @@
 """Ranks' reductions on one process and three, and errors that travel."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from launch import has_petsc, run
+from launch import needs_petsc, printed
 from ngsolve import H1
 
 from ngvisco.case.faults import CaseError, Fault
@@ -66,11 +65,9 @@ def test_processes_that_cannot_meet_are_refused(monkeypatch):
         Communicator.world()
 
 
-@pytest.mark.skipif(not has_petsc(), reason="no MPI or PETSc: see the README's 'Several processes'")
+@needs_petsc
 def test_first_rank_has_all_sums_and_sleeps_while_it_waits():
     """MPI's own waiting takes the whole processor."""
-    result = run(Path(__file__).with_name("following.py"), ranks=3)
-    assert result.returncode == 0, result.stderr[-2000:]
-    printed = json.loads(result.stdout.splitlines()[-1])
-    assert printed["found"] == 3 * [5 * [[0.0, 3.0, 6.0], [3.0, 2.0]]]
-    assert printed["share"] < 0.5
+    last = printed(Path(__file__).with_name("following.py"), ranks=3)
+    assert last["found"] == 3 * [5 * [[0.0, 3.0, 6.0], [3.0, 2.0]]]
+    assert last["share"] < 0.5

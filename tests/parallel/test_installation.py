@@ -3,13 +3,9 @@
 import sys
 
 import pytest
-from launch import has_petsc, run
+from launch import needs_petsc, run
 
 from ngvisco.cli.main import main
-
-needs_petsc = pytest.mark.skipif(
-    not has_petsc(), reason="no MPI or PETSc: see the README's 'Several processes'"
-)
 
 
 @needs_petsc

@@ -2,17 +2,11 @@
 
 from pathlib import Path
 
-import pytest
-from launch import has_petsc, run
+from launch import needs_petsc, printed
 
-HERE = Path(__file__).parent
-pytestmark = pytest.mark.skipif(
-    not has_petsc(), reason="no MPI or PETSc: see the README's 'Several processes'"
-)
+pytestmark = needs_petsc
 
 
 def test_memory_does_not_grow_with_factorisations():
-    result = run(HERE / "memory.py")
-    assert result.returncode == 0, result.stderr[-2000:]
-    growth, of_one = map(float, result.stdout.split())
+    growth, of_one = printed(Path(__file__).with_name("memory.py"))
     assert growth < 0.3 * of_one

@@ -1,22 +1,16 @@
 """PETSc's multigrid for the velocities at vertices: what it needs to know, and what is done without it."""
 
-import json
 from functools import cache
 from pathlib import Path
 
-import pytest
-from launch import has_petsc, run
+from launch import needs_petsc, printed
 
-pytestmark = pytest.mark.skipif(
-    not has_petsc(), reason="no MPI or PETSc: see the README's 'Several processes'"
-)
+pytestmark = needs_petsc
 
 
 @cache
 def found():
-    result = run(Path(__file__).with_name("multigrid.py"))
-    assert result.returncode == 0, result.stderr[-2000:]
-    return json.loads(result.stdout.splitlines()[-1])
+    return printed(Path(__file__).with_name("multigrid.py"))
 
 
 def test_rigid_motions_halve_the_iterations():

@@ -4,12 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from launch import has_petsc, run
+from launch import needs_petsc, run
 
 HERE = Path(__file__).parent
-pytestmark = pytest.mark.skipif(
-    not has_petsc(), reason="no MPI or PETSc: see the README's 'Several processes'"
-)
+pytestmark = needs_petsc
 CASES = (
     *("creep and walls with slip", "a creep rate field", "k = 3", "no hyperviscosity", "3D"),
     *("a cut-off", "delta", "delta in 3D", "delta and what does not diffuse"),

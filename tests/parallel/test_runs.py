@@ -10,14 +10,12 @@ from pathlib import Path
 import h5py
 import own
 import pytest
-from launch import has_petsc, run
+from launch import needs_petsc, printed, run
 
 from ngvisco.run.vtu import read_frame
 
 HERE = Path(__file__).parent
-pytestmark = pytest.mark.skipif(
-    not has_petsc(), reason="no MPI or PETSc: see the README's 'Several processes'"
-)
+pytestmark = needs_petsc
 
 MATERIAL = """\
 [material]
@@ -81,9 +79,7 @@ CASES["adapted"] = (
 
 @cache
 def found(ranks, *names):
-    result = run(HERE / "runs.py", *names, ranks=ranks)
-    assert result.returncode == 0, result.stderr[-2000:]
-    return json.loads(result.stdout.splitlines()[-1])
+    return printed(HERE / "runs.py", *names, ranks=ranks)
 
 
 GROUPS = {
@@ -106,15 +102,10 @@ GROUPS = {
     "split, own": "; ".join(own.SPLIT),
 }
 ACTS = {
-    "limited": "limited_cells",
-    "split crowded": "limited_cells",
-    "parameters": "limited_cells",
-    "split parameters": "limited_cells",
+    **dict.fromkeys(("limited", "split crowded", "parameters", "split parameters"), "limited_cells"),
+    **dict.fromkeys(("heated", "split heated"), "entropy_production_conduction"),
+    **dict.fromkeys(("own term", "split own term"), "dissipation_drag"),
     "cut-off, 3D, split": "cutoff_volume",
-    "heated": "entropy_production_conduction",
-    "split heated": "entropy_production_conduction",
-    "own term": "dissipation_drag",
-    "split own term": "dissipation_drag",
 }
 """What a case is there for, in its last row."""
 
@@ -173,9 +164,7 @@ def test_small_systems_may_be_over_ranks_too(monkeypatch):
     name = "split, all regularisations"
     one = found(1, name)[name]
     monkeypatch.setenv("PETSC_OPTIONS", "-ngvisco_on_one_rank_up_to 0")
-    result = run(HERE / "runs.py", name, ranks=3)
-    assert result.returncode == 0, result.stderr[-2000:]
-    several = json.loads(result.stdout.splitlines()[-1])[name]
+    several = printed(HERE / "runs.py", name, ranks=3)[name]
     assert_same_ledger(one["rows"], several["rows"], spare=1)
     assert several["linear"] <= 1.1 * one["linear"]
 
