@@ -85,195 +85,170 @@ FORCES: dict[str, Callable[[Coefficients, np.ndarray], np.ndarray]] = {
 """|M|, Pa, of |Pi|, 1/s, by the inverse of each flow rule; sigma of Perzyna's is |M| at yield."""
 
 
+FIELDS: dict[str, Callable[..., Any]] = {
+    **{"v": velocity, "rho": density, "Pi": creep_rate, "E": strain},
+    **{"F": distortion, "J": jacobian, "A": reciprocal, "s": entropy},
+}
+
+
+def field(of: Callable[..., Any], t: float) -> ArrayFunction:
+    """An exact field of points (..., dim), its own indices last."""
+
+    def value(X: np.ndarray) -> np.ndarray:
+        found = np.array(of(tuple(np.moveaxis(X, -1, 0)), t, NUMERIC))
+        rank = found.ndim - X.ndim + 1
+        return np.moveaxis(found, range(rank), range(-rank, 0))
+
+    return value
+
+
+def _trace(A: np.ndarray) -> np.ndarray:
+    return np.trace(A, axis1=-2, axis2=-1)[..., None, None]
+
+
 class FiniteDifferences:
     """Residuals of the strong equations at points, from the exact fields and textbook formulas."""
 
     def __init__(self, kind: str, c: Coefficients, dim: int, t: float, tau: float) -> None:
         """``kind`` is ``"linear"``, ``"neo-hookean"`` or, the same material, ``"with heat"``."""
-        self.kind, self.c, self.dim, self.t, self.tau = kind, c, dim, t, tau
+        self.kind, self.c, self.dim, self.tau = kind, c, dim, tau
+        self.now, self.old = ({name: field(of, s) for name, of in FIELDS.items()} for s in (t, t - tau))
 
-    def scalar(self, function: Callable[..., Any], t: float) -> ArrayFunction:
-        return lambda X: function(tuple(np.moveaxis(X, -1, 0)), t, NUMERIC)
+    def grad(self, f: ArrayFunction) -> ArrayFunction:
+        """d_j f, j last."""
+        return lambda X: np.stack([difference(f, j)(X) for j in range(self.dim)], axis=-1)
 
-    def vector(self, t: float) -> ArrayFunction:
-        return lambda X: np.stack(velocity(tuple(np.moveaxis(X, -1, 0)), t, NUMERIC), axis=-1)
+    def div(self, f: ArrayFunction) -> ArrayFunction:
+        """d_j f[..., j]."""
+        return lambda X: np.sum([difference(f, j)(X)[..., j] for j in range(self.dim)], axis=0)
 
-    def matrix(self, function: Callable[..., Any], t: float) -> ArrayFunction:
+    def flux(self, f: ArrayFunction, factor: float, p: float = 4.0) -> ArrayFunction:
+        """factor |grad f|^{p-2} grad f."""
+
         def value(X: np.ndarray) -> np.ndarray:
-            rows = function(tuple(np.moveaxis(X, -1, 0)), t, NUMERIC)
-            return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+            slope = self.grad(f)(X)
+            size = np.sum(slope**2, axis=tuple(range(X.ndim - 1, slope.ndim)), keepdims=True)
+            return np.asarray(factor * size ** ((p - 2) / 2) * slope)
 
         return value
 
     def L(self, X: np.ndarray) -> np.ndarray:
         result = np.zeros((*X.shape[:-1], 3, 3))
-        for j in range(self.dim):
-            result[..., : self.dim, j] = difference(self.vector(self.t), j)(X)
+        result[..., : self.dim, : self.dim] = self.grad(self.now["v"])(X)
         return result
 
-    def divergence(self, f: ArrayFunction, X: np.ndarray) -> np.ndarray:
-        """d_j f[..., j]."""
-        return np.sum([difference(f, j)(X)[..., j] for j in range(self.dim)], axis=0)
-
-    def transport(self, f: Callable[[float], ArrayFunction], X: np.ndarray) -> np.ndarray:
+    def transport(self, name: str, X: np.ndarray) -> np.ndarray:
         """(f - f_old)/tau + (v . grad) f."""
-        v = self.vector(self.t)(X)
-        total = (f(self.t)(X) - f(self.t - self.tau)(X)) / self.tau
-        for j in range(self.dim):
-            v_j = v[..., j].reshape(*v.shape[:-1], *[1] * (total.ndim - X.ndim + 1))
-            total = total + v_j * difference(f(self.t), j)(X)
-        return total
+        f, v = self.now[name], self.now["v"](X)
+        slope = self.grad(f)(X)
+        along = np.expand_dims(v, tuple(range(X.ndim - 1, slope.ndim - 1)))
+        return np.asarray((f(X) - self.old[name](X)) / self.tau + np.sum(along * slope, axis=-1))
 
     def continuity(self, X: np.ndarray) -> np.ndarray:
-        rho, v = self.scalar(density, self.t), self.vector(self.t)
-        rho_old = self.scalar(density, self.t - self.tau)
-        return (rho(X) - rho_old(X)) / self.tau + self.divergence(
-            lambda Y: rho(Y)[..., None] * v(Y) - self.diffusive_flux(Y), X
-        )
+        rho, v = self.now["rho"], self.now["v"]
+        rate = (rho(X) - self.old["rho"](X)) / self.tau
+        return np.asarray(rate + self.div(lambda Y: rho(Y)[..., None] * v(Y) - self.diffusive_flux(Y))(X))
 
     def diffusive_flux(self, X: np.ndarray) -> np.ndarray:
         """delta |grad rho|^2 grad rho."""
-        rho = self.scalar(density, self.t)
-        slope = np.stack([difference(rho, j)(X) for j in range(self.dim)], axis=-1)
-        return self.c.delta * np.sum(slope**2, axis=-1, keepdims=True) * slope
-
-    def diffused(self, f: ArrayFunction, X: np.ndarray) -> np.ndarray:
-        """delta Laplace f."""
-        second = [difference(difference(f, j), j)(X) for j in range(self.dim)]
-        return self.c.delta_fields * np.sum(second, axis=0)
+        return self.flux(self.now["rho"], self.c.delta)(X)
 
     def stress(self, X: np.ndarray) -> np.ndarray:
         """T of the textbook: S + phi I for E; 2 G J^{-2/3} F F^T + (J phi_J + phi) I for (F, J)."""
         c, identity = self.c, np.eye(3)
         if self.kind == "linear":
-            E = self.matrix(strain, self.t)(X)
-            trace = np.trace(E, axis1=-2, axis2=-1)[..., None, None]
+            E = self.now["E"](X)
+            trace = _trace(E)
             deviator = E - trace / 3 * identity
             phi = 0.5 * c.K_e * trace**2 + c.G_e * np.sum(deviator**2, axis=(-2, -1), keepdims=True)
-            return c.K_e * trace * identity + 2 * c.G_e * deviator + phi * identity
-        F, J = self.matrix(distortion, self.t)(X), self.scalar(jacobian, self.t)(X)[..., None, None]
+            return np.asarray(c.K_e * trace * identity + 2 * c.G_e * deviator + phi * identity)
+        F, J = self.now["F"](X), self.now["J"](X)[..., None, None]
         F_square = np.sum(F**2, axis=(-2, -1), keepdims=True)
         shift = J - 1 + c.epsilon / c.K_e
         phi = 0.5 * c.K_e * shift**2 + c.G_e * F_square / J ** (2 / 3) - c.epsilon * np.log(J)
         phi_J = c.K_e * shift - 2 / 3 * c.G_e * F_square / J ** (5 / 3) - c.epsilon / J
         T = 2 * c.G_e * F @ np.swapaxes(F, -1, -2) / J ** (2 / 3) + (J * phi_J + phi) * identity
         if self.kind == "with heat":  # p = Gamma c theta/J
-            A = self.scalar(reciprocal, self.t)(X)
-            T = T - (c.Gamma * c.c * self.temperature(X) * A)[..., None, None] * identity
+            T = T - (c.Gamma * c.c * self.temperature(X) * self.now["A"](X))[..., None, None] * identity
         return np.asarray(T)
 
     def temperature(self, X: np.ndarray) -> np.ndarray:
         """theta_R J^-Gamma exp(S/c), S = s J per reference volume."""
-        A, s = self.scalar(reciprocal, self.t)(X), self.scalar(entropy, self.t)(X)
-        return np.asarray(self.c.theta_R * A**self.c.Gamma * np.exp(s / A))
+        A = self.now["A"](X)
+        return np.asarray(self.c.theta_R * A**self.c.Gamma * np.exp(self.now["s"](X) / A))
 
     def heating(self, X: np.ndarray) -> np.ndarray:
         """sigma_v : grad v + mu |hess v|^p + R |M|^2 + epsilon |v|^4 + div(kappa theta^1.5 grad theta)."""
         c, L, M = self.c, self.L(X), self.mandel(X)
         total = np.sum(self.viscous_stress(X) * L, axis=(-2, -1)) + c.R * np.sum(M * M, axis=(-2, -1))
         if c.mu:
-            S = self.hyperstress(X)
-            total = total + np.sum(S * S, axis=(-3, -2, -1)) ** (c.p / (2 * c.p - 2)) * c.mu ** (
-                1 / (1 - c.p)
-            )
-        total = total + c.damping * np.sum(self.vector(self.t)(X) ** 2, axis=-1) ** 2
-
-        def flux(Y: np.ndarray) -> np.ndarray:
-            slope = np.stack([difference(self.temperature, j)(Y) for j in range(self.dim)], axis=-1)
-            return c.kappa * self.temperature(Y)[..., None] ** 1.5 * slope
-
-        return np.asarray(total + self.divergence(flux, X))
-
-    def creep(self, X: np.ndarray) -> np.ndarray:
-        """Pi = R M, or the exact field."""
-        return self.matrix(creep_rate, self.t)(X) if self.c.nu else self.c.R * self.mandel(X)
+            size = np.sum(self.hyperstress(X) ** 2, axis=(-3, -2, -1))
+            total = total + size ** (c.p / (2 * c.p - 2)) * c.mu ** (1 / (1 - c.p))
+        total = total + c.damping * np.sum(self.now["v"](X) ** 2, axis=-1) ** 2
+        theta = self.temperature
+        conducted = self.div(lambda Y: c.kappa * theta(Y)[..., None] ** 1.5 * self.grad(theta)(Y))
+        return np.asarray(total + conducted(X))
 
     def flow_rule(self, X: np.ndarray) -> np.ndarray:
         """|M|(|Pi|) Pi/|Pi| - nu div(|grad Pi|^2 grad Pi) - M, |Pi| > 0."""
-        Pi = self.matrix(creep_rate, self.t)
-
-        def flux(Y: np.ndarray) -> np.ndarray:
-            slope = np.stack([difference(Pi, j)(Y) for j in range(self.dim)], axis=-1)
-            return self.c.nu * np.sum(slope**2, axis=(-3, -2, -1), keepdims=True) * slope
-
-        rate = Pi(X)
-        size = np.linalg.norm(rate, axis=(-2, -1), keepdims=True)
-        force = FORCES[self.c.rule](self.c, size) / size * rate
-        return np.asarray(force - self.divergence(flux, X) - self.mandel(X))
+        Pi = self.now["Pi"]
+        size = np.linalg.norm(Pi(X), axis=(-2, -1), keepdims=True)
+        force = FORCES[self.c.rule](self.c, size) / size * Pi(X)
+        return np.asarray(force - self.div(self.flux(Pi, self.c.nu))(X) - self.mandel(X))
 
     def mandel(self, X: np.ndarray) -> np.ndarray:
         """M = dev S for E; sym dev(F^T S_F), S_F = 2 G J^{-2/3} F, for F."""
-        c, identity = self.c, np.eye(3)
         if self.kind == "linear":
-            M = 2 * c.G_e * self.matrix(strain, self.t)(X)
+            M = 2 * self.c.G_e * self.now["E"](X)
         else:
-            F, J = self.matrix(distortion, self.t)(X), self.scalar(jacobian, self.t)(X)[..., None, None]
-            M = 2 * c.G_e * np.swapaxes(F, -1, -2) @ F / J ** (2 / 3)
-        return np.asarray(M - np.trace(M, axis1=-2, axis2=-1)[..., None, None] / 3 * identity)
+            F, J = self.now["F"](X), self.now["J"](X)[..., None, None]
+            M = 2 * self.c.G_e * np.swapaxes(F, -1, -2) @ F / J ** (2 / 3)
+        return np.asarray(M - _trace(M) / 3 * np.eye(3))
 
     def kinematics(self, X: np.ndarray) -> dict[str, np.ndarray]:
         """Residuals of the equations of E, or of F and J, and with heat of A and s."""
-        L, Pi = self.L(X), self.creep(X)
+        L, c, now = self.L(X), self.c, {name: f(X) for name, f in self.now.items()}
+        Pi, tr_L = now["Pi"] if c.nu else c.R * self.mandel(X), np.trace(L, axis1=-2, axis2=-1)
         if self.kind == "linear":
-            E = self.matrix(strain, self.t)(X)
-            LT = np.swapaxes(L, -1, -2)
-            eps, W = (L + LT) / 2, (L - LT) / 2
-            rate = eps + W @ E - E @ W - Pi
-            rate = rate + self.diffused(self.matrix(strain, self.t), X)
-            return {"E": self.transport(lambda t: self.matrix(strain, t), X) - rate}
-        F, J = self.matrix(distortion, self.t)(X), self.scalar(jacobian, self.t)(X)
-        rate_F = L @ F - F @ Pi + self.diffused(self.matrix(distortion, self.t), X)
-        rate_J = np.trace(L, axis1=-2, axis2=-1) * J + self.diffused(self.scalar(jacobian, self.t), X)
-        found = {
-            "F": self.transport(lambda t: self.matrix(distortion, t), X) - rate_F,
-            "J": self.transport(lambda t: self.scalar(jacobian, t), X) - rate_J,
-        }
+            eps, W, E = (L + np.swapaxes(L, -1, -2)) / 2, (L - np.swapaxes(L, -1, -2)) / 2, now["E"]
+            rates = {"E": eps + W @ E - E @ W - Pi}
+        else:
+            rates = {"F": L @ now["F"] - now["F"] @ Pi, "J": tr_L * now["J"]}
         if self.kind == "with heat":
-            tr_L = np.trace(L, axis1=-2, axis2=-1)
-            found["A"] = self.transport(lambda t: self.scalar(reciprocal, t), X)
-            found["A"] += tr_L * self.scalar(reciprocal, self.t)(X)
-            found["s"] = self.transport(lambda t: self.scalar(entropy, t), X)
-            found["s"] += tr_L * self.scalar(entropy, self.t)(X)
-            found["s"] -= self.heating(X) / (self.c.c * self.temperature(X))
-        return found
+            heated = self.heating(X) / (c.c * self.temperature(X))
+            rates |= {"A": -tr_L * now["A"], "s": heated - tr_L * now["s"]}
+        return {
+            name: self.transport(name, X) - rate - c.delta_fields * self.div(self.grad(self.now[name]))(X)
+            for name, rate in rates.items()
+        }
 
     def viscous_stress(self, X: np.ndarray) -> np.ndarray:
         """K_v tr(eps) I + 2 G_v dev eps."""
         L = self.L(X)
         eps = (L + np.swapaxes(L, -1, -2)) / 2
-        trace = np.trace(eps, axis1=-2, axis2=-1)[..., None, None] * np.eye(3)
-        return self.c.K_v * trace + 2 * self.c.G_v * (eps - trace / 3)
+        spherical = _trace(eps) * np.eye(3)
+        return np.asarray(self.c.K_v * spherical + 2 * self.c.G_v * (eps - spherical / 3))
 
     def hyperstress(self, X: np.ndarray) -> np.ndarray:
         """mu |hess v|^{p-2} hess v, indices i j k."""
-        v, d = self.vector(self.t), range(self.dim)
-        rows = [np.stack([difference(difference(v, k), j)(X) for k in d], axis=-1) for j in d]
-        hess = np.stack(rows, axis=-2)
-        size = np.sum(hess**2, axis=(-3, -2, -1), keepdims=True)
-        return self.c.mu * size ** ((self.c.p - 2) / 2) * hess
+        return self.flux(self.grad(self.now["v"]), self.c.mu, self.c.p)(X)
 
     def momentum(self, X: np.ndarray) -> np.ndarray:
-        rho, v, dim = self.scalar(density, self.t), self.vector(self.t), self.dim
-        m_old = self.scalar(density, self.t - self.tau)(X)[..., None] * self.vector(self.t - self.tau)(X)
-        total = (rho(X)[..., None] * v(X) - m_old) / self.tau
+        rho, v, dim = self.now["rho"], self.now["v"], self.dim
+        old = self.old["rho"](X)[..., None] * self.old["v"](X)
 
         def flux(Y: np.ndarray) -> np.ndarray:
             w = v(Y)
             carried = rho(Y)[..., None, None] * w[..., :, None] * w[..., None, :]
-            return carried - (self.stress(Y) + self.viscous_stress(Y))[..., :dim, :dim]
+            return np.asarray(carried - (self.stress(Y) + self.viscous_stress(Y))[..., :dim, :dim])
 
-        total = total + self.divergence(flux, X)
+        total = (rho(X)[..., None] * v(X) - old) / self.tau + self.div(flux)(X)
         if self.c.mu:
-            for j in range(dim):
-                for k in range(dim):
-                    second = difference(difference(self.hyperstress, k), j)(X)
-                    total = total + second[..., j, k]
+            total = total + self.div(self.div(self.hyperstress))(X)
         total[..., 1] -= rho(X) * self.c.g
-        speed_square = np.sum(v(X) ** 2, axis=-1, keepdims=True)
-        total = total + self.c.damping * speed_square * v(X)
+        total = total + self.c.damping * np.sum(v(X) ** 2, axis=-1, keepdims=True) * v(X)
         compensating = self.L(X)[..., :dim, :dim] @ self.diffusive_flux(X)[..., None]
-        total = total + compensating[..., 0]
-        return total
+        return np.asarray(total + compensating[..., 0])
 
 
 def at_points(f: CoefficientFunction, mesh: Mesh, X: np.ndarray) -> np.ndarray:
