@@ -397,7 +397,7 @@ def test_convexity_sees_an_exponent_outside_its_range(exponent, convex):
     assert nv.check_convexity(material, warn=False).passed == convex
 
 
-def test_non_convex_energy_warns_with_the_point_that_a_motion_reaches_and_its_distance():
+def test_non_convex_energy_warns_with_the_point():
     """J^{-5/3} |F|^2 is not convex in (F, J) (paper: convexity-neo-Hookean with p = 5/3)."""
     material = nv.CustomMaterial(
         transported=(Distortion(), Jacobian()),
