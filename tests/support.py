@@ -285,6 +285,11 @@ G_e = 5
 epsilon = 0.1
 """
 """A box and a material of a case file."""
+A_FALL = '[[loads]]\nkind = "Gravity"\ng = [0, -1]\n'
+A_SWIRL = '[initial]\nvelocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]\n'
+TWO_STEPS = "[time]\ndt = 0.02\nuntil = 0.04\n"
+NO_VTK = "[output.vtk]\nenabled = false\n"
+"""Further tables of one."""
 OF_MODELS = {field.name for field in fields(Model)}
 
 

@@ -5,26 +5,12 @@ import shutil
 
 import numpy as np
 import pytest
-from support import A_BODY
+from support import A_BODY, A_FALL, A_SWIRL, NO_VTK, TWO_STEPS
 
 import ngvisco as nv
 from ngvisco.case.build import parse_case
 
-CASE = (
-    A_BODY
-    + """\
-[[loads]]
-kind = "Gravity"
-g = [0, -1]
-[initial]
-velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
-[time]
-dt = 0.02
-until = 0.04
-[output.vtk]
-enabled = false
-"""
-)
+CASE = A_BODY + A_FALL + A_SWIRL + TWO_STEPS + NO_VTK
 
 
 def case(place, *settings):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jsonschema
 import pytest
-from support import A_BODY, required
+from support import A_BODY, TWO_STEPS, required
 
 import ngvisco as nv
 from ngvisco.case import reference, template, toml
@@ -25,14 +25,7 @@ COMPANIONS = {
 }
 """Keys of [time] that are refused without others, and those."""
 NUMBERS = ("number", "array of numbers", "table of numbers")
-BASE = (
-    A_BODY
-    + """\
-[time]
-dt = 0.02
-until = 0.04
-"""
-)
+BASE = A_BODY + TWO_STEPS
 OF_BODY = {"kind": "ReferentialNeoHookean", "K_e": 10, "G_e": 5}
 
 

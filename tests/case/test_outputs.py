@@ -2,21 +2,13 @@
 
 import numpy as np
 import pytest
-from support import A_BODY
+from support import A_BODY, A_FALL, TWO_STEPS
 
 import ngvisco as nv
 from ngvisco.case.build import parse_case
 
-CASE = (
-    A_BODY
-    + """\
-[[loads]]
-kind = "Gravity"
-g = [0, -1]
-[time]
-dt = 0.02
-until = 0.04
-[output]
+CASE = f"""\
+{A_BODY}{A_FALL}{TWO_STEPS}[output]
 passive = ["reference_map"]
 [[output.probes]]
 name = "tip"
@@ -34,7 +26,6 @@ walls = ["bottom"]
 name = "momentum"
 of = "density*velocity_2"
 """
-)
 
 
 def case(text, tmp_path, *settings):

@@ -8,31 +8,22 @@ import sys
 import time
 from pathlib import Path
 
+from support import A_BODY, A_SWIRL
+
 from ngvisco.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-m", "ngvisco.cli.main"]
 
-CASE = """\
+CASE = f"""\
 title = "a small swirl"
-[domain]
-geometry = "box"
-size = [1, 1]
-maxh = 0.6
-[material]
-kind = "NeoHookean"
-K_e = 10
-G_e = 5
-epsilon = 0.1
-[rheology.viscosity]
+{A_BODY}[rheology.viscosity]
 K_v = 0.01
 G_v = 0.01
 [[loads]]
 kind = "Gravity"
 g = [0, "-1 - sin(t)"]
-[initial]
-velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
-[time]
+{A_SWIRL}[time]
 dt = 0.02
 until = 0.08
 [output.checkpoint]

@@ -10,15 +10,7 @@ from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.context import inner_facets
 from ngvisco.forms.start.projections import set_traces
 from ngvisco.forms.system import Step
-from ngvisco.geometries import (
-    block_with_hole,
-    box,
-    channel,
-    disc,
-    refine_walls,
-    sphere,
-    spherical_shell,
-)
+from ngvisco.geometries import block_with_hole, box, channel, disc, refine_walls, sphere, spherical_shell
 
 
 def model(loads=()):

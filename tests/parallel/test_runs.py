@@ -11,27 +11,16 @@ import h5py
 import own
 import pytest
 from launch import needs_petsc, printed, run
+from support import A_BODY, A_SWIRL
 
 from ngvisco.run.vtu import read_frame
 
 HERE = Path(__file__).parent
 pytestmark = needs_petsc
 
-MATERIAL = """\
-[material]
-kind = "NeoHookean"
-K_e = 10
-G_e = 5
-epsilon = 0.1
-"""
+MATERIAL = A_BODY[A_BODY.index("[material]") :]
 CASE = f"""\
-[domain]
-geometry = "box"
-size = [1, 1]
-maxh = 0.5
-{MATERIAL}[initial]
-velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
-[time]
+{A_BODY.replace("0.6", "0.5")}{A_SWIRL}[time]
 dt = 0.02
 until = 0.06
 [solver]

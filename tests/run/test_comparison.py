@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support import A_BODY, A_FALL, NO_VTK, TWO_STEPS
 
 import ngvisco as nv
 from ngvisco.cli.main import main
@@ -11,34 +12,14 @@ from ngvisco.run.outlines import outline
 from ngvisco.run.plots import LABELS, PAGE, figure
 from ngvisco.shapes.fractions import subdivision
 
-HEAD = """\
-[domain]
-geometry = "box"
-size = [1, 1]
-maxh = 0.7
-[[loads]]
-kind = "Gravity"
-g = [0, -1]
-[time]
-dt = 0.02
-until = 0.04
-[output.vtk]
-enabled = false
-[[output.probes]]
-name = "p"
-point = [0.5, 0.5]
-[material]
-kind = "NeoHookean"
-K_e = 10
-G_e = 5
-epsilon = 0.1
-"""
+PROBE = '[[output.probes]]\nname = "p"\npoint = [0.5, 0.5]\n'
+CASE = A_BODY.replace("0.6", "0.7") + A_FALL + TWO_STEPS + NO_VTK + PROBE
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     place = tmp_path_factory.mktemp("runs")
-    (place / "case.toml").write_text(HEAD)
+    (place / "case.toml").write_text(CASE)
     for name in ("a", "b"):
         settings = ["material.G_e=1"] if name == "b" else []
         nv.case.run(nv.load_case(place / "case.toml", settings), place / name)

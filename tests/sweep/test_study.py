@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from support import A_BODY, A_SWIRL, NO_VTK, TWO_STEPS
 
 from ngvisco.case.build import load_case
 from ngvisco.case.directory import RunDirectory
@@ -22,24 +23,7 @@ from ngvisco.sweep.variations import SweepError
 pytest.importorskip("distributed")
 ROOT = Path(__file__).resolve().parents[2]
 
-CASE = """\
-[domain]
-geometry = "box"
-size = [1, 1]
-maxh = 0.7
-[material]
-kind = "NeoHookean"
-K_e = 10
-G_e = 5
-epsilon = 0.1
-[initial]
-velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
-[time]
-dt = 0.02
-until = 0.04
-[output.vtk]
-enabled = false
-"""
+CASE = A_BODY.replace("0.6", "0.7") + A_SWIRL + TWO_STEPS + NO_VTK
 
 
 @pytest.fixture

@@ -167,6 +167,12 @@ def separation(one: nv.Simulation, other: nv.Simulation) -> dict[str, float]:
     return {name: distance(a[name], b[name], one.mesh) for name in a}
 
 
+def released(t: np.ndarray, static: float, damping: float, omega: float) -> np.ndarray:
+    """An oscillator under a weight that acts from t = 0."""
+    swing = np.cos(omega * t) + damping / omega * np.sin(omega * t)
+    return np.asarray(static * (1 - np.exp(-damping * t) * swing))
+
+
 def closure(*simulations: nv.Simulation) -> float:
     """The largest |closure| of all steps, relative."""
     return _largest("closure_relative", simulations)

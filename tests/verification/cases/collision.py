@@ -14,7 +14,6 @@ from ngsolve import CF, CoefficientFunction, IfPos, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import structured_box
-from ngvisco.physics.mixture import Mixture
 from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
 from tests.verification.setups import closure, fluid, stokes
 
@@ -74,10 +73,8 @@ class Overlap(nv.Observer):
         self.step(simulation, {})
 
     def step(self, simulation: nv.Simulation, row: dict[str, float]) -> None:
-        material, step = simulation.model.material, simulation.rothe_step
-        assert isinstance(material, Mixture)
-        theta = material.fractions.at(step.now.z_tensors)
-        both = step.quadrature.integrate_cells(theta["left"] * theta["right"])
+        left, right = (simulation.fields[f"{name}_fraction"] for name in PLACES)
+        both = simulation.rothe_step.quadrature.integrate_cells(left * right)
         self.values.append(float(both) / (math.pi * RADIUS**2))
 
 

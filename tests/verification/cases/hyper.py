@@ -56,16 +56,7 @@ def refinement(kind: str) -> tuple[Table, list[nv.Simulation]]:
                 ["none" if p is None else p, h, hyper, lowest, gradient, steepest**0.5, iterations, closes]
             )
             runs.append(run)
-    columns = [
-        "p",
-        "h, m",
-        "share of the energy",
-        "min rho",
-        "|∇v| in L2",
-        "max |∇v|",
-        "Newton its",
-        "closure",
-    ]
+    columns = "p | h, m | share of the energy | min rho | |∇v| in L2 | max |∇v| | Newton its | closure"
     return Table("refinement of h, mu = 1e-4", columns, rows), runs
 
 

@@ -21,7 +21,6 @@ from ngsolve import Integrate, cos, x, y
 from scipy.linalg import expm
 
 import ngvisco as nv
-from ngvisco.physics.mixture import Mixture
 from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
 from tests.verification.setups import closure, fluid, layers
 
@@ -86,9 +85,7 @@ def stretched(n: float, ratio: float, maxh: float) -> nv.Simulation:
 
 def _amplitude(run: nv.Simulation) -> float:
     """A by the layer's fraction, m, of the wave that is longer by the strain."""
-    material, k = run.model.material, WAVE * math.exp(-run.t)
-    assert isinstance(material, Mixture)
-    theta = material.fractions.at(run.rothe_step.now.z_tensors)["layer"]
+    theta, k = run.fields["layer_fraction"], WAVE * math.exp(-run.t)
     sums = [float(Integrate(theta * f, run.mesh, order=6)) for f in (1.0, cos(k * x))]
     mean, square = math.sin(k * HALF) / k, HALF / 2 + math.sin(2 * k * HALF) / (4 * k)
     return float(np.linalg.solve([[HALF, mean], [mean, square]], sums)[1])

@@ -68,10 +68,8 @@ def _measured() -> Outcome:
         },
         Table(
             "runs with and without",
-            [
-                *("scheme", "limiter", "t reached, s", "iterations: first step", "median", "most"),
-                *("limited cells", "limiter, J", "|closure|", "|mass drift|"),
-            ],
+            "scheme | limiter | t reached, s | iterations: first step | median | most | limited cells | "
+            "limiter, J | |closure| | |mass drift|",
             rows,
         ),
         Plot("Cells that were limited", "time, s", "cells", curves),

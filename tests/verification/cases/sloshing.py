@@ -138,15 +138,8 @@ def _sloshing() -> Outcome:
         },
         Table(
             "a period",
-            [
-                "rows",
-                "medium's density",
-                "and viscosity, Pa s",
-                "velocity, m/s",
-                "frequency, error",
-                "damping, 1/s",
-                "rejections",
-            ],
+            "rows | medium's density | and viscosity, Pa s | velocity, m/s | frequency, error | "
+            "damping, 1/s | rejections",
             [
                 [*key, errors[key], fit[1], run.ledger.column("rejections").sum()]
                 for key, (run, _, _, fit) in found.items()

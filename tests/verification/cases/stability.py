@@ -72,10 +72,7 @@ BOUNDS = """- largest relative rise of the energy in a step <= 1e-12: rounding
     - steps without a solution <= 0: the paper: solutions exist for every tau
     - closure
     - smallest numerical dissipation of a step, relative >= -1e-13: convexity of kinetic and stored energy"""
-BALANCES = {
-    "linearised": "Euler-ED-basic-energy-balance-disc",
-    "finite": "Euler-large-energy-balance-disc",
-}
+BALANCES = {"linearised": "Euler-ED-basic-energy-balance-disc", "finite": "Euler-large-energy-balance-disc"}
 """Labels."""
 
 for gravity, kind in product((0.0, 2.0), KINDS):

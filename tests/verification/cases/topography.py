@@ -20,7 +20,6 @@ import numpy as np
 from ngsolve import CoefficientFunction, Id, IfPos, Integrate, cos, x, y
 
 import ngvisco as nv
-from ngvisco.physics.mixture import Mixture
 from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
 from tests.verification.setups import closure, drift, fluid, layers
 
@@ -94,15 +93,9 @@ def rising(maxh: float) -> nv.Simulation:
     return _layered(maxh, lambda s: SURFACE, STICKY, time, plume=True)
 
 
-def _fractions(run: nv.Simulation) -> dict[str, CoefficientFunction]:
-    material = run.model.material
-    assert isinstance(material, Mixture)
-    return material.fractions.at(run.rothe_step.now.z_tensors)
-
-
 def _height(run: nv.Simulation) -> float:
     """Of the surface's wave, m, from the fraction of air."""
-    air = _fractions(run)["air"]
+    air = run.fields["air_fraction"]
     return -4 / LENGTH * float(Integrate(air * cos(WAVE * x), run.mesh, order=6))
 
 
@@ -162,7 +155,7 @@ def _relaxation() -> Outcome:
 
 def _profile(run: nv.Simulation) -> np.ndarray:
     """Heights of the surface at 57 places from the axis on, m: a sum of cosines, from the fraction of air."""
-    air, half = _fractions(run)["air"], LENGTH / 2
+    air, half = run.fields["air_fraction"], LENGTH / 2
     at, waves = np.linspace(0.0, 1.0, 57), range(1, WAVES + 1)
     mean = float(Integrate(air, run.mesh, order=6)) / half
     parts = [float(Integrate(air * cos(k * math.pi / half * x), run.mesh, order=6)) for k in waves]
@@ -173,7 +166,7 @@ def _profile(run: nv.Simulation) -> np.ndarray:
 
 def _depth(run: nv.Simulation) -> float:
     """Of the plume's centroid above the bottom, m."""
-    plume = _fractions(run)["plume"]
+    plume = run.fields["plume_fraction"]
     moment, area = (float(Integrate(f, run.mesh, order=6)) for f in (plume * y, plume))
     return moment / area
 

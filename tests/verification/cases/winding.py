@@ -117,10 +117,8 @@ def _side_by_side() -> Outcome:
         },
         Table(
             "a creeping neo-Hookean body under a lid; A = J^(−2/3) F Fᵀ, or B",
-            [
-                *("form", "h, m", "tau, s", "t, s", "det A from", "to", "largest tr A", "J from", "to"),
-                *("stored, J", "defect", "closure"),
-            ],
+            "form | h, m | tau, s | t, s | det A from | to | largest tr A | J from | to | "
+            "stored, J | defect | closure",
             rows,
         ),
         "The ledger closes in every row: closure is not correctness.",
