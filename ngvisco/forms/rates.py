@@ -60,6 +60,14 @@ class Rates:
         """Whether all that creeps has its rate at the point."""
         return all(flow.rule.is_local for flow in self.flows)
 
+    @cached_property
+    def creeps_at_nodes(self) -> bool:
+        """Whether creep is integrated by as many points as a field has values in a cell: where a local rule
+        is nonlinear, or relaxes F or its cofactor, which are turned from point to point and cannot at more.
+        """
+        turns = {variable.name for variable in self.material.variables if variable.kind == "full"}
+        return self.is_local and any(f.rule.degree != 1 or turns.intersection(f.names) for f in self.flows)
+
     def creep_power(
         self, z: Fields, Pi: Sequence[CoefficientFunction], G: Fields, name: Conjugate
     ) -> Sequence[CoefficientFunction]:

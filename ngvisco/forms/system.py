@@ -26,11 +26,23 @@ recomputed from (v, a, z) after every update, it is Newton on the reduced, conve
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from ngsolve import CF, BaseMatrix, BilinearForm, FESpace, GridFunction, LinearForm, Mesh, VectorValued
+from ngsolve import (
+    CF,
+    BaseMatrix,
+    BilinearForm,
+    CoefficientFunction,
+    FESpace,
+    GridFunction,
+    LinearForm,
+    Mesh,
+    VectorValued,
+)
 from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.forms.boundary.boundaries import check_mesh
@@ -41,11 +53,12 @@ from ngvisco.forms.boundary.wall_terms import Impenetrability, wall_terms
 from ngvisco.forms.boundary.walls import Conditions, Walls
 from ngvisco.forms.context import Context
 from ngvisco.forms.damage import DamageGrowth, damage_growth
+from ngvisco.forms.driving_stress import KeptRates, LinearisedRates, Stresses
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.quadrature import Quadrature
-from ngvisco.forms.rates import TabulatedRates
+from ngvisco.forms.rates import Rates, TabulatedRates
 from ngvisco.forms.spaces import Discretisation, Layout
 from ngvisco.forms.term import (
     Entry,
@@ -101,8 +114,14 @@ class Elimination:
     """The local unknowns of a step, recomputed in the order in which they depend on each other."""
 
     def __init__(
-        self, layout: Layout, state: GridFunction, quadrature: Quadrature, terms: Iterable[Term]
+        self,
+        layout: Layout,
+        state: GridFunction,
+        quadrature: Quadrature,
+        terms: Iterable[Term],
+        stresses: Stresses | None = None,
     ) -> None:
+        self.stresses = stresses
         u = layout.fields(state.components)
         parts = dict(zip(layout.names, state.components, strict=True))
         self.energy = layout.context.energy
@@ -121,14 +140,23 @@ class Elimination:
 
     def __call__(self) -> None:
         """Make the local unknowns of the state consistent with its v, a and z."""
-        self.refresh()
+        self._refresh_energy()
         for projection in self.projections.values():
             projection()
+        self._refresh_stresses()
 
     def refresh(self) -> None:
-        """Make an energy that is kept at the quadrature points that of the present state."""
+        """Make an energy and stresses that are kept at the quadrature points those of the present state."""
+        self._refresh_energy()
+        self._refresh_stresses()
+
+    def _refresh_energy(self) -> None:
         if self.energy.refresh() and self._project_energy is not None:
             self._project_energy()
+
+    def _refresh_stresses(self) -> None:
+        if self.stresses is not None:
+            self.stresses.refresh()
 
 
 _NOT_EVOLVED = (
@@ -254,21 +282,32 @@ class Step:
         """The rates of the variables for arrays of values."""
         self.ranges: dict[str, tuple[float, float]] = {}
         """Least and largest start values of the material's parameters, by name."""
-        self.residual = self._residual()
-        self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms)
+        self.stresses = Stresses(self.tabulated_rates, self.layout, self.quadrature, self.state)
+        """What flow rules are linearised at."""
+        kept, rates = KeptRates(self.tabulated_rates, self.stresses), self.tabulated_rates
+        self._solved = self._fields(self.state.components, kept) if self.stresses else self.now
+        """The present state, with rates of creep to its last digit."""
+        self.residual = self._residual(LinearisedRates(rates, self.stresses, self.now))
+        self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms, self.stresses)
         self.damage: DamageGrowth | None = damage_growth(self)
         """What lets the damage grow after a step; None where nothing breaks."""
 
-    def _residual(self) -> BilinearForm:
+    def _residual(self, rates: Rates) -> BilinearForm:
         """R(u; w) as one nonlinear form with element-local unknowns to be condensed."""
         trial, test = self.layout.space.TnT()
-        u = self.layout.fields(trial)
+        u = self._fields(trial, rates) if self.stresses else self.layout.fields(trial)
         w = Tests(self.layout, GivenParts(dict(zip(self.layout.names, test, strict=True)), _NO_EQUATION))
         form = BilinearForm(self.layout.space, condense=True)
         for term in self.terms:
             with refused_by_name(term):
                 self.quadrature.add(form, term.form(u, w))
         return form
+
+    def _fields(self, parts: Sequence[Any], rates: Rates) -> Fields:
+        """Fields with other rates of creep."""
+        context = copy.copy(self.context)
+        context.rates = rates
+        return Fields(self.layout, dict(zip(self.layout.names, parts, strict=True)), context)
 
     @property
     def impenetrability(self) -> Impenetrability | None:
@@ -309,7 +348,7 @@ class Step:
 
     def entries(self, fields: Fields | None = None) -> list[Entry]:
         """All entries of the energy ledger at ``fields`` (default: the present state)."""
-        u = self.now if fields is None else fields
+        u = self._solved if fields is None else fields
         found: list[Entry] = []
         for term in self.terms:
             with refused_by_name(term):
@@ -338,17 +377,26 @@ class EntryIntegrals:
 
     def __init__(self, step: Step, entries: Mapping[str, Entry]) -> None:
         self.step = step
-        cells = {name: e.integrand.cells for name, e in entries.items() if e.integrand.cells is not None}
-        self._cell_names = list(cells)
-        self._cells = CF((*cells.values(), 0.0, 0.0)).Compile()  # a vector, however few there are
+        quadrature = step.quadrature
+        self._in_cells: list[tuple[list[str], CoefficientFunction, Callable[[CoefficientFunction], Any]]] = []
+        for place, integrate in (
+            ("cells", quadrature.integrate_cells),
+            ("nodes", quadrature.integrate_nodes),
+        ):
+            parts = {name: getattr(e.integrand, place) for name, e in entries.items()}
+            parts = {name: part for name, part in parts.items() if part is not None}
+            if parts:
+                together = CF((*parts.values(), 0.0, 0.0)).Compile()  # a vector, however few there are
+                self._in_cells.append((list(parts), together, integrate))
         facets = {name: e.integrand.facets for name, e in entries.items() if e.integrand.facets is not None}
         self._facets = {name: integrand.Compile() for name, integrand in facets.items()}
         self._evaluated = {name: e.evaluate for name, e in entries.items() if e.evaluate is not None}
 
     def __call__(self) -> dict[str, float]:
-        quadrature = self.step.quadrature
-        totals = quadrature.integrate_cells(self._cells)
-        values = {name: float(t) for name, t in zip(self._cell_names, totals, strict=False)}
+        values: dict[str, float] = {}
+        for names, together, integrate in self._in_cells:
+            for name, total in zip(names, integrate(together), strict=False):
+                values[name] = values.get(name, 0.0) + float(total)
         for name, integrand in self._facets.items():
-            values[name] = values.get(name, 0.0) + quadrature.integrate_facets(integrand)
+            values[name] = values.get(name, 0.0) + self.step.quadrature.integrate_facets(integrand)
         return values | {name: evaluate() for name, evaluate in self._evaluated.items()}

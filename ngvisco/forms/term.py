@@ -125,6 +125,8 @@ class Integrand:
 
     cells: CoefficientFunction | None = None
     facets: CoefficientFunction | None = None
+    nodes: CoefficientFunction | None = None
+    """Over the cells too, by as many points as a field has values in one (``Quadrature.nodes``)."""
 
 
 Kind = Literal["dissipation", "power", "energy", "numerical", "monitor", "production", "flux"]
@@ -166,7 +168,7 @@ class Term(Protocol):
 class PointTerm:
     """A term that is a function of the values at a point; see the module's docstring.
 
-    Derived classes override ``cells``, ``facets`` or both, and ``entries`` where the term has a power.
+    Derived classes override ``cells``, ``facets`` or ``nodes``, and ``entries`` where the term has a power.
     """
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -177,10 +179,15 @@ class PointTerm:
         """Summands to be integrated over the boundaries of all cells, both sides of an inner facet."""
         return []
 
+    def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        """Summands to be integrated over the cells by as many points as a field has values in one."""
+        return []
+
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        """``cells`` and ``facets`` for NGSolve."""
+        """``cells``, ``facets`` and ``nodes`` for NGSolve."""
         cells = [Integrand(part) for part in self.cells(u, w)]
-        return cells + [Integrand(facets=part) for part in self.facets(u, w)]
+        nodes = [Integrand(nodes=part) for part in self.nodes(u, w)]
+        return cells + [Integrand(facets=part) for part in self.facets(u, w)] + nodes
 
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         """What it dissipates in cells, W/m^3, by the ledger's names."""
@@ -190,20 +197,35 @@ class PointTerm:
         """And on the boundaries of all cells, W/m^2."""
         return {}
 
+    def dissipated_at_nodes(self, u: Fields) -> dict[str, CoefficientFunction]:
+        """And by the points of ``nodes``, W/m^3."""
+        return {}
+
     def entries(self, u: Fields) -> list[Entry]:
         """Columns of the energy ledger: what it dissipates."""
-        cells, facets = self.dissipated(u), self.dissipated_on_facets(u)
-        names = dict.fromkeys((*cells, *facets))
-        return [Entry(name, "dissipation", Integrand(cells.get(name), facets.get(name))) for name in names]
+        parts = [DISSIPATED[place](self, u) for place in PLACES]
+        names = dict.fromkeys(name for part in parts for name in part)
+        return [Entry(name, "dissipation", Integrand(*(part.get(name) for part in parts))) for name in names]
 
 
-def dissipations(u: Fields, reader: Term, on_facets: bool = False) -> dict[str, CoefficientFunction]:
-    """What all terms but ``reader`` dissipate in cells, W/m^3, or on facets, W/m^2, by the ledger's names.
+Where: TypeAlias = Literal["cells", "facets", "nodes"]
+PLACES: tuple[Where, ...] = ("cells", "facets", "nodes")
+"""What is integrated over, as ``Integrand`` names it."""
+DISSIPATED: dict[Where, Callable[[PointTerm, Fields], dict[str, CoefficientFunction]]] = {
+    "cells": lambda term, u: term.dissipated(u),
+    "facets": lambda term, u: term.dissipated_on_facets(u),
+    "nodes": lambda term, u: term.dissipated_at_nodes(u),
+}
+
+
+def dissipations(u: Fields, reader: Term, where: Where = "cells") -> dict[str, CoefficientFunction]:
+    """What all terms but ``reader`` dissipate in cells or at nodes, W/m^3, or on facets, W/m^2, by the
+    ledger's names.
 
     For a term that turns them into something else, as heat.
     """
     points = (term for term in u.context.terms if term is not reader and isinstance(term, PointTerm))
-    parts = (term.dissipated_on_facets(u) if on_facets else term.dissipated(u) for term in points)
+    parts = (DISSIPATED[where](term, u) for term in points)
     return {name: value for part in parts for name, value in part.items()}
 
 

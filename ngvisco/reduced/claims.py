@@ -20,7 +20,7 @@ from ngvisco.errors import ParameterError
 from ngvisco.forms.context import Context
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import GivenParts, PointTerm, Term, refused_by_name
+from ngvisco.forms.term import GivenParts, PointTerm, Term, Where, refused_by_name
 from ngvisco.forms.terms.heat import Heating
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Continuity, Inertia, Loading
@@ -60,6 +60,8 @@ class Claims:
     """Known before the iteration."""
     rows: dict[int, dict[str, bool]] = field(default_factory=dict)
     """Names of the tests that a term at points has rows of, by its id; whether these read z or zeta."""
+    at_nodes: set[int] = field(default_factory=set)
+    """Ids of those of them with rows by as many points as a field has values in a cell."""
     without_rows: list[Term] = field(default_factory=list)
     """Columns of the ledger only."""
 
@@ -131,6 +133,10 @@ class Claims:
             if self.rows[id(term)].get("z") or (id(term) in stresses and any(self.rows[id(term)].values()))
         ]
 
+    def of_nodes(self) -> list[PointTerm]:
+        """Terms with rows by as many points as a field has values in a cell."""
+        return [term for term in self.at_points if id(term) in self.at_nodes]
+
     def _claim(self, step: Step, term: Term) -> None:
         kind = type(term)
         if term is step.sources:
@@ -165,6 +171,9 @@ class Claims:
             return "it states its form itself"  # which may say more than ``cells`` and ``facets``
         try:
             rows = self.rows[id(term)] = asked_slots(step, term, step.tabulated_rates)
+            at_nodes: list[Where] = ["nodes"]
+            if asked_slots(step, term, step.tabulated_rates, at_nodes):
+                self.at_nodes.add(id(term))
         except NotAtPointsError as error:
             return str(error)
         names = in_cells(step.layout)

@@ -9,7 +9,7 @@ imaginary parts of the rows are their derivative.
 from __future__ import annotations
 
 from collections import ChainMap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from types import SimpleNamespace
 from typing import Any
@@ -23,7 +23,7 @@ from ngvisco.errors import NgviscoError
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import PointTerm
+from ngvisco.forms.term import PLACES, PointTerm, Where
 from ngvisco.forms.upwinding import Incoming, SideMean, Upwinding
 from ngvisco.physics.arrays import Array, Linear, slots
 from ngvisco.physics.increments import TINY
@@ -191,8 +191,11 @@ class SideContext:
 class CellTerms:
     """Integrals over the cells."""
 
-    def __init__(self, step: Step, operators: Operators, rates: TabulatedRates) -> None:
-        self.layout, self.op = step.layout, operators
+    def __init__(
+        self, step: Step, operators: Operators, rates: TabulatedRates, place: Where = "cells"
+    ) -> None:
+        """``place`` is "cells" or "nodes": which of the terms' integrals over cells."""
+        self.layout, self.op, self.place = step.layout, operators, place
         self.context = CellContext(step, operators, rates)
         self._tests = _tests(step, True, self.context)
 
@@ -203,7 +206,7 @@ class CellTerms:
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """What multiplies each test and its gradient, (..., points)."""
-        return _slots([part for term in terms for part in term.cells(u, self._tests)])
+        return _slots([part for term in terms for part in getattr(term, self.place)(u, self._tests)])
 
     def derivatives(
         self, terms: Sequence[PointTerm], u: Fields, **along: np.ndarray
@@ -403,8 +406,10 @@ def _full(values: np.ndarray, count: int) -> np.ndarray:
     return values if values.shape[-1] == count else np.broadcast_to(values, (*values.shape[:-1], count))
 
 
-def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> dict[str, bool]:
-    """Names of the tests that a term has rows of, and whether these rows read z or zeta.
+def asked_slots(
+    step: Step, term: PointTerm, rates: TabulatedRates, places: Collection[Where] = PLACES
+) -> dict[str, bool]:
+    """Names of the tests that a term has rows of at some places, and whether these rows read z or zeta.
 
     Found by evaluating it at one point with all values one, z and zeta complex.
 
@@ -455,7 +460,10 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> dict[str,
     try:
         with np.errstate(all="ignore"):  # all values one need not be in a law's domain
             u, w = fields(inside, (*cells, *derived), cells, _CELLS), _tests(step, True, inside)
-            found = _slots(list(term.cells(u, w)))
+            inside_cells = (place for place in ("cells", "nodes") if place in places)
+            found = _slots([part for place in inside_cells for part in getattr(term, place)(u, w)])
+            if "facets" not in places:
+                return {name: np.iscomplexobj(g) for name, g in found.items()}
             names = (*_on_sides(step), "zeta", *derived)
             u, w = fields(side, names, ["zeta"], _FACETS), _tests(step, False, side)
             u.__dict__["jump"] = ones((d,))

@@ -15,11 +15,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.sparse import mass_matrix
+from ngvisco.forms.driving_stress import LinearisedTabulatedRates
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm
@@ -101,6 +103,11 @@ class ReducedResidual:
         self.facet_terms = FacetTerms(step, self.side_op)
         self.slope = PointwiseSlope(step, self.op.points)
         self.claims = claims = Claims.of(step)
+        self.node_terms: CellTerms | None = None
+        """Of what is integrated by as many points as a field has values in a cell."""
+        if claims.of_nodes():
+            rates = LinearisedTabulatedRates(self.rates, step.stresses)
+            self.node_terms = CellTerms(step, Operators(step, step.quadrature.field_order), rates, "nodes")
         self.inverse_mass = BlockInverse.of(mass_matrix(self.op.z.matrix, self.op.weights))
         flow, density = self.unknowns.flow, self.unknowns.density
         self.by_forms = RestrictedForm(step, flow, claims.by_forms) if claims.by_forms else None
@@ -137,19 +144,28 @@ class ReducedResidual:
     def start(self) -> None:
         """Evaluate what is known through the step."""
         self.cell_terms.context.start()
+        if self.node_terms is not None:
+            self.node_terms.context.start()
         self.facet_terms.context.start()
         if self.right_hand_side is not None:
             self.right_hand_side.start()
 
-    def __call__(self, x: np.ndarray) -> Evaluation:
+    def __call__(self, x: np.ndarray, anew: bool = False) -> Evaluation:
         """Evaluate at ``x``; where it is real, it and what is derived from it become the step's state.
 
-        The forms of NGSolve read the state; with complex x they are taken as linear about it.
+        ``anew`` linearises flow rules there, ``DrivingStress``; else their slopes stay.  The forms of NGSolve
+        read the state; with complex x they are taken as linear about it.
         """
         c, u, s, hyper = self._derived(x)
         with self._clock("rows"):
             rows = self.cell_terms.rows(self._at_points, u)
-            for name, values in self.facet_terms.rows(self._at_points, s).items():
+            others = [self.facet_terms.rows(self._at_points, s)]
+            if self.node_terms is not None:
+                n = self._at_nodes(self.node_terms, c, not np.iscomplexobj(x))
+                if anew:
+                    self.step.stresses.linearise()
+                others.append(self.node_terms.rows(self._at_points, n))
+            for name, values in chain(*(each.items() for each in others)):
                 rows[name] = rows[name] + values if name in rows else values
             if self.diffusion is not None:
                 rows["z"] = rows["z"] + self.diffusion.rows(c)
@@ -164,7 +180,16 @@ class ReducedResidual:
 
     def put(self, x: np.ndarray) -> None:
         """Make ``x``, real, and what is derived from it, the step's state."""
-        self._derived(x)
+        c, *_ = self._derived(x)
+        if self.node_terms is not None:
+            self._at_nodes(self.node_terms, c, True)
+
+    def _at_nodes(self, terms: CellTerms, c: dict[str, np.ndarray], is_real: bool) -> Fields:
+        """Values at the nodes, where stresses follow those of the step's state."""
+        n = terms.fields(c)
+        if is_real:
+            self.step.stresses.refresh(lambda: (n.z.value, n.zeta.value))
+        return n
 
     def _derived(self, x: np.ndarray) -> tuple[dict[str, np.ndarray], Fields, Fields, HyperValues | None]:
         """Coefficients, values in cells and on sides, the hyperviscosity's; the state where x is real."""
@@ -194,6 +219,7 @@ class ReducedResidual:
 
         By complex increments of all arrays; of the terms that only forms have, their linearisations.
         """
+        self.step.stresses.linearise()
         self._flow_rows = None if self.by_forms is None else self.by_forms.jacobian()
         self._density_rows = None
         if self.density is not None:

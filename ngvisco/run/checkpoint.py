@@ -271,7 +271,7 @@ def distributed(one: Snapshot | None, simulation: Simulation) -> Snapshot:
         part: {
             name: numbering.own(None if one is None else one.arrays[part][name], part, name)
             for name in named
-            if part != "passive" or name in simulation.passive.parts
+            if numbering.knows(part, name)
         }
         for part, named in names.items()
     }

@@ -176,8 +176,8 @@ def _advice(simulation: Simulation, violation: Violation | None, courant: float,
         shorter += f"; the largest Courant number is {courant:.3g}"
     lines.append(shorter)
     if violation is None:
-        met, way = simulation.rothe_step.energy.last_failure, simulation.solver.other_way
-        lines[:0] = [*_of_sharp_creep(simulation.model.creep, rate), *filter(None, (met, way))]
+        met = simulation.rothe_step.energy.last_failure
+        lines[:0] = [*_of_sharp_creep(simulation.model.creep, rate), *filter(None, (met,))]
         lines.append("more viscosity, or a start, walls and loads that change over several steps")
         return lines
     near = "there" if violation.wall is None else f"near {violation.wall!r}"

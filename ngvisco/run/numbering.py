@@ -8,12 +8,14 @@ orientation of edges and faces is the same too: ranks number their vertices in t
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from ngsolve import VOL, ElementId, FESpace, Mesh
 
 from ngvisco.errors import ParameterError
+from ngvisco.forms.driving_stress import STRESS, at_nodes
 from ngvisco.forms.spaces import Layout
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
@@ -92,6 +94,12 @@ class Numbering:
         self._states = Numbers(own, whole, self.ranks)
         evolved = None if self.layout is None else _evolved(self.layout)
         self._evolved = Numbers(own[_evolved(step.layout)], whole, self.ranks, evolved)
+        self._stresses: dict[str, Numbers] = {}
+        for name, stress in step.stresses.functions.items():
+            whole = None
+            if self.mesh is not None:
+                whole = at_nodes(replace(step.quadrature, mesh=self.mesh), len(stress.components)).space
+            self._stresses[name] = Numbers(numbers_in(part, stress.space, whole), whole, self.ranks)
         self._passive: dict[str, Numbers] = {}
         for key, field in simulation.passive.parts.items():
             of_field = None if self.mesh is None else simulation.passive.space(key, self.mesh)
@@ -101,7 +109,8 @@ class Numbering:
         """An array of a checkpoint as one process has it, on the first rank, an empty one on others.
 
         ``part`` and ``name`` are the checkpoint's: those of ``stepping`` have the unknowns that evolve only,
-        in the order of ``Layout.evolving``, those of ``passive`` are of that field, others have all.
+        in the order of ``Layout.evolving``, those of ``passive`` are of that field, stresses of flow rules of
+        theirs, others have all.
         """
         return self._of(part, name).whole(values) if self.ranks.is_distributed else values
 
@@ -112,9 +121,17 @@ class Numbering:
         assert values is not None
         return values
 
+    def knows(self, part: str, name: str) -> bool:
+        """Whether such an array is of this simulation, whose passive fields and flow rules may be others."""
+        if part == "passive":
+            return name in self._passive
+        return not (part == "solver" and name.startswith(STRESS)) or name in self._stresses
+
     def _of(self, part: str, name: str) -> Numbers:
         if part == "passive":
             return self._passive[name]
+        if part == "solver" and name.startswith(STRESS):
+            return self._stresses[name]
         return self._evolved if part == "stepping" else self._states
 
 

@@ -26,6 +26,7 @@ from ngsolve import BaseVector, BilinearForm
 
 from ngvisco.algebra.condensed import CondensedJacobian
 from ngvisco.errors import StepError
+from ngvisco.forms.driving_stress import Stresses
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.solver.norm import BlockNorm
@@ -54,12 +55,15 @@ class Newton:
         options: NewtonOptions,
         refresh: Callable[[], None] = lambda: None,
         exchange: Exchange | None = None,
+        stresses: Stresses | None = None,
     ) -> None:
         """``eliminate`` recomputes the local unknowns of ``state`` from the others.
 
         ``refresh`` is called before the form is used at a state that ``eliminate`` was not just called at.
-        ``exchange`` is that of the form's space, where it may be distributed.
+        ``exchange`` is that of the form's space, where it may be distributed.  ``stresses`` are what flow
+        rules are linearised at, unknowns beside those of the state.
         """
+        self.stresses = stresses
         self.exchange = exchange or Exchange.of(form.space, Communicator())
         self.form, self.state, self.norm, self.options = form, state, norm, options
         self.eliminate, self.refresh = eliminate, refresh
@@ -85,6 +89,7 @@ class Newton:
 
     def _factorise(self, problem: Problem) -> None:
         self.refresh()
+        self._slopes_are_new = self.stresses is not None and self.stresses.linearise()
         self.jacobian.factorise(self.state)
         problem.factorised()
 
@@ -93,6 +98,10 @@ class Newton:
         history: list[NewtonIteration] = []
         self.state.data = guess
         problem.pose()
+        if self.stresses:
+            self.stresses.start()
+            if self.exchange.communicator.any(self.stresses.are_stiff):
+                self.reset()
         try:
             status = self._iterate(problem, history)
         except StepError as error:  # of a factorisation
@@ -119,16 +128,20 @@ class Newton:
         damping = 1.0
         while len(history) < options.max_iterations:
             self._base.data = u
-            u.data -= damping * self._increment
-            self.eliminate()
+            self._follow(self._increment, damping)
             self.form.Apply(u, self._trial_residual)
             size = self.norm(self._increment, self._base, u)
             next_size = contraction = np.inf
+            renewed = False
             if self._is_finite(self._trial_residual):
-                jacobian.solve(self._trial_residual, self._next)
-                next_size = self.norm(self._next, u)
-                # NaN where an increment is not finite, which passes no test below
-                contraction = self.norm(self._next, self._base, u) / size if size != 0 else 0.0
+                next_size, contraction = self._following(size)
+                # where points have begun or ceased to yield the next increment is a matter of their slopes
+                renewed = bool(self.stresses) and not contraction <= 1 - damping / 4
+                if renewed:
+                    self._factorise(problem)
+                    if self._slopes_are_new:
+                        self.form.Apply(u, self._trial_residual)
+                    next_size, contraction = self._following(size)
             history.append(NewtonIteration(size, contraction, damping, fresh))
             if contraction <= 1 - damping / 4 and problem.changes(next_size):
                 self.eliminate()
@@ -140,32 +153,50 @@ class Newton:
             stalled = fresh and options.refresh < contraction < np.inf
             if damping == 1.0 and (next_size <= options.tolerance or (stalled and self._is_rounding())):
                 if contraction < 1:
-                    u.data -= self._next
-                    self.eliminate()
+                    self._follow(self._next, 1.0)
                 return Status.CONVERGED
             if not contraction <= 1 - damping / 4:
                 u.data = self._base
+                if self.stresses:
+                    self.stresses.undo()
                 if not fresh:
                     fresh, damping = True, 1.0
-                    self._set_increment(problem, fresh)
                 elif damping > options.min_damping:
                     damping /= 2
                 else:
                     return Status.STALLED
+                if renewed or damping == 1.0:
+                    self._set_increment(problem, fresh)
                 continue
             self._residual.data = self._trial_residual
-            fresh = contraction > options.refresh or damping < 1
-            if fresh:
+            fresh = renewed or contraction > options.refresh or damping < 1
+            if fresh and not renewed:
                 self._set_increment(problem, fresh)
             else:
                 self._increment.data = self._next
             damping = min(1.0, 2 * damping)
         return Status.TOO_MANY_ITERATIONS
 
+    def _follow(self, increment: BaseVector, length: float) -> None:
+        """Take ``length`` times an increment from the state, with what is determined by it."""
+        if self.stresses:
+            self.stresses.follow(increment, length)
+        self.state.data -= length * increment
+        self.eliminate()
+
+    def _following(self, size: float) -> tuple[float, float]:
+        """The size of the next increment, of the trial residual, and over that of the one before."""
+        self.jacobian.solve(self._trial_residual, self._next)
+        # NaN where an increment is not finite, which passes no test
+        contraction = self.norm(self._next, self._base, self.state) / size if size != 0 else 0.0
+        return self.norm(self._next, self.state), contraction
+
     def _set_increment(self, problem: Problem, fresh: bool) -> None:
         """The increment of the present residual, by a Jacobian of the present state if ``fresh``."""
         if fresh:
             self._factorise(problem)
+            if self._slopes_are_new:
+                self.form.Apply(self.state, self._residual)
         self.jacobian.solve(self._residual, self._increment)
 
     def _is_finite(self, residual: BaseVector) -> bool:

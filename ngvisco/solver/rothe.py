@@ -43,9 +43,9 @@ _TOO_FAR = 0.5
 """Change of the velocity, |dv| tau/h, above which extrapolation leads it too far: after the first of some
 long steps."""
 
-_HELD = "from the last state, increments held by their power"
-"""What is tried last where a steep flow rule creeps: of yield with little inertia increments are else as long
-as the velocity, to and fro.  Near the rate-independent limit it takes more iterations than without."""
+_DAMPED = "from the last state, damped"
+"""What is tried last where a flow rule creeps: of yield with little inertia increments are else as long as
+the velocity, to and fro."""
 
 
 class RotheSolver:
@@ -85,6 +85,8 @@ class RotheSolver:
         self._last_tau: float | None = None
         self._factorised = {name: step.state.vec.CreateVector() for name in self._vectors()}
         self._factorised_at = dict.fromkeys(_PARAMETERS, 0.0)
+        self._stresses: dict[str, np.ndarray] = {}
+        """Those that flow rules are linearised at, at the last factorisation."""
         self._start = step.state.vec.CreateVector()
         self.extrapolation = Extrapolation(step)
         self.sides = Sides(step, self.h_min)
@@ -106,7 +108,10 @@ class RotheSolver:
             return split
         self._warn_without_multigrid("the coupled solver, which takes the steps, factorises all unknowns")
         refresh = eliminate.refresh
-        return Newton(step.residual, step.state.vec, norm, eliminate, options, refresh, self.exchange)
+        stresses = step.stresses
+        return Newton(
+            step.residual, step.state.vec, norm, eliminate, options, refresh, self.exchange, stresses
+        )
 
     def _warn_without_multigrid(self, reason: str | None) -> None:
         """Say why the options' multigrid has no part in the steps, for which there may be a reason."""
@@ -137,6 +142,7 @@ class RotheSolver:
             value again, and the error has the history.
         """
         self._start.data = self.step.state.vec
+        self.step.stresses.begin()
         if interval.tau != self._last_tau:
             self.newton.reset()
             self._last_tau = interval.tau
@@ -145,7 +151,7 @@ class RotheSolver:
         attempts: list[Attempt] = []
         try:
             for name, guess in self._guesses(interval):
-                attempts.append(Attempt(name, self._attempt(interval, guess, name == _HELD)))
+                attempts.append(Attempt(name, self._attempt(interval, guess, name == _DAMPED)))
                 if attempts[-1].solution.converged:
                     self.extrapolation.keep(interval.end)
                     return attempts
@@ -169,8 +175,8 @@ class RotheSolver:
         if self.method == "split" and courant > _TOO_FAST:
             guess.FV().NumPy()[self.step.layout.ranges["v"]] *= _TOO_FAST / courant
         yield "from the last state", guess
-        if isinstance(self.newton, Split) and self.newton.is_steep:
-            yield _HELD, guess
+        if self.method == "split" and self.step.stresses:
+            yield _DAMPED, guess
 
     def _grows(self, interval: Interval, attempts: list[Attempt]) -> bool:
         """Whether steps of growing length, each the start value of the next, lead to the whole one.
@@ -201,9 +207,9 @@ class RotheSolver:
         fastest = self.exchange.communicator.most(abs(v).max(initial=0.0))
         return fastest * interval.tau / self.h_min
 
-    def _attempt(self, interval: Interval, guess: BaseVector, holds: bool = False) -> Solution:
+    def _attempt(self, interval: Interval, guess: BaseVector, damps: bool = False) -> Solution:
         if isinstance(self.newton, Split):
-            self.newton.holds = holds
+            self.newton.damps = damps
         self.step.energy.last_failure = None
         self.exchange.communicator.forget_notes()
         velocity = self.extrapolation.velocity(interval.end)
@@ -231,7 +237,8 @@ class RotheSolver:
         if self._last_tau is None or not self.newton.is_factorised:
             return numbers, arrays
         numbers |= {**self._factorised_at, "last_tau": self._last_tau}
-        return numbers, arrays | {name: vec.FV().NumPy().copy() for name, vec in self._factorised.items()}
+        arrays |= {name: vec.FV().NumPy().copy() for name, vec in self._factorised.items()}
+        return numbers, arrays | self._stresses
 
     def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
         """Take up what ``state_dict`` gave; state, old state and time are left as they are."""
@@ -245,6 +252,7 @@ class RotheSolver:
         self.step.follow_wind()
         self.step.start_from_old()  # by numerical heating, of backward Euler, the derivative has m_old too
         parameters = {name: numbers[name] for name in _PARAMETERS}
+        self.step.stresses.give(arrays)
         self.newton.factorise(self.problem(Interval(begin=now, **parameters)))
         self._last_tau = numbers["last_tau"]
         for name, vector in self._vectors().items():
@@ -265,24 +273,16 @@ class RotheSolver:
 
     def _remember(self, problem: RotheProblem) -> None:
         self._factorised_at = {name: getattr(problem.interval, name) for name in _PARAMETERS}
+        self._stresses = self.step.stresses.frozen()
         for name, values in self._vectors().items():
             self._factorised[name].FV().NumPy()[self._part(name)] = values
-
-    @cached_property
-    def other_way(self) -> str | None:
-        """What solves a steep flow rule, as yield of little viscosity, where the coupled solver stalls."""
-        rules = [flow.rule for flow in self.step.model.flows if flow.rule.is_local]
-        if self.method == "split" or all(rule.degree == 1 for rule in rules) or split_obstacle(self.step):
-            return None
-        return 'solver.method = "split", which solves a steep flow rule at the points'
 
     def _judged(self, solution: Solution) -> Solution:
         """The solution, which has failed too where its energy is no number or rho or J is not positive."""
         energy = self.step.energy
         if not solution.converged:
             noted = self.exchange.communicator.noted()
-            other_way = self.other_way and f"or {self.other_way}"
-            parts = solution.reason, energy.last_failure, other_way, *noted
+            parts = solution.reason, energy.last_failure, *noted
             return replace(solution, reason="; ".join(filter(None, parts)))
         if energy.failure is not None:  # of the last increment, which is added without a test
             return Solution(Status.INADMISSIBLE, solution.history, energy.failure)

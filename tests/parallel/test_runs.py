@@ -41,6 +41,12 @@ REGULARISED = CASE.replace(
     "[initial]",
     "[rheology]\nregularisation = { delta_density = 1e-3, delta_fields = 1e-2, rho_max = 1.0 }\n[initial]",
 )
+YIELD = """\
+[rheology.creep]
+kind = "Perzyna"
+sigma_Y = 0.05
+G_m = 0.1
+[initial]"""
 CASES = {
     "split": CASE.replace("coupled", "split"),
     "coupled": CASE,
@@ -60,6 +66,7 @@ density = 1.0
 pressure = -15.0
 stiffness = [9.0, 4.0]
 """
+CASES["yield"] = CASE.replace("[initial]", YIELD).replace('"F"', '"B"')
 CASES["adapted"] = (
     CASES["periodic"].replace(MATERIAL, ADAPT + MATERIAL).replace('"3 + cos(pi*y)"', '"1 - y*y"')
 )
@@ -215,7 +222,7 @@ def read(table):
         "split",
         "coupled",
         "periodic",
-        *(pytest.param(c, marks=pytest.mark.ci) for c in ("regularised", "adapted")),
+        *(pytest.param(c, marks=pytest.mark.ci) for c in ("regularised", "adapted", "yield")),
     ],
 )
 def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
@@ -248,7 +255,13 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
         ("split", 3),
         *(
             pytest.param(case, ranks, marks=[pytest.mark.long, pytest.mark.ci])
-            for case, ranks in (("coupled", 4), ("regularised", 3), ("periodic", 4), ("adapted", 3))
+            for case, ranks in (
+                ("coupled", 4),
+                ("regularised", 3),
+                ("periodic", 4),
+                ("adapted", 3),
+                ("yield", 3),
+            )
         ),
         pytest.param("split", 4, marks=pytest.mark.long),
     ],

@@ -12,12 +12,15 @@ from ngvisco.geometries import box
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 
 
-def simulation(observers=(), material=NEO_HOOKEAN, maxh=0.5, heat=None, **options):
+CREEP = nv.Creep(G_m=5.0)
+
+
+def simulation(observers=(), material=NEO_HOOKEAN, maxh=0.5, heat=None, creep=CREEP, **options):
     model = nv.Model(
         material=material,
         heat=heat,
         hyperviscosity=nv.HyperViscosity(mu=1e-4),
-        creep=nv.Creep(G_m=5.0),
+        creep=creep,
         loads=[nv.Gravity((0.0, sin(3 * nv.time)))],
     )
     initial = nv.Initial(velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))
@@ -46,6 +49,8 @@ HEAT = {"heat": nv.Heat(conductivity=0.05, numerical_heating=True)}
         (NEO_HOOKEAN, {}),
         (HEATED, HEAT | {"solver": "coupled"}),  # whose derivative reads the old momentum
         (HEATED, HEAT | {"solver": "split"}),
+        # linearised at stresses of iterates
+        *((SOLID, {"creep": nv.Perzyna(sigma_Y=0.05, G_m=0.1), "solver": s}) for s in ("coupled", "split")),
     ],
 )
 def test_restart_is_bitwise_identical(tmp_path, material, options):

@@ -107,7 +107,7 @@ def test_a_potential_of_creep_that_is_sharp_at_rest_is_named(floor, is_named, mo
     assert ("rheology.creep.rate_floor, 1e-09/s" in caught.value.report.advice[0]) is is_named
 
 
-def test_a_step_from_rest_names_no_fastest_place_and_what_solves_the_rule_first(monkeypatch):
+def test_a_step_from_rest_names_no_fastest_place(monkeypatch):
     model = nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), creep=nv.Perzyna(sigma_Y=0.5, G_m=1e-6))
     run = nv.Simulation(box((1, 1), 0.6), model, dt=0.02, solver="coupled")
     run.rothe_step.state.vec.FV().NumPy()[run.rothe_step.layout.ranges["v"]] = 1e-18  # rounding
@@ -117,7 +117,6 @@ def test_a_step_from_rest_names_no_fastest_place_and_what_solves_the_rule_first(
     )
     with pytest.raises(nv.StepError) as caught:
         run.advance()
-    what, change, _, rule, *below = str(caught.value.report).splitlines()
-    assert what.endswith("no solution was found; from rest") and rule == 80 * "-"
-    assert change == 'change     solver.method = "split", which solves a steep flow rule at the points'
+    what, *below = str(caught.value.report).splitlines()
+    assert what.endswith("no solution was found; from rest")
     assert "flow       at rest" in below

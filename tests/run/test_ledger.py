@@ -24,7 +24,7 @@ from ngvisco.forms.context import Context
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import _recover_hessian
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import Entry, Integrand
+from ngvisco.forms.term import PLACES, Entry, Integrand
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Convection, Inertia, Loading, Stokes
 from ngvisco.forms.terms.transport import ElasticForce, Kinematics
@@ -104,6 +104,8 @@ def integral(step: Step, integrand: Integrand) -> float:
         total += step.quadrature.integrate_cells(integrand.cells)
     if integrand.facets is not None:
         total += step.quadrature.integrate_facets(integrand.facets)
+    if integrand.nodes is not None:
+        total += step.quadrature.integrate_nodes(integrand.nodes)
     return total
 
 
@@ -265,10 +267,8 @@ def scaled(entries: Callable[..., list[Entry] | Entry], name: str, factor: float
         def one(entry: Entry) -> Entry:
             part = entry.integrand
             if entry.name == name:
-                part = Integrand(
-                    None if part.cells is None else factor * part.cells,
-                    None if part.facets is None else factor * part.facets,
-                )
+                parts = (getattr(part, place) for place in PLACES)
+                part = Integrand(*(None if each is None else factor * each for each in parts))
             return Entry(entry.name, entry.kind, part)
 
         result = entries(self, *fields)

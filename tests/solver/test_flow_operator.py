@@ -168,7 +168,7 @@ def test_the_fields_rows_are_the_derivative(run):
     direction[z] = np.random.default_rng(2).standard_normal(z.stop - z.start)
     expected = split.residual.derivative(at)(direction).z
     dz = direction[z].reshape(expected.shape)
-    found = split.preconditioner.fields._rows(np.ascontiguousarray(dz.T)).T
+    found = split.preconditioner.fields.rows(np.ascontiguousarray(dz.T)).T
     assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
 
 
@@ -181,7 +181,7 @@ def test_conduction_is_the_rows_derivative_at_a_uniform_temperature(run):
     dz = direction[z].reshape(at.coefficients["z"].shape)
     dz[entropy] = np.random.default_rng(2).standard_normal(dz.shape[1])
     expected = split.residual.derivative(at)(direction).z[entropy]
-    found = split.preconditioner.fields._rows(np.ascontiguousarray(dz.T))[:, entropy]
+    found = split.preconditioner.fields.rows(np.ascontiguousarray(dz.T))[:, entropy]
     storage = split.preconditioner.sweep._applied(split.preconditioner.sweep._blocks, dz.T)[:, entropy]
     assert np.abs(expected - storage).max() > 0.1 * np.abs(expected).max()
     assert np.abs(found - expected).max() <= 1e-5 * np.abs(expected).max()

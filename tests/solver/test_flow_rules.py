@@ -82,21 +82,6 @@ def test_a_rule_of_one_s_own_gives_what_it_says(nu, bodies, solver):
     assert ledger.column("dissipation_creep")[1:].min() > 0
 
 
-@pytest.mark.parametrize("material", [MATERIAL, BY_B, nv.LinearElastic(K_e=10.0, G_e=5.0)])
-def test_a_rule_that_is_straight_within_an_increment_has_no_equation_to_solve(material):
-    """Though z -> M is curved, and its tangent not exact: that is the step's own iteration."""
-    model = nv.Model(
-        material=material, viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0), creep=nv.Norton(A=0.3, n=3)
-    )
-    lid = {"top": nv.PrescribedTangential(CF((16 * x**2 * (1 - x) ** 2, 0)))}
-    run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, walls=lid, solver="split")
-    run.advance()
-    (creep,) = run.solver.newton.preconditioner.local_creep
-    dz = np.random.default_rng(0).standard_normal((len(creep.tangent.z), creep.tangent.op.z.width))
-    assert not creep(1e-5 * dz).any()
-    assert abs(creep(dz)).max() > 1e-2
-
-
 @dataclass(frozen=True)
 class Heat(Variable):
     """What has become of dissipated energy, per actual volume, J/m^3."""
@@ -124,6 +109,9 @@ class Heating(PointTerm):
 
     def cells(self, u, w):
         return [-xi * w.z_tensors["heat"] for xi in dissipations(u, self).values()]
+
+    def nodes(self, u, w):
+        return [-xi * w.z_tensors["heat"] for xi in dissipations(u, self, "nodes").values()]
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.01])

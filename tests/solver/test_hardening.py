@@ -65,7 +65,9 @@ def test_the_yield_stress_grows_by_the_law_and_its_work_is_stored(name, solver):
 
 
 def test_the_plastic_strain_is_the_creep_strain_of_a_flow():
-    """Both are carried, the one as a variable of the step and the other after it."""
+    """Both are carried, the one as a variable of the step by as many points as it has values in a cell, the
+    other after it by those of the forms.
+    """
     rule = nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=1 + x)
     model = nv.Model(material=MATERIALS["B"], viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1), creep=rule)
     lid = {"top": nv.PrescribedTangential(CF((16 * x**2 * (1 - x) ** 2, 0)))}
@@ -79,7 +81,7 @@ def test_the_plastic_strain_is_the_creep_strain_of_a_flow():
     )
     run.run(0.1)
     k, creep = (Integrate(run.fields[name], run.mesh) for name in ("plastic_strain", "creep_strain"))
-    assert k == pytest.approx(creep, rel=1e-3) and k > 0.01
+    assert k == pytest.approx(creep, rel=2e-2) and k > 0.01
 
 
 def test_heat_is_what_is_not_stored():

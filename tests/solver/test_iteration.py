@@ -21,10 +21,10 @@ class Increments:
     """What ``iterate`` asks of a split solver: increments of given sizes, by their number."""
 
     has_converged, wear = Split.has_converged, lambda self, f, size: None
-    is_steep, sharpness = False, 1.0
+    is_steep, follow = False, lambda self, f: None
 
-    def __init__(self, sizes, held=False):
-        self.sizes, self.is_factorised, self.held = sizes, True, held
+    def __init__(self, sizes):
+        self.sizes, self.is_factorised = sizes, True
         self.options = NewtonOptions(split=SplitOptions(slow=60))  # Newton-Krylov does not take over
         self.at, self.starts, self.resets, self.solution = [], 0, 0, None
         self.unknowns = SimpleNamespace(pack=lambda: np.zeros(1), unpack=lambda x: None)
@@ -36,8 +36,8 @@ class Increments:
     def _start(self):
         self.starts += 1
 
-    def evaluated(self, x):
-        return x, None, self.held
+    def evaluated(self, x, last):
+        return None
 
     def increment(self, problem, x, at, last):
         self.at.append(float(x[0]))
@@ -55,14 +55,6 @@ def test_a_plateau_below_the_tolerance_is_rounding():
     tolerance = NewtonOptions().tolerance
     found = Increments(lambda n: max(10.0 ** (-3 * n - 1), 0.5 * tolerance))
     assert iterate(found, Posed(), []) is Status.CONVERGED
-
-
-@pytest.mark.parametrize("held", [True, False])
-def test_what_is_held_by_its_power_may_grow(held):
-    """Where yield begins the next increment is the longer one; else it is given up for a shorter one."""
-    found = Increments(lambda n: (0.04, 1.2, 0.3)[n] if n < 3 else 1e-2 * 10.0 ** (-2 * n), held)
-    assert iterate(found, Posed(), []) is Status.CONVERGED
-    assert (found.resets == 0) == held
 
 
 def test_slow_convergence_is_not_taken_for_rounding():

@@ -58,11 +58,7 @@ class _Representative:
         only[step.layout.ranges[block]] = True
         self._inverse = mass.mat.Inverse(only, inverse="umfpack")
         self._load = LinearForm(space)
-        for part in integrands:
-            if part.cells is not None:
-                self._load += part.cells * step.quadrature.cells
-            if part.facets is not None:
-                self._load += part.facets * step.quadrature.facets
+        step.quadrature.add(self._load, integrands)
         self._solution = self._load.vec.CreateVector()
 
     def norm(self) -> float:

@@ -41,17 +41,21 @@ _FACET_BASE_ORDER = 5  # order of NGSolve's Integrate on element boundaries with
 
 @dataclass(frozen=True)
 class Quadrature:
-    """Rules of one degree on the cells and one on the facets.
+    """Rules of one degree on the cells and one on the facets, and one of the fields' products.
 
     Parameters
     ----------
     volume_degree, facet_degree : int
         Polynomial degrees integrated exactly on straight cells and facets.
+    field_order : int
+        Of products of two fields of this order ``nodes`` is exact: on triangles and tetrahedra it has for
+        orders up to one, on triangles for two, as many points as a field has values in a cell.
     """
 
     mesh: Mesh
     volume_degree: int
     facet_degree: int
+    field_order: int = 1
 
     @classmethod
     def for_orders(cls, mesh: Mesh, k: int, m: int, bonus: int = 0) -> Quadrature:
@@ -65,13 +69,16 @@ class Quadrature:
         degree = max(2 * k + m + 1, 2 * m + k) + bonus
         degree += degree % 2
         # a transport's facets want 2m + 1 for its order; see SYMMETRIC_DEGREE
-        return cls(mesh, degree, degree if mesh.dim == 2 else min(degree, SYMMETRIC_DEGREE))
+        return cls(mesh, degree, degree if mesh.dim == 2 else min(degree, SYMMETRIC_DEGREE), m)
 
     @cached_property
     def cell_rules(self) -> dict[Any, IntegrationRule]:
         """The rule of every type of cell."""
+        return self._rules(self.volume_degree)
+
+    def _rules(self, degree: int) -> dict[Any, IntegrationRule]:
         cells = (ET.TRIG, ET.QUAD) if self.mesh.dim == 2 else (ET.TET, ET.PRISM, ET.PYRAMID, ET.HEX)
-        return {et: IntegrationRule(et, self.volume_degree) for et in cells}
+        return {et: IntegrationRule(et, degree) for et in cells}
 
     @cached_property
     def _facet_rules(self) -> dict[Any, IntegrationRule]:
@@ -82,6 +89,11 @@ class Quadrature:
     def cells(self) -> Any:
         """dx over the cells with the common rule."""
         return dx(intrules=self.cell_rules)
+
+    @cached_property
+    def nodes(self) -> Any:
+        """dx over the cells by the rule of the fields' products."""
+        return dx(intrules=self._rules(2 * self.field_order))
 
     @property
     def facets(self) -> Any:
@@ -94,16 +106,22 @@ class Quadrature:
         return ds(intrules=self._facet_rules)
 
     def add(self, form: Any, integrands: Iterable[Integrand]) -> None:
-        """Add the integrands to an NGSolve form, by the rules of ``cells`` and ``facets``."""
+        """Add the integrands to an NGSolve form, by the rules of ``cells``, ``facets`` and ``nodes``."""
         for integrand in integrands:
             if integrand.cells is not None:
                 form += compiled(integrand.cells) * self.cells
             if integrand.facets is not None:
                 form += compiled(integrand.facets) * self.facets
+            if integrand.nodes is not None:
+                form += compiled(integrand.nodes) * self.nodes
 
     def integrate_cells(self, integrand: CoefficientFunction) -> Any:
         """Integral over the mesh, by the rule of ``cells``; a float, or a vector of them."""
         return Integrate(integrand, self.mesh, order=self.volume_degree)
+
+    def integrate_nodes(self, integrand: CoefficientFunction) -> Any:
+        """The same by the rule of ``nodes``."""
+        return Integrate(integrand, self.mesh, order=2 * self.field_order)
 
     def integrate_facets(self, integrand: CoefficientFunction) -> float:
         """Integral over all cell boundaries, by the rule of ``facets``."""

@@ -62,6 +62,12 @@ class PlasticStraining(PointTerm):
     flow: Flow
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [] if u.context.rates.creeps_at_nodes else self._rows(u, w)
+
+    def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return self._rows(u, w) if u.context.rates.creeps_at_nodes else []
+
+    def _rows(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         rates = u.context.rates
         Pi = rates.creep(u)[rates.flows.index(self.flow)]
         return [-rates.hardening_rate(self.flow, Pi, u) * w.z_tensors[self.flow.plastic_strain]]

@@ -22,7 +22,17 @@ from ngvisco.errors import ParameterError
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import PRODUCTION, Entry, Integrand, PointTerm, Setting, Term, Unknown, dissipations
+from ngvisco.forms.term import (
+    PLACES,
+    PRODUCTION,
+    Entry,
+    Integrand,
+    PointTerm,
+    Setting,
+    Term,
+    Unknown,
+    dissipations,
+)
 from ngvisco.forms.upwinding import SideMean
 from ngvisco.physics.materials.thermal import Entropy, entropy_in
 from ngvisco.physics.mixed_heat import HeatLaw
@@ -118,7 +128,7 @@ class Heating(_OfEntropy):
             heat = flux + coefficient * (temperature - self.theta(u))
             found[f"power_heat_{name}"] = u.context.given(self._indicators[name]) * heat
         if self._to_walls:
-            dissipated = dissipations(u, self, on_facets=True)
+            dissipated = dissipations(u, self, "facets")
             for name, share in self._to_walls.items():
                 friction = dissipated.get(f"dissipation_friction_{name}")
                 if friction is None:
@@ -144,24 +154,29 @@ class Heating(_OfEntropy):
         return [-(reduce(add, heat) * self.chi(u, w))] if heat else []
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        heat = [*dissipations(u, self, on_facets=True).values(), *self._through_walls(u).values()]
+        heat = [*dissipations(u, self, "facets").values(), *self._through_walls(u).values()]
+        return [-(reduce(add, heat) * self.chi(u, w))] if heat else []
+
+    def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        heat = dissipations(u, self, "nodes").values()
         return [-(reduce(add, heat) * self.chi(u, w))] if heat else []
 
     def entries(self, u: Fields) -> list[Entry]:
         """The heat as powers, since it is a part of the energy; entropy, and what produces and brings it."""
-        cells, facets = dissipations(u, self), dissipations(u, self, on_facets=True)
-        self._require_all({*cells, *facets}, u)
+        places = [dissipations(u, self, place) for place in PLACES]
+        names = dict.fromkeys(name for heat in places for name in heat)
+        self._require_all(set(names), u)
         supplied, through = self._supplied(u), self._through_walls(u)
         theta = self.theta(u)
-        total = [reduce(add, parts.values()) if parts else None for parts in (cells, facets)]
+        total = [reduce(add, heat.values()) if heat else None for heat in places]
         found = [
-            *([Entry("power_heat_dissipated", "power", Integrand(*total))] if cells or facets else []),
+            *([Entry("power_heat_dissipated", "power", Integrand(*total))] if names else []),
             *(Entry(name, "power", Integrand(heat)) for name, heat in supplied.items()),
             *(Entry(name, "power", Integrand(facets=heat)) for name, heat in through.items()),
             Entry("entropy", "monitor", Integrand(self.entropy.unit * u.z_tensors[self.entropy.name])),
         ]
-        for name in dict.fromkeys((*cells, *facets)):
-            parts = [None if name not in heat else heat[name] / theta for heat in (cells, facets)]
+        for name in names:
+            parts = [None if name not in heat else heat[name] / theta for heat in places]
             column = PRODUCTION + name.removeprefix("dissipation_")
             found.append(Entry(column, "production", Integrand(*parts)))
         for name, heat in supplied.items():

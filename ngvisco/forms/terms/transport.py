@@ -64,7 +64,9 @@ class Kinematics(PointTerm):
 
     G is the test function of z in the discontinuous P_m.  Keeps: J untouched by creep, tr Pi = 0.
     With creep and nu = 0 the rate Pi is a function of M at the point, the Mandel stress of the projected
-    conjugates, so that G = zeta gives the dissipation M : Pi >= 0; see ``CreepRate`` for nu > 0.
+    conjugates, so that G = zeta gives the dissipation M : Pi >= 0; see ``CreepRate`` for nu > 0.  That of
+    nonlinear rules is integrated by as many points as z has values in a cell: by more, of yield towards its
+    rate-independent limit, more points would hold |M| than there are values to do it.
     """
 
     model: Model
@@ -75,9 +77,16 @@ class Kinematics(PointTerm):
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
         parts = [-part for part in transport_in_cells(u, u, w, "z")]
-        if c.rates.flows:
-            parts += [-part for part in c.rates.creep_power(u, c.rates.creep(u), w, "z")]
+        if c.rates.flows and not c.rates.creeps_at_nodes:
+            parts += self._creep(u, w)
         return [c.rate(inner(u.z - c.old.z, w.z)), *parts]
+
+    def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return self._creep(u, w) if u.context.rates.creeps_at_nodes else []
+
+    def _creep(self, u: Fields, w: Fields) -> list[CoefficientFunction]:
+        rates = u.context.rates
+        return [-part for part in rates.creep_power(u, rates.creep(u), w, "z")]
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [-transport_through_facets(u, u, w, "z")]
@@ -85,9 +94,14 @@ class Kinematics(PointTerm):
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         """Creep's, where it has no equation of its own."""
         rates = u.context.rates
-        if not (rates.flows and rates.is_local):
+        if not (rates.flows and rates.is_local) or rates.creeps_at_nodes:
             return {}
         return {"dissipation_creep": rates.dissipation(u)}
+
+    def dissipated_at_nodes(self, u: Fields) -> dict[str, CoefficientFunction]:
+        """The same of nonlinear rules."""
+        rates = u.context.rates
+        return {"dissipation_creep": rates.dissipation(u)} if rates.creeps_at_nodes else {}
 
     def energy(self, u: Fields) -> Entry:
         """phi(z)."""

@@ -22,12 +22,15 @@ fields by functions and components, (q, n): orders in which the matrices come ou
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.algebra import precision
 from ngvisco.algebra.sparse import ElementAssembly
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import PointTerm
 from ngvisco.reduced.by_forms import RestrictedForm
 from ngvisco.reduced.evaluation import CellTerms, derivative_of, incremented
 from ngvisco.reduced.operators import Operators
@@ -38,80 +41,53 @@ from ngvisco.solver.split.transport import TransportSweeps
 from ngvisco.threads import concurrently, product
 
 
-class PointTangent:
-    """Values and derivatives at the points of the coarse rule, at an evaluation."""
+class _AtPoints:
+    """Values and K at the points of one rule, at an evaluation."""
 
-    def __init__(self, residual: ReducedResidual, operators: Operators) -> None:
-        self.residual, self.op, self.components = residual, operators, residual.step.layout.states.size
-        self.terms = CellTerms(residual.step, operators, residual.rates)
-        self._of_state = residual.claims.of_state()
-        self.slope = PointwiseSlope(residual.step, operators.points)
-        z = operators.z
-        tests = z.blocks.swapaxes(1, 2) * operators.weights.reshape(z.cells, 1, z.per_cell)
+    rate_slope: np.ndarray
+    """K, (points, n, n)."""
+
+    def __init__(self, residual: ReducedResidual, terms: CellTerms, asked: list[PointTerm]) -> None:
+        """``asked`` are the terms whose rows of z, and stresses, change with z."""
+        self.residual, self.terms, self.op, self._asked = residual, terms, terms.op, asked
+        self.components = residual.step.layout.states.size
+        self.slope = PointwiseSlope(residual.step, self.op.points)
+        z = self.op.z
+        tests = z.blocks.swapaxes(1, 2) * self.op.weights.reshape(z.cells, 1, z.per_cell)
         of_values = np.linalg.solve(tests @ z.blocks, tests)  # (cells, q, points)
         by_points = of_values[:, :, None] * z.blocks.swapaxes(1, 2)[:, None]
         self._projecting = by_points.reshape(z.cells, z.local**2, z.per_cell)
         """Coefficients of products of values at the points and the cells' functions, (cells, q q, points)."""
 
-    def update(self, at: Evaluation) -> None:
-        """Form K's resolvent, d rate/dX and the force's derivative."""
-        rates = self.residual.rates
+    def _take(self, at: Evaluation) -> None:
+        """The values there and phi'', (points, n, n)."""
         self.tau = self.residual.step.context.tau.Get()
         self.values = u = self.terms.fields(at.coefficients)
-        self.z, self.zeta, self.dz = u.z.value, u.zeta.value, u.grad_z.value
-        self.columns = rates.columns(self.z)  # (points, n, X)
-        self.rate_slope, self.force = self._by_fields(u)
-        self.resolvent = self._resolvent(self.rate_slope)
+        self.z, self.zeta = u.z.value, u.zeta.value
+        self.curvature = self._second_derivative()
 
-    def _by_fields(self, u: Fields) -> tuple[np.ndarray, np.ndarray]:
-        """K, (points, n, n), and the force's derivative, (points, X, n); zeta follows z by phi''.
+    def _slopes(self) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
+        """Derivatives of the asked terms' slots, and of creep, by some components of z, which zeta follows by
+        phi''."""
+        first, zeta = 0, self.curvature.transpose(2, 1, 0)
+        for k, changed in incremented(self.values, z=np.eye(self.components)[:, :, None], zeta=zeta):
+            some, first = slice(first, first + k), first + k
+            yield some, {name: derivative_of(g, k) for name, g in self._read(changed).items()}
 
-        Rates are constant tensors; creep and terms that read z or zeta are by complex increments of these.
-        -(w . grad z) : zeta, with its share of the facets, is div w times phi'(z) : dz to leading order, and
-        so is what densities have in their flux.
-        """
-        rates, curvature = self.residual.rates, self._second_derivative()
-        g, n, has_creep = rates.tensors.gradients, len(self.z), rates.is_local and bool(rates.flows)
-        X = np.zeros((self.columns.shape[2], self.z.shape[1]))
-        X[:g] = u.grad_v.value.reshape(g, -1)
-        if rates.flows:
-            X[g:] = rates.creep_components(u)
-        K, force = (each.transpose(2, 0, 1) for each in rates.slopes(self.z, X, self.zeta))
-        force = force + product(self.columns.swapaxes(1, 2), curvature)
-        force[:, : g : self.residual.step.mesh.dim + 1] += self.zeta.T[:, None]
-        if not (has_creep or self._of_state):
-            return np.ascontiguousarray(K), force
-        K, of_creep, m = K.copy(), self.columns[:, :, g:], 0
-        for k, changed in incremented(u, z=np.eye(n)[:, :, None], zeta=curvature.transpose(2, 1, 0)):
-            some, m = slice(m, m + k), m + k
-            if has_creep:
-                creep = derivative_of(rates.creep_components(changed), k)
-                K[:, :, some] += product(of_creep, creep.transpose(2, 0, 1))
-            found = self.terms.slots(self._of_state, changed)
-            if "z" in found:
-                K[:, :, some] -= derivative_of(found["z"], k).transpose(2, 0, 1)
-            if "grad v" in found:
-                stress = derivative_of(found["grad v"], k)
-                force[:, :g, some] += stress.reshape(g, k, -1).transpose(2, 0, 1)
-        return K, force
+    def _read(self, u: Fields) -> dict[str, np.ndarray]:
+        return self.terms.slots(self._asked, u)
 
-    def stiffness(self) -> np.ndarray:
-        """C of the module's docstring, (points, X, X)."""
-        resolvent = np.linalg.inv(np.eye(self.components) - self.tau * self.rate_slope)
-        return self.tau * self.force @ (resolvent @ self.columns)
-
-    def _resolvent(self, K: np.ndarray) -> np.ndarray:
-        """(1 - tau P K)^{-1} of the cells' coefficients, (cells, q n, q n), P the projection to their space.
-
-        Not of values at points: where some points of a cell yield and others do not, tau K is large at some.
-        """
+    def tested(self) -> np.ndarray:
+        """tau P K of the cells' coefficients, (cells, q q, n n)."""
         z, n = self.op.z, self.components
-        count, q = z.cells, z.local
-        values = (self.tau * K).reshape(count, z.per_cell, n * n)
+        values = (self.tau * self.rate_slope).reshape(z.cells, z.per_cell, n * n)
         kind = np.float64 if abs(values).max(initial=0.0) > 1 else precision.SINGLE
-        tested = self._projecting.astype(kind) @ values.astype(kind)
-        matrix = tested.reshape(count, q, q, n, n).transpose(0, 1, 3, 2, 4).reshape(count, q * n, q * n)
-        return _resolvents(matrix)
+        return self._projecting.astype(kind) @ values.astype(kind)
+
+    def rows(self, dz: np.ndarray) -> np.ndarray:
+        """(K dz, .) of coefficients dz, both (cells' unknowns, n)."""
+        values = self.op.z(np.ascontiguousarray(dz.T))
+        return self.op.z.test(at_points(self.rate_slope, values)).T
 
     def _second_derivative(self) -> np.ndarray:
         """phi'', (points, n, n): the material's, or by one-sided differences of phi'."""
@@ -126,6 +102,100 @@ class PointTangent:
             result[:, :, m] = ((self.slope(shifted) - slope) / size).T
             shifted[m] = self.z[m]
         return result
+
+
+class NodeTangent(_AtPoints):
+    """The same at the nodes: of what is integrated by as many points as z has values in a cell."""
+
+    def __init__(self, residual: ReducedResidual, terms: CellTerms) -> None:
+        super().__init__(residual, terms, residual.claims.of_nodes())
+
+    def update(self, at: Evaluation) -> None:
+        """Form K, along the slopes of the flow rules at their stresses, which are made anew."""
+        self.residual.step.stresses.linearise()
+        self._take(at)
+        self.rate_slope = np.zeros((self.op.points.count, self.components, self.components))
+        for some, found in self._slopes():
+            self.rate_slope[:, :, some] -= found["z"].transpose(2, 0, 1)
+
+    def follow(self, dz: np.ndarray, length: float) -> None:
+        """Let the flow rules' stresses follow ``length`` times an increment of z, coefficients (n, .)."""
+        values = self.op.z(dz)
+        self.residual.step.stresses.follow_fields(values, at_points(self.curvature, values), length)
+
+
+class PointTangent(_AtPoints):
+    """The same at the points of the coarse rule, and what both make of an increment in a cell."""
+
+    def __init__(self, residual: ReducedResidual, operators: Operators) -> None:
+        terms = CellTerms(residual.step, operators, residual.rates)
+        super().__init__(residual, terms, residual.claims.of_state())
+        self.nodes = None if residual.node_terms is None else NodeTangent(residual, residual.node_terms)
+        rates = residual.rates
+        self._creeps = bool(rates.flows) and rates.is_local and not rates.creeps_at_nodes
+
+    def _read(self, u: Fields) -> dict[str, np.ndarray]:
+        creep = {"creep": self.residual.rates.creep_components(u)} if self._creeps else {}
+        return creep | super()._read(u)
+
+    def update(self, at: Evaluation) -> None:
+        """Form K's resolvent, d rate/dX and the force's derivative."""
+        self._take(at)
+        self.dz = self.values.grad_z.value
+        self.columns = self.residual.rates.columns(self.z)  # (points, n, X)
+        self.rate_slope, self.force = self._by_fields(self.values)
+        if self.nodes is not None:
+            self.nodes.update(at)
+        self.resolvent = self._resolvent()
+
+    def _by_fields(self, u: Fields) -> tuple[np.ndarray, np.ndarray]:
+        """K, (points, n, n), and the force's derivative, (points, X, n); zeta follows z by phi''.
+
+        Rates are constant tensors; creep and terms that read z or zeta are by complex increments of these.
+        -(w . grad z) : zeta, with its share of the facets, is div w times phi'(z) : dz to leading order, and
+        so is what densities have in their flux.
+        """
+        rates = self.residual.rates
+        g = rates.tensors.gradients
+        X = np.zeros((self.columns.shape[2], self.z.shape[1]))
+        X[:g] = u.grad_v.value.reshape(g, -1)
+        if rates.flows and not rates.creeps_at_nodes:
+            X[g:] = rates.creep_components(u)
+        K, force = (each.transpose(2, 0, 1) for each in rates.slopes(self.z, X, self.zeta))
+        force = force + product(self.columns.swapaxes(1, 2), self.curvature)
+        force[:, : g : self.residual.step.mesh.dim + 1] += self.zeta.T[:, None]
+        if not (self._asked or self._creeps):
+            return np.ascontiguousarray(K), force
+        K, of_creep = K.copy(), self.columns[:, :, g:]
+        for some, found in self._slopes():
+            if "creep" in found:
+                K[:, :, some] += product(of_creep, found["creep"].transpose(2, 0, 1))
+            if "z" in found:
+                K[:, :, some] -= found["z"].transpose(2, 0, 1)
+            if "grad v" in found:
+                stress = found["grad v"]
+                force[:, :g, some] += stress.reshape(g, *stress.shape[2:]).transpose(2, 0, 1)
+        return K, force
+
+    def fields_rows(self, dz: np.ndarray) -> np.ndarray:
+        """(K dz, .) with what the nodes have of it."""
+        return self.rows(dz) if self.nodes is None else self.rows(dz) + self.nodes.rows(dz)
+
+    def stiffness(self) -> np.ndarray:
+        """C of the module's docstring, (points, X, X)."""
+        resolvent = np.linalg.inv(np.eye(self.components) - self.tau * self.rate_slope)
+        return self.tau * self.force @ (resolvent @ self.columns)
+
+    def _resolvent(self) -> np.ndarray:
+        """(1 - tau P K)^{-1} of the cells' coefficients, (cells, q n, q n), P the projection to their space.
+
+        Not of values at points: where some points of a cell yield and others do not, tau K is large at some.
+        """
+        z, n = self.op.z, self.components
+        count, q = z.cells, z.local
+        tested = self.tested() if self.nodes is None else self.tested() + self.nodes.tested()
+        matrix = tested.reshape(count, q, q, n, n).transpose(0, 1, 3, 2, 4).reshape(count, q * n, q * n)
+        return _resolvents(matrix)
 
 
 class FlowElements:
@@ -317,6 +387,13 @@ class FlowSchurComplement:
         """Rows of v in parts, (dim, .), of what sweeps make of the fields' rows, (cells' unknowns, n)."""
         e = self.elements
         return e.scattered(product(e.from_fields, dz.reshape(e.cells, e.functions * e.components, 1)))
+
+    def force_of(self, dz: np.ndarray) -> np.ndarray:
+        """Rows of v in parts, (dim, .), of an increment of z, (cells' unknowns, n), in double precision."""
+        op, p, d = self.op, self.points, self.dim
+        values = at_points(p.force[:, : d * d], op.z(np.ascontiguousarray(dz.T)))
+        parts = [D.test(values[j::d]) for j, D in enumerate(op.dv)]
+        return sum(parts[1:], parts[0])
 
     def fields_rows(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
         """What the rows of z, (cells' unknowns, n), take from an increment of v (dim, .) and Pi."""

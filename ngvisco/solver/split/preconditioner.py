@@ -11,9 +11,9 @@ that start to move at once, one cell of the first step is enough.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -25,11 +25,10 @@ from ngvisco.errors import InputWarning
 from ngvisco.forms.mesh.mesh_arrays import mask_of, rigid_motions
 from ngvisco.parallel.petsc import SumInverse
 from ngvisco.reduced.operators import Operators
-from ngvisco.reduced.residual import Evaluation, ReducedResidual
+from ngvisco.reduced.residual import Evaluation, ReducedResidual, Residual
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.split.flow_operator import FlowSchurComplement, PointTangent, at_points
+from ngvisco.solver.split.flow_operator import FlowSchurComplement, PointTangent
 from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
-from ngvisco.solver.split.local_creep import LocalCreep
 from ngvisco.solver.split.transport import TransportSweeps
 
 TOLERANCE, ITERATIONS = 0.05, 20
@@ -62,7 +61,7 @@ class FieldsSystem:
 
     def z(self, rows: np.ndarray, tolerance: float) -> np.ndarray:
         """Increments of z, of rows: both (cells' unknowns, n)."""
-        return self._solved("z", self._rows, self._approximate, rows, tolerance)
+        return self._solved("z", self.rows, self._approximate, rows, tolerance)
 
     def density(self, rows: np.ndarray, tolerance: float) -> np.ndarray:
         """Increments of the density's unknowns, of rows."""
@@ -86,10 +85,9 @@ class FieldsSystem:
     def _approximate(self, rows: np.ndarray) -> np.ndarray:
         return self.operator.resolved(self.sweep.fields(rows))
 
-    def _rows(self, dz: np.ndarray) -> np.ndarray:
-        values = self.op.z(np.ascontiguousarray(dz.T))
-        rates = at_points(self.points.rate_slope, values)
-        return self.sweep.rows(dz) - self.op.z.test(rates).T
+    def rows(self, dz: np.ndarray) -> np.ndarray:
+        """Of increments of z, both (cells' unknowns, n)."""
+        return self.sweep.rows(dz) - self.points.fields_rows(dz)
 
 
 class Preconditioner:
@@ -105,25 +103,20 @@ class Preconditioner:
         self.without_multigrid: str | None = None
         """Why vertices are factorised where the options have a multigrid for them."""
         k, m = step.discretisation.k, step.discretisation.m
-        rates = residual.rates
-        steep = [flow for flow in rates.flows if flow.rule.is_local and flow.rule.degree > 1]
         thick = step.model.viscosity
         bends = thick is not None and not thick.is_linear
-        # a coarse rule knows the derivative of a polynomial of M; of another law it misses where that is
-        # steep, and of bodies how moduli vary within a cell: increments of a slab then shrink by 0.99 only
+        # a coarse rule misses where a viscosity is steep, and how moduli of bodies vary within a cell:
+        # increments of a slab then shrink by 0.99 only
         varies = len(step.model.bodies) > 1
-        order = m and 0.5 * m * (1 + max((flow.rule.degree for flow in steep), default=1.0))
-        is_fine = bends or varies or order > step.quadrature.volume_degree // 2
         # on triangles one of degree 2, k - 1, misses convection, where no hyperviscosity holds: at a Courant
         # number of 0.2 a step takes 16 iterations and seven operators in place of 9 and one
         least = k if self.dim == 2 and residual.hyper is None else k - 1
-        self.op = residual.op if is_fine else Operators(step, max(least, math.ceil(order)))
+        self.op = residual.op if bends or varies else Operators(step, max(least, m))
         self.sweep = TransportSweeps(residual)
         derivative = (
             None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
         )
         tangent = PointTangent(residual, self.op)
-        self.local_creep = [LocalCreep(tangent, flow) for flow in steep if not flow.rule.reads_conjugate]
         self.operator = FlowSchurComplement(residual, tangent, self.sweep, derivative)
         self.ranks, self.exchange = residual.ranks, residual.shared_rows
         places, kept = np.arange(unknowns.flow_slice.stop), np.zeros(0, dtype=np.int64)
@@ -148,7 +141,8 @@ class Preconditioner:
             self._blocks.append(unknowns.normal_slice)
         self._lengths = [self.exchange.length(where) for where in self._blocks]
         self._of_velocity = self.exchange.part(np.arange(residual.op.v.width))
-        self.fields = FieldsSystem(self.operator, ENOUGH_WHERE_STEEP if steep else ENOUGH)
+        self._relaxes = tangent.nodes is not None
+        self.fields = FieldsSystem(self.operator, ENOUGH_WHERE_STEEP if step.stresses else ENOUGH)
         self.iterations = 0
         """What the last linear system of the flow took."""
 
@@ -218,13 +212,17 @@ class Preconditioner:
     def __call__(self, at: Evaluation, tolerance: float, of_fields: float = TOLERANCE) -> np.ndarray:
         """The increment, packed; tolerances are those of the flow's linear system and of the fields' own."""
         op, operator, dim, size = self.op, self.operator, self.dim, self.operator.nv
-        r, u = at.residual, self.unknowns
+        r, u, alone = at.residual, self.unknowns, None
+        if self._relaxes:
+            alone, r = self._relaxed(r)
+            at = replace(at, residual=r)
         dflow = self._flow(self._rows_of_flow(at), tolerance)
         dv = dflow[:size].reshape(dim, size // dim)
         dPi = None
         if "Pi" in u.slices:
             dPi = op.of("Pi")[0](dflow[u.slices["Pi"]].reshape(u.components["Pi"], -1))
         dz = self.fields.z(np.ascontiguousarray(r.z.T) - operator.fields_rows(dv, dPi), of_fields)
+        dz = dz if alone is None else dz + alone
         if not u.density:
             return np.concatenate([dflow, dz.T.ravel()])
         rho, dv_q, L = at.coefficients["rho"], op.v(dv), op.velocity_gradient(dv)
@@ -234,6 +232,21 @@ class Preconditioner:
         density[: rho.size] -= op.z.test(drho)
         return np.concatenate([dflow, self.fields.density(density, of_fields), dz.T.ravel()])
 
+    def _relaxed(self, r: Residual) -> tuple[np.ndarray, Residual]:
+        """What a cell does by itself of an increment of z, and what it leaves of the equations.
+
+        What a steep flow rule takes from a stress that is off it is of the size of its slope: it is not to
+        be carried to other cells by the transport before it is relaxed.
+        """
+        operator, points = self.operator, self.operator.points
+        alone = points.tau * operator.residual.inverse_mass(r.z)
+        dz = operator.resolved(np.ascontiguousarray(alone.T))
+        of_z = r.z.T - self.fields.rows(dz)
+        flow = r.flow.copy()
+        flow[: operator.nv] -= self._of_velocity.sum(operator.force_of(dz)).ravel()
+        flow[self._held] = 0.0
+        return dz, replace(r, flow=flow, z=np.ascontiguousarray(of_z.T))
+
     def _rows_of_flow(self, at: Evaluation) -> np.ndarray:
         """What is left of the flow's and the normal derivatives' equations where the fields follow."""
         r, size = at.residual, self.operator.nv
@@ -242,11 +255,6 @@ class Preconditioner:
         rows[:size] -= self._of_velocity.sum(self.operator.force(dz)).ravel()
         rows[self._held] = 0.0
         return rows
-
-    def power(self, at: Evaluation, f: np.ndarray) -> float:
-        """That of what is left of the flow's equations along the flow's part of an increment."""
-        rows = self._rows_of_flow(at)
-        return float(self.exchange.products(rows[None], f[: rows.size])[0])
 
     def _flow(self, right: np.ndarray, tolerance: float) -> np.ndarray:
         """The flow's unknowns by its tangent with the hyperviscosity's own derivative, by GMRES."""
