@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from ngsolve import CoefficientFunction, GridFunction, VectorValued
@@ -38,6 +38,7 @@ from ngvisco.physics.flows import Flow
 from ngvisco.physics.increments import TINY
 from ngvisco.physics.pointwise import respond
 
+_OfRate: TypeAlias = Callable[[Flow, CoefficientFunction, Fields], CoefficientFunction]
 STRESS = "stress_"
 """What names of the stresses begin with in a checkpoint."""
 
@@ -297,16 +298,21 @@ class KeptRates(Rates):
     def local_creep(self, flow: Flow, u: Fields) -> CoefficientFunction:
         if flow not in self.stresses:
             return super().local_creep(flow, u)
-        stress, read = self.stresses[flow], self.read_values(flow.rule, u, flow)
-        return flow.rule.rate(stress.space.tensor(stress.stress), None, read)
+        read = self.read_values(flow.rule, u, flow)
+        return flow.rule.rate(self.stresses[flow].space.tensor(self._stress(flow, u)), None, read)
+
+    def _stress(self, flow: Flow, u: Fields) -> Any:
+        """Its components, at the points of u."""
+        return self.stresses[flow].stress
 
 
 class LinearisedRates(KeptRates):
     """The same with what it takes to M(z), along the slopes: that of an iteration for (z, Y)."""
 
-    def __init__(self, rates: Rates, stresses: Stresses, now: Fields) -> None:
+    def __init__(self, rates: Rates, stresses: Stresses, now: Fields | None = None) -> None:
+        """``now`` are the fields of the iterate; None for those of arrays."""
         super().__init__(rates, stresses)
-        self.now = now
+        self._iterate = now
 
     def creep_power(
         self, z: Fields, Pi: Sequence[CoefficientFunction], G: Fields, name: Conjugate
@@ -315,7 +321,7 @@ class LinearisedRates(KeptRates):
             self._off(flow, z) if flow in self.stresses else 0 * rate
             for flow, rate in zip(self.flows, Pi, strict=True)
         ]
-        return [*super().creep_power(z, Pi, G, name), *super().creep_power(self.now, off, G, name)]
+        return [*super().creep_power(z, Pi, G, name), *super().creep_power(self._now(z), off, G, name)]
 
     def power_of_creep(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
         return self._along(super().power_of_creep, flow, Pi, u)
@@ -323,77 +329,59 @@ class LinearisedRates(KeptRates):
     def hardening_rate(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
         return self._along(super().hardening_rate, flow, Pi, u)
 
+    def _along(self, of: _OfRate, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
+        """A function of Pi, with its derivative."""
+        now = self._now(u)
+        if flow not in self.stresses or u is now:
+            return of(flow, Pi, u)
+        return of(flow, Pi, u) + self._derivative(lambda rate: of(flow, rate, now), Pi, self._off(flow, u))
+
+    def _now(self, u: Fields) -> Fields:
+        """The iterate."""
+        assert self._iterate is not None
+        return self._iterate
+
     def _off(self, flow: Flow, u: Fields) -> CoefficientFunction:
         """What the rate changes by from the stress to M(z)."""
         stress, p = self.stresses[flow], self.stresses[flow].space.size
         return stress.space.tensor(stress.slope.Reshape((p, p)) * (stress.driven(u, self) - stress.stress))
 
-    def _along(
-        self,
-        of: Callable[[Flow, CoefficientFunction, Fields], CoefficientFunction],
-        flow: Flow,
-        Pi: CoefficientFunction,
-        u: Fields,
-    ) -> CoefficientFunction:
-        """A function of Pi, with its derivative."""
-        if flow not in self.stresses or u is self.now:
-            return of(flow, Pi, u)
+    @staticmethod
+    def _derivative(of: Callable[[Any], Any], Pi: Any, off: Any) -> Any:
+        """That of a function of Pi in the direction ``off``."""
         variable = Pi.MakeVariable()
-        return of(flow, Pi, u) + of(flow, variable, self.now).Diff(variable, self._off(flow, u))
+        return of(variable).Diff(variable, off)
 
 
-class LinearisedTabulatedRates(TabulatedRates):
-    """``LinearisedRates`` by arrays."""
+class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
+    """The same by arrays, in one or several directions of an increment at each node."""
 
-    def __init__(self, rates: TabulatedRates, stresses: Stresses) -> None:
-        super().__init__(rates.model, rates.dim)
-        self.stresses: Mapping[Flow, DrivingStress] = stresses.of
+    def _stress(self, flow: Flow, u: Fields) -> Array:
+        return Array(np.tile(self.stresses[flow].at_iterate[0], self._times(flow, u)), None)
 
-    def local_creep(self, flow: Flow, u: Fields) -> Array:
-        if flow not in self.stresses:
-            return super().local_creep(flow, u)
-        stress = self.stresses[flow]
-        read = self.read_values(flow.rule, u, flow)
-        M = np.tile(stress.at_iterate[0], self._times(stress, u))
-        return flow.rule.rate(stress.space.tensor(Array(M, None)), None, read)
-
-    def creep_power(self, z: Fields, Pi: Sequence[Array], G: Fields, name: Conjugate) -> Sequence[Any]:
-        off = [
-            self._off(flow, z) if flow in self.stresses else 0 * rate
-            for flow, rate in zip(self.flows, Pi, strict=True)
-        ]
-        return [*super().creep_power(z, Pi, G, name), *super().creep_power(_real(z), off, G, name)]
-
-    def power_of_creep(self, flow: Flow, Pi: Array, u: Fields) -> Array:
-        return self._along(super().power_of_creep, flow, Pi, u)
-
-    def hardening_rate(self, flow: Flow, Pi: Array, u: Fields) -> Array:
-        return self._along(super().hardening_rate, flow, Pi, u)
-
-    def _times(self, stress: DrivingStress, u: Fields) -> int:
+    def _times(self, flow: Flow, u: Fields) -> int:
         """How often the nodes are there, for as many directions."""
-        return u.z.value.shape[-1] // max(stress.at_iterate[0].shape[1], 1)
+        return u.z.value.shape[-1] // max(self.stresses[flow].at_iterate[0].shape[1], 1)
+
+    def _now(self, u: Fields) -> Fields:
+        """The same values without the imaginary parts of an increment."""
+        parts = {name: Array(u.parts[name].value.real, None) for name in ("z", "zeta")}
+        return Fields(u.layout, parts, u.context, lambda name: Array(u.gradient(name).value.real, None))
 
     def _off(self, flow: Flow, u: Fields) -> Array:
-        stress, times = self.stresses[flow], self._times(self.stresses[flow], u)
+        stress, times = self.stresses[flow], self._times(flow, u)
         M, slope = stress.at_iterate
         off = stress.driven(u, self).value.reshape(len(M), times, M.shape[1]) - M[:, None]
         changed = np.einsum("nij,jtn->itn", slope, off, optimize=True)
         return stress.space.tensor(Array(changed.reshape(len(M), times * M.shape[1]), None))
 
-    def _along(self, of: Callable[[Flow, Array, Fields], Array], flow: Flow, Pi: Array, u: Fields) -> Array:
-        if flow not in self.stresses:
-            return of(flow, Pi, u)
-        off, at, now = self._off(flow, u).value, Pi.value.real, _real(u)
-        parts = [off.real, off.imag] if np.iscomplexobj(off) else [off]
-        found = [of(flow, Array(at + (TINY * 1j) * part, None), now).value.imag / TINY for part in parts]
-        return of(flow, Pi, u) + Array(found[0] + 1j * found[1] if len(found) > 1 else found[0], None)
-
-
-def _real(u: Fields) -> Fields:
-    """The same values without the imaginary parts of an increment."""
-    parts = {name: Array(u.parts[name].value.real, None) for name in ("z", "zeta")}
-    return Fields(u.layout, parts, u.context, lambda name: Array(u.gradient(name).value.real, None))
+    @staticmethod
+    def _derivative(of: Callable[[Any], Any], Pi: Any, off: Any) -> Any:
+        at, parts = Pi.value.real, [off.value.real]
+        if np.iscomplexobj(off.value):
+            parts.append(off.value.imag)
+        found = [of(Array(at + (TINY * 1j) * part, None)).value.imag / TINY for part in parts]
+        return Array(found[0] + 1j * found[1] if len(found) > 1 else found[0], None)
 
 
 def _stiffness(flow: Flow, rates: TabulatedRates) -> float:
