@@ -15,6 +15,7 @@ from ngsolve import (
     FacetFESpace,
     GridFunction,
     Mesh,
+    NodeId,
     Parameter,
     Region,
     TaskManager,
@@ -199,9 +200,10 @@ def _shaped(function: GridFunction, value: CoefficientFunction) -> CoefficientFu
 
 
 def periodic_facets(mesh: Mesh) -> set[int]:
-    """Numbers of the boundary facets that the mesh identifies with another one."""
-    kind = EDGE if mesh.dim == 2 else FACE
-    return {nr for pair, _ in mesh.GetPeriodicNodePairs(kind) for nr in pair}
+    """The boundary facets that the mesh identifies with another one, as indices of ``mesh_arrays``."""
+    kind, space = EDGE if mesh.dim == 2 else FACE, FacetFESpace(mesh, order=0)
+    pairs = (pair for pair, _ in mesh.GetPeriodicNodePairs(kind))
+    return {facet for pair in pairs for nr in pair for facet in space.GetDofNrs(NodeId(kind, nr))}
 
 
 def inner_facets(mesh: Mesh) -> GridFunction:

@@ -77,11 +77,14 @@ def test_corners_of_60_degrees_and_more_pass(mesh):
     Walls(mesh())
 
 
-@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize(("order", "refined"), [(2, 0), (3, 0), (3, 1)])
 @pytest.mark.parametrize("name", [n for n in UNCURVED if n not in ("hexes", "fine disc")])
-def test_curved_cells_pass(name, order):
+def test_curved_cells_pass(name, order, refined):
+    """Also on a mesh that was refined, whose facets have other numbers as edges or faces."""
     make, wall = UNCURVED[name]
     mesh = make()
+    for _ in range(refined):
+        mesh.Refine()
     mesh.Curve(order)
     require_curved_cells(mesh, {wall: walls_of(mesh, [wall])})
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from netgen.meshing import Element1D, Element2D, FaceDescriptor, MeshingStep, MeshPoint, Pnt
 from netgen.meshing import Mesh as NetgenMesh
-from ngsolve import CF, IfPos, Integrate, Mesh, x
+from ngsolve import CF, IfPos, Integrate, Mesh, dx, x
 from ngsolve.meshes import Make1DMesh, MakeStructured2DMesh, MakeStructured3DMesh
 from support import assert_balanced
 
@@ -15,7 +15,9 @@ from ngvisco.forms.boundary.boundaries import (
     check_boundary_names,
     check_mesh,
     interior_boundaries,
+    periodic_boundaries,
 )
+from ngvisco.forms.context import inner_facets
 from ngvisco.forms.system import Step
 from ngvisco.geometries import box, sphere
 
@@ -226,3 +228,13 @@ def test_constants_are_integrated_over_the_right_walls() -> None:
     mesh = box((1, 2), 1.0)
     assert Integrate(CF(1.0), mesh, BND, definedon=mesh.Boundaries("left")) == pytest.approx(2.0)
     assert Integrate(CF(1.0), mesh, BND, definedon=mesh.Boundaries("top")) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_identified_walls_of_a_refined_mesh_are_known(dim):
+    """Whose facets have other numbers as edges or faces, which count those that were divided too."""
+    mesh = box((1,) * dim, 0.5, periodic="x")
+    mesh.Refine()
+    assert periodic_boundaries(mesh) == {"left", "right"}
+    on_walls = Integrate((1 - inner_facets(mesh)) * dx(element_boundary=True), mesh)
+    assert on_walls == pytest.approx(2 * (dim - 1))

@@ -12,6 +12,7 @@ from ngvisco.forms.context import periodic_facets
 from ngvisco.forms.mesh.mesh_arrays import (
     boundary_facets,
     check_orientation,
+    facets_of_walls,
     facets_with_two_sides,
     mask_of,
     unknown_cells,
@@ -66,7 +67,7 @@ def periodic_boundaries(mesh: Mesh) -> set[str]:
     MeshError
         If only a part of a name's boundary is identified.
     """
-    names, identified = np.array(mesh.GetBoundaries()), np.zeros(mesh.nfacet, dtype=bool)
+    names, identified = np.array(mesh.GetBoundaries()), np.zeros_like(boundary_facets(mesh))
     identified[list(periodic_facets(mesh))] = True
     totals = _counts(mesh, identified)
     counts = {str(name): totals[names == name].sum(axis=0) for name in sorted(set(names))}
@@ -121,9 +122,8 @@ def _counts(mesh: Mesh, chosen: np.ndarray) -> np.ndarray:
     """How many facets of each part of the boundary are not among the chosen ones, and are, (parts, 2)."""
     counts = np.zeros((len(mesh.GetBoundaries()), 2), dtype=int)
     if mesh.comm.Sum(int(chosen.any())):
-        for element in mesh.Elements(BND):
-            own = element.edges if mesh.dim == 2 else element.faces
-            counts[element.index, int(chosen[own[0].nr])] += 1
+        parts = [element.index for element in mesh.Elements(BND)]
+        np.add.at(counts, (parts, chosen[facets_of_walls(mesh)].astype(int)), 1)
         counts = np.array([[mesh.comm.Sum(int(count)) for count in pair] for pair in counts])
     return counts
 

@@ -30,7 +30,7 @@ from ngsolve import (
 )
 
 from ngvisco.errors import MeshError
-from ngvisco.forms.mesh.mesh_arrays import VERTICES, facet_sums
+from ngvisco.forms.mesh.mesh_arrays import VERTICES, facet_sums, facets_of_walls
 from ngvisco.parallel.communicator import Communicator
 
 _FLAT = 1e-4  # rad: of facets in one plane, whose coordinates were rounded
@@ -92,10 +92,10 @@ class _Facet:
 
 def _facets(mesh: Mesh, wall: Region) -> list[_Facet]:
     """The facets of a wall that this rank has."""
-    means, corners = _mean_normals(mesh), _corner_normals(mesh)
+    means, corners = _mean_normals(mesh)[facets_of_walls(mesh)], _corner_normals(mesh)
     result = []
     for e in wall.Elements():
-        mean = means[(e.edges if mesh.dim == 2 else e.faces)[0].nr]
+        mean = means[e.nr]
         names = {v.nr: np.array(mesh[v].point).tobytes() for v in e.vertices}
         chord, at = _chord_normal(mesh, e), {v.nr: corners[e.nr, v.nr] for v in e.vertices}
         parts = [[v.nr] for v in e.vertices]

@@ -4,6 +4,7 @@ from itertools import combinations
 
 import numpy as np
 from ngsolve import (
+    BND,
     ET,
     VOL,
     BitArray,
@@ -113,6 +114,15 @@ def facet_sums(mesh: Mesh, value: CoefficientFunction) -> np.ndarray:
     sums = LinearForm(value * q * dx(element_boundary=True)).Assemble().vec
     sums.Cumulate()  # the other side may belong to another rank
     return sums.FV().NumPy().copy()
+
+
+def facets_of_walls(mesh: Mesh) -> np.ndarray:
+    """The facet of every boundary element, (elements,), as an index into such arrays.
+
+    Not its number as an edge or a face: a mesh that was refined counts those that were divided, too.
+    """
+    space = FacetFESpace(mesh, order=0)
+    return np.array([space.GetDofNrs(element)[0] for element in mesh.Elements(BND)], dtype=int)
 
 
 def boundary_facets(mesh: Mesh) -> np.ndarray:
