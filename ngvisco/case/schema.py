@@ -40,7 +40,7 @@ class Meshed(Section):
 
 
 Domain = tagged("geometry", catalogue.GEOMETRIES, Meshed)
-HeatCapacity = section(Thermal, wrapped={}, is_whole=False)
+HeatCapacity = section(Thermal, wrapped={}, is_whole=False, without=("p_infinity",))
 
 
 class Heated(Section):
@@ -66,7 +66,14 @@ class Heated(Section):
             raise ParameterError(key, error.value, error.expected) from error
 
 
-Material = laws(MaterialObject, catalogue.MATERIALS, catalogue.WRAPPERS, has_default=False, base=Heated)
+Material = laws(
+    MaterialObject,
+    catalogue.MATERIALS,
+    catalogue.WRAPPERS,
+    has_default=False,
+    base=Heated,
+    without={"Gas": ("expansion",)},
+)
 Load = tagged("kind", catalogue.LOADS)
 Wall = tagged("kind", catalogue.WALLS)
 Shape = tagged("kind", catalogue.SHAPES)

@@ -12,7 +12,8 @@ import inspect
 import operator
 import os
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from types import MappingProxyType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from ngsolve import CoefficientFunction
@@ -111,6 +112,7 @@ def section(
     is_default: bool = False,
     base: type[Section] = Section,
     is_whole: bool = True,
+    without: Collection[str] = (),
 ) -> type[Section]:
     """The section that holds a dataclass's (or function's) parameters.
 
@@ -127,6 +129,8 @@ def section(
         With the keys that it has besides.
     is_whole : bool
         Whether the object can be made of the section alone, and is, to check it.
+    without : collection of str
+        Parameters that it has no keys for.
     """
     # of a dataclass its fields', each with the names that its own class's module knows
     hints = get_type_hints(target)
@@ -137,7 +141,7 @@ def section(
         hint = hints.get(name)
         annotation = _law(hint, wrapped) or _annotation(hint)
         required = parameter.default is inspect.Parameter.empty
-        if annotation is None:
+        if annotation is None or name in without:
             if required:
                 raise TypeError(f"{target.__qualname__}.{name}: a case file cannot give a {hints.get(name)}")
             continue
@@ -267,8 +271,10 @@ def laws(
     wrappers: Mapping[str, Any],
     has_default: bool = True,
     base: type[Section] = Section,
+    without: Mapping[str, Collection[str]] = MappingProxyType({}),
 ) -> Any:
-    """One of the laws of a class, by ``kind``, or a wrapper of those before it; with ``base``'s keys.
+    """One of the laws of a class, by ``kind``, or a wrapper of those before it; with ``base``'s keys, and
+    ``without`` these of some kinds.
 
     Where ``has_default`` it is the first one of the table where no kind is said.
     """
@@ -282,7 +288,9 @@ def laws(
         return found if first is None else Annotated[found, BeforeValidator(with_kind)]
 
     models = tuple(
-        section(target, ("kind", name), {}, is_default=name == first, base=base)
+        section(
+            target, ("kind", name), {}, is_default=name == first, base=base, without=without.get(name, ())
+        )
         for name, target in table.items()
     )
     for name, target in wrappers.items():

@@ -129,7 +129,7 @@ ONE | density = 1 -> temperature = 300
   | initial.temperature: 300: expected nothing for a material without a temperature; material.thermal gives it
 ONE | density = 1 -> F = 1.1 | initial.F: 1.1: expected three rows of three, as in
 ONE | LAW -> GAS | material.gruneisen: is missing: expected a number > 0, by which a gas has its pressure
-ONE | LAW -> GASexpansion = 1e-4 | material.expansion: 0.0001: expected nothing without a material: a gas has
+ONE | LAW -> GASexpansion = 1e-4 | material.expansion: unknown key
 ONE | LAW -> kind = "Damaged"; G_c = 1; length = 1; material = { kind = "BarotropicFluid", B = 1, gamma = 2 }
   | material.material: { kind = "BarotropicFluid", B = 1, gamma = 2 }: expected one without stress at rest
 ONE | + [rheology.creep]; kind = "Composite"; rules = [{ kind = "Perzyna", sigma_Y = 1, G_m = 1, Q = 2 }]
