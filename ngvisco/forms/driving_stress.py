@@ -199,7 +199,7 @@ class _State:
 
 
 class Stresses:
-    """Those of a model with nonlinear local rules, of the state of a step; false where there are none."""
+    """Those of a model whose creep is at nodes, of the state of a step; false where none is."""
 
     def __init__(
         self, rates: TabulatedRates, layout: Layout, quadrature: Quadrature, state: GridFunction

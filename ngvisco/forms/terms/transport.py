@@ -64,9 +64,9 @@ class Kinematics(PointTerm):
 
     G is the test function of z in the discontinuous P_m.  Keeps: J untouched by creep, tr Pi = 0.
     With creep and nu = 0 the rate Pi is a function of M at the point, the Mandel stress of the projected
-    conjugates, so that G = zeta gives the dissipation M : Pi >= 0; see ``CreepRate`` for nu > 0.  That of
-    nonlinear rules is integrated by as many points as z has values in a cell: by more, of yield towards its
-    rate-independent limit, more points would hold |M| than there are values to do it.
+    conjugates, so that G = zeta gives the dissipation M : Pi >= 0; see ``CreepRate`` for nu > 0.  Of
+    nonlinear rules, and of F, it is integrated by as many points as z has values in a cell: by more, of yield
+    towards its rate-independent limit, more points would hold |M| than there are values to do it.
     """
 
     model: Model
@@ -99,7 +99,7 @@ class Kinematics(PointTerm):
         return {"dissipation_creep": rates.dissipation(u)}
 
     def dissipated_at_nodes(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """The same of nonlinear rules."""
+        """The same where it is at nodes."""
         rates = u.context.rates
         return {"dissipation_creep": rates.dissipation(u)} if rates.creeps_at_nodes else {}
 
