@@ -265,9 +265,10 @@ class Stresses:
         return {f"{STRESS}{i}": stress.stress for i, stress in enumerate(self.of.values())}
 
     def give(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Let the next state have these ``frozen`` ones."""
+        """Let the next state have these ``frozen`` ones, M(z) where there are none."""
         for name, stress in zip(self.functions, self.of.values(), strict=True):
-            stress.give(arrays[name])
+            if name in arrays:
+                stress.give(arrays[name])
 
     def undo(self) -> None:
         for stress in self.of.values():

@@ -73,6 +73,16 @@ def test_restart_is_bitwise_identical(tmp_path, material, options):
     ]
 
 
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_a_run_goes_on_with_another_flow_rule(tmp_path, solver):
+    """Linear creep has no stresses at which it was linearised, yield has them."""
+    simulation([nv.Checkpoints(tmp_path / "run.h5", every=1)], SOLID, solver=solver).run(0.04)
+    rest = simulation(material=SOLID, creep=nv.Perzyna(sigma_Y=0.05, G_m=0.1), solver=solver)
+    rest.restore(tmp_path / "run.h5")
+    ledger = rest.run(0.08)
+    assert abs(ledger.column("closure_relative")).max() < 1e-12 and not ledger.column("rejections").any()
+
+
 def test_a_given_checkpoint_is_restored_and_the_last_ones_are_kept(tmp_path):
     run = simulation([nv.Checkpoints(tmp_path / "run.h5", every=1, keep=2)])
     run.run(0.08)
