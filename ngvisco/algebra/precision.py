@@ -8,3 +8,8 @@ what is known of the state - jumps, which are small differences - is evaluated i
 import numpy as np
 
 SINGLE = np.float32
+
+
+def single(array: np.ndarray) -> np.ndarray:
+    """The same numbers in it, contiguous."""
+    return np.ascontiguousarray(array, dtype=SINGLE)

@@ -1,8 +1,9 @@
 """The stress at which a nonlinear flow rule is linearised, kept at the points: an unknown of its own.
 
-Newton's method for z alone takes rate(M(z)) along the rule's tangent at M(z).  That of yield at next to no
-viscosity is right within |M| G_m of the solution only: an increment that turns M by an angle a lengthens it
-by a^2/2, which the rule answers by |M| a^2/(2 G_m).  With the stress M* as an unknown beside M(z), by
+Newton's method for z alone takes rate(M(z)) (paper: ED-Euler-large3) along the rule's tangent at M(z).  That
+of yield at next to no viscosity is right within |M| G_m of the solution only: an increment that turns M by an
+angle a lengthens it by a^2/2, which the rule answers by |M| a^2/(2 G_m).  With the stress M* as an unknown
+beside M(z), by
 
     M* + c rate(M*) = Y,   M(z) = M*,   Pi = (Y - M*)/c,
 
@@ -12,8 +13,8 @@ rule is (Yosida).  Newton's method for (z, Y) has in the equations of z, with S 
     Pi = rate(M*) + S (M(z) - M*),
 
 and follows its increment dz by Y = (M + M' dz) + c (Pi + S M' dz), of which the new M* is found point by
-point.  The solution is that of Pi = rate(M(z)) for any c > 0, a stress over a rate: what creep within a step
-takes of it at rest.  What Pi is multiplied by is taken at the iterate where it multiplies S (M(z) - M*): the
+point.  The solution is that of Pi = rate(M(z)) for any c > 0, in Pa s: what creep within a step takes of a
+stress at rest.  What Pi is multiplied by is taken at the iterate where it multiplies S (M(z) - M*): the
 matrix of (z, Y) has rate(M*) times its change only.
 """
 
@@ -78,13 +79,13 @@ class DrivingStress:
         self._at: _State | None = None
         self._target: np.ndarray | None = None
 
-    def move(self, key: np.ndarray, sampled: Callable[[], tuple[np.ndarray, np.ndarray]]) -> bool:
-        """Make the stress that of a state: where ``follow`` has led, or M(z) itself; whether slopes change.
+    def move(self, key: np.ndarray, sampled: Callable[[], tuple[np.ndarray, np.ndarray]]) -> None:
+        """Make the stress that of a state: where ``follow`` has led, or M(z) itself, with its slope then.
 
         ``key`` are the coefficients of z; ``sampled`` gives z and zeta at the nodes.
         """
         if self._at is not None and np.array_equal(key, self._at.key):
-            return False
+            return
         z, zeta = sampled()
         M, rate = self._driven(z, zeta), self._rate_at(z, zeta)
         target, self._target, anew = self._target, None, self._target is None
@@ -101,7 +102,8 @@ class DrivingStress:
             stress, Pi = resolved(rate, target, self.softness, start)
         self._before = self._at
         self._take(_State(key.copy(), z, zeta, M, stress, Pi))
-        return anew and self.linearise()
+        if anew:
+            self.linearise()
 
     def linearise(self) -> bool:
         """Make the slope that of the present stress; whether it is another one."""
@@ -159,7 +161,7 @@ class DrivingStress:
 
     @property
     def softness(self) -> float:
-        """c."""
+        """c, Pa s."""
         return self._stiffness * self.layout.context.tau.Get()
 
     def _take(self, state: _State) -> None:

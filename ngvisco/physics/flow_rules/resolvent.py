@@ -28,10 +28,10 @@ def slope_of(rate: PointRate, M: np.ndarray) -> np.ndarray:
 def resolved(
     rate: PointRate, Y: np.ndarray, c: float, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """M with M + c rate(M) = Y, and rate(M), (points, p): Newton's method within a bracket along Y.
+    """M with M + c rate(M) = Y, Pa, and rate(M), 1/s, (points, p), for c in Pa s.
 
-    It begins at |M| = ``start``, (points,), or |Y|.  Where the rate is no multiple of its stress, Newton's
-    method for all components goes on from there.
+    By Newton's method within a bracket along Y, from |M| = ``start``, (points,), or |Y|.  Where the
+    rate is no multiple of its stress, Newton's method for all components goes on from there.
     """
     with np.errstate(all="ignore"):  # a rate that overflows is bisected
         return _resolved(rate, Y, c, start)
