@@ -5,8 +5,9 @@ from itertools import product
 
 import pytest
 
-from tests.benchmarks import answers, creep, long_steps
+from tests.benchmarks import answers
 from tests.benchmarks.__main__ import main
+from tests.benchmarks.ranks import markdown
 from tests.benchmarks.table import against, summary
 
 
@@ -21,14 +22,6 @@ def test_quick_run_saves_its_table(tmp_path, capsys):
     text = (tmp_path / "benchmark.md").read_text()
     assert "coupled over split" in text
     assert "one thread over two" in capsys.readouterr().out
-
-
-def test_what_creep_costs_is_over_linear_creep():
-    rows = creep.measured(turns=1, steps=1, maxh=0.5)
-    assert len(rows) == len(creep.SIZES) * len(creep.MATERIALS) * len(creep.RULES)
-    for row in rows:
-        assert row["iterations"] > 1
-        assert (row["over linear"] == 1) == (row["rule"] == "linear")
 
 
 def test_exponents_are_fitted():
@@ -74,10 +67,14 @@ def test_answers_measure_a_run():
     assert 0 < kinetic < 0.5 * 0.5 * 0.1**2 * 5 * 1.01 and seconds > 0  # of rho v^2/2, v = 0.1 c cos(2 pi x)
 
 
-def test_a_long_step_is_measured():
-    point = next(long_steps.points(2))
-    row = long_steps.row(long_steps.drifting("linearised", 2, point), 1)
-    assert len(row) == len(long_steps.COLUMNS) - 1 and row[0] == "1 of 1" and not row[-1]
+def test_table_has_a_row_for_each_number_of_ranks():
+    ledger = [{"kinetic": 1.0, "stored": 1.0, "closure": 0.0}]
+    of_rank = {"coarse": "direct", "imports": 0.1, "memory": 1.0, "ledger": ledger}
+    taken = ("wall", "busy", "iterations", "linear", "messages", "bytes", "reductions")
+    of_rank |= {name: [20.0, 2.0, 2.0] for name in taken}
+    rows = [of_rank | {"ranks": n, "own cells": cells} for n, cells in ((0, 12), (2, 0), (2, 5), (2, 7))]
+    text = markdown(rows)
+    assert "| no MPI | direct | 12 | 2.00 s |" in text and "| 2 | direct | 5 to 7 |" in text
 
 
 def test_rows_of_one_table_only_are_named():

@@ -250,6 +250,12 @@ OF_BOTH: dict[str, Callable[[str], nv.Simulation]] = {
     **{"Yosida": yosida, "bodies": bodies, "heated": heated, "parameters": parameters, "block": block},
     **{"disc": disc, "lid": lid, "window": window},
 }
+OF_DENSITY = {
+    "delta, 2D, split": lambda: regularised("split", 2, DELTA, 0.25),
+    "delta, 3D, split": lambda: regularised("split", 3, DELTA, 0.45),
+    "cut-off, 2D, split": lambda: regularised("split", 2, CUT_OFF, 0.25),
+    "cut-off, 3D, split": lambda: regularised("split", 3, CUT_OFF, 0.45),
+}
 CASES: dict[str, Callable[[], nv.Simulation]] = {
     f"{start}{name}": partial(make, solver)
     for solver, start in (("coupled", ""), ("split", "split "))
@@ -281,32 +287,9 @@ CASES |= {
     "split creep": lambda: creep("split", nv.Regularisation(epsilon=0.1)),
     "split crowded": lambda: crowded("split"),
     "split, all regularisations": lambda: creep("split", passive=NAMES),
-} | walls.CASES
-CASES |= own.CASES
-
-
-def tabulated(solver: str) -> dict[str, Callable[[], nv.Simulation]]:
-    """What ``tests.benchmarks.sameness`` compares on up to eight ranks with cells, by one of the solvers."""
-    cases = {
-        "2D": lambda: swirl(0.25, solver=solver),
-        "3D": lambda: block(solver, 0.45),
-        "slip on a circle": lambda: walls.slip_disc(solver),
-        "slip on a sphere": lambda: walls.ball(solver, **({"mu": None} if solver == "coupled" else {})),
-        "lid": lambda: lid(solver, 0.25),
-        "creep, nu > 0": lambda: creep(solver, nv.Regularisation(epsilon=0.1), 0.3),
-        "three bodies": lambda: bodies(solver, 0.3),
-        "delta, 2D": lambda: regularised(solver, 2, DELTA, 0.25),
-        "delta, 3D": lambda: regularised(solver, 3, DELTA, 0.45),
-        "cut-off, 2D": lambda: regularised(solver, 2, CUT_OFF, 0.25),
-        "cut-off, 3D": lambda: regularised(solver, 3, CUT_OFF, 0.45),
-    }
-    return {f"{name}, {solver}": case for name, case in cases.items()}
-
-
-TABULATED = tabulated("coupled") | tabulated("split")
-CASES |= TABULATED
-STEPS = {"limited": 9, **dict.fromkeys(TABULATED, 2)} | walls.STEPS
-STEPS |= {name: 1 for name in TABULATED if "sphere" in name}
+}
+CASES |= OF_DENSITY | walls.CASES | own.CASES
+STEPS = {"limited": 9, **dict.fromkeys(OF_DENSITY, 2)} | walls.STEPS
 """Where there are not three."""
 
 LINEAR: list[int] = []
