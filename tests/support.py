@@ -47,7 +47,6 @@ from ngvisco import (
     NavierFriction,
     NeoHookean,
     NoSlip,
-    Observer,
     PrescribedTangential,
     Simulation,
     StokesViscosity,
@@ -388,17 +387,6 @@ def assert_sound(ledger: Ledger, material: Material) -> None:
     assert ledger.column("bregman").min() >= 0
     assert ledger.column("power_gravity").max() != 0
     assert (ledger.column("dissipation_creep").max() > 0) == any(v.creeps for v in material.variables)
-
-
-class StopAt(Observer):
-    """An observer that ends a run after a step."""
-
-    def __init__(self, number: float) -> None:
-        self.number = number
-
-    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        if simulation.number == self.number:
-            simulation.request_stop()
 
 
 ROTATION = (-y, x)

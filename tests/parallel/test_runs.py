@@ -95,7 +95,7 @@ GROUPS = {
     "split, walls": "split turned; split slip disc; split slip disc, two levels; split quadrilateral; "
     "split quadrilateral, k = 3; split ball; split turned ball; split leaning",
     "of many ranks": "lid; swirl; midpoint; split; split, two levels; split, long steps; split lid; "
-    "slip disc; split slip disc; split block, two levels; creep; split creep; bodies; split bodies; "
+    "slip disc; split slip disc; split block, two levels; bodies; split bodies; "
     "delta, 2D, split; delta, 3D, split; cut-off, 2D, split; cut-off, 3D, split",
     "own": "; ".join(own.COUPLED),
     "split, own": "; ".join(own.SPLIT),

@@ -50,7 +50,7 @@ def test_ledger_closes_and_mass_and_positivity_hold(name, m):
     "name",
     [pytest.param(name, marks=[] if name in OF_EACH_KIND else [pytest.mark.long]) for name in EXAMPLES],
 )
-@pytest.mark.parametrize("dt", [0.02, 0.5])
+@pytest.mark.parametrize("dt", [0.02, 5.0])
 def test_energy_decays_without_loads(name, dt):
     ledger = simulation(EXAMPLES[name], gravity=0, dt=dt).run(3 * dt)
     energy = ledger.column("kinetic") + ledger.column("stored")

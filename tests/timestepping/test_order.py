@@ -52,19 +52,16 @@ MARKS = dict.fromkeys(["LinearElastic", "NeoHookean", "OldroydB"], ()) | dict.fr
 """Materials of every kind of variable: E, F with J, B with J; J alone and an energy of one's own."""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=MARKS.get(name, pytest.mark.long)) for name in EXAMPLES]
-)
-def test_midpoint_is_of_second_order_for_every_material(name):
-    found = in_time("midpoint", STIFFER.get(name, 0.02), material=EXAMPLES[name])
-    assert min(found.values()) >= 1.9, found
+BY_MATERIAL = [
+    pytest.param(scheme, name, marks=marks.get(name, pytest.mark.long))
+    for scheme, marks in (("midpoint", MARKS), ("sdirk2", {"NeoHookean": ()}))
+    for name in EXAMPLES
+]
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name == "NeoHookean" else pytest.mark.long) for name in EXAMPLES]
-)
-def test_sdirk2_is_of_second_order_for_every_material(name):
-    found = in_time("sdirk2", STIFFER.get(name, 0.02), material=EXAMPLES[name])
+@pytest.mark.parametrize(("scheme", "name"), BY_MATERIAL)
+def test_second_order_for_every_material(scheme, name):
+    found = in_time(scheme, STIFFER.get(name, 0.02), material=EXAMPLES[name])
     assert min(found.values()) >= 1.9, found
 
 
@@ -82,25 +79,28 @@ def test_a_load_at_the_wrong_time_costs_an_order(monkeypatch):
     assert min(in_time("midpoint", 0.08, (8, 16, 32)).values()) <= 1.3
 
 
-@pytest.mark.parametrize("scheme", ["midpoint", pytest.param("sdirk2", marks=pytest.mark.long)])
-def test_second_order_with_all_terms(scheme):
-    found = in_time(scheme, 0.01, regularisation=ALL_TERMS)
-    assert min(found.values()) >= 1.9, found
+AT_REST = {"initial": nv.Initial(), "loads": []}
+LID = {"top": nv.PrescribedTangential((16 * x**2 * (1 - x) ** 2 * sin(10 * nv.time) ** 2, 0.0))}
+TURNED = {"wall": nv.Traction(f=(-y * sin(20 * nv.time), x * sin(20 * nv.time)), friction=0.1)}
+SETTINGS = {
+    "all terms": {"until": 0.01, "regularisation": ALL_TERMS},
+    "a lid that is accelerated": {"until": 0.05, "steps": (4, 8, 16), "walls": LID, **AT_REST},
+    "traction on a curved slip wall": {"until": 0.04, "steps": (4, 8, 16), "walls": TURNED, **AT_REST},
+}
+CURVED = "traction on a curved slip wall"
 
 
-@pytest.mark.parametrize("scheme", ["midpoint", pytest.param("sdirk2", marks=pytest.mark.long)])
-def test_second_order_under_a_lid_that_is_accelerated(scheme):
-    lid = {"top": nv.PrescribedTangential((16 * x**2 * (1 - x) ** 2 * sin(10 * nv.time) ** 2, 0.0))}
-    found = in_time(scheme, 0.05, (4, 8, 16), walls=lid, initial=nv.Initial(), loads=[])
-    assert min(found.values()) >= 1.9, found
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("scheme", [pytest.param("midpoint", marks=pytest.mark.ci), "sdirk2"])
-def test_second_order_with_traction_on_a_curved_slip_wall(scheme):
-    walls = {"wall": nv.Traction(f=(-y * sin(20 * nv.time), x * sin(20 * nv.time)), friction=0.1)}
-    options = {"initial": nv.Initial(), "loads": [], "solver": "split"}
-    found = in_time(scheme, 0.04, (4, 8, 16), mesh=disc(1, 0.8), walls=walls, **options)
+@pytest.mark.parametrize(
+    ("name", "scheme"),
+    [
+        *((name, "midpoint") for name in SETTINGS if name != CURVED),
+        *(pytest.param(name, "sdirk2", marks=pytest.mark.long) for name in SETTINGS),
+        pytest.param(CURVED, "midpoint", marks=[pytest.mark.long, pytest.mark.ci]),
+    ],
+)
+def test_second_order_with(name, scheme):
+    curved = {"mesh": disc(1, 0.8), "solver": "split"} if name == CURVED else {}
+    found = in_time(scheme, **SETTINGS[name], **curved)
     assert min(found.values()) >= 1.9, found
 
 

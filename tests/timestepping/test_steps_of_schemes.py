@@ -29,7 +29,11 @@ def simulation(dt=0.02, scheme="midpoint", **options):
 # --- restarts ------------------------------------------------------------------------------------------
 
 RESTARTED = {
-    "backward-euler": {"scheme": "backward-euler", "solver": "split"},
+    "backward-euler, adaptive": {
+        "scheme": "backward-euler",
+        "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.08, tolerance=3e-3, patience=2),
+        "solver": "split",
+    },
     "theta after a start-up": {"scheme": "theta", "theta": 0.6, "startup": 1, "solver": "coupled"},
     "sdirk2, passive": {"scheme": "sdirk2", "passive": ("F_tot", "reference_map"), "solver": "split"},
     "moving wall": {
@@ -54,7 +58,7 @@ RESTARTED = {
         "relaxed",
         *(
             pytest.param(name, marks=[pytest.mark.long, pytest.mark.ci])
-            for name in ("backward-euler", "theta after a start-up")
+            for name in ("backward-euler, adaptive", "theta after a start-up")
         ),
     ],
 )
