@@ -2,6 +2,13 @@
 
 Exit codes: 0 every case holds; 1 one does not, or ended in an error; 2 the input is at fault; 3 a file could
 not be read or written; 130 interrupted: results so far are kept, go on with ``--resume``.
+
+examples:
+  python -m tests.verification -o report/
+  python -m tests.verification --reduced -o report/
+  python -m tests.verification limit-tau dispersion -o limits/
+  python -m tests.verification -o report/ --resume --jobs 2
+  python -m tests.verification limit-tau -o limits/ --into tests/verification/kept
 """
 
 import argparse
@@ -12,23 +19,13 @@ from pathlib import Path
 
 DONE, FAILED, BAD_INPUT, BAD_FILE, INTERRUPTED = 0, 1, 2, 3, 130
 
-_EPILOG = """exit codes: 0 every case holds; 1 a case does not hold or ended in an error; 2 wrong input;
-3 a file could not be read or written; 130 interrupted (go on with --resume).
-
-examples:
-  python -m tests.verification -o report/
-  python -m tests.verification --reduced -o report/
-  python -m tests.verification limit-tau dispersion -o limits/
-  python -m tests.verification -o report/ --resume --jobs 2
-  python -m tests.verification limit-tau -o limits/ --into tests/verification/kept"""
-
 
 def parser() -> argparse.ArgumentParser:
     """The command line's grammar."""
     top = argparse.ArgumentParser(
         prog="python -m tests.verification",
         description="Measures what the paper proves and known exact solutions; writes one report.",
-        epilog=_EPILOG,
+        epilog=(__doc__ or "").partition("\n\n")[2],
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("names", nargs="*", metavar="NAME", help="cases, or beginnings of names (default: all)")
@@ -54,15 +51,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     from ngvisco import __version__
     from ngvisco.errors import UnknownNameError
+    from tests.verification import cases as package
     from tests.verification.case import VerificationError
-    from tests.verification.directory import ReportDirectory
-    from tests.verification.keeping import put_into
-    from tests.verification.registry import all_cases, select
-    from tests.verification.report import headline, write_report
-    from tests.verification.runner import run_cases
+    from tests.verification.report import headline, put_into, write_report
+    from tests.verification.runner import ReportDirectory, run_cases
 
     try:
-        cases = select(all_cases(), options.names, options.reduced)
+        cases = package.select(package.all_cases(), options.names, options.reduced)
         if not cases:
             return _say("none of these cases is in the reduced set", BAD_INPUT)
         if options.list:
@@ -79,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         path = write_report(directory.path, cases, results, __version__)
         if options.into:
-            path = put_into(Path(options.into), directory.path, all_cases())
+            path = put_into(Path(options.into), directory.path, package.all_cases())
     except (UnknownNameError, VerificationError) as error:
         return _say(str(error), BAD_INPUT)
     except OSError as error:

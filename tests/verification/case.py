@@ -144,7 +144,7 @@ _BOUND = re.compile(r"(.+?) (<=|>=) ([-+.\de]+): (.*)")
 
 
 class Cases(list[Case]):
-    """A module's cases in the report's order, each declared by a text above the function that measures it.
+    """Cases of a theme in the report's order, each declared by a text above the function that measures it.
 
     ::
 
@@ -158,8 +158,13 @@ class Cases(list[Case]):
         explanation: where a bound is known not to be kept, why; printed with the failure, which stays one
 
     A line goes on with the one before unless it begins like one of these; ``closure`` and ``drift`` are the
-    bounds ``CLOSURE`` and ``DRIFT``.
+    bounds ``CLOSURE`` and ``DRIFT``, which ``runner.run_case`` measures on all runs of a case.  ``theme``
+    is that of the cases which follow.
     """
+
+    def __init__(self, theme: str) -> None:
+        super().__init__()
+        self.theme = theme
 
     def __call__(self, text: str) -> Callable[[Run], Run]:
         """What adds the case of a function.  Raises VerificationError for a text without one of the parts."""
@@ -178,7 +183,7 @@ class Cases(list[Case]):
         name, reduced = head.removesuffix(" (reduced)"), head.endswith(" (reduced)")
 
         def add(run: Run) -> Run:
-            self.append(Case(name=name, bounds=bounds, run=run, reduced=reduced, **said))
+            self.append(Case(name=name, bounds=bounds, run=run, reduced=reduced, theme=self.theme, **said))
             return run
 
         return add

@@ -1,26 +1,118 @@
-"""Runs cases, one after the other or some at once; the error of one is its result, not the end of others."""
+"""Runs cases, one after the other or some at once; the error of one is its result, not the end of others.
 
+A report's directory keeps results case by case, so that an interrupted report can be gone on with.
+
+| file               | holds                                                                 |
+|--------------------|-----------------------------------------------------------------------|
+| verification.json  | that this is a report's directory, and of which cases                 |
+| cases/NAME.json    | the result of a case, written when it is complete                     |
+| report.md          | the report, written last                                              |
+| pictures/NAME.png  | its pictures                                                          |
+
+Every file is written beside its name and renamed.
+"""
+
+import json
 import sys
 import time as clock
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import replace
 from multiprocessing import get_context
-from typing import TextIO
+from pathlib import Path
+from typing import Any, TextIO
+from unittest.mock import patch
+
+import numpy as np
 
 from ngvisco.forms.context import time
-from tests.verification.case import Case, Result, judge, number
+from ngvisco.run.files import write_atomically
+from ngvisco.run.ledger import Ledger
+from tests.verification.case import CLOSURE, DRIFT, Case, Result, VerificationError, judge, number
 
-Keep = Callable[[Result], None]
-Known = Callable[[Case], Result | None]
+MARKER = "verification.json"
+_KIND = "ngvisco verification report"
+
+
+class ReportDirectory:
+    """Opens a new directory, or an earlier report's with ``resume``.
+
+    Raises VerificationError if there is something else at the path, or a report and ``resume`` is not asked
+    for, or the other way round.
+    """
+
+    def __init__(self, path: Path, cases: Sequence[Case], *, resume: bool = False) -> None:
+        self.path = path
+        is_report, occupied = _is_report(path / MARKER), path.is_dir() and any(path.iterdir())
+        refused = {
+            "a file; choose another directory": path.exists() and not path.is_dir(),
+            "holds something else than a report; choose another directory": occupied and not is_report,
+            "holds an earlier report; go on with it by --resume, or choose another directory": is_report
+            and not resume,
+            "no report to go on with": resume and not is_report,
+        }
+        for why, is_so in refused.items():
+            if is_so:
+                raise VerificationError(f"{path}: {why}")
+        # what an earlier report said is not what this one will say
+        (path / "report.md").unlink(missing_ok=True)
+        content = {"kind": _KIND, "cases": [case.name for case in cases]}
+        write_atomically(path / MARKER, json.dumps(content, indent=1).encode())
+
+    def save(self, result: Result) -> None:
+        """Keep a case's result."""
+        write_atomically(self.path / "cases" / f"{result.name}.json", result.to_json().encode())
+
+    def saved(self, case: Case, version: str) -> Result | None:
+        """The kept result of the same case, measured by the same version, if there is one.
+
+        An error is no result: the case is run again.
+        """
+        try:
+            result = Result.from_json((self.path / "cases" / f"{case.name}.json").read_text())
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        same = result.fingerprint == case.fingerprint and result.version == version
+        return result if same and result.status != "error" else None
+
+
+def _is_report(marker: Path) -> bool:
+    try:
+        return bool(json.loads(marker.read_text()).get("kind") == _KIND)
+    except (OSError, ValueError, AttributeError):
+        return False
+
+
+@contextmanager
+def watched() -> Iterator[dict[str, float]]:
+    """The largest |closure| and drift of the mass, relative, of all steps that are made meanwhile."""
+    record, seen = Ledger.record, dict[str, float]()
+    columns = {CLOSURE.quantity: "closure_relative", DRIFT.quantity: "mass_drift"}
+
+    def noted(ledger: Ledger, *step: Any) -> dict[str, float]:
+        row = record(ledger, *step)
+        for quantity, column in columns.items():  # NumPy's maximum of anything and NaN is NaN
+            seen[quantity] = float(np.maximum(seen.get(quantity, 0.0), abs(row[column])))
+        return row
+
+    with patch.object(Ledger, "record", noted):
+        yield seen
 
 
 def run_case(case: Case, version: str) -> Result:
-    """Run and judge one case; an exception becomes a result with status ``error``."""
+    """Run and judge one case; an exception becomes a result with status ``error``.
+
+    Closure and drift are those of all its runs, unless it gives values for them itself.
+    """
     began = clock.process_time()  # what else the machine does is no part of it
     time.Set(0.0)  # the runs of earlier cases have moved it
     try:
-        outcome = case.run()
+        with watched() as seen:
+            outcome = case.run()
+        asked = {quantity: seen[quantity] for b in case.bounds if (quantity := b.quantity) in seen}
+        outcome = replace(outcome, values={**asked, **outcome.values})
         return judge(case, outcome, clock.process_time() - began, version)
     except Exception:
         return Result(
@@ -36,8 +128,8 @@ def run_case(case: Case, version: str) -> Result:
 def run_cases(
     cases: Sequence[Case],
     version: str,
-    keep: Keep = lambda result: None,
-    known: Known = lambda case: None,
+    keep: Callable[[Result], None] = lambda result: None,
+    known: Callable[[Case], Result | None] = lambda case: None,
     stream: TextIO | None = None,
     jobs: int = 1,
 ) -> list[Result]:
@@ -57,30 +149,27 @@ def run_cases(
     jobs : int
         How many cases of the registry run at once, each in a process of its own; 1 (default) in this one.
     """
-    out = stream or sys.stdout
+    results: dict[str, Result] = {}
     heads = {
         case.name: f"[{i:{len(str(len(cases)))}d}/{len(cases)}] {case.name}"
         for i, case in enumerate(cases, 1)
     }
-    results = {case.name: result for case in cases if (result := known(case)) is not None}
+
+    def say(case: Case, what: str) -> None:
+        print(f"{heads[case.name]}{what}", file=stream or sys.stdout, flush=True)
+
     for case in cases:
-        if case.name in results:
-            print(
-                f"{heads[case.name]}: {describe(case, results[case.name])}; measured earlier",
-                file=out,
-                flush=True,
-            )
+        if (earlier := known(case)) is not None:
+            results[case.name] = earlier
+            say(case, f": {describe(case, earlier)}; measured earlier")
     new = [case for case in cases if case.name not in results]
     began = clock.perf_counter()
-
-    def starts(case: Case) -> None:
-        print(f"{heads[case.name]} ...", file=out, flush=True)
-
-    for fresh, (case, result) in enumerate(_completed(new, version, jobs, starts), 1):
+    completed = _completed(new, version, jobs, lambda case: say(case, " ..."))
+    for fresh, (case, result) in enumerate(completed, 1):
         keep(result)
         results[case.name] = result
         left = (clock.perf_counter() - began) / fresh * (len(new) - fresh)
-        print(f"{heads[case.name]}: {describe(case, result)}; about {left:.0f} s left", file=out, flush=True)
+        say(case, f": {describe(case, result)}; about {left:.0f} s left")
     return [results[case.name] for case in cases]
 
 
@@ -103,8 +192,8 @@ def _completed(
 
 
 def _run_named(name: str, version: str) -> str:
-    """The result of a case of the registry, as JSON."""
-    from tests.verification.registry import all_cases
+    """The result of a case of the package, as JSON."""
+    from tests.verification.cases import all_cases
 
     return run_case(next(case for case in all_cases() if case.name == name), version).to_json()
 

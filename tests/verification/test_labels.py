@@ -10,8 +10,8 @@ import pytest
 import ngvisco
 from tests.verification import labels as module
 from tests.verification.case import Bound, Case, Outcome, VerificationError
+from tests.verification.cases import all_cases
 from tests.verification.labels import label_modules, label_table, labels, labels_in, rows
-from tests.verification.registry import all_cases
 from tests.verification.report import markdown
 
 TESTS = Path(__file__).resolve().parents[1]

@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from tests.verification import registry
+from ngvisco.run.ledger import Ledger
+from tests.verification import cases as package
 from tests.verification.__main__ import BAD_INPUT, DONE, FAILED, INTERRUPTED, main
 from tests.verification.case import (
     CLOSURE,
+    DRIFT,
     Bound,
     Case,
     Cases,
@@ -23,8 +25,9 @@ from tests.verification.case import (
     each,
     measured,
 )
+from tests.verification.cases import all_cases, select
 from tests.verification.rates import RateTable
-from tests.verification.registry import all_cases, select
+from tests.verification.runner import run_case, watched
 
 
 def case(name, value, limit=1.0, **options):
@@ -47,7 +50,7 @@ def case(name, value, limit=1.0, **options):
 def cases(monkeypatch):
     """Puts a list of cases in the place of the package's."""
     chosen = []
-    monkeypatch.setattr(registry, "all_cases", lambda: tuple(chosen))
+    monkeypatch.setattr(package, "all_cases", lambda: tuple(chosen))
     return chosen
 
 
@@ -75,7 +78,7 @@ def test_cases_that_were_run_again_take_their_places_in_the_kept_report(cases, t
     assert main(["-o", str(kept)]) == DONE
     cases[:] = [case("two", 7.5), case("later", 0.5), case("one", 0.5)]
     for name in ("aaa", "bbb"):  # the second time by the rows' own commits
-        monkeypatch.setattr("tests.verification.keeping.commit", lambda name=name: name)
+        monkeypatch.setattr("tests.verification.report.commit", lambda name=name: name)
         assert main(["two", "-o", str(new / name), "--into", str(kept)]) == FAILED
     text = (kept / "report.md").read_text()
     assert "2 cases: 1 hold, 1 do not" in text and "Missing: later." in text and "gone" not in text
@@ -127,10 +130,11 @@ TEXT = """limit-tau (reduced)
 
 
 def test_case_is_declared_by_a_text_above_the_function_that_measures_it():
-    cases = Cases()
+    cases = Cases("T")
     cases(TEXT)(len)
     (one,) = cases
-    assert (one.name, one.reduced, one.run, one.explanation) == ("limit-tau", True, len, "None.")
+    assert (one.name, one.theme, one.reduced, one.run) == ("limit-tau", "T", True, len)
+    assert one.explanation == "None."
     assert (one.statement, one.label) == ("Two runs agree: they do.", "L1, L2")
     assert one.setting == "A box; two steps <= 1 s."
     rates = [Bound(f"rate of {name} in tau", ">=", 0.9, "first order") for name in ("v", "rho")]
@@ -142,6 +146,28 @@ def test_case_is_declared_by_a_text_above_the_function_that_measures_it():
     }.items():
         with pytest.raises(VerificationError, match=message):
             cases(TEXT.replace(wrong, ""))(len)
+
+
+def test_closure_and_drift_are_those_of_all_runs_of_a_case(monkeypatch):
+    """Of runs that the case forgets, too; a case without a run has none, which is an error."""
+    monkeypatch.setattr(
+        Ledger, "record", lambda ledger, off: {"closure_relative": -off, "mass_drift": off / 2}
+    )
+
+    def run():
+        for off in (0.25, 0.5, 0.125):
+            Ledger.record(None, off)
+        return Outcome(values={})
+
+    one = replace(case("a", 0.0), bounds=(CLOSURE, DRIFT), run=run)
+    result = run_case(one, "1")
+    assert result.outcome.values == {CLOSURE.quantity: 0.5, DRIFT.quantity: 0.25}
+    assert result.failed == [CLOSURE.quantity, DRIFT.quantity]
+    with watched() as seen:
+        Ledger.record(None, math.nan)
+        run()
+    assert math.isnan(seen[CLOSURE.quantity])
+    assert run_case(replace(one, run=lambda: Outcome(values={})), "1").status == "error"
 
 
 def test_misspelt_name_is_an_error_with_the_nearest_one(cases, tmp_path, capsys):

@@ -15,9 +15,9 @@ from ngsolve import CF, CoefficientFunction, IfPos, x, y
 import ngvisco as nv
 from ngvisco.geometries import structured_box
 from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
-from tests.verification.setups import closure, fluid, stokes
+from tests.verification.setups import fluid, stokes
 
-CASES = Cases()
+CASES = Cases("Bodies and their interfaces")
 
 SIZE, CELLS, RADIUS = (1.4, 0.8), (14, 8), 0.21
 PLACES = {"left": 0.37, "right": 1.03}
@@ -131,7 +131,6 @@ def _collision() -> Outcome:
             "largest total momentum over a disc's": float(total) / first,
             "largest asymmetry of places, m": float(np.abs(sides["left"] + sides["right"]).max()),
             "change of the masses": mass,
-            "largest |closure|": closure(run),
         },
         Table(
             "the discs",

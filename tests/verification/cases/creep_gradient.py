@@ -22,7 +22,7 @@ from tests.verification.rates import RateTable
 from tests.verification.setups import KINDS
 from tests.verification.sources import Sources
 
-CASES = Cases()
+CASES = Cases("Creep with a gradient")
 
 NU = 0.1
 LABEL = {

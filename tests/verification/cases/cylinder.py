@@ -22,9 +22,8 @@ from ngsolve import CF, Mesh, exp, y
 
 import ngvisco as nv
 from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
-from tests.verification.setups import closure, drift
 
-CASES = Cases()
+CASES = Cases("Exact solutions: rheology")
 
 BETA, DENSITY, BULK, DT = 0.59, 0.01, 2e4, 0.25
 """The solvent's share of the viscosity, which is 1 Pa s; kg/m^3: Re = 0.01; Pa; s."""
@@ -122,8 +121,6 @@ def _cylinder() -> Outcome:
             "change of the drag in the last step": max(row[4] for row in rows),
             "least fall of the drag from one to the next": min(a - b for a, b in pairwise(found)),
             "drag at Wi = 0.6 over the Newtonian one": found[-1] / NEWTONIAN,
-            "drift of the mass": drift(*runs),
-            "largest |closure|": closure(*runs),
         },
         Table(
             f"{mesh.ne} cells",

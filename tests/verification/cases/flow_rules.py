@@ -16,9 +16,8 @@ from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
 from tests.verification.cases.rheology import NAMES, G, deviator, material, shear_stress, start
 from tests.verification.cases.shear import sheared
 from tests.verification.rates import RateTable
-from tests.verification.setups import closure
 
-CASES = Cases()
+CASES = Cases("Exact solutions: flow rules")
 
 Rate = Callable[[float, float, float], float]
 """|Pi|, 1/s, of |M|, Pa, the plastic strain k and the pressure p, Pa."""
@@ -86,20 +85,11 @@ def final_stress(kind: str, rate: Rate, factor: float) -> float:
     return float(shear_stress(kind, solution.y[:9, -1])[0, 1])
 
 
-def _sheared(
-    kind: str, rule: nv.FlowRule, steps: int, scheme: str = "backward-euler"
-) -> tuple[nv.Simulation, float]:
-    """The start-up of shear, and its T_12 at the end."""
-    run, values = sheared(
-        material(kind),
-        UNTIL / steps,
-        UNTIL,
-        rate=SHEAR_RATE,
-        creep=rule,
-        mesh=channel(1, 1, maxh=1.0),
-        scheme=scheme,
-    )
-    return run, float(values[-1, 1])
+def _sheared(kind: str, rule: nv.FlowRule, steps: int, scheme: str = "backward-euler") -> float:
+    """T_12 at the end of the start-up of shear."""
+    mesh, tau = channel(1, 1, maxh=1.0), UNTIL / steps
+    _, values = sheared(material(kind), tau, UNTIL, rate=SHEAR_RATE, creep=rule, mesh=mesh, scheme=scheme)
+    return float(values[-1, 1])
 
 
 @CASES(f"""flow-rules-startup
@@ -114,14 +104,10 @@ def _sheared(
     """)
 def _point() -> Outcome:
     rows: list[list[str | float]] = []
-    runs, largest, mistaken = [], 0.0, math.inf
+    largest, mistaken = 0.0, math.inf
     for name, (rule, rate) in RULES.items():
         for kind in NAMES:
-            found = []
-            for steps in STEPS:
-                run, stress = _sheared(kind, rule, steps)
-                found.append(stress)
-                runs.append(run)
+            found = [_sheared(kind, rule, steps) for steps in STEPS]
             exact, wrong = (final_stress(kind, rate, factor) for factor in (1.0, 0.8))
             extrapolated = 2 * found[1] - found[0]
             errors = [abs(value / exact - 1) for value in (*found, extrapolated)]
@@ -131,7 +117,6 @@ def _point() -> Outcome:
         {
             "largest error, extrapolated": largest,
             "least distance to rates smaller by a fifth": mistaken,
-            "largest |closure|": closure(*runs),
         },
         Table(
             "T_12 after a shear of one",
@@ -156,7 +141,7 @@ MIDPOINT = {"linear": True, "Norton, n = 3": True, "Bingham": False, "linear har
     """)
 def _midpoint() -> Outcome:
     """Errors of T_12 after the start-up of shear, over the steps of the midpoint rule."""
-    tables, curves, runs = [], [], []
+    tables, curves = [], []
     least = {True: math.inf, False: math.inf}
     for kind in NAMES:
         table = RateTable(f"error of T_12, {NAMES[kind]}")
@@ -166,9 +151,7 @@ def _midpoint() -> Outcome:
             rule, rate = RULES[name]
             exact, errors[name] = final_stress(kind, rate, 1.0), []
             for tau in sizes:
-                run, stress = _sheared(kind, rule, round(UNTIL / tau), "midpoint")
-                runs.append(run)
-                errors[name].append(abs(stress - exact))
+                errors[name].append(abs(_sheared(kind, rule, round(UNTIL / tau), "midpoint") - exact))
         for i, tau in enumerate(sizes):
             table.add(tau, **{name: found[i] for name, found in errors.items()})
         for name, is_smooth in MIDPOINT.items():
@@ -180,7 +163,6 @@ def _midpoint() -> Outcome:
         {
             "least order of a rate with a derivative": least[True],
             "least order with yield": least[False],
-            "largest |closure|": closure(*runs),
         },
         *tables,
         Plot("Start-up of shear by the midpoint rule", "tau, s", "error of T_12, Pa", curves, log="xy"),
@@ -198,7 +180,7 @@ def _midpoint() -> Outcome:
 def _relaxation() -> Outcome:
     """|E|^(1-n) grows linearly: d|E|/dt = -A (2 G |E|)^n in a body that cannot move."""
     A, n, until, begin = 0.3, 3, 1.0, 0.5
-    table, runs = RateTable("error of |E|, relative to its start"), []
+    table = RateTable("error of |E|, relative to its start")
     direction = np.diag([2.0, -1.0, -1.0]) / math.sqrt(6)
     F = CF(tuple((np.eye(3) + begin * direction).ravel()), dims=(3, 3))
     exact = (begin ** (1 - n) + (n - 1) * A * (2 * G) ** n * until) ** (1 / (1 - n))
@@ -208,12 +190,10 @@ def _relaxation() -> Outcome:
         run.run(until)
         E = np.array(run.fields["E"](run.mesh(0.3, 0.4)))
         table.add(until / steps, E=abs(float(np.linalg.norm(E)) - exact) / begin)
-        runs.append(run)
     return measured(
         {
             "rate of |E|": table.last("E"),
             "error at the finest step": table.errors["E"][-1],
-            "largest |closure|": closure(*runs),
         },
         table.table("tau, s"),
     )
@@ -228,13 +208,13 @@ def _relaxation() -> Outcome:
     """)
 def _flow_curve() -> Outcome:
     """T_12 = sigma_Y/sqrt(3) + G_m rate/2 of Bingham's fluid, and the like with an exponent."""
-    stiff, sigma_Y, rows, largest, runs = 200.0, 1.5, [], 0.0, []
+    stiff, sigma_Y, rows, largest = 200.0, 1.5, [], 0.0
     for n in (1.0, 2.5):
         for rate in (0.1, 1.0, 10.0):
             s, G_m = math.sqrt(2 / 3) * sigma_Y, 0.2
             rule = nv.Perzyna(sigma_Y=sigma_Y, G_m=G_m, n=n)
             # sheared by a tenth: a hundred times the shear at which it yields
-            run, values = sheared(
+            _, values = sheared(
                 nv.LinearElastic(K_e=stiff, G_e=stiff),
                 0.005 / rate,
                 0.1 / rate,
@@ -245,9 +225,8 @@ def _flow_curve() -> Outcome:
             exact = (s + s * (G_m * rate / math.sqrt(2) / s) ** (1 / n)) / math.sqrt(2)
             error = abs(float(values[-1, 1]) / exact - 1)
             largest = max(largest, error)
-            runs.append(run)
             rows.append([n, rate, float(values[-1, 1]), exact, error])
     return measured(
-        {"largest relative error of T_12": largest, "largest |closure|": closure(*runs)},
+        {"largest relative error of T_12": largest},
         Table("steady shear", "n | rate, 1/s | T_12, Pa | exact, Pa | error", rows),
     )

@@ -10,7 +10,7 @@ from tests.verification.convergence import coupled_rates, free_solution, separat
 from tests.verification.rates import RateTable
 from tests.verification.sources import Sources
 
-CASES = Cases()
+CASES = Cases("Heat")
 
 KIND = "with heat"
 

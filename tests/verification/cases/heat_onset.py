@@ -16,7 +16,7 @@ from ngvisco.geometries import box
 from ngvisco.physics.variables import Jacobian
 from tests.verification.case import Cases, Outcome, Table, measured
 
-CASES = Cases()
+CASES = Cases("Heat")
 
 POINTS = 24
 """Chebyshev intervals of the eigenvalue problem."""

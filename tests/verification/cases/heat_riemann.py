@@ -23,9 +23,8 @@ from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
 from tests.verification.cases import riemann
 from tests.verification.manufactured import NUMERIC, SYMBOLIC, Functions
 from tests.verification.rates import RateTable
-from tests.verification.setups import closure
 
-CASES = Cases()
+CASES = Cases("Heat")
 
 HEAT_CAPACITY, THETA_R, GAMMA = 2.0, 1.0, 1.5
 SOUND = math.sqrt(riemann.SOUND**2 + GAMMA**2 * HEAT_CAPACITY * THETA_R)
@@ -128,7 +127,7 @@ def _profiles() -> Outcome:
     names = ("density", "temperature", "velocity", "entropy")
     exact = {name: (4 * fine[name] - coarse[name]) / 3 for name in names}
     cold = _samples(_lagrangian(400, is_heated=False), places)
-    table, runs, curves = RateTable("largest errors, of the largest difference in space"), [], []
+    table, curves = RateTable("largest errors, of the largest difference in space"), []
     for cells in (25, 50, 100):
         run = strip(cells, _start(x, SYMBOLIC), NU, KAPPA, END)
         fields = run.fields
@@ -141,7 +140,6 @@ def _profiles() -> Outcome:
         values = {n: np.array([f(run.mesh(p, 0.6 / cells)) for p in places]) for n, f in found.items()}
         errors = {n: float(abs(values[n] - exact[n]).mean() / np.ptp(exact[n])) for n in names}
         table.add(1 / cells, **errors)
-        runs.append(run)
         curves = [Curve(n, places, values[n], "-") for n in ("temperature", "entropy")]
     curves += [Curve(f"{n}, reference", places, exact[n], "k:") for n in ("temperature", "entropy")]
     return measured(
@@ -154,7 +152,6 @@ def _profiles() -> Outcome:
             "error of the entropy without its heat in the reference": float(
                 abs(values["entropy"] - cold["entropy"]).mean() / np.ptp(exact["entropy"])
             ),
-            "largest |closure|": closure(*runs),
         },
         table.table("h, m"),
         Plot("At the end", "x, m", "K, J/(m3 K)", curves),
@@ -244,7 +241,7 @@ def _mean(run: nv.Simulation, value: CoefficientFunction, middle: float) -> floa
     """)
 def _stars() -> Outcome:
     rows: list[list[str | float]] = []
-    runs, worst, U = [], [], MACH * SOUND
+    worst, U = [], MACH * SOUND
     shock = star_of_impact(U).entropy
     for cells in (100, 200):
         run = strip(cells, IfPos(x - 0.5, -U, U), 2 * U / cells, 0.0, PASSAGES / SOUND)
@@ -264,12 +261,10 @@ def _stars() -> Outcome:
             rows.append([name, cells, *errors, (entropy - star.entropy) / shock])
             largest = max(largest, *errors)
         worst.append(largest)
-        runs.append(run)
     return measured(
         {
             "largest error of a star state, 200 cells": worst[1],
             "that of 100 cells over it": worst[0] / worst[1],
-            "largest |closure|": closure(*runs),
         },
         Table(
             "relative errors; what there is of entropy beside the exact one, of the shock's",

@@ -6,7 +6,7 @@ from tests.verification.case import Cases, Outcome, each
 from tests.verification.cases import sequence, stability, whole_scheme
 from tests.verification.setups import KINDS, LABELS, cube_mesh
 
-CASES = Cases()
+CASES = Cases("Three dimensions")
 
 CUBE = (
     "The block of the plane's cases as a cube of 1 m, its eddy multiplied by 1 + 0.3 cos(pi z), gravity, "

@@ -12,7 +12,7 @@ from ngvisco.shapes.shape import Where
 from tests.verification.case import Cases, Outcome, Table, measured
 from tests.verification.interfaces import Carrier, Level, carried
 
-CASES = Cases()
+CASES = Cases("Bodies and their interfaces")
 
 MAXH = 0.0625
 _RADIUS = 0.15

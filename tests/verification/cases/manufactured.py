@@ -7,7 +7,7 @@ from tests.verification.case import Cases, Curve, Outcome, Plot, Table, each, me
 from tests.verification.convergence import coupled_rates, transport_rates
 from tests.verification.sources import TakingPartWholly
 
-CASES = Cases()
+CASES = Cases("Convergence: manufactured solutions")
 
 NAMES = {"linear": "linearised", "neo-hookean": "finite"}
 LABELS = {"linear": "Euler-small-viscoelastodyn+disc", "neo-hookean": "Euler-large-viscoelastodyn+disc"}

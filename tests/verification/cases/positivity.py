@@ -7,7 +7,7 @@ from ngvisco.geometries import box
 from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
 from tests.verification.setups import closure, drift, lid_driven
 
-CASES = Cases()
+CASES = Cases("Robustness of the scheme")
 
 DT, END = 0.02, 0.4
 SCHEMES = ("backward-euler", "midpoint", "sdirk2")

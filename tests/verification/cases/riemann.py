@@ -14,9 +14,8 @@ from ngvisco.geometries import structured_box
 from ngvisco.physics.tensors import log, square
 from ngvisco.physics.variables import Cofactor, Distortion, Jacobian
 from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
-from tests.verification.setups import closure
 
-CASES = Cases()
+CASES = Cases("Exact solutions: waves")
 
 A, B, C = 1.0, 0.5, 4.0
 D = A + 2 * B
@@ -147,13 +146,12 @@ def _measure() -> Outcome:
     rows: list[list[str | float]] = []
     curves, worst, drifts = [], 0.0, {"backward-euler": 0.0, "midpoint": 0.0}
     rejections = {"backward-euler": 0.0, "midpoint": 0.0}
-    iterations, runs = 0.0, []
+    iterations = 0.0
     for mach, scheme in ((0.1, "backward-euler"), (0.2, "backward-euler"), (0.2, "midpoint")):
         run = solved(mach, CELLS, scheme)
         column = run.ledger.column
         iterations = max(iterations, float(column("newton_iterations").max()))
         rejections[scheme] += float(column("rejections").sum())
-        runs.append(run)
         for star in stars(run, mach):
             name = "impact" if star.middle else "expansion"
             rows.append([name, mach, scheme, star.stretch, *star.errors.values(), star.drift])
@@ -172,7 +170,6 @@ def _measure() -> Outcome:
             "most iterations": iterations,
             "rejected steps of backward Euler": rejections["backward-euler"],
             "rejected steps of the midpoint rule": rejections["midpoint"],
-            "largest |closure|": closure(*runs),
         },
         Table("star states: relative errors", columns, rows),
         Plot("Density at the end", "x, m", "kg/m3", curves),

@@ -21,7 +21,7 @@ from tests.verification.models import KINDS as MODELS
 from tests.verification.rates import RateTable
 from tests.verification.setups import KINDS, SWIRL, closure, stokes
 
-CASES = Cases()
+CASES = Cases("Time schemes")
 
 SECOND_ORDER = ("midpoint", "sdirk2")
 LABEL = "Euler-small-viscoelastodyn+disc, Euler-large-viscoelastodyn+disc, and beyond the paper"
@@ -46,7 +46,7 @@ def _standing(scheme: str) -> Outcome:
     """Five periods without any viscosity: what the scheme leaves of amplitude and energy."""
     k, periods = 2.0, 5
     omega = k * math.sqrt(G_E)
-    table, curves, deviation, runs = RateTable("largest error of the amplitude; energy drift"), [], 0.0, []
+    table, curves, deviation = RateTable("largest error of the amplitude; energy drift"), [], 0.0
     for per_period in (20, 40, 80):
         dt = 2 * math.pi / omega / per_period
         run, a = standing_wave(
@@ -58,7 +58,6 @@ def _standing(scheme: str) -> Outcome:
         energy = run.ledger.column("kinetic") + run.ledger.column("stored")
         drift = abs(math.log(energy[-1] / energy[0]))
         table.add(dt, amplitude=float(np.abs(a - np.cos(omega * t)).max()), drift=drift)
-        runs.append(run)
         curves.append(Curve(f"{per_period} steps a period", t, a, "-"))
     curves.append(Curve("exact", t, np.cos(omega * t), "k--"))
     if scheme == "backward-euler":
@@ -69,7 +68,7 @@ def _standing(scheme: str) -> Outcome:
             "energy drift in five periods of 40 steps": table.errors["drift"][1],
         }
     return measured(
-        {"deviation from the scheme's own formula": deviation, **rates, "largest |closure|": closure(*runs)},
+        {"deviation from the scheme's own formula": deviation, **rates},
         table.table("tau, s"),
         Plot(f"Elastic standing wave by {scheme}", "t, s", "relative velocity amplitude", curves),
     )
@@ -115,7 +114,7 @@ def _hundred_periods() -> Outcome:
     omega = k * math.sqrt(G_E)
     dt = 2 * math.pi / omega / per_period
     rows: list[list[str | float]] = []
-    curves, values, runs = [], {}, []
+    curves, values = [], {}
     for scheme in SECOND_ORDER:
         run, a = standing_wave(
             "linearised", "shear", k, dt, periods * per_period, mu=0.0, viscous=False, scheme=scheme
@@ -130,7 +129,6 @@ def _hundred_periods() -> Outcome:
         values[f"{scheme}: relative energy drift"] = drift
         if scheme == "midpoint":
             values["midpoint: deviation from its formula"] = off
-        runs.append(run)
         every = slice(None, None, 10)
         curves.append(Curve(scheme, (dt * n)[every], (energy / energy[0])[every], "-"))
     z = growth("backward-euler", 1j * omega * dt)  # of which nothing is left after ten periods
@@ -138,7 +136,7 @@ def _hundred_periods() -> Outcome:
     rows.append(["backward-euler", "", abs(z) ** (2 * periods * per_period) - 1, slip, ""])
     head = ["scheme", "energy drift", "its formula", "relative slip of the phase", "deviation from formula"]
     return measured(
-        {**values, "largest |closure|": closure(*runs)},
+        {**values},
         Table("after 100 periods of 20 steps", head, rows),
         Plot("Energy of an elastic wave over 100 periods", "t, s", "relative to the start", curves),
     )
@@ -175,7 +173,7 @@ def swirl(scheme: str, dt: float) -> nv.Simulation:
     """)
 def _swirl() -> Outcome:
     rows: list[list[str | float]] = []
-    runs, error = [], {}
+    error = {}
     for scheme, steps in (
         ("backward-euler", (0.02, 0.0025, 0.000625)),
         ("midpoint", (0.04, 0.02, 0.01, 0.005, 0.0025)),
@@ -183,7 +181,6 @@ def _swirl() -> Outcome:
     ):
         for dt in steps:
             run = swirl(scheme, dt)
-            runs.append(run)
             kinetic = float(run.ledger.column("kinetic")[-1])
             error[scheme, dt] = abs(kinetic / LIMIT - 1)
             count = float(run.ledger.column("newton_iterations").sum())
@@ -197,7 +194,6 @@ def _swirl() -> Outcome:
             "error of midpoint, dt = 0.02 s": error["midpoint", 0.02],
             "error of backward Euler, dt = 0.000625 s": error["backward-euler", 0.000625],
             "numerical dissipation of midpoint, dt = 0.02 s, J": lost,
-            "largest |closure|": closure(*runs),
         },
         Table("kinetic energy at 0.2 s", head, rows),
         "The limit is 0.20386 J, extrapolated from the two finest midpoint runs.",
@@ -216,7 +212,7 @@ def channel_velocity(y: np.ndarray, t: float, nu: float, speed: float) -> np.nda
 def _couette(scheme: str) -> Outcome:
     """A lid that is accelerated smoothly over a Newtonian channel, against Fourier's series."""
     nu, speed, until = 0.2, 0.1, 1.5
-    table, runs = RateTable("largest error of v_1 on a line, relative to the wall's speed"), []
+    table = RateTable("largest error of v_1 on a line, relative to the wall's speed")
     y = np.linspace(0.05, 0.95, 19)
     for steps in (6, 12, 24):
         run = nv.Simulation(
@@ -235,12 +231,10 @@ def _couette(scheme: str) -> Outcome:
         v = np.array([run.fields["velocity"](run.mesh(0.21, s))[0] for s in y])
         exact = channel_velocity(y, until, nu, speed)
         table.add(until / steps, v=float(np.abs(v - exact).max() / speed))
-        runs.append(run)
     return measured(
         {
             "rate of v in tau": table.last("v"),
             "error at 24 steps": table.errors["v"][-1],
-            "largest |closure|": closure(*runs),
         },
         table.table("tau, s"),
         table.plot("tau, s", "error"),

@@ -17,7 +17,6 @@ found after 0.2 T; of 1e-2 Pa s it holds the surface (-5 %, 8 rows).
 """
 
 import math
-from functools import cache
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, IfPos, Integrate, cos, cosh, sin, sinh, x, y
@@ -26,9 +25,9 @@ from scipy.optimize import brentq, curve_fit
 import ngvisco as nv
 from ngvisco.geometries import box, structured_box
 from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
-from tests.verification.setups import closure, drift, fluid, stokes
+from tests.verification.setups import fluid, stokes
 
-CASES = Cases()
+CASES = Cases("Bodies and their interfaces")
 
 DEPTH, GRAVITY, BULK, VISCOSITY = 0.5, 1.0, 100.0, 1e-3
 """m, in a unit box; m/s^2; K_e of both, Pa; viscosity of the layer, of density 1, Pa s."""
@@ -75,7 +74,6 @@ def mode(ratio: float, shear: float) -> tuple[float, CoefficientFunction]:
     return omega, CF((along, cos(K * x) * (A * sinh(K * y) + B * sin(q * y)))) / float(size)
 
 
-@cache
 def sloshing(
     rows: int, ratio: float, viscosity: float, speed: float, shear: float = 0.0
 ) -> tuple[nv.Simulation, np.ndarray, np.ndarray, np.ndarray]:
@@ -127,14 +125,11 @@ def _swing(t: np.ndarray, omega: float, damping: float) -> np.ndarray:
 def _sloshing() -> Outcome:
     found = {(rows, *of): sloshing(rows, *of) for rows, of in RUNS}
     errors = {key: float(fit[0]) / frequency(key[1]) - 1 for key, (*_, fit) in found.items()}
-    runs = [run for run, *_ in found.values()]
     still = found[(16, *STILL)]
     return measured(
         {
             "error of the frequency, 1e-3, 16 rows": abs(errors[(16, *STILL)]),
             "error of the frequency, 1e-2, 12 rows": abs(errors[(12, *MOVING)]),
-            "drift of the mass": drift(*runs),
-            "largest |closure|": closure(*runs),
         },
         Table(
             "a period",
@@ -176,12 +171,11 @@ def _sloshing() -> Outcome:
     """)
 def _gel() -> Outcome:
     rows: list[list[float]] = []
-    curves, runs, errors = [], [], []
+    curves, errors = [], []
     for shear in SHEARS:
         for cells in (8, 16):
             omega, _ = mode(STILL[0], shear)
-            run, t, v, (found, damping) = sloshing(cells, *STILL, shear)
-            runs.append(run)
+            _, t, v, (found, damping) = sloshing(cells, *STILL, shear)
             errors.append(abs(float(found) / omega - 1))
             rows.append([shear, cells, omega, omega / frequency(STILL[0]), errors[-1], float(damping)])
             curves.append(Curve(f"{shear:g} Pa, {cells} rows", omega * t, v, "."))
@@ -190,8 +184,6 @@ def _gel() -> Outcome:
         {
             "error of the frequency, 16 rows": max(errors[1::2]),
             "least frequency over that without elasticity": min(row[3] for row in rows),
-            "drift of the mass": drift(*runs),
-            "largest |closure|": closure(*runs),
         },
         Table("a period", "G, Pa | rows | omega, 1/s | over that of a fluid | error | damping, 1/s", rows),
         Plot("A gel beside a light medium", "omega t", "share of the first velocity", curves),

@@ -21,9 +21,8 @@ from scipy.special import spherical_jn
 import ngvisco as nv
 from ngvisco.geometries import sphere
 from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
-from tests.verification.setups import closure
 
-CASES = Cases()
+CASES = Cases("Exact solutions: waves")
 
 K_E, G_E = 2.0, 1.0
 """Pa; with rho = 1 kg/m^3 and R = 1 m the frequency is the root itself, in 1/s."""
@@ -112,7 +111,7 @@ def oscillation(degree: int, maxh: float, material: nv.Material) -> Oscillation:
     """)
 def _toroidal() -> Outcome:
     degrees, linear = (2, 3, 4), nv.LinearElastic(K_e=K_E, G_e=G_E)
-    rows, curves, errors, closures, kept = [], [], {}, [], []
+    rows, curves, errors, kept = [], [], {}, []
     for degree in degrees:
         exact = root(degree)
         for maxh in SIZES:
@@ -121,7 +120,6 @@ def _toroidal() -> Outcome:
             errors[degree, maxh] = abs(error)
             energy = found.run.ledger.column("kinetic") + found.run.ledger.column("stored")
             kept.append(abs(float(energy[-1] / energy[0]) - 1))
-            closures.append(closure(found.run))
             rows.append([f"0T{degree}", found.run.mesh.ne, found.frequency, exact, error, found.decay])
         times = found.run.ledger.column("time") * exact / (2 * math.pi)
         curves.append(Curve(f"0T{degree}", times, found.values, "o"))
@@ -129,7 +127,6 @@ def _toroidal() -> Outcome:
     exactly = [math.cos(2 * math.pi * float(t)) for t in fine]
     curves.append(Curve("exact", fine, exactly, "k-"))
     finite = oscillation(2, SIZES[0], nv.ReferentialNeoHookean(K_e=K_E, G_e=G_E / 2, elastic_state="F"))
-    closures.append(closure(finite.run))
     of_linear = rows[0][2]
     assert isinstance(of_linear, float)
     coarse, best = SIZES
@@ -141,7 +138,6 @@ def _toroidal() -> Outcome:
             "least ratio of the errors of both meshes": min(gains),
             "finite against small strain, 0T2": abs(finite.frequency / of_linear - 1),
             "change of the energy": max(kept),
-            "largest |closure|": max(closures),
         },
         Table("frequencies", "mode | tetrahedra | omega, 1/s | exact | error | decay, 1/s", rows),
         Plot("Toroidal modes, finer mesh", "t, periods of each", "amplitude of v", curves),
