@@ -161,14 +161,6 @@ def projection_error(mesh, order, velocity, walls=None):
     return Integrate(defect * defect, mesh) ** 0.5
 
 
-@pytest.mark.parametrize("order", [2, 3])
-def test_velocity_rate_on_a_disc_is_k_plus_a_half(order):
-    """The L2 projection controls no trace, so that the multiplier takes half an order of k + 1."""
-    velocity = (-y * exp(x), x * exp(x))
-    errors = [projection_error(disc(1, maxh), order, velocity) for maxh in (0.5, 0.25, 0.125)]
-    assert np.log2(errors[1] / errors[2]) > order + 0.4
-
-
 @pytest.mark.parametrize(("order", "rate"), [(2, 2.4), (3, 1.7)])
 def test_velocity_is_worse_on_polygons(order, rate):
     """Polygons that approach the disc, for k = 3 (Babuska); with k = 2 only means of v.n are held."""
@@ -181,20 +173,6 @@ def test_velocity_is_worse_on_polygons(order, rate):
     assert errors[2] > (3 if order == 2 else 1000) * curved
 
 
-@pytest.mark.long  # 107, 856 and 6,848 curved tetrahedra; half a minute
-def test_velocity_rate_on_a_sphere_is_k_plus_a_half():
-    """Measured 2.16 and 2.59 (P_{k-1} has rate 1.9 and locks)."""
-    velocity, errors = (-y * exp(x), x * exp(x), 0 * x), []
-    for times in (0, 1, 2):
-        mesh = sphere(1, 1.0)  # a new one: spaces on a mesh do not survive its refinement
-        for _ in range(times):
-            mesh.Refine()
-        mesh.Curve(3)
-        errors.append(projection_error(mesh, 2, velocity))
-    assert np.log2(errors[0] / errors[1]) > 2.0
-    assert np.log2(errors[1] / errors[2]) > 2.4
-
-
 @pytest.mark.long
 def test_ledger_closes_on_a_sphere_and_a_shell():
     for mesh, loads in (
@@ -204,14 +182,6 @@ def test_ledger_closes_on_a_sphere_and_a_shell():
         initial = nv.Initial(density=1 + 0.1 * x, velocity=(-y, x, 0 * x))
         ledger = nv.Simulation(mesh, model(loads), dt=0.02, initial=initial).run(0.04)
         assert_balanced(ledger, 1e-12, 1e-13)
-
-
-def test_slip_at_a_wall_keeps_a_rigid_rotation():
-    """A disc in rigid rotation keeps its energy: the share lost in a step falls like h^3 or faster."""
-    run = nv.Simulation(disc(1, 0.35), model(), dt=0.02, initial=nv.Initial(velocity=ROTATION))
-    ledger = run.run(0.04)
-    loss = sum(ledger.column(f"dissipation_{name}")[1:].sum() for name in ("stokes_shear", "hyper"))
-    assert loss * 0.02 < 3e-5 * ledger.column("kinetic")[0]
 
 
 def test_lid_power_is_the_work_done():

@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from ngsolve import CF, IfPos, x, y
+from ngsolve import CF, x, y
 from support import SWIRL
 
 import ngvisco as nv
@@ -14,7 +14,7 @@ from ngvisco.physics.arrays import Array
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Fractions, Mixture
 from ngvisco.physics.variables import Jacobian
-from tests.verification.cases.unloaded import control, translated
+from tests.verification.cases.unloaded import control
 
 STOKES = nv.StokesViscosity(K_v=0.05, G_v=0.05)
 SOLID = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
@@ -117,21 +117,6 @@ def test_ledger_mass_and_energy_hold_and_both_solvers_agree(name):
         assert np.abs(values - found[1][part]).max() <= 1e-9 * np.abs(values).max()
 
 
-@pytest.mark.parametrize("strained", ["stiff", "soft"])
-def test_an_unloaded_translation_never_gains_energy(strained):
-    """Backward Euler, to rounding: phi is convex in all that is carried."""
-    ledger = translated(strained).run(0.06)
-    energy = ledger.column("kinetic") + ledger.column("stored")
-    assert np.diff(energy).max() <= 1e-13 * energy[0]
-    assert ledger.column("bregman")[1:].min() >= 0 <= ledger.column("limiter").min()
-
-
-def test_an_energy_that_is_not_convex_in_the_bodies_gains_it():
-    """A control: sum theta_i C_i : (X - N I) of one tensor X for both, which is convex in each alone."""
-    with control():
-        assert translated("soft").run(0.06).column("bregman")[1:].min() < -1e-9
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_energies_of_bodies_are_jointly_convex(name):
     """Of two and three bodies, linear in X or not, with one volumetric energy or several."""
@@ -222,33 +207,6 @@ def test_no_point_is_much_lighter_than_the_lightest_body(bounded, monkeypatch):
     initial, time = nv.Initial(velocity=SWIRL), nv.TimeSteps(dt=0.04, velocity_scale=1.0)
     ledger = nv.Simulation(box((1, 1), maxh=0.3), model, time=time, initial=initial).run(0.2)
     assert (ledger.column("rho_min").min() >= 0.5 * 0.2 * 0.9) == bounded  # N >= 0.9
-
-
-@pytest.mark.long
-@pytest.mark.ci
-def test_the_run_that_ended_at_one_second_goes_on():
-    """A soft disc in a lid-driven cavity: with one tensor for both it ended at 0.98 s."""
-    fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J - 2 + 1 / J))
-    viscosity = nv.StokesViscosity(K_v=0.01, G_v=0.01)
-    bodies = [
-        disc(
-            where=nv.Ball((0.6, 0.5), 0.2),
-            material=nv.ReferentialNeoHookean(K_e=20.0, G_e=0.05),
-            density=1.0,
-            viscosity=viscosity,
-        ),
-        rest(material=fluid, viscosity=viscosity),
-    ]
-    ramp = IfPos(nv.time - 0.2, 1.0, nv.time / 0.2)
-    walls = {name: nv.NoSlip() for name in ("left", "right", "bottom")}
-    walls["top"] = nv.PrescribedTangential((ramp * 16 * x * x * (1 - x) * (1 - x), 0.0))
-    model = nv.Model(bodies=bodies)
-    run = nv.Simulation(box((1, 1), maxh=0.2), model, dt=0.04, walls=walls, velocity_scale=1.0)
-    before = masses(run)
-    run.run(1.2)
-    assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
-    assert np.abs(masses(run) / before - 1).max() <= 1e-12
-    assert run.ledger.rows[-1]["J_min"] > 0.5
 
 
 BY_J_MIN = nv.ReferentialNeoHookean(K_e=20.0, G_e=0.05, J_min=0.1)

@@ -115,18 +115,6 @@ def test_what_the_fields_take(run):
     assert np.abs(rows - found).max() <= 1e-12 * np.abs(rows).max()
 
 
-def test_the_force_of_the_fields(run):
-    """That of the resolved fields, tested with the gradients of v's functions."""
-    v = linear(run, lambda x, y: (1 + 2 * y - x, x + 0.5 * y))
-    _, at, operator = prepared(run, v, z_noise=0.1)
-    op, z, rng = operator.op, at.coefficients["z"], np.random.default_rng(1)
-    dz = rng.standard_normal(z.T.shape)
-    resolved = op.z(np.ascontiguousarray(operator.resolved(dz).T))
-    stress = np.einsum("pxn,np->xp", operator.points.force[:, :4], resolved).reshape(2, 2, -1)
-    expected = sum(D.test(np.ascontiguousarray(stress[:, j])) for j, D in enumerate(op.dv))
-    assert np.abs(operator.force(dz) - expected).max() <= 1e-12 * np.abs(expected).max()
-
-
 @pytest.mark.parametrize("run", [None, "bodies"], indirect=True)
 def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run):
     """At rest, of a linear change of a uniform state: no facet takes part; phi'' is by differences.

@@ -137,30 +137,6 @@ def test_a_term_of_cells_reads_what_others_dissipate(nu, solver):
     assert abs(ledger.column("closure_relative")).max() <= 1e-10
 
 
-@pytest.mark.parametrize("rule", ["Norton, n = 3", "Bingham"])
-def test_a_resumed_run_has_the_same_bits(rule, tmp_path):
-    def run(to, folder):
-        observers = [nv.Checkpoints(tmp_path / folder / "run.h5", every=1)]
-        creep = {"Norton, n = 3": nv.Norton(A=0.3, n=3), "Bingham": nv.Perzyna(sigma_Y=0.5, G_m=0.5)}[rule]
-        material = nv.ReferentialNeoHookean(K_e=50.0, G_e=5.0, elastic_state="B")
-        model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1), creep=creep)
-        lid = {"top": nv.PrescribedTangential(CF((16 * x**2 * (1 - x) ** 2, 0)))}
-        found = nv.Simulation(
-            box((1, 1), maxh=0.2), model, dt=0.02, walls=lid, solver="split", observers=observers
-        )
-        if to is not None:
-            found.run(to)
-        return found
-
-    whole = run(0.1, "whole")
-    run(0.04, "parts")
-    rest = run(None, "parts")
-    rest.restore(tmp_path / "parts" / "run.h5")
-    rest.run(0.1)
-    a, b = (each.rothe_step.state.vec.FV().NumPy() for each in (whole, rest))
-    assert np.array_equal(a, b)
-
-
 @pytest.mark.parametrize("creep", [nv.Perzyna(sigma_Y=0.5, G_m=0.5), nv.Eyring(A=0.1, sigma_0=1.0)])
 def test_cells_of_one_value_creep_by_rules_that_are_no_polynomials(creep):
     found = {}

@@ -2,44 +2,27 @@
 
 import numpy as np
 import pytest
-from ngsolve import CF, cos, pi, sin, x, y
-from support import ALL_BY_CI, EXAMPLES
+from ngsolve import CF
+from support import ALL_BY_CI, EXAMPLES, SWIRL
+from test_split_agrees import PARTS, REGULARISED, model
 
 import ngvisco as nv
 from ngvisco.geometries import box, disc
 
 WALLS = {"top": nv.Traction(f=(1.0, 0.0), friction=0.2)}
 
-PARTS = {
-    "creep at points": {},
-    "a creep rate field": {"creep": nv.Creep(G_m=2.0, nu=1e-3, q=4)},
-    "p = 2": {"hyperviscosity": nv.HyperViscosity(mu=1e-4, p=2)},
-    "p = 3.5 and mu_1": {"hyperviscosity": nv.HyperViscosity(mu=1e-4, p=3.5, mu_1=1e-5)},
-    "no hyperviscosity": {"hyperviscosity": None},
-    "neither viscosity nor creep": {"viscosity": None, "creep": None},
-    "delta of the fields": {"regularisation": nv.Regularisation(delta_fields=1e-3)},
-    "delta of the density": {"regularisation": nv.Regularisation(delta_density=1e-3)},
-    "r = 3": {"regularisation": nv.Regularisation(delta_density=1e-3, r=3.0)},
-    "epsilon": {"regularisation": nv.Regularisation(epsilon=0.1)},
-    "cut-off": {"regularisation": nv.Regularisation(rho_max=0.9, width=0.5)},
+LAWS = REGULARISED | {
+    "r = 3": nv.Regularisation(delta_density=1e-3, r=3.0),
+    "cut-off": nv.Regularisation(rho_max=0.9, width=0.5),  # which cuts everywhere
 }
+MECHANISMS = {"creep at points": {}, **PARTS, **{name: {"regularisation": law} for name, law in LAWS.items()}}
 
 
 def simulation(mesh=None, discretisation=None, **parts):
-    settings = {
-        "material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
-        "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1),
-        "hyperviscosity": nv.HyperViscosity(mu=1e-4, p=4),
-        "creep": nv.Creep(G_m=2.0),
-        "loads": [nv.Gravity((0.0, -1.0))],
-    }
     mesh, walls = mesh or box((1, 1), maxh=0.5), WALLS if mesh is None else {}
-    swirl = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y), CF(0))
-    initial = nv.Initial(velocity=swirl[: mesh.dim])
-    model = nv.Model(**(settings | parts))
-    return nv.Simulation(
-        mesh, model, dt=0.02, initial=initial, walls=walls, discretisation=discretisation, solver="split"
-    )
+    options = {"walls": walls, "discretisation": discretisation, "solver": "split"}
+    initial = nv.Initial(velocity=(*SWIRL, CF(0))[: mesh.dim])
+    return nv.Simulation(mesh, model(dim=mesh.dim, **parts), dt=0.02, initial=initial, **options)
 
 
 def assert_is_the_derivative(run, bound=1e-8):
@@ -68,10 +51,10 @@ def assert_is_the_derivative(run, bound=1e-8):
         assert np.linalg.norm(a - b) <= bound * np.linalg.norm(b)
 
 
-@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize("name", MECHANISMS)
 def test_of_every_mechanism(name):
     # a power of 1/2 is far from what differences take for smooth where grad rho is small
-    assert_is_the_derivative(simulation(**PARTS[name]), bound=1e-6 if name == "r = 3" else 1e-8)
+    assert_is_the_derivative(simulation(**MECHANISMS[name]), bound=1e-6 if name == "r = 3" else 1e-8)
 
 
 @pytest.mark.parametrize("name", ALL_BY_CI)
@@ -96,9 +79,7 @@ def test_of_energies_without_arrays(kind, monkeypatch):
 
 
 def test_in_three_dimensions():
-    material = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
-    model = {"material": material, "loads": [nv.Gravity((0.0, 0.0, -1.0))]}
-    assert_is_the_derivative(simulation(box((1, 1, 1), maxh=1), **model), bound=1e-8)
+    assert_is_the_derivative(simulation(box((1, 1, 1), maxh=1)), bound=1e-8)
 
 
 @pytest.mark.parametrize(("k", "m"), [(2, 0), (3, 1), (2, 2)])

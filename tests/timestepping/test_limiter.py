@@ -10,7 +10,6 @@ from support import assert_goes_on
 
 import ngvisco as nv
 from ngvisco.geometries import box, structured_box
-from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian
 from tests.verification.setups import lid_driven
 
@@ -64,30 +63,6 @@ def test_what_the_limiter_takes_is_needed_for_closed_books(monkeypatch):
     monkeypatch.setattr(run.integrator.distance, "slope", lambda b, change: 0.0)
     with pytest.warns(nv.ClosureWarning):
         run.run(2 * DT)
-
-
-@pytest.mark.long
-@pytest.mark.ci
-def test_stored_energy_is_taken_and_never_given_in_a_run():
-    """With a convex energy; what is left of the column is kinetic."""
-    material = nv.CustomMaterial(
-        transported=(Distortion(), Jacobian()),
-        stored_energy=lambda F, J: 10 * (J - 1) * (J - 1) + 0.05 * square(F),
-    )
-    run, parts = cavity(material), []
-    limit, ledger = run.bounds.limit, run.ledger
-
-    def metered():
-        before = ledger._state()["stored"]
-        cells = limit()
-        parts.append((cells, before - ledger._state()["stored"]))
-        return cells
-
-    run.bounds.limit = metered
-    run.run(9 * DT)
-    assert len(parts) > 2
-    assert min(taken for _, taken in parts) > 0
-    require_closed(ledger)
 
 
 def coarse():

@@ -306,15 +306,6 @@ def test_the_controller_keeps_the_error_at_its_tolerance(scheme):
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
 
 
-@pytest.mark.long
-def test_second_order_takes_fewer_steps_for_a_tolerance():
-    counts = {}
-    for scheme in ("backward-euler", "midpoint"):
-        stepping = nv.AdaptiveSteps(dt_min=1e-6, dt_max=1.0, tolerance=5e-4)
-        counts[scheme] = len(simulation(0.002, scheme, stepping=stepping).run(0.3).rows)
-    assert counts["midpoint"] <= 0.5 * counts["backward-euler"]
-
-
 # --- advice --------------------------------------------------------------------------------------------
 
 
