@@ -62,8 +62,9 @@ class SplitOptions(_Checked):
     best one."""
     halvings: int = 5
     """Of such steps, at most."""
-    renewed_after: tuple[int, int] = (10, 14)
-    """Iterations for the flow's linear system after which operator and preconditioner are made anew."""
+    renewed_after: int = 20
+    """Iterations for the flow's linear system after which operator and preconditioner are made anew, which
+    takes as long as 30 to 65 of them."""
     renewed_above: float = 0.05
     """Increment after which they are; below, only hyperviscosity, which changes suddenly, is followed."""
     stale_above: float = 0.2

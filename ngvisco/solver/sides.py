@@ -11,8 +11,10 @@ number of ranks.
 
 from __future__ import annotations
 
+from math import comb
+
 import numpy as np
-from ngsolve import IfPos
+from ngsolve import CF, BitArray, IfPos, InnerProduct, Integrate
 
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.system import Step
@@ -31,10 +33,6 @@ followed iterates."""
 
 _LOST = 0.25
 """Share of the downstream side in the trace from which its side is wrong."""
-
-
-_NEAR = 0.25
-"""Share of ``COURANT`` below which a change of coefficients makes no side wrong: values are their sums."""
 
 
 _AT_REST = 1e-3
@@ -60,6 +58,13 @@ class Sides:
         fast = IfPos(through * through - (COURANT * h / c.tau) ** 2, 1.0, 0.0)
         downstream = IfPos(through, c.upwinding.inflow, c.upwinding.share)
         self._wrong = (fast * IfPos(downstream - _LOST, 1.0, 0.0)).Compile()
+        change = step.now.v - step.wind
+        self._travel = InnerProduct(change, change) * (c.tau / h) ** 2
+        """Square of the Courant number of v - v*."""
+        self._volumes = Integrate(CF(1.0), step.mesh, element_wise=True).NumPy()
+        k, dim = step.discretisation.k, step.mesh.dim
+        self._mean_square = (COURANT / comb(k + dim, dim)) ** 2
+        """Of a polynomial of order k that is ``COURANT`` at a vertex of a simplex, at least."""
 
     def choose(self, velocity: np.ndarray) -> None:
         """Take the coefficients ``velocity`` for v*, (unknowns of v,), m/s; a new iteration begins."""
@@ -92,12 +97,15 @@ class Sides:
         self.step.follow_wind()
 
     def _is_wrong(self) -> bool:
-        # a side is wrong where v differs from v* by as much as makes it matter: most steps end here
-        if not self._moved(_NEAR * COURANT):
+        # a side is wrong where v differs from v* by as much as makes it matter: most cells are not asked
+        order = 2 * self.step.discretisation.k
+        squares = Integrate(self._travel, self.step.mesh, order=order, element_wise=True).NumPy()
+        cells = squares >= self._mean_square * self._volumes
+        if not self._ranks.any(cells.any()):
             return False
         if self._through is not None:
             self._through()
-        return self.step.quadrature.integrate_facets(self._wrong) > 0
+        return self.step.quadrature.integrate_facets(self._wrong, BitArray(cells.tolist())) > 0
 
     def _moved(self, courant: float) -> bool:
         """Whether v differs from v* by more than this Courant number of the smallest cell."""

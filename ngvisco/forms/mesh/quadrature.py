@@ -23,7 +23,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from ngsolve import CF, ET, VOL, CoefficientFunction, Integrate, IntegrationRule, Mesh, ds, dx, x, y, z
+from ngsolve import (
+    CF,
+    ET,
+    VOL,
+    BitArray,
+    CoefficientFunction,
+    Integrate,
+    IntegrationRule,
+    Mesh,
+    ds,
+    dx,
+    x,
+    y,
+    z,
+)
 
 from ngvisco.errors import InitialDataError, ParameterError
 from ngvisco.forms.mesh.mesh_arrays import VERTICES
@@ -123,10 +137,10 @@ class Quadrature:
         """The same by the rule of ``nodes``."""
         return Integrate(integrand, self.mesh, order=2 * self.field_order)
 
-    def integrate_facets(self, integrand: CoefficientFunction) -> float:
-        """Integral over all cell boundaries, by the rule of ``facets``."""
-        measure = dx(element_boundary=True, bonus_intorder=self.facet_degree - _FACET_BASE_ORDER)
-        total = integrand * measure
+    def integrate_facets(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> float:
+        """Integral over all cell boundaries, or those of ``cells``, by the rule of ``facets``."""
+        order = self.facet_degree - _FACET_BASE_ORDER
+        total = integrand * dx(element_boundary=True, bonus_intorder=order, definedonelements=cells)
         # NGSolve sums up integrals of coefficient functions over the ranks, but not these
         return float(self.mesh.comm.Sum(Integrate(total, self.mesh)))
 

@@ -199,8 +199,8 @@ class Split:
 
     def wear(self, f: np.ndarray, size: float) -> None:
         """Let the tangent be made anew for the next increment where this one, f, says that it wears out."""
-        options, dim = self.options.split, self.step.mesh.dim
-        slow = self.preconditioner.iterations > options.renewed_after[dim - 2]
+        options = self.options.split
+        slow = self.preconditioner.iterations > options.renewed_after
         slow |= self._stale and not self.is_steep  # whose operator follows without its preconditioner
         worn = slow and size > 1e3 * options.margin * self.options.tolerance
         before, self._turned = self._turned, self.sizes(f)[1] if self.norm.shared else 0.0
