@@ -74,13 +74,13 @@ def _in_single(matrix: sp.csr_matrix) -> Map | None:
 class DirectSolver:
     """The factorised matrix on its free unknowns; the others get 0.
 
-    Of a symmetric part, which is a preconditioner, the factors are in single precision where that does, in
-    units of the diagonal: half of the time and the memory.
+    Factors of a preconditioner are in single precision where that does, in units of the diagonal: half of the
+    time and the memory.
     """
 
-    def __init__(self, free: np.ndarray, symmetric: bool = False) -> None:
+    def __init__(self, free: np.ndarray, symmetric: bool = False, approximate: bool = False) -> None:
         """``free`` is a mask of unknowns; of the matrix's symmetric part where that is said."""
-        self.free, self.symmetric = np.flatnonzero(free), symmetric
+        self.free, self.symmetric, self.approximate = np.flatnonzero(free), symmetric, approximate
         self._solve: Map | None = None
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
@@ -92,6 +92,7 @@ class DirectSolver:
         try:
             if self.symmetric:
                 matrix = 0.5 * (matrix + matrix.T)
+            if self.approximate:
                 self._solve = _in_single(matrix)
             if self._solve is None:
                 self._solve = splu(matrix.tocsc(), **_NEAR_SYMMETRIC).solve
@@ -110,10 +111,13 @@ class DirectSolver:
 
 
 def direct_solver(free: np.ndarray, exchange: Owned, *, symmetric: bool = False) -> DirectSolver | SumInverse:
-    """By SuperLU on one process; over ranks by PETSc, of matrices in parts."""
+    """By SuperLU on one process; over ranks by PETSc, of matrices in parts.
+
+    Of the symmetric part, which is a preconditioner, roughly.
+    """
     if exchange.is_distributed:
         return SumInverse(free, exchange, symmetric)
-    return DirectSolver(free, symmetric)
+    return DirectSolver(free, symmetric, approximate=symmetric)
 
 
 class Fallback:
