@@ -5,6 +5,7 @@ from itertools import product
 
 import pytest
 
+from tests.benchmarks import answers, long_steps
 from tests.benchmarks.__main__ import main
 from tests.benchmarks.ranks import markdown
 from tests.benchmarks.table import against, summary
@@ -32,6 +33,44 @@ def test_exponents_are_fitted():
     text = summary(rows)
     assert "step grows like cells^1.10" in text
     assert "memory grows like cells^1.00" in text
+
+
+def test_answers_say_what_to_choose_and_how_that_is_to_an_older_table(tmp_path, monkeypatch, capsys):
+    """Of runs whose error and cost are known; then the same twice as fast."""
+    speed = 1.0
+
+    def measured(name, order, cells, steps, scheme):
+        power = 2 if scheme == "midpoint" else 1
+        return 3.0 * (1 + steps**-power + cells ** -(order[0] + 1)), speed * cells * steps * order[0]
+
+    monkeypatch.setattr(answers, "measured", measured)
+    assert answers.main(["swirl", "-o", str(tmp_path)]) == 0
+    rows = json.loads((tmp_path / "answers.json").read_text())
+    assert len(rows) == 16 and rows == sorted(rows, key=lambda row: row["seconds"])
+    best = [row for row in rows if row["best"]]
+    assert best[0] == rows[0] and best[-1]["error"] == min(row["error"] for row in rows)
+    for row in rows:  # what is not marked is beaten by something cheaper
+        beaten = any(r["error"] <= row["error"] and r["seconds"] <= row["seconds"] for r in rows if r != row)
+        assert row["best"] or beaten
+    speed = 0.5
+    capsys.readouterr()
+    assert answers.main(["swirl", "--against", str(tmp_path / "answers.json")]) == 0
+    said = capsys.readouterr().out
+    assert "- seconds, new over old, geometric mean of 16: 0.50" in said and "mean of 16: 1.00" in said
+    with pytest.raises(SystemExit):
+        answers.main(["swirll"])
+    assert "no problem 'swirll'" in capsys.readouterr().err
+
+
+def test_answers_measure_a_run():
+    kinetic, seconds = answers.measured("shear wave", (2, 1), 1, 2, "midpoint")
+    assert 0 < kinetic < 0.5 * 0.5 * 0.1**2 * 5 * 1.01 and seconds > 0  # of rho v^2/2, v = 0.1 c cos(2 pi x)
+
+
+def test_a_long_step_is_measured():
+    point = next(long_steps.points(2))
+    row = long_steps.row(long_steps.drifting("linearised", 2, point), 1)
+    assert len(row) == len(long_steps.COLUMNS) - 1 and row[0] == "1 of 1" and not row[-1]
 
 
 def test_table_has_a_row_for_each_number_of_ranks():
