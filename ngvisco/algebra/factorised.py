@@ -10,8 +10,6 @@ from ngsolve.la import SparseMatrixd
 from scipy.sparse.linalg import eigsh, splu
 
 from ngvisco.algebra import precision
-from ngvisco.algebra.krylov import Map
-from ngvisco.algebra.sparse import largest
 from ngvisco.errors import StepError
 from ngvisco.parallel.exchange import Exchange, Owned
 from ngvisco.parallel.petsc import SumInverse
@@ -47,11 +45,13 @@ _NEAR_SYMMETRIC: dict[str, Any] = {
 2,639 tetrahedra took 4.5 times as long, in half as much memory again."""
 
 
+_Solve = Callable[[np.ndarray], np.ndarray]
+
 _ENOUGH = 1e-3
 """What factors in single precision may leave of a right side drawn at random."""
 
 
-def _in_single(matrix: sp.csr_matrix) -> Map | None:
+def _in_single(matrix: sp.csr_matrix) -> _Solve | None:
     """What solves with factors in single precision, in units of the diagonal; None where that does not."""
     diagonal = abs(matrix.diagonal())
     unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
@@ -63,7 +63,7 @@ def _in_single(matrix: sp.csr_matrix) -> Map | None:
 
     def solve(r: np.ndarray) -> np.ndarray:
         r = unit * r
-        length = largest(r)
+        length = abs(r).max() or 1.0
         return length * unit * factors.solve((r / length).astype(precision.SINGLE))
 
     right = np.random.default_rng(0).standard_normal(len(unit))
@@ -81,7 +81,7 @@ class DirectSolver:
     def __init__(self, free: np.ndarray, symmetric: bool = False, approximate: bool = False) -> None:
         """``free`` is a mask of unknowns; of the matrix's symmetric part where that is said."""
         self.free, self.symmetric, self.approximate = np.flatnonzero(free), symmetric, approximate
-        self._solve: Map | None = None
+        self._solve: _Solve | None = None
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
         """Raises StepError if the matrix is singular."""
