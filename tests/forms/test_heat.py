@@ -229,38 +229,6 @@ def test_heat_is_refused_where_it_makes_no_sense():
         run_of("coupled", nv.Heat(numerical_heating=True), scheme="midpoint", steps=0)
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"conductivity": -1.0}, r"Heat\.conductivity"),
-        ({"conductivity": np.diag([1.0, 1.0, -1.0])}, "positive semidefinite"),
-        ({"conductivity": [[1, 1, 0], [0, 1, 0], [0, 0, 1]]}, "symmetric"),
-        ({"conductivity": lambda theta: 1 - theta}, r"Heat\.conductivity"),
-        ({"conductivity": "much"}, r"Heat\.conductivity"),
-        ({"source": "hot"}, r"Heat\.source"),
-    ],
-)
-def test_a_law_of_heat_names_what_is_wrong(given, said):
-    with pytest.raises(nv.NgviscoError, match=said):
-        nv.Heat(**given)
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"temperature": 300.0, "coefficient": -1.0}, r"WallHeat\.coefficient"),
-        ({"temperature": 0.0, "coefficient": 1.0}, r"WallHeat\.temperature"),
-        ({"temperature": 300.0}, r"WallHeat\.coefficient"),
-        ({"flux": math.nan}, r"WallHeat\.flux"),
-        ({"friction_share": 1.5}, r"WallHeat\.friction_share"),
-        ({}, r"WallHeat\.flux"),
-    ],
-)
-def test_heat_through_a_wall_names_what_is_wrong(given, said):
-    with pytest.raises(nv.NgviscoError, match=said):
-        nv.WallHeat(**given)
-
-
 THINNER = nv.ActivatedViscosity(viscosity=VISCOSITY, E=20.0, theta_R=1.0)
 
 

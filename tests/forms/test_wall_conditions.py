@@ -307,30 +307,9 @@ def test_models_whose_fluxes_through_walls_are_not_known_are_refused(physics, me
         nv.Simulation(box((1, 1), 1), nv.Model(**physics), dt=0.1, walls={"right": nv.Open(density=1)})
 
 
-@pytest.mark.parametrize("pair", [(1.0,), (1.0, -1.0), 2.0, ("a", 0.0)])
-@pytest.mark.parametrize("name", ["impedance", "stiffness"])
-def test_impedance_and_stiffness_are_two_numbers(name, pair):
-    with pytest.raises(nv.ParameterError, match=rf"Open.{name} = .*two numbers >= 0"):
-        nv.Open(**{name: pair})
-
-
 @pytest.mark.parametrize("velocity", [(1.0, 0.1), (0.0, y), (x, y)])
 def test_a_prescribed_velocity_through_a_closed_wall_is_refused(velocity):
     with pytest.raises(nv.ParameterError, match=r"nothing crosses such a wall; an inlet is nv\.Inflow"):
         nv.Simulation(box((1, 1), 1), model(), dt=0.1, walls={"top": nv.PrescribedTangential(velocity)}).run(
             0.1
         )
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: nv.NavierFriction(-1.0),
-        lambda: nv.Traction(f=(1, 0), friction=-1.0),
-        lambda: nv.CentralGravity(strength=1.0, radius=0.0),
-        lambda: nv.CentralGravity(strength=1.0, centre=(0.0,)),
-    ],
-)
-def test_parameters_out_of_range_raise(make):
-    with pytest.raises(nv.ParameterError):
-        make()

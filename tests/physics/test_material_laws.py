@@ -386,31 +386,6 @@ def test_simulation_warns_of_a_users_energy_that_is_not_convex():
         nv.Simulation(MESH, nv.Model(material=material), dt=0.1)
 
 
-@pytest.mark.parametrize(
-    ("make", "field"),
-    [
-        (lambda: nv.NeoHookean(K_e=-1, G_e=1, epsilon=1), "NeoHookean.K_e"),
-        (lambda: nv.MooneyRivlin(K_e=1, G_e=1, epsilon=1, G_mr=-1), "MooneyRivlin.G_mr"),
-        (lambda: nv.ReferentialNeoHookean(K_e=1, G_e=math.nan), "ReferentialNeoHookean.G_e"),
-        (lambda: nv.IsochoricNeoHookean(K_e=1, G_e=1, J_min=0), "IsochoricNeoHookean.J_min"),
-        (lambda: nv.LogarithmicNeoHookean(K_e=1, G_e=1, epsilon=0), "LogarithmicNeoHookean.epsilon"),
-        (lambda: nv.ReferentialMooneyRivlin(K_e=1, G_e=1, G_mr=1, kappa=-1), "ReferentialMooneyRivlin.kappa"),
-        (lambda: nv.BarotropicFluid(B=1, gamma=1), "BarotropicFluid.gamma"),
-        (lambda: nv.BarotropicFluid(B=1, gamma=2, form="rho"), "BarotropicFluid.form"),
-        (lambda: nv.HardeningElastic(K_e=1, G_e=1, K_h=1, G_h=1, s=2), "HardeningElastic.s"),
-        (lambda: nv.Creep(G_m=1, nu=-1), "Creep.nu"),
-        (lambda: nv.Creep(G_m=1, q=1), "Creep.q"),
-        (lambda: nv.Regularisation(delta_density=-1), "Regularisation.delta_density"),
-        (lambda: nv.Regularisation(rho_max=0), "Regularisation.rho_max"),
-        (lambda: nv.WithQuadratic(material=nv.BarotropicFluid(B=1, gamma=2), delta=0), "WithQuadratic.delta"),
-    ],
-)
-def test_parameter_out_of_range_raises(make, field):
-    with pytest.raises(nv.ParameterError) as error:
-        make()
-    assert error.value.field == field
-
-
 WRAPPERS = {"Damaged", "PerMass", "PerReferentialVolume", "Thermal", "WithQuadratic", "Yosida"}
 """Materials of another one."""
 

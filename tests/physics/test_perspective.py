@@ -126,9 +126,6 @@ def test_wrappers_around_it_know_its_density():
             lambda: nv.PerReferentialVolume(material=nv.Yosida(material=PSI["fluid"], eps=1.0)),
             "around this one",
         ),
-        (lambda: nv.PerReferentialVolume(material=3), "a Material"),
-        (lambda: nv.PerMass(material=PSI["fluid"], rho_R=0.0), "PerMass.rho_R"),
-        (lambda: nv.PerReferentialVolume(material=PSI["fluid"], rho_R=-1.0), "PerReferentialVolume.rho_R"),
     ],
 )
 def test_what_has_no_perspective_is_refused(make, words):

@@ -8,7 +8,6 @@ from flow_rules import EXAMPLES
 from scipy.integrate import quad
 
 import ngvisco as nv
-from ngvisco.errors import ParameterError
 from ngvisco.physics.arrays import Array
 from ngvisco.physics.increments import TINY
 from ngvisco.physics.variables import HARDENING, PRESSURE
@@ -89,47 +88,6 @@ def test_slopes_by_complex_increments_are_those_of_differences(name, size):
     of_increment = rate(rule, M + (TINY * 1j) * N).imag / TINY
     difference = (rate(rule, M + h * N) - rate(rule, M - h * N)) / (2 * h)
     assert of_increment == pytest.approx(difference, rel=1e-6, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("make", "field"),
-    [
-        (lambda: nv.Norton(A=-1.0, n=3), "Norton.A"),
-        (lambda: nv.Norton(A=1.0, n=0.5), "Norton.n = 0.5.*from 1 to 10"),
-        (lambda: nv.Norton(A=1.0, n=math.nan), "Norton.n"),
-        (lambda: nv.Norton(A=1.0, n=3, nu=-1.0), "Norton.nu"),
-        (lambda: nv.Norton(A=1.0, n=3, rate_floor=0.0), "Norton.rate_floor"),
-        (lambda: nv.Perzyna(sigma_Y=1.0, G_m=1.0, rate_floor=-1e-3), "Perzyna.rate_floor"),
-        (lambda: nv.Perzyna(sigma_Y=1.0, G_m=1.0, rate_floor=float("nan")), "Perzyna.rate_floor"),
-        (lambda: nv.Eyring(A=1.0, sigma_0=1.0, rate_floor=float("inf")), "Eyring.rate_floor"),
-        (lambda: nv.Perzyna(sigma_Y=1.0, G_m=1.0, rate_floor="1e-3"), "Perzyna.rate_floor"),
-        (lambda: nv.Perzyna(sigma_Y=-1.0, G_m=1.0), "Perzyna.sigma_Y"),
-        (lambda: nv.Perzyna(sigma_Y=1.0, G_m=0.0), "Perzyna.G_m"),
-        (lambda: nv.Perzyna(sigma_Y=1.0, G_m=1.0, n=20), "Perzyna.n"),
-        (lambda: nv.Perzyna(sigma_Y=1.0, G_m=1.0, H=-1.0), "Perzyna.H"),
-        (lambda: nv.Perzyna(sigma_Y=1.0, G_m=1.0, Q=1.0, b=0.0), "Perzyna.b"),
-        (
-            lambda: nv.Composite(rules=(nv.Perzyna(sigma_Y=1.0, G_m=1.0, H=1.0),)),
-            r"Composite.rules\[0\].H",
-        ),
-        (lambda: nv.DruckerPrager(cohesion=-1.0, friction_angle=30.0, G_m=1.0), "DruckerPrager.cohesion"),
-        (
-            lambda: nv.DruckerPrager(cohesion=1.0, friction_angle=90.0, G_m=1.0),
-            "DruckerPrager.friction_angle",
-        ),
-        (
-            lambda: nv.DruckerPrager(cohesion=1.0, friction_angle="30", G_m=1.0),
-            "DruckerPrager.friction_angle",
-        ),
-        (lambda: nv.Eyring(A=1.0, sigma_0=0.0), "Eyring.sigma_0"),
-        (lambda: nv.Composite(rules=()), "Composite.rules"),
-        (lambda: nv.Composite(rules=(3,)), "Composite.rules"),
-        (lambda: nv.Composite(rules=(nv.Creep(G_m=1.0, nu=1.0),)), r"Composite.rules\[0\].nu"),
-    ],
-)
-def test_parameters_that_make_no_sense_are_refused_by_name(make, field):
-    with pytest.raises(ParameterError, match=field):
-        make()
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -1,7 +1,5 @@
 """Materials with a temperature: its laws against thermodynamics that was not written here."""
 
-import math
-
 import numpy as np
 import pytest
 from ngsolve import CF, Id
@@ -75,25 +73,6 @@ def test_convexity_check_sees_an_energy_that_is_not_convex_in_s():
     )
     with pytest.warns(nv.ConvexityWarning, match="s"):
         assert not nv.check_convexity(bad, dim=2).passed
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"c": 0.0}, r"Thermal\.c"),
-        ({"c": math.inf}, r"Thermal\.c"),
-        ({"theta_R": -1.0}, r"Thermal\.theta_R"),
-        ({"expansion": -1.0}, r"Thermal\.expansion"),
-        ({"expansion": 0.1, "gruneisen": 1.0}, r"Thermal\.gruneisen"),
-        ({"material": None}, r"Thermal\.gruneisen"),
-        ({"p_infinity": 1.0}, r"Thermal\.p_infinity.*of its own"),
-        ({"material": 3}, r"Thermal\.material"),
-        ({"material": nv.Thermal(c=1.0, theta_R=1.0, gruneisen=0.4)}, "without heat"),
-    ],
-)
-def test_a_material_with_heat_names_what_is_wrong(given, said):
-    with pytest.raises(nv.NgviscoError, match=said):
-        nv.Thermal(**{"material": COLD["E"], "c": 3.0, "theta_R": 300.0} | given)
 
 
 def test_numbers_of_the_entropy_do_not_depend_on_what_it_counts_in():

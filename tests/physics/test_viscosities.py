@@ -79,19 +79,6 @@ class Odd(nv.StokesViscosity):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: nv.PowerLaw(K_v=1, consistency=0, n=0.5), "PowerLaw.consistency = 0"),
-        (lambda: nv.PowerLaw(K_v=1, consistency=1, n=0), "PowerLaw.n = 0.*> 0"),
-        (lambda: nv.PowerLaw(K_v=1, consistency=1, n=0.5, floor=0), "PowerLaw.floor = 0"),
-        (lambda: nv.Carreau(K_v=1, G_0=1, relaxation=-1, n=0.5), "Carreau.relaxation = -1"),
-        (lambda: nv.Carreau(K_v=-1, G_0=1, relaxation=1, n=0.5), "Carreau.K_v = -1"),
-        (lambda: nv.Cross(K_v=1, G_0=1, relaxation=1, m=1.5), "Cross.m = 1.5.*at most 1"),
-        (lambda: nv.ActivatedViscosity(viscosity=3, E=1, theta_R=1), "ActivatedViscosity.viscosity = 3"),
-        (lambda: nv.ActivatedViscosity(viscosity=PLAIN, E=1, theta_R=0), "ActivatedViscosity.theta_R = 0"),
-        (lambda: nv.Activated(rule=PLAIN, E=1, theta_R=1), "Activated.rule"),
-        (
-            lambda: nv.Activated(rule=nv.Creep(G_m=1), E=1, theta_R=1, temperature=-3),
-            "Activated.temperature = -3",
-        ),
         (lambda: model(LAWS["activated"]), "ActivatedViscosity.temperature.*nv.Thermal"),
         (lambda: model(Odd(K_v=1, G_v=1)), r"Odd.stress.*D\(eps\) : eps >= 0"),
         (lambda: model(Odd(K_v=1, G_v=1, falls=True)), "Odd.stress.*rises"),

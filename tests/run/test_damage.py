@@ -210,12 +210,6 @@ def test_restart_is_bitwise(tmp_path):
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        ({"G_c": 0.0}, r"Damaged\.G_c = 0\.0: expected a finite number > 0"),
-        ({"length": -1.0}, r"Damaged\.length = -1\.0"),
-        ({"healing_viscosity": 0.0}, r"Damaged\.healing_viscosity = 0\.0: expected a finite number > 0"),
-        ({"viscosity": -1.0}, r"Damaged\.viscosity"),
-        ({"floor": 1.0}, r"Damaged\.floor = 1\.0: expected .* < 1"),
-        ({"law": "AT3"}, r"Damaged\.law = 'AT3': expected one of AT1, AT2"),
         ({"material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)}, "without stress at rest"),
         ({"material": nv.Yosida(material=RUBBER, eps=0.01)}, "not that of a Yosida approximation"),
         ({"material": damaged()}, "a material without damage"),

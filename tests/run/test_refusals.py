@@ -13,6 +13,7 @@ from support import LINEAR, NEO_HOOKEAN, small_box
 import ngvisco as nv
 from ngvisco import geometries
 from ngvisco.physics import variables
+from ngvisco.shapes.shape import Union, Where  # noqa: F401  of the tables
 
 ELASTIC = nv.Model(material=LINEAR)
 FINITE = nv.Model(material=NEO_HOOKEAN)
@@ -22,6 +23,7 @@ REFLECTION = CF((-1, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
 OUT_OF_PLANE = CF((1, 0, 0.5, 0, 1, 0, 0, 0, 1), dims=(3, 3))
 NOT_SYMMETRIC = CF((0, 1, 0, 0, 0, 0, 0, 0, 0), dims=(3, 3))
 NAN_HALF = log(x - 0.5)
+STOKES = nv.StokesViscosity(K_v=1, G_v=1)
 TWICE, K = [variables.Distortion()] * 2, [variables.LogJacobian()]
 
 
@@ -130,10 +132,123 @@ box(_, 1.0) | (1, 0), (1,), (1, inf), (1, 1, 1, 1) | box.size | two or three
 box((1, 1), _) | 0, -1, inf | box.maxh | a finite number > 0
 simulation().run(until=_) | 0.25 | until | a multiple of dt = 0.1
 simulation().run(until=_) | -0.1, nan, inf, "1" | until | number >= 0
+simulation(scheme="theta", theta=_) | None, 0.4 | TimeSteps.theta | a number in [1/2, 1]
+simulation(scheme="midpoint", theta=_) | 0.6 | TimeSteps.theta | nothing with the scheme 'midpoint'
+simulation(scheme="midpoint", relaxation=_) | True | TimeSteps.relaxation | 'midpoint' with adaptive
+simulation(scheme="midpoint", relaxation=_) | "yes" | TimeSteps.relaxation | True or False
+simulation(scheme="midpoint", startup=_) | -1, 1.5, True | TimeSteps.startup | a whole number >= 0
+simulation(scheme=_) | 2 | TimeSteps.scheme | or a TimeScheme
+simulation(halvings=_) | -1, 1.5, 21, "two" | TimeSteps.halvings | a whole number from 0 to 20
+AdaptiveSteps(dt_min=_, dt_max=1.0) | 0.0 | AdaptiveSteps.dt_min | a finite number > 0
+AdaptiveSteps(dt_min=0.1, dt_max=_) | 0.01 | AdaptiveSteps.dt_max | at least dt_min = 0.1
+AdaptiveSteps(dt_min=0.1, dt_max=1.0, tolerance=_) | -1.0 | AdaptiveSteps.tolerance | a finite number > 0
+AdaptiveSteps(dt_min=0.1, dt_max=1.0, patience=_) | 0 | AdaptiveSteps.patience | an integer >= 1
+"""
+OF_LAWS = """\
+MooneyRivlin(K_e=1, G_e=1, epsilon=1, G_mr=_) | -1 | MooneyRivlin.G_mr | >= 0
+ReferentialNeoHookean(K_e=1, G_e=_) | nan | ReferentialNeoHookean.G_e | a finite number > 0
+IsochoricNeoHookean(K_e=1, G_e=1, J_min=_) | 0 | IsochoricNeoHookean.J_min | a finite number > 0
+LogarithmicNeoHookean(K_e=1, G_e=1, epsilon=_) | 0 | LogarithmicNeoHookean.epsilon | a finite number > 0
+ReferentialMooneyRivlin(K_e=1, G_e=1, G_mr=1, kappa=_) | -1 | ReferentialMooneyRivlin.kappa | >= 0
+BarotropicFluid(B=1, gamma=_) | 1 | BarotropicFluid.gamma | a finite number > 1
+BarotropicFluid(B=1, gamma=2, form=_) | "rho" | BarotropicFluid.form | one of J, A
+HardeningElastic(K_e=1, G_e=1, K_h=1, G_h=1, s=_) | 2 | HardeningElastic.s | a finite number > 2
+NeoHookean(K_e=Parameter("theta", start=x), G_e=_, epsilon=0.1) | "5" | NeoHookean.G_e | an expression of
+WithQuadratic(material=LINEAR, delta=_) | 0 | WithQuadratic.delta | a finite number > 0
+Yosida(material=NEO_HOOKEAN, eps=_) | 0.0, -1.0, nan, inf, "a", None | Yosida.eps | a finite number > 0
+Yosida(material=_, eps=1.0) | 3 | Yosida.material | a Material
+Damaged(material=LINEAR, length=1, G_c=_) | 0.0 | Damaged.G_c | a finite number > 0
+Damaged(material=LINEAR, G_c=1, length=_) | -1.0 | Damaged.length | a finite number > 0
+Damaged(material=LINEAR, G_c=1, length=1, healing_viscosity=_) | 0.0 | Damaged.healing_viscosity | > 0
+Damaged(material=LINEAR, G_c=1, length=1, viscosity=_) | -1.0 | Damaged.viscosity | a finite number >= 0
+Damaged(material=LINEAR, G_c=1, length=1, floor=_) | 1.0 | Damaged.floor | > 0 and < 1
+Damaged(material=LINEAR, G_c=1, length=1, law=_) | "AT3" | Damaged.law | one of AT1, AT2
+PerMass(material=BarotropicFluid(B=1, gamma=2), rho_R=_) | 0.0 | PerMass.rho_R | a finite number > 0
+PerReferentialVolume(material=_) | 3 | PerReferentialVolume.material | a Material
+PerReferentialVolume(material=NEO_HOOKEAN, rho_R=_) | -1.0 | PerReferentialVolume.rho_R | > 0
+Thermal(material=LINEAR, c=_, theta_R=300.0) | 0.0, inf | Thermal.c | a finite number > 0
+Thermal(material=LINEAR, c=3.0, theta_R=_) | -1.0 | Thermal.theta_R | a finite number > 0
+Thermal(material=LINEAR, c=3.0, theta_R=300.0, expansion=_) | -1.0 | Thermal.expansion | a finite number >= 0
+Thermal(material=LINEAR, c=3.0, theta_R=300.0, expansion=0.1, gruneisen=_) | 1.0 | Thermal.gruneisen | None
+Thermal(material=LINEAR, c=3.0, theta_R=300.0, p_infinity=_) | 1.0 | Thermal.p_infinity | of its own
+Thermal(c=3.0, theta_R=300.0, gruneisen=_) | None | Thermal.gruneisen | by which a gas has its pressure
+Thermal(material=_, c=3.0, theta_R=300.0) | 3 | Thermal.material | a Material, or None for a gas
+Thermal(material=_, c=3.0, theta_R=300.0) | WARM | Thermal.material | a material without heat
+Heat(conductivity=_) | -1.0, "much" | Heat.conductivity | number >= 0
+Heat(conductivity=_) | [[1, 1, 0], [0, 1, 0], [0, 0, 1]] | Heat.conductivity | a 3x3 matrix, symmetric
+Heat(source=_) | "hot" | Heat.source | a scalar function of the place and the time
+WallHeat(temperature=300.0, coefficient=_) | -1.0 | WallHeat.coefficient | a finite number >= 0
+WallHeat(temperature=300.0, coefficient=_) | None | WallHeat.coefficient | go together
+WallHeat(temperature=_, coefficient=1.0) | 0.0 | WallHeat.temperature | a finite number > 0
+WallHeat(flux=_) | nan | WallHeat.flux | a finite number
+WallHeat(flux=_) | None | WallHeat.flux | or a share of the friction
+WallHeat(friction_share=_) | 1.5 | WallHeat.friction_share | a number from 0 to 1
+Creep(G_m=1, nu=_) | -1 | Creep.nu | a finite number >= 0
+Creep(G_m=1, q=_) | 1 | Creep.q | a finite number > 1
+Norton(A=_, n=3) | -1.0 | Norton.A | a finite number > 0
+Norton(A=1.0, n=_) | 0.5, nan | Norton.n | a number from 1 to 10
+Norton(A=1.0, n=3, nu=_) | -1.0 | Norton.nu | a finite number >= 0
+Norton(A=1.0, n=3, rate_floor=_) | 0.0 | Norton.rate_floor | a finite number > 0
+Perzyna(sigma_Y=1.0, G_m=1.0, rate_floor=_) | -1e-3, nan, "1e-3" | Perzyna.rate_floor | a finite number > 0
+Perzyna(sigma_Y=_, G_m=1.0) | -1.0 | Perzyna.sigma_Y | a finite number > 0
+Perzyna(sigma_Y=1.0, G_m=_) | 0.0 | Perzyna.G_m | a finite number > 0
+Perzyna(sigma_Y=1.0, G_m=1.0, n=_) | 20 | Perzyna.n | a number from 1 to 10
+Perzyna(sigma_Y=1.0, G_m=1.0, H=_) | -1.0 | Perzyna.H | a finite number >= 0
+Perzyna(sigma_Y=1.0, G_m=1.0, Q=1.0, b=_) | 0.0 | Perzyna.b | a finite number > 0
+DruckerPrager(cohesion=_, friction_angle=30.0, G_m=1.0) | -1.0 | DruckerPrager.cohesion | >= 0
+DruckerPrager(cohesion=1.0, friction_angle=_, G_m=1.0) | 90.0, "30" | DruckerPrager.friction_angle | degrees
+Eyring(A=1.0, sigma_0=_) | 0.0 | Eyring.sigma_0 | a finite number > 0
+Eyring(A=1.0, sigma_0=1.0, rate_floor=_) | inf | Eyring.rate_floor | a finite number > 0
+Activated(rule=_, E=1, theta_R=1) | STOKES | Activated.rule | a flow rule
+Activated(rule=Creep(G_m=1), E=1, theta_R=1, temperature=_) | -3 | Activated.temperature | a finite number > 0
+Composite(rules=_) | ((),) | Composite.rules | a sequence of flow rules
+Composite(rules=(Perzyna(sigma_Y=1.0, G_m=1.0, H=_),)) | 1.0 | Composite.rules[0].H | a rule without hardening
+Composite(rules=(Creep(G_m=1.0, nu=_),)) | 1.0 | Composite.rules[0].nu | 0 within a sum
+StokesViscosity(K_v=_, G_v=Parameter("theta", start=x)) | -1.0 | StokesViscosity.K_v | a finite number >= 0
+PowerLaw(K_v=1, consistency=_, n=0.5) | 0 | PowerLaw.consistency | a finite number > 0
+PowerLaw(K_v=1, consistency=1, n=_) | 0 | PowerLaw.n | a number > 0, at most 5
+PowerLaw(K_v=1, consistency=1, n=0.5, floor=_) | 0 | PowerLaw.floor | a finite number > 0
+Carreau(K_v=1, G_0=1, relaxation=_, n=0.5) | -1 | Carreau.relaxation | a finite number > 0
+Carreau(K_v=_, G_0=1, relaxation=1, n=0.5) | -1 | Carreau.K_v | a finite number >= 0
+Cross(K_v=1, G_0=1, relaxation=1, m=_) | 1.5 | Cross.m | a number > 0, at most 1
+ActivatedViscosity(viscosity=_, E=1, theta_R=1) | 3 | ActivatedViscosity.viscosity | a viscosity
+ActivatedViscosity(viscosity=STOKES, E=1, theta_R=_) | 0 | ActivatedViscosity.theta_R | a finite number > 0
+HyperViscosity(mu=1, p=_) | Parameter("theta", start=x) | HyperViscosity.p | a finite number > 1
+Regularisation(delta_density=_) | -1 | Regularisation.delta_density | a finite number >= 0
+Regularisation(rho_max=_) | 0 | Regularisation.rho_max | a finite number > 0
+Parameter(_) | "1st" | Variable.name | a Python identifier
+Parameter("theta", start=_) | nan | Parameter.start | a finite number or a real scalar function
+NavierFriction(_) | -1.0 | NavierFriction.coefficient | a number >= 0 or a function
+Traction(f=(1, 0), friction=_) | -1.0 | Traction.friction | a finite number >= 0
+Open(impedance=_) | (1.0,), (1.0, -1.0), 2.0, ("a", 0.0) | Open.impedance | two numbers >= 0, Z_p and Z_s
+Open(stiffness=_) | (1.0,), (1.0, -1.0), 2.0, ("a", 0.0) | Open.stiffness | two numbers >= 0, k_p and k_s
+CentralGravity(strength=1.0, radius=_) | 0.0 | CentralGravity.radius | a finite number > 0
+CentralGravity(strength=1.0, centre=_) | (0.0,), | CentralGravity.centre | two or three finite numbers
+"""
+OF_PLACES = """\
+box(_, 0.5) | (1e200, 1), | box.size | two or three lengths, each a length between
+box(_, 0.5) | 1.0, "ab" | box.size | two or three
+box((1, 1), 0.5, periodic=_) | "z" | box.periodic | some of x, y
+disc(_, 0.5) | -1 | disc.radius | a finite number > 0
+disc(_, 1e-7) | 1e-6 | disc.radius | take a smaller unit of length
+disc(1, 0.5, order=_) | 11, 2.5 | disc.order | an integer from 1 to 10
+annulus(_, 1, 0.5) | 2 | annulus.inner | a number < outer = 1
+block_with_hole((1, 1), _, 0.5) | 0.5 | block_with_hole.radius | a number < 0.5
+block_with_hole((1, 1), _, 0.5) | 1e-8 | block_with_hole.radius | of the domain's largest length
+sphere(_, 1e-4) | 1e-4 | sphere.radius | take a smaller unit of length
+sphere(1, 0.5, order=_) | 0 | sphere.order | an integer from 1 to 10
+bar(1, 1, 0.5, dim=_) | 1 | bar.dim | 2 or 3
+geometries.load(_) | "part.stl" | load.path | a name that ends in .vol, .step, .stp, .brep, .msh
+Ball((0, 0), _) | -1.0 | Ball.radius | a finite number > 0
+Ball(_, 1.0) | (0,), | Ball.centre | two or three finite numbers
+Ball(_, 1.0) | 0.5 | Ball.centre | two or three finite numbers
+Block((0, 0), _) | (1, 0), (1, 1, 1) | Block.high | coordinates above those of low
+HalfSpace((0, 0), _) | (0, 0), | HalfSpace.normal | a vector of length 2, not zero
+Polygon(_) | ((0, 0), (1, 1)), | Polygon.points | at least three points of two finite numbers
 """
 
 
-@pytest.mark.parametrize(("make", "value", "field", "expected"), rows(NAMED))
+@pytest.mark.parametrize(("make", "value", "field", "expected"), rows(NAMED + OF_LAWS + OF_PLACES))
 def test_bad_parameter_is_named_with_its_value(make, value, field, expected):
     value = eval(value, names())
     with pytest.raises(nv.ParameterError) as error:
@@ -151,6 +266,20 @@ Model(material=LINEAR, loads=_) | (Gravity((0, 1)), Gravity((1, 0))), | Model.lo
 CustomMaterial(transported=(), stored_energy=_) | lambda: CF(1) | CustomMaterial.variables | at least one
 CustomMaterial(transported=TWICE, stored_energy=_) | lambda F: F[0] | CustomMaterial.variables | distinct
 CustomMaterial(transported=K, stored_energy=_) | lambda K: -K | CustomMaterial.variables | 'A' too: the rate
+Composite(rules=_) | (3,), | Composite.rules | flow rules
+Heat(conductivity=_) | np.diag([1.0, 1.0, -1.0]) | Heat.conductivity | positive semidefinite
+Heat(conductivity=_) | lambda theta: 1 - theta | Heat.conductivity | a function of the temperature
+Parameter("theta", start=_) | PAIR | Parameter.start | a real scalar function
+StokesViscosity(K_v=_, G_v=1.0) | PAIR | StokesViscosity.K_v | a function of the initial place
+box(_, 0.5) | (1, 1e-8), | box.size | at least 1e-06 of the domain's largest length
+annulus(1, _, 0.5) | 1 + 1e-9 | annulus.thickness | at least 1e-06 of the domain's largest length
+Polygon(_) | ((0, 0), (2, 0), (2, 1), (3, 0), (1, 0), (1, -1)), | Polygon.points | 1 and 4 lie on each other
+Polygon(_) | ((0, 0), (2, 0), (1, 0), (1, 1)), | Polygon.points | 1 and 2 lie on each other
+Polygon(_) | ((0, 0), (1, 1), (1, 0), (0, 1)), | Polygon.points | edges that do not cross: 1 and 3 do
+Polygon(_) | ((0, 0), (0, 0), (1, 0), (0, 1)), | Polygon.points | points that differ from the one before
+Union(_) | ((),) | Union.shapes | shapes, at least one
+Union((Ball((0, 0), 1.0), _)) | 3 | Union.shapes | shapes
+Where(_) | PAIR | Where.function | scalar
 """
 
 

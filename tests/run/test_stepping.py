@@ -104,20 +104,6 @@ def test_below_the_minimum_the_run_ends_with_what_was_tried(tmp_path, monkeypatc
     assert np.array_equal(values(again), values(run))
 
 
-@pytest.mark.parametrize(
-    ("options", "field"),
-    [
-        ({"dt_min": 0.0, "dt_max": 1.0}, "dt_min"),
-        ({"dt_min": 0.1, "dt_max": 0.01}, "dt_max"),
-        ({"dt_min": 0.1, "dt_max": 1.0, "tolerance": -1.0}, "tolerance"),
-        ({"dt_min": 0.1, "dt_max": 1.0, "patience": 0}, "patience"),
-    ],
-)
-def test_wrong_bounds_raise(options, field):
-    with pytest.raises(nv.ParameterError, match=f"AdaptiveSteps.{field}"):
-        nv.AdaptiveSteps(**options)
-
-
 def test_a_first_step_outside_the_bounds_raises():
     with pytest.raises(nv.ParameterError, match=r"TimeSteps\.dt = 0\.02"):
         simulation(nv.AdaptiveSteps(dt_min=0.03, dt_max=0.1))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from netgen.geom2d import unit_square
-from ngsolve import CF, ET, VOL, IfPos, Integrate, IntegrationRule, Mesh, pi, x, y
+from ngsolve import ET, VOL, IfPos, Integrate, IntegrationRule, Mesh, pi, x, y
 
 from ngvisco.errors import ParameterError
 from ngvisco.geometries import box, disc
@@ -104,31 +104,6 @@ def test_polygon_that_is_not_convex_has_its_area_in_either_sense():
 def test_half_space_takes_a_normal_of_any_length(length):
     normal = HalfSpace((0, 0), (length, length)).normal
     assert normal == pytest.approx((0.5**0.5, 0.5**0.5), rel=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("make", "field"),
-    [
-        (lambda: Ball((0, 0), -1.0), "Ball.radius"),
-        (lambda: Ball((0,), 1.0), "Ball.centre"),
-        (lambda: Ball(0.5, 1.0), "Ball.centre"),
-        (lambda: Block((0, 0), (1, 0)), "Block.high"),
-        (lambda: Block((0, 0), (1, 1, 1)), "Block.high"),
-        (lambda: HalfSpace((0, 0), (0, 0)), "HalfSpace.normal"),
-        (lambda: Polygon(((0, 0), (1, 1))), "Polygon.points"),
-        (lambda: Polygon(((0, 0), (2, 0), (2, 1), (3, 0), (1, 0), (1, -1))), "Polygon.points"),  # overlap
-        (lambda: Polygon(((0, 0), (2, 0), (1, 0), (1, 1))), "Polygon.points"),  # back on itself
-        (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1))), "Polygon.points"),
-        (lambda: Polygon(((0, 0), (0, 0), (1, 0), (0, 1))), "Polygon.points"),
-        (lambda: Union(()), "Union.shapes"),
-        (lambda: ~Ball((0, 0), 1.0) | 3, "Union.shapes"),
-        (lambda: Where(CF((x, y))), "Where.function"),
-    ],
-)
-def test_shape_that_is_none_is_refused_with_its_field(make, field):
-    with pytest.raises(ParameterError) as caught:
-        make()
-    assert caught.value.field == field
 
 
 @pytest.mark.parametrize(

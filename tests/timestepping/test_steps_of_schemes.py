@@ -260,16 +260,7 @@ ADAPTIVE = nv.AdaptiveSteps(**BOUNDS)
 @pytest.mark.parametrize(
     ("options", "what"),
     [
-        ({"scheme": "theta"}, r"TimeSteps\.theta"),
-        ({"scheme": "theta", "theta": 0.4}, r"TimeSteps\.theta = 0\.4"),
-        ({"scheme": "midpoint", "theta": 0.6}, r"TimeSteps\.theta"),
-        ({"scheme": "midpoint", "relaxation": True}, r"TimeSteps\.relaxation.*adaptive steps"),
         ({"scheme": "sdirk2", "relaxation": True, "stepping": ADAPTIVE}, "scheme .midpoint."),
-        ({"scheme": "midpoint", "startup": -1}, r"TimeSteps\.startup"),
-        ({"scheme": "midpoint", "startup": 1.5}, r"TimeSteps\.startup"),
-        ({"scheme": "midpoint", "startup": True}, r"TimeSteps\.startup"),
-        ({"scheme": "midpoint", "relaxation": "yes"}, r"TimeSteps\.relaxation"),
-        ({"scheme": 2}, r"TimeSteps\.scheme"),
         (
             {"scheme": "theta", "theta": 0.5001, "stepping": nv.AdaptiveSteps(**BOUNDS, tolerance=1e-3)},
             r"AdaptiveSteps\.tolerance.*error constant",
