@@ -22,12 +22,14 @@ an energy that is linear in X_i are kept, and so are rho and v: the limiter take
 from functools import cached_property
 
 import numpy as np
-from ngsolve import CF, L2, BilinearForm, GridFunction, VectorValued, dx
+from ngsolve import CF, L2, BilinearForm, CoefficientFunction, GridFunction, VectorValued, dx
 
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import LocalProjection, Step
 from ngvisco.forms.term import tested
+from ngvisco.physics.bodies import AMOUNT
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.parameters import Parameter
 
 SHARE = 1e-2
@@ -177,18 +179,21 @@ class Stretches:
     Parameters
     ----------
     step : Step
-        With ``linear_contents`` of its material.
+        Of bodies, whose ``linear_contents`` these are.
     sampler : Sampler
         Its points are those at which values are looked at.
     """
 
     def __init__(self, step: Step, sampler: Sampler, means: CellMeans) -> None:
         self.step, self.sampler, self._means = step, sampler, means
-        z, variables = step.now.z_tensors, {v.name: v for v in step.model.material.variables}
-        self._amounts, self._signs = {}, {}
-        for X, (amount, theta) in step.model.material.linear_contents(z).items():
-            self._amounts[X] = amount
-            self._signs[X] = CF((theta - _PART, *variables[X].positive(z[X]).values()))
+        self._amounts: dict[str, str] = {}
+        self._signs: dict[str, CoefficientFunction] = {}
+        material, z = step.model.material, step.now.z_tensors
+        if isinstance(material, Mixture):
+            theta, variables = material.fractions.at(z), {v.name: v for v in material.variables}
+            for X, body in material.linear_contents.items():
+                self._amounts[X] = AMOUNT + body
+                self._signs[X] = CF((theta[body] - _PART, *variables[X].positive(z[X]).values()))
 
     def is_exceeded(self) -> bool:
         """Whether ``limit`` would change the present state."""

@@ -1,125 +1,98 @@
 """Bodies at one point in equilibrium of pressure, and of temperature where they have heat.
 
-Bodies with the amounts n_i share the volume so that its energy is least,
+Bodies with the amounts n_i share what there is of y, the volume J and with heat the entropy S, so that their
+energy is least,
 
-    V(n) = min over J_i with sum n_i J_i = 1 of  sum n_i U_i(J_i)  =  max over p of  sum n_i h_i(p) - p,
+    W(n, c) = min over y_i with sum n_i y_i = c of  sum n_i psi_i(y_i),      c = 1, or (1, s):
 
-h_i(p) = min over J of U_i + p J: U_i'(J_i) = -p for all, one scalar equation in p.  V is convex as a largest
-of linear functions.  By the envelope theorem dV/dn_i = U_i + p J_i, and from dp = sum J_i dn_i/sum n_j/U_j''
-its second derivative is J_i J_j/sum n_m/U_m''.
-
-With heat the free energies F_i(J, theta) take the place of U_i, and the entropy s is shared too:
-
-    W(n, s) = max over p, theta of  theta s - p + sum n_i G_i(p, theta),   G_i = min over J of F_i + p J,
-
-two equations, sum n_i J_i = 1 and sum n_i S_i = s.  dW/dn_i = G_i, dW/ds = theta, the second derivative is
-a_k . Q^-1 a_l with a_i = (J_i, -S_i), a_s = (0, 1), and Q = -sum n_i G_i'' by (p, theta).
+psi_i'(y_i) is one multiplier m for all, -p or (-p, theta).  W is jointly convex, as a least value of a sum of
+perspectives.  By the envelope theorem dW/dn_i = psi_i - m . y_i and dW/dc = m, and from
+Q dm = dc - sum y_i dn_i, Q = sum n_i psi_i''^-1, its second derivative is a_k . Q^-1 a_l with a_i = -y_i and
+the unit vectors of c.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
 
 _ITERATIONS = 100
 _CONVERGED = 1e-7
-"""Relative increment of all J_i at which one more Newton step, whose error is its square, is the last."""
+"""Increment, over J_i and psi_S/psi_SS, at which one more step of Newton's, with its square, is the last."""
 _LEAST = 0.2
 """What a step leaves of J_i, at least."""
 
 _FLAT = 1e-3
 """The least J_i: a body whose energy is finite at J = 0 gives way to the pressure of another no further."""
 
-Volumetric = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
-"""U, U' and U'' of values J at points of these numbers."""
-
-
-class FreeEnergy(Protocol):
-    """The part that heat has in a body's free energy, F = U(J) + ... (``Thermal``)."""
-
-    @property
-    def c(self) -> float: ...
-
-    def free(self, theta: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, ...]: ...
+Energies = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]]
+"""psi, (points, bodies), and psi', psi'' of values y, (points, bodies, size), at points of these numbers."""
 
 
 def equilibrium(
-    volumetric: Sequence[Volumetric],
-    n: np.ndarray,
-    heat: Sequence[FreeEnergy] = (),
-    s: np.ndarray | None = None,
+    energies: Energies, n: np.ndarray, total: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """V, its slope and second derivative by amounts (points, bodies); NaN where there is none.
+    """W, its slope and second derivative by amounts and, of c, what is no volume; NaN where there is none.
 
-    With ``heat`` of every body W, and by the entropy s, J/(m^3 K), last.  Newton's method for J_i, p and
-    ln theta, in which S_i is linear; without heat theta stays one.
+    Newton's method for y_i and m from ``start``, (points, bodies, size), where that is finite; n is (points,
+    bodies), ``total``, (points, size), is c.
     """
-    points, bodies = n.shape
-    s = np.zeros(points) if s is None else s
-    c, is_cold = np.array([each.c for each in heat] or np.zeros(bodies)), not heat
-    total, capacity = n.sum(axis=1), n @ c + is_cold
-    p, log_theta = np.full(points, np.nan), np.zeros(points)
-    done = np.zeros(points, dtype=bool)
-    # F, F_J, F_JJ, S and dS/dJ of the bodies
-    found = np.full((5, points, bodies), np.nan)
-    found[3:] = 0.0 if is_cold else np.nan
+    y, shape = start.copy(), (*start.shape, start.shape[2])
+    psi, slope, m = np.full(n.shape, np.nan), np.full(y.shape, np.nan), np.full(total.shape, np.nan)
+    second, weight = np.full(shape, np.nan), np.full(shape, np.nan)
+    done, active = np.zeros(len(n), dtype=bool), np.flatnonzero(np.isfinite(y).all(axis=(1, 2)))
     with np.errstate(all="ignore"):
-        J = np.repeat(1 / total[:, None], bodies, axis=1)
-        active = np.flatnonzero((total > 0) & (capacity > 0) & np.isfinite(n).all(axis=1) & np.isfinite(s))
-        if heat:  # of 1 K, linear in its logarithm
-            at_one = np.stack([each.free(np.ones(points), J[:, 0])[3] for each in heat], axis=1)
-            log_theta = (s - (n * at_one).sum(axis=1)) / capacity
         for iteration in range(_ITERATIONS):
             if not len(active):
                 break
-            at, theta = J[active], np.exp(log_theta[active])
-            for i, one in enumerate(volumetric):
-                found[:3, active, i] = one(at[:, i], active)
-            for i, warm in enumerate(heat):
-                of_heat = np.stack(warm.free(theta, at[:, i]))
-                found[:3, active, i] += of_heat[:3]
-                found[3:, active, i] = of_heat[3:]
+            psi[active], slope[active], second[active] = energies(y[active], active)
             if not iteration:
-                p[active] = -(n[active] * found[1, active]).sum(axis=1) / total[active]
+                m[active] = _sum(n[active], slope[active]) / n[active].sum(axis=1)[:, None]
+            weight[active] = _compliance(y[active], slope[active] - m[active, None], second[active])
             active = active[~done[active]]
-            at, amounts, theta = J[active], n[active], np.exp(log_theta[active])
-            _, first, second, S, dS = found[:, active]
-            rest = first + p[active][:, None]
-            weight = ((at > _FLAT) | (rest <= 0)) / second
-            kept = np.maximum(amounts, 0.0)
-            soft, volume = (kept * weight).sum(axis=1), (amounts * (at - weight * rest)).sum(axis=1) - 1
-            dp, dl = volume / soft, 0.0 * soft
-            if heat:
-                b = theta[:, None] * dS
-                mixed = -(kept * weight * b).sum(axis=1)
-                warm_up = (kept * (theta[:, None] * c + weight * b * b)).sum(axis=1)
-                entropy = theta * s[active] - (amounts * (theta[:, None] * S - weight * b * rest)).sum(axis=1)
-                determinant = soft * warm_up - mixed**2
-                dp = (warm_up * volume - mixed * entropy) / determinant
-                dl = (soft * entropy - mixed * volume) / determinant
-                rest -= b * dl[:, None]
-            step = -weight * (rest + dp[:, None])
-            farthest = np.maximum(_LEAST * at, _FLAT) - at
-            length = np.where(step < farthest, farthest / step, 1.0).min(axis=1)
-            length = np.minimum(length, 1 / np.maximum(abs(dl), 1.0))
-            J[active] = at + length[:, None] * step
-            p[active] += length * dp
-            log_theta[active] += length * dl
-            small = (abs(step) <= _CONVERGED * at).all(axis=1) & (abs(dl) <= _CONVERGED)
-            done[active] = small & (length == 1)
-            active = active[np.isfinite(J[active]).all(axis=1) & np.isfinite(log_theta[active])]
-        theta = np.exp(log_theta)
-        F, first, second, S, dS = found
-        weight = ((J > _FLAT) | (first + p[:, None] <= 0)) / second
-        # the entries of Q
-        soft, mixed = (n * weight).sum(axis=1), -(n * weight * dS).sum(axis=1)
-        warm_up = (n * (c / theta[:, None] + weight * dS * dS)).sum(axis=1) + is_cold
-        determinant = soft * warm_up - mixed**2
-        good = done & (determinant > 0) & (soft > 0)
-        value, slope, a = (n * F).sum(axis=1) + theta * s, F + p[:, None] * J, np.stack([J, -S])
-        if heat:
-            slope = np.concatenate([slope, theta[:, None]], axis=1)
-            a = np.concatenate([a, np.broadcast_to([[[0.0]], [[1.0]]], (2, points, 1))], axis=2)
-        inverse = np.array([[warm_up, -mixed], [-mixed, soft]]) / np.where(good, determinant, np.nan)
-    hessian = np.einsum("apk,abp,bpl->pkl", a, inverse, a)
-    return np.where(good, value, np.nan), np.where(good[:, None], slope, np.nan), hessian
+            at, amounts, inverse = y[active], n[active], weight[active]
+            rest = m[active, None] - slope[active]
+            missing = total[active] - _sum(amounts, at + _times(inverse, rest))
+            dm = _times(_inverse(_sum(np.maximum(amounts, 0.0), inverse)), missing)
+            step, sizes = _times(inverse, rest + dm[:, None]), at.copy()
+            curvatures = np.diagonal(second[active], axis1=2, axis2=3)
+            sizes[..., 1:] = (slope[active] / curvatures)[..., 1:]  # psi_S = theta goes as exp(S/c)
+            lowest = np.maximum(_LEAST * at[..., 0], _FLAT) - at[..., 0]
+            length = np.where(step[..., 0] < lowest, lowest / step[..., 0], 1.0).min(axis=1)
+            length = np.minimum(length, (sizes / abs(step))[..., 1:].min(axis=(1, 2), initial=1.0))
+            y[active] = at + length[:, None, None] * step
+            m[active] += length[:, None] * dm
+            done[active] = (abs(step) <= _CONVERGED * sizes).all(axis=(1, 2)) & (length == 1)
+            active = active[np.isfinite(y[active]).all(axis=(1, 2)) & np.isfinite(m[active]).all(axis=1)]
+        Q = _sum(n, weight)
+        good = done & (Q[:, 0, 0] > 0) & (np.linalg.det(Q) > 0)
+        of_shared = np.broadcast_to(np.eye(y.shape[2])[1:], (len(n), y.shape[2] - 1, y.shape[2]))
+        a = np.concatenate([-y, of_shared], axis=1)
+        hessian = np.einsum("pki,pij,plj->pkl", a, np.where(good, _inverse(Q).T, np.nan).T, a)
+        slopes = np.concatenate([psi - (m[:, None] * y).sum(axis=2), m[:, 1:]], axis=1)
+    return np.where(good, (n * psi).sum(axis=1), np.nan), np.where(good[:, None], slopes, np.nan), hessian
+
+
+def _compliance(y: np.ndarray, excess: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """psi''^-1; without the volume of a body that is at its least and pressed, psi_J > m."""
+    found = _inverse(second)
+    held = (y[..., 0] <= _FLAT) & (excess[..., 0] > 0)
+    found[held, 0], found[held, :, 0] = 0.0, 0.0
+    found[held, 1:, 1:] = 1 / second[held, 1:, 1:]
+    return found
+
+
+def _inverse(A: np.ndarray) -> np.ndarray:
+    """Of symmetric matrices of one row or two, (..., size, size)."""
+    if A.shape[-1] == 1:
+        return 1 / A
+    adjoint = A[..., ::-1, ::-1] * np.array([[1, -1], [-1, 1]])
+    return adjoint / np.linalg.det(A)[..., None, None]
+
+
+def _sum(n: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """sum n_i values_i of (points, bodies, ...)."""
+    return np.einsum("pb,pb...->p...", n, values)
+
+
+def _times(A: np.ndarray, x: np.ndarray) -> np.ndarray:
+    return np.einsum("...ij,...j->...i", A, x)

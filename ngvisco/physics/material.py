@@ -16,9 +16,9 @@ the variables z; this is the "generalised polyconvexity" of the paper's Section 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Literal, Self, TypeAlias
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id
@@ -97,10 +97,6 @@ class Material(ABC):
     def where_means_do(self) -> frozenset[str]:
         """Names of bounds that bind at the points of cells whose means keep them, and nowhere else."""
         return frozenset()
-
-    def linear_contents(self, z: Values) -> Mapping[str, tuple[str, Any]]:
-        """X_i of bodies whose energies are linear in it, with the amount's name and the body's fraction."""
-        return {}
 
     def at_rest(self, z: Values) -> Values:
         """The state of F = I with what is no strain of ``z``."""

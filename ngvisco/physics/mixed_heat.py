@@ -16,9 +16,8 @@ an expression; else ``ngvisco.physics.equilibrium`` has it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from operator import add
 from typing import Any
@@ -29,7 +28,6 @@ from ngvisco.errors import ParameterError
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.heat import Function, Heat
 from ngvisco.physics.materials.thermal import Entropy, Thermal, entropy_in
-from ngvisco.physics.tensors import exp
 from ngvisco.physics.variables import Values
 
 _SAME = 1e-9
@@ -43,22 +41,21 @@ class MixedHeat:
     Parameters
     ----------
     parts : mapping of names to Thermal
-        The materials of the bodies.
+        The materials of the bodies, which all count their entropies in one unit.
     """
 
     parts: Mapping[str, Thermal]
 
-    @cached_property
+    @property
     def entropy(self) -> Entropy:
-        """The carried one, which counts in the first of the units that are given, else heat capacities."""
-        units = [each.entropy_unit for each in self.parts.values() if each.entropy_unit]
-        return Entropy(unit=units[0] if units else max(each.c for each in self.parts.values()))
+        """The carried one."""
+        return next(iter(self.parts.values())).entropy
 
     @cached_property
     def has_one_pressure(self) -> bool:
         """Whether the thermal pressure is one function of J and theta."""
         J, theta = np.meshgrid([0.5, 1.0, 2.0], [1.0, 300.0])
-        first, *others = (each.free(theta, J)[1] for each in self.parts.values())
+        first, *others = (each.pressure(theta, J) for each in self.parts.values())
         return all(abs(other - first).max() <= _SAME * abs(first).max() for other in others)
 
     @property
@@ -67,35 +64,35 @@ class MixedHeat:
         found = {each.theta_R for each in self.parts.values()}
         return found.pop() if len(found) == 1 else None
 
-    @property
-    def stiffnesses(self) -> list[float]:
-        """What heat adds to U_i'' at rest, Pa."""
-        return [float(each.free(np.array(each.theta_R), np.ones(()))[2]) for each in self.parts.values()]
-
     def capacity(self, n: Mapping[str, Any]) -> Any:
         """sum n_i c_i, J/(m^3 K)."""
         return reduce(add, (each.c * n[name] for name, each in self.parts.items()))
 
-    def energy(self, n: Mapping[str, Any], s: Any, J: Any) -> Any:
-        """sum n_i u_i at the volumes J, Pa, by the carried number s."""
-        total, rest = self.entropy.unit * s, 0.0 * s
-        for name, each in self.parts.items():
-            expands = each.g(J) if each.coupling else 0.0
-            total = total + each.c * (math.log(each.theta_R) - expands) * n[name]
-            rest = rest + each.c * each.theta_R * (1 - (0.0 if each.is_absolute else expands)) * n[name]
-        capacity = self.capacity(n)
-        return capacity * exp((1 / capacity) * total) - rest
-
-    def start(self, theta: Any, n: Mapping[str, Any], J: Any) -> Any:
-        """The carried number of the temperature theta, K, where all bodies have the volume J."""
-        parts = [n[name] * each.entropy_of(theta, J) for name, each in self.parts.items()]
+    def total(self, n: Mapping[str, Any], log_theta: Any, J: Any) -> Any:
+        """The carried entropy where all bodies have the volume J and a temperature, by its logarithm."""
+        parts = (n[name] * each.entropy_of(log_theta, J) for name, each in self.parts.items())
         return 1 / self.entropy.unit * reduce(add, parts)
+
+    def entropies(self, n: Mapping[str, Any], s: Any, J: Any) -> dict[str, Any]:
+        """S_i in the carried one's unit, by name, of which s is the sum where all have the volume J."""
+        unit = self.entropy.unit
+        log_theta = unit / self.capacity(n) * (s - self.total(n, 0.0, J))
+        return {name: 1 / unit * each.entropy_of(log_theta, J) for name, each in self.parts.items()}
+
+    def energy(self, body: str, S: Any, J: Any) -> Any:
+        """u_i(S, J) of a body, Pa."""
+        return J * self.parts[body].of_heat({"A": 1 / J, "s": S / J})
 
 
 def heat_of(bodies: Sequence[Body]) -> MixedHeat | None:
-    """Of bodies with heat; None of such without."""
+    """Of bodies with heat; None of such without.
+
+    The entropy counts in the first of the units that are given, else in the largest heat capacity.
+    """
     parts = {body.name: body.material for body in bodies if isinstance(body.material, Thermal)}
-    return MixedHeat(parts) if parts else None
+    units = [each.entropy_unit for each in parts.values() if each.entropy_unit]
+    unit = units[0] if units else max((each.c for each in parts.values()), default=None)
+    return MixedHeat({n: replace(each, entropy_unit=unit) for n, each in parts.items()}) if parts else None
 
 
 def require_heat_of_all(bodies: Sequence[Body]) -> None:

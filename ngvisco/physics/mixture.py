@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from operator import add
 from typing import Any
 
@@ -30,17 +30,17 @@ from ngsolve import CoefficientFunction, Det
 
 from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.physics.bodies import AMOUNT, Amount, Body, Content, PlasticContent
-from ngvisco.physics.equilibrium import Volumetric, equilibrium
+from ngvisco.physics.equilibrium import equilibrium
 from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
 from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.materials.thermal import Thermal
+from ngvisco.physics.materials.thermal import Entropy, Thermal
 from ngvisco.physics.mixed_heat import MixedHeat, heat_of
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, told_apart
 from ngvisco.physics.pointwise import Respond, Response, array_response
 from ngvisco.physics.reference_energy import ReferenceEnergy
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
 from ngvisco.physics.tensors import IDENTITY, identity_like, if_positive, sqrt
-from ngvisco.physics.variables import PRESSURE, Values, Variable
+from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
 
 TRACE = 1e-3
 """eta of the module's docstring, and the fraction below which a body does not creep any slower."""
@@ -116,7 +116,7 @@ class Mixture(Material):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "bodies", tuple(_with_own_names(body) for body in self.bodies))
-        self._parameters()
+        _ = self.parameters  # refused where they differ
 
     @cached_property
     def energies(self) -> tuple[ReferenceEnergy, ...]:
@@ -152,7 +152,8 @@ class Mixture(Material):
                     expected = "a law that reads no pressure, or bodies with one volumetric energy"
                     raise ParameterError(f"bodies[{body.name!r}].{name}", law, expected)
 
-    def _parameters(self) -> tuple[Parameter, ...]:
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
         """Those of moduli, of the bodies' own variables and of the model's other laws."""
         own = (v for body in self.bodies for v in body.material.variables if isinstance(v, Parameter))
         return distinct((*parameters_in(self.bodies), *self.carried, *own))
@@ -190,7 +191,7 @@ class Mixture(Material):
         amounts = (Amount(AMOUNT + b.name, density=b.density or 0.0, share=share) for b in self.bodies)
         entropy = () if self.heat is None else (self.heat.entropy,)
         hardening = self.plastic_contents.values()
-        return (*contents, *amounts, *hardening, *entropy, *self._parameters())
+        return (*contents, *amounts, *hardening, *entropy, *self.parameters)
 
     def with_elastic_state(self, state: ElasticState) -> Mixture:
         bodies = (replace(body, material=body.material.with_elastic_state(state)) for body in self.bodies)
@@ -198,7 +199,7 @@ class Mixture(Material):
 
     def with_carried(self, parameters: Sequence[Parameter]) -> Mixture:
         """The same with parameters of the model's other laws, those that it does not have yet."""
-        own = self._parameters()
+        own = self.parameters
         more = distinct((*own, *parameters))[len(own) :]
         return replace(self, carried=(*self.carried, *more)) if more else self
 
@@ -215,9 +216,9 @@ class Mixture(Material):
     @cached_property
     def stiffnesses(self) -> dict[str, float]:
         """U_i'' at rest by the bodies' names, with what heat adds to it, Pa."""
-        heat = [0.0] * len(self.bodies) if self.heat is None else self.heat.stiffnesses
-        found = (psi.stiffness + more for psi, more in zip(self.energies, heat, strict=True))
-        return dict(zip(self.fractions.bodies, found, strict=True))
+        found = {b.name: psi.stiffness for b, psi in zip(self.bodies, self.energies, strict=True)}
+        parts = {} if self.heat is None else self.heat.parts
+        return {name: K + (parts[name].stiffness if parts else 0.0) for name, K in found.items()}
 
     def bounds(self, z: Values) -> dict[str, Values]:
         """What must be > 0: N; sum n_i/U_i'' at rest, less a tenth of its least value, where these differ, or
@@ -248,10 +249,19 @@ class Mixture(Material):
     def where_means_do(self) -> frozenset[str]:
         return frozenset([_LIGHTEST])
 
-    def linear_contents(self, z: Values) -> dict[str, tuple[str, Any]]:
-        linear = (b.name for b, psi in zip(self.bodies, self.energies, strict=True) if psi.is_linear)
-        theta = self.fractions.at(z)
-        return {X.name: (AMOUNT + name, theta[name]) for name in linear for X in self.contents(name)}
+    @cached_property
+    def linear(self) -> tuple[str, ...]:
+        """Names of variables that what is of shear is linear in."""
+        found = list(self.linear_contents)
+        if all(psi.is_linear for psi in self.energies) and not self.plastic_contents:
+            found += [AMOUNT + body.name for body in self.bodies]
+        return tuple(found if self.heat is None else [*found, self.heat.entropy.name])
+
+    @cached_property
+    def linear_contents(self) -> dict[str, str]:
+        """X_i of bodies whose energies are linear in it, by name, and the body's."""
+        each = zip(self.bodies, self.energies, strict=True)
+        return {X.name: body.name for body, psi in each if psi.is_linear for X in self.contents(body.name)}
 
     def taking_part(self, z: Values) -> Values:
         if len(self.bodies) == 1:
@@ -274,7 +284,7 @@ class Mixture(Material):
     def shears(self, z: Values) -> dict[str, Any]:
         """n_i f_i(X_i/n_i) by the bodies' names, with n_i phi_h(K_i/n_i) where they harden, Pa."""
         total, found = self.fractions.total(z), {}
-        own = {v.name: z[v.name] for v in self._parameters()}
+        own = {v.name: z[v.name] for v in self.parameters}
         for body, psi in zip(self.bodies, self.energies, strict=True):
             n = z[AMOUNT + body.name]
             one = 1 + 0 * n
@@ -297,11 +307,17 @@ class Mixture(Material):
                 found[body.name] = found[body.name] + w * law.energy({**own, PLASTIC_STRAIN.name: k})
         return found
 
+    def volumetric(self, body: str, z: Values) -> Any:
+        """U_i(J), with u_i(S, J) of one with heat, Pa per reference volume, of the values J, S and those of
+        parameters."""
+        found = self.energies[self.fractions.bodies.index(body)].volumetric(z)
+        return found if self.heat is None else found + self.heat.energy(body, z["S"], z["J"])
+
     def volumes(self, z: Values, J: Any) -> dict[str, Any]:
-        """n_i U_i(J) by the bodies' names, Pa; at J = 1 what of V comes with the matter."""
-        amounts, at = self.amounts(z), {**z, "J": J}
-        each = zip(amounts.items(), self.energies, strict=True)
-        return {name: n * psi.volumetric(at) for (name, n), psi in each}
+        """n_i (U_i + u_i) by the bodies' names, Pa, where all have the volume J and one temperature."""
+        n = self.amounts(z)
+        S = {} if self.heat is None else self.heat.entropies(n, z[self.heat.entropy.name], J)
+        return {name: n[name] * self.volumetric(name, {**z, "J": J, "S": S.get(name)}) for name in n}
 
     def energy(self, z: Values) -> CoefficientFunction:
         if not self.has_one_volume:
@@ -309,11 +325,8 @@ class Mixture(Material):
                 "bodies of different volumetric energies have no expression for theirs: use "
                 "ngvisco.physics.pointwise.respond(material, dim)"
             )
-        J = 1 / self.fractions.total(z)
-        parts = [*self.volumes(z, J).values(), *self.shears(z).values()]
-        if self.heat is not None:
-            parts.append(self.heat.energy(self.amounts(z), z[self.heat.entropy.name], J))
-        return reduce(add, parts)
+        volumes = self.volumes(z, 1 / self.fractions.total(z))
+        return reduce(add, (*volumes.values(), *self.shears(z).values()))
 
     def response(self, dim: int) -> Respond | None:
         return None if self.has_one_volume else _InEquilibrium(self, dim)
@@ -341,51 +354,60 @@ class _InEquilibrium:
         def shear(z: Values) -> Any:
             return reduce(add, mixture.shears(z).values(), 0.0 * mixture.fractions.total(z))
 
-        slices = mixture.states(dim).slices
-        self.amounts = [slices[AMOUNT + body.name].start for body in mixture.bodies]
-        self.shears = array_response(_Part(shear, mixture.variables), dim)
-        self.heat = () if mixture.heat is None else tuple(mixture.heat.parts.values())
-        self.entropy = None if mixture.heat is None else mixture.heat.entropy
-        self.of_entropy = -1 if self.entropy is None else slices[self.entropy.name].start
+        self.heat, slices = mixture.heat, mixture.states(dim).slices
+        own = [slices[v.name].start for v in mixture.parameters]
+        self.amounts = {b.name: slices[AMOUNT + b.name].start for b in mixture.bodies}
+        self.shared = [] if self.heat is None else [slices[self.heat.entropy.name].start]
+        self.shears = array_response(_Part(shear, mixture.variables), dim, mixture.linear)
         self.volumes = []
-        for psi in mixture.energies:
-            own = tuple(v for v in psi.variables if v not in psi.tensors)
-            parameters = [slices[v.name].start for v in own[1:]]
-            self.volumes.append((array_response(_Part(psi.volumetric, own), dim), parameters))
+        shared = (Jacobian("J"), *(Entropy("S") for _ in self.shared))
+        for name in self.amounts:
+            part = _Part(partial(mixture.volumetric, name), (*shared, *mixture.parameters))
+            self.volumes.append((array_response(part, dim), own))
 
     def __call__(self, states: np.ndarray) -> Response:
-        def volumetric(number: int) -> Volumetric:
-            response, parameters = self.volumes[number]
+        size = 1 + len(self.shared)
 
-            def at(J: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-                found = response(np.column_stack([J, states[np.ix_(points, parameters)]]))
-                return found.energy, found.slope[:, 0], found.hessian[:, 0, 0]
+        def energies(y: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ...]:
+            found = [
+                response(np.column_stack([y[:, i], states[np.ix_(points, own)]]))
+                for i, (response, own) in enumerate(self.volumes)
+            ]
+            psi, slope = (np.stack([getattr(f, name) for f in found], axis=1) for name in ("energy", "slope"))
+            return psi, slope[..., :size], np.stack([f.hessian[:, :size, :size] for f in found], axis=1)
 
-            return at
-
-        n, where = np.ascontiguousarray(states[:, self.amounts]), self.amounts
-        volumes = [volumetric(i) for i in range(len(self.volumes))]
-        counted, entropy = np.ones(len(where)), np.zeros(len(n))
-        if self.entropy is not None:
-            where, counted = [*where, self.of_entropy], np.append(counted, self.entropy.unit)
-            entropy = self.entropy.unit * states[:, self.of_entropy]
-        value, slope, hessian = equilibrium(volumes, n, self.heat, entropy)
+        where = [*self.amounts.values(), *self.shared]
+        n = np.ascontiguousarray(states[:, where[: len(self.amounts)]])
+        total = np.column_stack([np.ones(len(n)), states[:, self.shared]])
+        value, slope, hessian = equilibrium(energies, n, total, self._start(n, total))
         result = self.shears(states)
-        result.slope[:, where] += slope * counted
-        result.hessian[np.ix_(range(len(n)), where, where)] += hessian * np.outer(counted, counted)
-        bad = ~np.isfinite(value)
-        failure = None
-        if bad.any():
-            at = ", ".join(f"{amount:.3g}" for amount in n[bad][0])
-            common = "pressure" if self.entropy is None else "pressure and temperature"
-            remedy = (
-                "a gas without p_infinity presses on what it meets, and matter in tension does not bear that"
-            )
-            if (n[bad] < 0).any():
-                remedy = "with m = 0 few are below zero, where stiffnesses differ by ten times and more"
-            points = f"{int(bad.sum())} points, e.g. for the amounts {at}"
-            failure = f"bodies have no common {common} at {points}; {remedy}"
+        result.slope[:, where] += slope
+        result.hessian[np.ix_(range(len(n)), where, where)] += hessian
+        failure = self._failure(n[~np.isfinite(value)])
         return Response(result.energy + value, result.slope, result.hessian, failure)
+
+    def _start(self, n: np.ndarray, total: np.ndarray) -> np.ndarray:
+        """J, and with heat S, of the bodies where all have one volume and temperature; NaN without such."""
+        with np.errstate(all="ignore"):
+            N = n.sum(axis=1)
+            J = np.where(N > 0, 1 / N, np.nan)
+            if self.heat is None:
+                return np.repeat(J[:, None, None], n.shape[1], axis=1)
+            amounts = dict(zip(self.amounts, n.T, strict=True))
+            J = np.where(self.heat.capacity(amounts) > 0, J, np.nan)
+            S = self.heat.entropies(amounts, total[:, 1], J)
+            return np.stack([np.stack([J, S[name]], axis=1) for name in amounts], axis=1)
+
+    def _failure(self, n: np.ndarray) -> str | None:
+        """What is said of amounts without a common pressure, where there are such."""
+        if not len(n):
+            return None
+        common = "pressure" if self.heat is None else "pressure and temperature"
+        remedy = "a gas without p_infinity presses on what it meets, and matter in tension does not bear that"
+        if (n < 0).any():
+            remedy = "with m = 0 few are below zero, where stiffnesses differ by ten times and more"
+        points = f"{len(n)} points, e.g. for the amounts {', '.join(f'{amount:.3g}' for amount in n[0])}"
+        return f"bodies have no common {common} at {points}; {remedy}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -410,12 +432,6 @@ class MixedViscosity(Viscosity):
 
     def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
         return self._mean(z, lambda part: part.stress(eps, z))
-
-    def bulk_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
-        return self._mean(z, lambda part: part.bulk_dissipation(eps, z))
-
-    def shear_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
-        return self._mean(z, lambda part: part.shear_dissipation(eps, z))
 
     def shear_viscosity(self, z: Values) -> ValueOfModulus:
         return self._mean(z, lambda part: part.shear_viscosity(z))

@@ -12,7 +12,7 @@ that have no counterpart there; it is then left to NGSolve.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeAlias
@@ -204,20 +204,26 @@ def energy_and_slope(
     return both
 
 
-def array_response(material: Material, dim: int) -> Respond:
-    """The response by arrays, its Hessian by complex increments; by expressions where these do not agree."""
+def array_response(material: Material, dim: int, linear: Iterable[str] = ()) -> Respond:
+    """The response by arrays, its Hessian by complex increments; by expressions where these do not agree.
+
+    Of variables that the energy is ``linear`` in together, at fixed others, no increments are needed.
+    """
     own = material.response(dim)
     both = None if own is not None else energy_and_slope(material, dim)
     if both is None:
         return respond(material, dim)
+    curved = np.ones(material.states(dim).size, dtype=bool)
+    for name in linear:
+        curved[material.states(dim).slices[name]] = False
 
     def response(states: np.ndarray) -> Response:
         energy, slope = both(np.ascontiguousarray(states.T))
-        hessian = np.empty((len(states), states.shape[1], states.shape[1]))
-        for m in range(states.shape[1]):
+        hessian = np.zeros((len(states), states.shape[1], states.shape[1]))
+        for m in np.flatnonzero(curved):
             along = states.T.astype(complex)
             along[m] += 1j * TINY
-            hessian[:, :, m] = both(along)[1].imag.T / TINY
+            hessian[:, m] = hessian[:, :, m] = both(along)[1].imag.T / TINY
         return Response(energy, np.ascontiguousarray(slope.T), hessian)
 
     by_expression = respond(material, dim)

@@ -11,6 +11,7 @@ from ngvisco.physics.materials.thermal import entropy_in, thermal_part
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import as_tensor
 from ngvisco.physics.parameters import Parameter
+from ngvisco.physics.tensors import log
 
 Given = Mapping[str, CoefficientFunction]
 
@@ -81,7 +82,7 @@ def entropy_at(material: Material, theta: CoefficientFunction, values: Given) ->
     volume that all have at a point."""
     if isinstance(material, Mixture):
         assert material.heat is not None
-        return material.heat.start(theta, material.amounts(values), 1 / material.fractions.total(values))
+        return material.heat.total(material.amounts(values), log(theta), 1 / material.fractions.total(values))
     thermal = thermal_part(material)
     assert thermal is not None
     return thermal.start(theta, values["A"])

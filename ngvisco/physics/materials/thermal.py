@@ -10,6 +10,7 @@ where g is Gamma (J - 1) with the term in brackets (``expansion``), or Gamma ln 
 Both are perspectives of convex functions of (S, J): jointly convex with phi_m, the energy without heat.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Self
 
@@ -183,12 +184,16 @@ class Thermal(Material):
         return self.cold.lagged
 
     def energy(self, z: Values) -> CoefficientFunction:
+        return self.of_heat(z) + self.cold.energy({v.name: z[v.name] for v in self.cold.variables})
+
+    def of_heat(self, z: Values) -> CoefficientFunction:
+        """What the energy without heat leaves of it, Pa."""
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         unit = self.entropy.unit / self.c
         phi = heat * (A * exp(unit * z["s"] * J - self.g(J)) - A)
         if self.coupling and not self.is_absolute:
             phi = phi + heat * self._Gamma * (1 - A)
-        return phi + self.cold.energy({v.name: z[v.name] for v in self.cold.variables})
+        return phi
 
     @property
     def cold(self) -> Material:
@@ -210,28 +215,23 @@ class Thermal(Material):
         """g of the module's docstring."""
         return self._Gamma * (log(J) if self.is_absolute else J - 1)
 
-    def entropy_of(self, theta: Any, J: Any) -> Any:
-        """S, J/(m^3 K), of the temperature theta, K."""
-        return self.c * (log(theta / self.theta_R) + self.g(J))
+    def entropy_of(self, log_theta: Any, J: Any) -> Any:
+        """S, J/(m^3 K), of the logarithm of the temperature in K."""
+        return self.c * (log_theta - math.log(self.theta_R) + self.g(J))
 
     def start(self, theta: Any, A: Any) -> CoefficientFunction:
         """The carried entropy of a temperature theta, K, and A = 1/J."""
-        return 1 / self.entropy.unit * A * self.entropy_of(theta, 1 / A)
+        return 1 / self.entropy.unit * A * self.entropy_of(log(theta), 1 / A)
 
-    def free(self, theta: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, ...]:
-        """The thermal part of the free energy eps - theta S, Pa, its first and second derivative by J, S,
-        and dS/dJ, J/(m^3 K)."""
-        excess = theta - (0.0 if self.is_absolute else self.theta_R)
-        slope = self.coupling * (1 / J if self.is_absolute else np.ones_like(J))
-        curvature = excess * self.coupling / J**2 if self.is_absolute else np.zeros_like(J)
-        S = self.entropy_of(theta, J)
-        value = self.c * (theta - self.theta_R + (theta - excess) * self.g(J)) - theta * S
-        return value, -excess * slope, curvature, S, slope
-
-    def pressure(self, theta: float, J: float = 1.0) -> float:
+    def pressure(self, theta: Any, J: Any = 1.0) -> Any:
         """The thermal pressure, of a gas the whole, Pa."""
         of_heat = self.coupling * (theta / J if self.is_absolute else theta - self.theta_R)
         return of_heat - self.p_infinity
+
+    @property
+    def stiffness(self) -> float:
+        """-J d pressure/d J at rest, Pa."""
+        return self.coupling * self.theta_R if self.is_absolute else 0.0
 
 
 @dataclass(frozen=True)
