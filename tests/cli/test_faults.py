@@ -54,6 +54,14 @@ def assert_same_run(a, b):
     assert all(np.array_equal(first[name], second[name], equal_nan=True) for name in first)
 
 
+def assert_goes_on(place, case_file, number):
+    """Two steps beyond a run's step of this number: it is then the uninterrupted one."""
+    whole, end = place.parent / "whole", round((number + 2) * 0.02, 10)
+    assert command("resume", place, "--until", end, "--quiet")[0] == DONE
+    assert command("run", case_file, "-o", whole, "--quiet", "--set", f"time.until={end}")[0] == DONE
+    assert_same_run(place, whole)
+
+
 def test_a_disk_that_fills_up_loses_nothing(half, finished):
     before = {name: (half / name).read_bytes() for name in ("run.h5", "case.toml", "mesh.vol")}
     size = (half / "run.h5").stat().st_size
@@ -219,14 +227,16 @@ def test_a_signal_ends_the_step_and_says_how_to_resume(tmp_path, case_file):
     done = rows(place) - 1
     assert done < 1000 and "stopped on request" in (place / "log.txt").read_text()
     assert list(nv.read_ledger(place / "run.h5")["step"])[-1] == done
-    end = round((done + 2) * 0.02, 10)
-    assert command("resume", place, "--until", end, "--quiet")[0] == DONE
-    whole = tmp_path / "whole"
-    assert command("run", case_file, "-o", whole, "--quiet", "--set", f"time.until={end}")[0] == DONE
-    assert_same_run(place, whole)
+    assert_goes_on(place, case_file, done)
 
 
-def killed_and_resumed(tmp_path, case_file, kills, seed):
+@pytest.mark.long
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize(
+    ("kills", "seed"),
+    [pytest.param(5, 2, marks=pytest.mark.ci), (50, int(os.environ.get("NGVISCO_SEED", "1")))],
+)
+def test_killed_at_random_moments_the_run_is_resumed_bit_for_bit(tmp_path, case_file, kills, seed):
     place, chance = tmp_path / "killed", random.Random(seed)
     last = -1
     for _ in range(kills):
@@ -249,28 +259,12 @@ def killed_and_resumed(tmp_path, case_file, kills, seed):
             last = int(ledger["step"][-1])
             assert rows(place) >= last
     assert last >= 0
-    end = round((last + 2) * 0.02, 10)
-    assert command("resume", place, "--until", end, "--quiet")[0] == DONE
-    whole = tmp_path / "whole"
-    assert command("run", case_file, "-o", whole, "--quiet", "--set", f"time.until={end}")[0] == DONE
-    assert_same_run(place, whole)
+    assert_goes_on(place, case_file, last)
 
 
 def _touched(place):
     path = place / "run.h5"
     return path.stat().st_mtime_ns if path.exists() else None
-
-
-@pytest.mark.long
-@pytest.mark.ci
-def test_killed_at_random_moments_the_run_is_resumed_bit_for_bit(tmp_path, case_file):
-    killed_and_resumed(tmp_path, case_file, kills=5, seed=2)
-
-
-@pytest.mark.long
-@pytest.mark.timeout(1200)
-def test_killed_fifty_times_the_run_is_resumed_bit_for_bit(tmp_path, case_file):
-    killed_and_resumed(tmp_path, case_file, kills=50, seed=int(os.environ.get("NGVISCO_SEED", "1")))
 
 
 def test_a_step_without_solution_ends_with_its_reason(case_file, tmp_path):

@@ -38,21 +38,18 @@ def gravity(dim: int) -> nv.Gravity:
     return nv.Gravity((0.0,) * (dim - 1) + (-1.0,))
 
 
+def solid(dim: int, is_hyperviscous: bool = True) -> nv.Model:
+    hyper = nv.HyperViscosity(mu=1e-4, p=4) if is_hyperviscous else None
+    return nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY, hyperviscosity=hyper, loads=[gravity(dim)])
+
+
 def swirl(maxh: float, **options) -> nv.Simulation:
-    model = nv.Model(
-        material=NEO_HOOKEAN,
-        viscosity=VISCOSITY,
-        hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
-        loads=[gravity(2)],
-    )
     options = {"dt": 0.02, "initial": nv.Initial(velocity=SWIRL), "solver": "coupled"} | options
-    return nv.Simulation(box((1, 1), maxh=maxh), model, **options)
+    return nv.Simulation(box((1, 1), maxh=maxh), solid(2), **options)
 
 
 def block(solver: str = "coupled", maxh: float = 0.9, **options) -> nv.Simulation:
-    hyper = None if solver == "coupled" else nv.HyperViscosity(mu=1e-4, p=4)
-    model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY, hyperviscosity=hyper, loads=[gravity(3)])
-    initial = nv.Initial(velocity=(*SWIRL, 0.0))
+    model, initial = solid(3, is_hyperviscous=solver == "split"), nv.Initial(velocity=(*SWIRL, 0.0))
     mesh = box((1, 1, 1), maxh=maxh)
     return nv.Simulation(mesh, model, dt=0.02, initial=initial, solver=solver, **options)
 
@@ -61,12 +58,7 @@ def disc(solver: str) -> nv.Simulation:
     inside = 1 - x * x - y * y
     return nv.Simulation(
         round_disc(1.0, maxh=0.4),
-        nv.Model(
-            material=NEO_HOOKEAN,
-            viscosity=VISCOSITY,
-            hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
-            loads=[gravity(2)],
-        ),
+        solid(2),
         dt=0.02,
         initial=nv.Initial(velocity=(-y * inside, x * inside)),
         walls={"wall": nv.NoSlip()},

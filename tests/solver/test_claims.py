@@ -32,19 +32,6 @@ class DragByForms:
         return [Entry("dissipation_drag_by_forms", "dissipation", power)]
 
 
-@dataclass(frozen=True)
-class Growth(PointTerm):
-    """-int s rho q: a source of mass, with what it brings along at the velocity of the body."""
-
-    s: float  # 1/s
-
-    def cells(self, u, w):
-        return [-self.s * u.rho * w.rho, -0.5 * self.s * u.rho * inner(u.v, w.v)]
-
-    def entries(self, u):
-        return [Entry("power_growth", "power", Integrand(0.5 * self.s * u.rho * square(u.v)))]
-
-
 def speed(u):
     """|v . n|, smoothed."""
     through = u.v * u.context.normal
@@ -271,9 +258,7 @@ def test_a_term_of_the_users_acts_in_both_solvers(term, scheme):
         assert ledger.column("kinetic")[-1] < 0.8 * free.column("kinetic")[-1]
 
 
-@pytest.mark.parametrize(
-    "term", [Growth(0.5), Leak(0.5), GrowthOfPlaceAndTime(0.5)], ids=lambda term: type(term).__name__
-)
+@pytest.mark.parametrize("term", [Leak(0.5), GrowthOfPlaceAndTime(0.5)], ids=lambda term: type(term).__name__)
 def test_rows_of_the_density_and_on_facets_act_in_both_solvers(term):
     for ledger in solved(term):
         mass = ledger.column("mass")
@@ -329,9 +314,9 @@ def test_a_hyperviscosity_that_arrays_do_not_have_is_refused_with_the_reason():
 
 
 def test_where_a_term_goes():
-    run = simulation([Drag(1.0), DragByForms(1.0), Growth(0.1)], solver="split")
+    run = simulation([Drag(1.0), DragByForms(1.0), GrowthOfPlaceAndTime(0.1)], solver="split")
     found = claims.Claims.of(run.rothe_step)
-    assert {Drag, Growth} < {type(term) for term in found.at_points}
+    assert {Drag, GrowthOfPlaceAndTime} < {type(term) for term in found.at_points}
     assert [type(term) for term in found.by_forms] == [DragByForms]
 
 

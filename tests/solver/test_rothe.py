@@ -74,32 +74,6 @@ def test_step_after_a_failure_equals_one_without() -> None:
     assert rows[0] == rows[1] or {k for k in rows[0] if rows[0][k] != rows[1][k]} <= {"J_min", "J_defect"}
 
 
-def test_solution_with_a_defect_is_not_accepted() -> None:
-    """What solves the equations but has rho or J <= 0 somewhere is no step."""
-    run = simulation()
-    before = state(run)
-    run.solver.defect = lambda: "rho is not positive (minimum -1.000e-03)"
-    with pytest.raises(StepError, match=r"rho is not positive .*take a smaller step"):
-        run.advance()
-    assert np.array_equal(state(run), before)
-
-
-def test_interrupt_inside_a_step_restores_the_state() -> None:
-    """Not only our own errors: no exception may leave an iterate behind as if it were a state."""
-    run = simulation()
-    run.advance()
-    before = state(run)
-
-    def interrupt() -> None:
-        raise KeyboardInterrupt
-
-    run.solver.defect = interrupt
-    with pytest.raises(KeyboardInterrupt):
-        run.advance()
-    assert np.array_equal(state(run), before)
-    assert (run.t, time.Get()) == (0.05, 0.05)
-
-
 def test_body_that_starts_at_rest_stays_bitwise_at_rest() -> None:
     """The uniform state solves the step: one evaluation, no velocity out of rounding."""
     run = simulation(speed=0.0)

@@ -107,29 +107,23 @@ def test_the_table_keeps_rows_of_runs_that_another_command_made(case_file, tmp_p
         Study(case_file, [Variation("material.G_e", ("5",))], directory)
 
 
+def begun(command, ledger, **options):
+    """A process that has made some steps of the run whose ledger it is."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+    for _ in range(1200):
+        if ledger.exists() and len(ledger.read_text().splitlines()) > 4:
+            return process
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.05)
+    raise AssertionError("waited in vain")
+
+
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_stopped_study_goes_on_where_it_was(case_file, tmp_path):
     out, words = tmp_path / "study", ["--vary", "material.G_e=1,2", "--set", "time.until=40"]
-    command = [
-        sys.executable,
-        "-m",
-        "ngvisco",
-        "sweep",
-        str(case_file),
-        "-o",
-        str(out),
-        "--workers",
-        "1",
-        *words,
-    ]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    ledger = out / "material.G_e=1" / "ledger.csv"
-    for _ in range(1200):
-        if ledger.exists() and len(ledger.read_text().splitlines()) > 4:
-            break
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.05)
+    command = [sys.executable, "-m", "ngvisco", "sweep", str(case_file), "-o", str(out), "--workers", "1"]
+    process = begun([*command, *words], out / "material.G_e=1" / "ledger.csv")
     process.send_signal(signal.SIGTERM)
     said, error = process.communicate(timeout=60)
     assert process.returncode == 143, error
@@ -138,19 +132,6 @@ def test_a_stopped_study_goes_on_where_it_was(case_file, tmp_path):
     assert first["state"] == "stopped" and second["state"] == "not started"
     study = Study(case_file, [Variation.parse(words[1])], out, settings=[words[3]])
     assert study.unfinished == [0, 1] and study.outcomes[0].last["step"] == int(first["step"]) > 2
-
-
-def begun(command, ledger, **options):
-    """A process that has made some steps of the run whose ledger it is."""
-    process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **options
-    )
-    for _ in range(1200):
-        if ledger.exists() and len(ledger.read_text().splitlines()) > 4:
-            return process
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.05)
-    raise AssertionError("waited in vain")
 
 
 def test_a_run_of_a_study_ends_with_its_standard_input(case_file, tmp_path):

@@ -115,14 +115,18 @@ def test_a_refused_second_stage_leaves_the_state_before_the_step(monkeypatch):
     assert abs(again["closure_relative"]) < 1e-12
 
 
-@pytest.mark.parametrize("where", ["row", "estimate"])
-def test_an_interrupt_after_the_solves_leaves_the_state_before_the_step(where, monkeypatch, tmp_path):
+@pytest.mark.parametrize("where", ["solution", "row", "estimate"])
+def test_an_interrupt_leaves_the_state_before_the_step(where, monkeypatch, tmp_path):
     """Neither a state without its row of the ledger, nor a checkpoint that no run can go on from."""
     options = {"stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02, tolerance=0.1), "passive": ("F_tot",)}
     run = simulation(**options, observers=[nv.Checkpoints(tmp_path / "run.h5", every=1)])
     run.run(0.04)
     before, carried, t = state(run), run.passive.arrays(), run.t
-    owner, name = {"row": (run.ledger, "_extrema"), "estimate": (run.stepper._estimate, "_values")}[where]
+    owner, name = {
+        "solution": (run.solver, "defect"),
+        "row": (run.ledger, "_extrema"),
+        "estimate": (run.stepper._estimate, "_values"),
+    }[where]
 
     def interrupted(*args):
         raise KeyboardInterrupt
