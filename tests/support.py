@@ -47,6 +47,7 @@ from ngvisco import (
     NavierFriction,
     NeoHookean,
     NoSlip,
+    Observer,
     PrescribedTangential,
     Simulation,
     StokesViscosity,
@@ -61,6 +62,7 @@ from ngvisco.forms.term import Integrand
 from ngvisco.geometries import annulus, box, channel, disc
 from ngvisco.physics.tensors import dev, square
 from ngvisco.run.ledger import Ledger
+from ngvisco.run.stepping import Rejection
 
 
 @cache
@@ -367,6 +369,16 @@ def by_both_solvers(
         assert_closed(runs[-1], until, bound)
     assert_same(*runs)
     return runs
+
+
+class Rejections(Observer):
+    """Keeps what steps were rejected for."""
+
+    def __init__(self) -> None:
+        self.seen: list[Rejection] = []
+
+    def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
+        self.seen.append(rejection)
 
 
 def demo(name: str) -> Any:

@@ -217,20 +217,6 @@ def test_shear_meets_the_whole_table_to_a_thousandth(tmp_path):
     written(tmp_path, "stress.png")
 
 
-@pytest.mark.parametrize(("scheme", "theta"), [("backward-euler", 1.0), ("midpoint", 0.5)])
-def test_shear_is_the_scheme_applied_to_its_two_equations(scheme, theta):
-    """The fields are uniform, so that the mesh adds nothing to d tau_12/dt and d tau_11/dt."""
-    demo, dt = load("shear"), 0.05
-    rate, relaxation = theta * dt * demo.RATE, 1 + theta * dt * demo.G / demo.ETA
-    solve = np.linalg.inv([[relaxation, rate], [-rate, relaxation]])
-    run, tau = demo.simulation(dt, scheme=scheme), np.zeros(2)
-    for _ in range(4):
-        run.advance()
-        inner = solve @ (tau + theta * dt * np.array([demo.G * demo.RATE, 0.0]))
-        tau = tau + (inner - tau) / theta
-        assert demo.stress(run) == pytest.approx(tau, rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("scheme", "mu"),
     [

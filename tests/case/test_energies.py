@@ -319,14 +319,3 @@ def test_faults_of_a_case_are_found_when_it_is_read(setting, words):
     with pytest.raises(nv.CaseError) as caught:
         parse_case(CASE, "case", Path("."), [setting])
     assert all(word in str(caught.value) for word in words), str(caught.value)
-
-
-def test_case_of_a_custom_material_runs_by_both_solvers():
-    text = CASE + '[[loads]]\nkind = "Gravity"\ng = [0, -1]\n[rheology.viscosity]\nK_v = 0.1\nG_v = 0.1\n'
-    found = []
-    for method in ("coupled", "split"):
-        case = parse_case(text, "case", Path("."), [f"solver.method={method}"])
-        ledger = case.simulation(case.mesh()).run(case.until)
-        assert abs(ledger.column("closure_relative")).max() < 1e-9
-        found.append(ledger.column("kinetic")[-1])
-    assert found[0] == pytest.approx(found[1], rel=1e-8)

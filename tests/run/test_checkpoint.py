@@ -3,8 +3,8 @@
 import h5py
 import numpy as np
 import pytest
-from ngsolve import SetNumThreads, cos, pi, sin, x, y
-from support import assert_goes_on
+from ngsolve import SetNumThreads, sin, x, y
+from support import assert_goes_on, swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -15,17 +15,10 @@ NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 CREEP = nv.Creep(G_m=5.0)
 
 
-def simulation(observers=(), material=NEO_HOOKEAN, maxh=0.5, heat=None, creep=CREEP, **options):
-    model = nv.Model(
-        material=material,
-        heat=heat,
-        hyperviscosity=nv.HyperViscosity(mu=1e-4),
-        creep=creep,
-        loads=[nv.Gravity((0.0, sin(3 * nv.time)))],
-    )
-    initial = nv.Initial(velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))
-    mesh = box((1, 1), maxh=maxh)
-    return nv.Simulation(mesh, model, dt=0.02, initial=initial, observers=observers, **options)
+def simulation(observers=(), material=NEO_HOOKEAN, maxh=0.5, creep=CREEP, **options):
+    loads, hyper = [nv.Gravity((0.0, sin(3 * nv.time)))], nv.HyperViscosity(mu=1e-4)
+    laws = {"material": material, "creep": creep, "hyperviscosity": hyper, "loads": loads}
+    return swirling(maxh, observers=observers, **laws, **options)
 
 
 def observers(directory):
@@ -37,28 +30,15 @@ def observers(directory):
 
 
 SOLID = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
-HEATED = nv.Thermal(material=nv.LinearElastic(K_e=10.0, G_e=5.0), c=1.0, theta_R=1.0, expansion=0.1)
 
 
-HEAT = {"heat": nv.Heat(conductivity=0.05, numerical_heating=True)}
-
-
-@pytest.mark.parametrize(
-    ("material", "options"),
-    [
-        (NEO_HOOKEAN, {}),
-        (HEATED, HEAT | {"solver": "coupled"}),  # whose derivative reads the old momentum
-        (HEATED, HEAT | {"solver": "split"}),
-        # linearised at stresses of iterates
-        *((SOLID, {"creep": nv.Perzyna(sigma_Y=0.05, G_m=0.1), "solver": s}) for s in ("coupled", "split")),
-    ],
-)
-def test_restart_is_bitwise_identical(tmp_path, material, options):
+def test_files_of_a_restarted_run_are_those_of_the_uninterrupted_one(tmp_path):
+    """Of runs of every kind see ``timestepping/test_steps_of_schemes``."""
     SetNumThreads(1)  # sums over threads have no fixed order
-    whole = simulation(observers(tmp_path / "whole"), material, **options)
+    whole = simulation(observers(tmp_path / "whole"))
     whole.run(0.16)
-    simulation(observers(tmp_path / "parts"), material, **options).run(0.06)
-    rest = simulation(observers(tmp_path / "parts"), material, **options)
+    simulation(observers(tmp_path / "parts")).run(0.06)
+    rest = simulation(observers(tmp_path / "parts"))
     rest.restore(tmp_path / "parts" / "run.h5")
     assert (rest.t, rest.number) == (3 * 0.02, 3)
     rest.run(0.16)

@@ -1,11 +1,8 @@
 """Damage: the ledger of both halves of a step, exact curves of stress, bounds, heat, restart, refusals."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 from ngsolve import CF, GridFunction, IfPos, Integrate, cos, exp, pi, sin, sqrt, x, y
-from support import assert_goes_on
 
 import ngvisco as nv
 from ngvisco.errors import InitialDataError, InputWarning, ParameterError, UnknownNameError
@@ -201,10 +198,6 @@ def test_heat_of_growing_damage_arrives():
     entropy, tau = ledger.column("entropy"), ledger.column("dt")
     made = sum(ledger.column(name) for name in ledger.columns if name.startswith("entropy_production"))
     assert np.allclose(np.diff(entropy), (tau * made)[1:], rtol=1e-9)
-
-
-def test_restart_is_bitwise(tmp_path):
-    assert_goes_on(partial(swirl, damaged(), solver="split"), tmp_path / "run.h5", 0.06, -1)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import io
 
 import numpy as np
 import pytest
-from support import assert_goes_on, state, swirling
+from support import Rejections, assert_goes_on, state, swirling
 
 import ngvisco as nv
 from ngvisco.run.stepping import FixedStepper
@@ -34,14 +34,6 @@ def fails_above(monkeypatch, length, calls=None):
         return solve(split, problem, guess)
 
     monkeypatch.setattr(Split, "solve", limited)
-
-
-class Rejections(nv.Observer):
-    def __init__(self):
-        self.seen = []
-
-    def rejected(self, run, rejection):
-        self.seen.append(rejection)
 
 
 def test_a_step_that_is_not_solved_is_taken_in_quarters_and_the_run_goes_on(monkeypatch):

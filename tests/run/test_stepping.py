@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from ngsolve import sin
+from support import Rejections, swirling
 from support import state as values
-from support import swirling
 
 import ngvisco as nv
 from ngvisco.timestepping.error import ErrorEstimate
@@ -49,24 +49,14 @@ def test_output_times_are_met_exactly_and_the_ledger_closes(tmp_path):
 
 def test_a_failed_step_is_halved_recorded_and_grown_again(monkeypatch):
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.04, patience=2)
-    seen = []
-    run = simulation(stepping, dt=0.04)
-    run.observers.append(Watcher(seen))
+    run = simulation(stepping, dt=0.04, observers=[watch := Rejections()])
     refuse(run, monkeypatch, lambda t, tau: t < 0.02 and tau > 0.011)
     ledger = run.run(0.16)
-    assert [(r.time, r.tau) for r in seen] == [(0.0, 0.04), (0.0, 0.02)]
-    assert "refused 0.04" in seen[0].reason
+    assert [(r.time, r.tau) for r in watch.seen] == [(0.0, 0.04), (0.0, 0.02)]
+    assert "refused 0.04" in watch.seen[0].reason
     assert list(ledger.column("rejections")[:3]) == [0, 2, 0]
     assert list(ledger.column("dt")[1:4]) == [0.01, 0.01, 0.02]
     assert ledger.column("dt").max() == 0.04  # grown back
-
-
-class Watcher(nv.Observer):
-    def __init__(self, seen):
-        self.seen = seen
-
-    def rejected(self, simulation, rejection):
-        self.seen.append(rejection)
 
 
 @pytest.mark.parametrize("why", ["too long", "its error"])
@@ -75,7 +65,7 @@ def test_a_rejected_step_leaves_no_trace(why, monkeypatch):
     tolerance = 1e-3 if why == "its error" else None
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.04, patience=9, tolerance=tolerance)
     run, short = simulation(stepping, dt=0.04), simulation(stepping, dt=0.02)
-    run.observers.append(Watcher(seen := []))
+    run.observers.append(watch := Rejections())
     if why == "its error":
         error = lambda self, t, _: 1.0 if t - self._times[-1] > 0.03 else None  # noqa: E731
         monkeypatch.setattr(ErrorEstimate, "__call__", error)
@@ -85,7 +75,7 @@ def test_a_rejected_step_leaves_no_trace(why, monkeypatch):
     run.run(0.08)
     short.run(0.08)
     assert run.ledger.column("rejections").sum() == 1
-    assert (why if tolerance is None else "error") in seen[0].reason
+    assert (why if tolerance is None else "error") in watch.seen[0].reason
     assert np.array_equal(values(run), values(short))
 
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from ngsolve import CF, IfPos, pi, sin, x, y
+from ngsolve import CF, IfPos, exp, pi, sin, x, y
 from support import SWIRL, assert_goes_on, state, swirling
 
 import ngvisco as nv
@@ -28,42 +28,68 @@ def simulation(dt=0.02, scheme="midpoint", **options):
 
 # --- restarts ------------------------------------------------------------------------------------------
 
+SOLID = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
+HEATED = {
+    "material": nv.Thermal(material=nv.LinearElastic(K_e=10.0, G_e=5.0), c=1.0, theta_R=1.0, expansion=0.1),
+    "heat": nv.Heat(conductivity=0.05, numerical_heating=True),
+    "scheme": "backward-euler",
+}
+YIELDING = {"material": SOLID, "creep": nv.Perzyna(sigma_Y=0.05, G_m=0.1), "scheme": "backward-euler"}
+DAMAGED = nv.Damaged(material=nv.ReferentialNeoHookean(K_e=20.0, G_e=5.0), G_c=0.1, length=0.6)
+SEED = 0.3 * exp(-20 * ((x - 0.5) ** 2 + (y - 0.5) ** 2))
+NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
 RESTARTED = {
+    "sdirk2, passive": {"scheme": "sdirk2", "passive": ("F_tot", "reference_map"), "solver": "split"},
+    "moving wall": {
+        "solver": "split",
+        "walls": {"top": nv.PrescribedTangential((10 * nv.time * sin(pi * x), 0))},
+    },
+    "relaxed": {
+        "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02),
+        "relaxation": True,
+        "solver": "coupled",
+    },
+    "creep, passive": {
+        "creep": nv.Creep(G_m=2.0),
+        "passive": ("F_tot", "reference_map", "creep_strain"),
+        "scheme": "backward-euler",
+    },
+    # whose derivative reads the old momentum
+    "heat, coupled": HEATED | {"solver": "coupled"},
+    "heat, split": HEATED | {"solver": "split"},
+    # linearised at stresses of iterates
+    "yield, coupled": YIELDING | {"solver": "coupled"},
+    "yield, split": YIELDING | {"solver": "split"},
+    # nothing of the pointwise energies is in the file
+    "Yosida": {"material": nv.Yosida(material=NEO_HOOKEAN, eps=0.02), "creep": nv.Creep(G_m=2.0)},
+    "damage": {
+        "material": DAMAGED,
+        "initial": nv.Initial(velocity=SWIRL, values={"damage": SEED}),
+        "solver": "split",
+    },
+}
+OF_CI = {
     "backward-euler, adaptive": {
         "scheme": "backward-euler",
         "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.08, tolerance=3e-3, patience=2),
         "solver": "split",
     },
     "theta after a start-up": {"scheme": "theta", "theta": 0.6, "startup": 1, "solver": "coupled"},
-    "sdirk2, passive": {"scheme": "sdirk2", "passive": ("F_tot", "reference_map"), "solver": "split"},
-    "moving wall": {
-        "scheme": "midpoint",
-        "solver": "split",
-        "walls": {"top": nv.PrescribedTangential((10 * nv.time * sin(pi * x), 0))},
-    },
-    "relaxed": {
-        "scheme": "midpoint",
-        "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02),
-        "relaxation": True,
-        "solver": "coupled",
-    },
 }
 
 
 @pytest.mark.parametrize(
-    "name",
+    "options",
     [
-        "sdirk2, passive",
-        "moving wall",
-        "relaxed",
+        *(pytest.param(options, id=name) for name, options in RESTARTED.items()),
         *(
-            pytest.param(name, marks=[pytest.mark.long, pytest.mark.ci])
-            for name in ("backward-euler, adaptive", "theta after a start-up")
+            pytest.param(options, id=name, marks=[pytest.mark.long, pytest.mark.ci])
+            for name, options in OF_CI.items()
         ),
     ],
 )
-def test_a_run_goes_on_from_any_checkpoint_bit_for_bit(name, tmp_path):
-    make = partial(simulation, **RESTARTED[name])
+def test_a_run_goes_on_from_any_checkpoint_bit_for_bit(options, tmp_path):
+    make = partial(simulation, **options)
     whole = assert_goes_on(make, tmp_path / "run.h5", 0.06, 1, 2)  # with one solution before it, and with two
     assert whole.number >= 3
 
