@@ -79,6 +79,7 @@ def found(ranks, *names):
 
 
 GROUPS = {
+    "of default": "split creep; split bodies; delta, 2D, split; split, Newton-Krylov",
     # every mechanism once, by one of the solvers; in space, with an oblique and with a curved wall
     "of CI": "carried; observed; sdirk2; adaptive; own term; channel; quadrilateral; slip disc; split; "
     "split crystal; split bodies; split parameters; split heated; split Yosida; split creep; "
@@ -132,13 +133,18 @@ def assert_same_tables(one, several, of=1e-10):
                 assert abs(found_value - value) <= of * size, name
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("group", "ranks"),
     [
-        pytest.param("of CI", 3, marks=pytest.mark.ci),
-        ("of many ranks", 9),
-        *((group, ranks) for group in GROUPS for ranks in (2, 3, 4) if not group.startswith("of ")),
+        ("of default", 3),
+        pytest.param("of CI", 3, marks=[pytest.mark.long, pytest.mark.ci]),
+        pytest.param("of many ranks", 9, marks=pytest.mark.long),
+        *(
+            pytest.param(group, ranks, marks=pytest.mark.long)
+            for group in GROUPS
+            for ranks in (2, 3, 4)
+            if not group.startswith("of ")
+        ),
     ],
 )
 def test_ledgers_and_tables_are_those_of_one_process(group, ranks):
