@@ -49,7 +49,6 @@ NOT_QUICK = [
     "forms/test_kinks.py",
     "forms/test_regularisation.py",
     "forms/test_field_diffusion.py",
-    "forms/test_side_points.py",
     "forms/test_wall_conditions.py",
     "forms/test_wall_projection.py",
     "physics/test_material_laws.py",

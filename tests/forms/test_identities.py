@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ngsolve import CF, BaseVector, BilinearForm, BitArray, Id, IfPos, OuterProduct, x, y
+from ngsolve import CF, Id, OuterProduct, x, y
 from support import Case, block, parts_of, randomise, residual, step_of, uncondensed
 
 from ngvisco import StokesViscosity
@@ -10,7 +10,7 @@ from ngvisco.forms.start.initial import complete
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand, Term
 from ngvisco.physics.material import cauchy_stress
-from ngvisco.physics.tensors import embed_gradient, inner, square
+from ngvisco.physics.tensors import embed_gradient, inner
 
 CASES = [
     Case(),
@@ -121,40 +121,3 @@ def test_stokes_force_is_that_of_the_viscosities() -> None:
         squares = sum(eps[i, j] * eps[i, j] for i in range(3) for j in range(3))
         by_hand = law.K_v * trace * trace + 2 * law.G_v * (squares - trace * trace / 3)
         assert power == pytest.approx(step.quadrature.integrate_cells(by_hand), rel=1e-12)
-
-
-@by_case
-def test_trace_is_the_upwind_value(case: Case) -> None:
-    """With z constant in cells and v* uniform, z_hat is that of the cell where the flow comes from."""
-    step = step_of(case)
-    randomise(step, 8)
-    step.context.eta.Set(1e-6)
-    try:
-        step.wind.Set(CF((1.0, 0.7, 0.4)[: case.dim]))
-        step.follow_wind()
-        # the trace's own equation, linear in it
-        form = uncondensed(
-            step, term_of(step, "UpwindTrace").form(*map(step.layout.fields, step.layout.space.TnT()))
-        )
-        form.AssembleLinearization(step.state.vec)
-        free = BitArray(step.layout.space.ndof)
-        free.Clear()
-        free[step.layout.ranges["z_hat"]] = True
-        correction = step.state.vec.CreateVector()
-        correction.data = form.mat.Inverse(free, inverse="umfpack") * residual_vector(form, step)
-        step.state.vec.data -= correction
-        u, n = step.now, step.context.normal
-        outflow = IfPos(step.wind * n, 1.0, 0.0) * step.context.inner
-        downstream = outflow * square(u.z_hat - u.z)
-        wall = (1 - step.context.inner) * square(u.z_hat - u.z)
-        assert step.quadrature.integrate_facets(square(u.z_hat - u.z)) > 1e-3
-        assert step.quadrature.integrate_facets(downstream) < 1e-10
-        assert step.quadrature.integrate_facets(wall) < 1e-20
-    finally:
-        step.context.eta.Set(0.3)
-
-
-def residual_vector(form: BilinearForm, step: Step) -> BaseVector:
-    vector = step.state.vec.CreateVector()
-    form.Apply(step.state.vec, vector)
-    return vector

@@ -6,11 +6,8 @@ import math
 import numpy as np
 import pytest
 from ngsolve import H1, BilinearForm, CoefficientFunction, GridFunction, IfPos, atan, dx, exp, grad
-from support import Case, random_direction, randomise, step_of, uncondensed
 
 from ngvisco import NewtonOptions
-from ngvisco.algebra.condensed import CondensedJacobian
-from ngvisco.forms.system import Step
 from ngvisco.geometries import box
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.norm import BlockNorm
@@ -239,38 +236,3 @@ def test_a_shared_block_counts_by_its_share_of_its_relative_increment() -> None:
     increment, state = vectors([0.0, 0.0, 0.0, 10.0], [3.0, 4.0, 0.0, 30.0])
     assert norm.sizes(increment, state) == pytest.approx((1e-4 / 4, 1 / 4))
     assert norm.sizes(increment, state, coarse=True) == pytest.approx((1e-4 / 4, 1 / 4))
-
-
-# --- static condensation -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "case",
-    [
-        Case(),
-        Case(k=3, m=2, p=3.5, mu_1=0.3),
-        Case(material="linear", m=0, p=2.0),
-        Case(p=None),
-        Case(dim=3, material="linear"),
-    ],
-    ids=str,
-)
-def test_condensed_solve_solves_the_full_system(case: Case) -> None:
-    """The increment equals that of the uncondensed matrix, and its image is the right-hand side."""
-    step: Step = step_of(case)
-    randomise(step, 12)
-    step.eliminate.refresh()  # the stress that creep is linearised at
-    right = random_direction(step, 13)
-    condensed = CondensedJacobian(step.residual, "umfpack")
-    condensed.factorise(step.state.vec)
-    increment, expected, image = (step.state.vec.CreateVector() for _ in range(3))
-    condensed.solve(right, increment)
-    form = uncondensed(step)
-    form.AssembleLinearization(step.state.vec)
-    expected.data = form.mat.Inverse(step.layout.space.FreeDofs(), inverse="umfpack") * right
-    size = np.abs(expected.FV().NumPy()).max()
-    assert size > 1e-3
-    assert np.abs(increment.FV().NumPy() - expected.FV().NumPy()).max() < 1e-8 * size
-    image.data = form.mat * increment - right
-    free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
-    assert np.abs(image.FV().NumPy()[free]).max() < 1e-9 * max(1.0, size)

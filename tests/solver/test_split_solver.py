@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ngsolve import cos, pi, sin, x, y
+from ngsolve import CF, cos, pi, sin, x, y
 from ngsolve.meshes import MakeStructured2DMesh
 from scipy.sparse.linalg import LinearOperator, gmres
-from support import state
+from support import SWIRL, state
 
 import ngvisco as nv
 from ngvisco.algebra import precision
@@ -22,20 +22,20 @@ from ngvisco.solver.split.transport import LEAST
 
 
 def simulation(maxh=0.4, mesh=None, hyperviscosity=None, regularisation=None, speed=0.0, **options):
+    mesh = mesh or box((1, 1), maxh=maxh)
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"),
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
         hyperviscosity=hyperviscosity or nv.HyperViscosity(mu=1e-4, p=4),
         creep=nv.Creep(G_m=2.0),
-        loads=[nv.Gravity((0.0, -1.0))],
+        loads=[nv.Gravity((0.0,) * (mesh.dim - 1) + (-1.0,))],
         regularisation=regularisation,
     )
-    swirl = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+    velocity = (*SWIRL, CF(0))[: mesh.dim]
     if speed:
-        swirl = (speed + 0.3 * sin(2 * pi * y), 0.3 * sin(2 * pi * x) * sin(2 * pi * y))
-    initial = nv.Initial(velocity=swirl)
-    options = {"solver": "split", "dt": 0.02} | options
-    return nv.Simulation(mesh or box((1, 1), maxh=maxh), model, initial=initial, **options)
+        velocity = (speed + 0.3 * sin(2 * pi * y), 0.3 * sin(2 * pi * x) * sin(2 * pi * y))
+    options = {"solver": "split", "dt": 0.02, "initial": nv.Initial(velocity=velocity)} | options
+    return nv.Simulation(mesh, model, **options)
 
 
 TWO_LEVELS = nv.NewtonOptions(split=SplitOptions(direct_up_to=(0, 0)))
@@ -83,9 +83,18 @@ class EveryRow:
 DELTA = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1)
 
 
-@pytest.mark.parametrize("options", [{}, {"sources": EveryRow(), "regularisation": DELTA}])
+AWAY = {
+    "all rows": lambda: {"sources": EveryRow(), "regularisation": DELTA},
+    "in space": lambda: {"mesh": box((1, 1, 1), maxh=1)},
+    "periodic": lambda: {"mesh": box((1, 1), maxh=0.4, periodic="x")},
+    "a curved wall": lambda: {"mesh": disc(1.0, maxh=0.7)},
+    **{f"m = {m}": lambda m=m: {"discretisation": nv.Discretisation(m=m)} for m in (0, 1, 2)},
+}
+
+
+@pytest.mark.parametrize("options", [pytest.param(make, id=name) for name, make in AWAY.items()])
 def test_residual_is_the_coupled_one_away_from_a_solution(options):
-    run = simulation(**options)
+    run = simulation(**options())
     run.rothe_step.context.set_step(0.02, 0.02, 0.0, 0.02)
     step, split = run.rothe_step, run.solver.newton
     step.state_old.vec.data = step.state.vec
@@ -100,12 +109,12 @@ def test_residual_is_the_coupled_one_away_from_a_solution(options):
     step.residual.Apply(step.state.vec, rows)
     full, ranges = rows.FV().NumPy(), step.layout.ranges
     size = np.abs(full[free]).max()
-    own = {"v": r.flow, "z": r.z.ravel()}
-    own |= {name: r.density[rows] for name, rows in density_rows(split.unknowns).items()}
-    for name, values in own.items():
-        mask = free[ranges[name]]
-        assert np.abs(full[ranges[name]] - values)[mask].max() <= 1e-13 * size, name
-    normals = full[ranges["a_1"].start : ranges["a_2"].stop]
+    own = {tuple(split.unknowns.flow): r.flow, ("z",): r.z.ravel()}
+    own |= {(name,): r.density[rows] for name, rows in density_rows(split.unknowns).items()}
+    for names, values in own.items():
+        expected, mask = (np.concatenate([array[ranges[name]] for name in names]) for array in (full, free))
+        assert np.abs(expected - values)[mask].max() <= 1e-13 * size, names
+    normals = full[ranges["a_1"].start : ranges[f"a_{run.mesh.dim}"].stop]
     assert np.abs(normals - r.normals.ravel()).max() <= 1e-13 * size
     for name in set(ranges) - set(split.unknowns.names):
         assert np.abs(full[ranges[name]]).max() <= 1e-12 * size, name
