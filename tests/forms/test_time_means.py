@@ -9,7 +9,6 @@ from ngsolve import CF, IfPos, cos, exp, sin, sqrt, x, y
 import ngvisco as nv
 from ngvisco.forms.time_means import TOLERANCE, mean_in_cells, rule
 from ngvisco.geometries import box
-from ngvisco.physics.signals import breaking
 
 T = nv.time
 MESH = box((1, 1), 0.5)
@@ -42,14 +41,6 @@ def test_means_are_exact_to_the_tolerance(name):
     found, error = mean(value)
     assert error <= TOLERANCE
     assert found == pytest.approx(exact, rel=10 * TOLERANCE)
-
-
-def test_two_gauss_points_miss_the_pulse():
-    """Negative control, the rule before: a pulse of 10 ms in a step of 0.1 s had no momentum."""
-    value, exact = MEANS["pulse"]
-    spread = 0.5 / math.sqrt(3)
-    early, late = (value.Replace({T: CF(0.1 * (0.5 + s))}) for s in (-spread, spread))
-    assert 0.5 * (early + late)(MESH(0.3, 0.4)) == 0 and mean(value)[0] == pytest.approx(exact)
 
 
 def test_a_mean_over_no_time_is_the_value():
@@ -98,14 +89,6 @@ def test_the_error_is_not_less_than_it_is():
         found = rule(values, 0.0, 10.0)
         exact = [0.5 - (math.sin(2 * (10 * times + c)) - math.sin(2 * c)) / (40 * times) for c in (0, 1)]
         assert np.abs(found.mean(values) - exact).max() <= max(found.error, TOLERANCE)
-
-
-def test_what_a_function_breaks_by_is_found():
-    """In whatever it is wrapped: NGSolve has no documented way to ask for it."""
-    conditions, knots = breaking(3 * nv.pulse(0.2, 0.01) * CF((x, y)) + CF((0, IfPos(sin(T) - x, 1, 2))))
-    assert len(conditions) == 3 and not knots
-    assert breaking(IfPos(x - 0.5, 1, 2) * T) == ([], [])
-    assert len(breaking(2 * nv.table([0, 1], [0, 1]))[1]) >= 1
 
 
 @pytest.mark.parametrize(

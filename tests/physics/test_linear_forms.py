@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from ngvisco.physics.arrays import Array, Linear, slots
-from ngvisco.physics.increments import slope_along
-from ngvisco.physics.tensors import embed_gradient, inner, skw, square, sym, tr
+from ngvisco.physics.tensors import embed_gradient, inner, skw, sym, tr
 
 POINTS = 4
 RNG = np.random.default_rng(5)
@@ -64,16 +63,3 @@ def test_sums_do_not_change_the_values_that_they_are_made_of():
     found = slots(s * q + s * q + s * q + 1.0 * q)["q"]
     assert found == pytest.approx(3 * before + 1)
     assert (s.value == before).all()
-
-
-def test_complex_increments_are_derivatives():
-    z = RNG.standard_normal((2, 2, POINTS))
-    d = RNG.standard_normal((2, 2, POINTS))
-
-    def function(at):
-        B = Array(at, None)
-        return (square(B * B) * tr(B) ** 3 / (1 + square(B)).sqrt()).value
-
-    h = 1e-6
-    quotient = (function(z + h * d) - function(z - h * d)) / (2 * h)
-    assert slope_along(function, z, d) == pytest.approx(quotient, rel=1e-7)

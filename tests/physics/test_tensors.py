@@ -6,16 +6,9 @@ from ngsolve import CF
 from support import one_triangle, plane_strain, tensor, value
 
 from ngvisco.physics.tensors import (
-    TensorSpace,
-    dev,
-    embed_gradient,
     full_tensors,
     power_of_square,
-    skw,
-    sph,
-    sym,
     symmetric_tensors,
-    tensor_space,
     trace_free_tensors,
 )
 
@@ -57,31 +50,6 @@ def test_labels_of_full_tensors_name_the_entries(dim: int) -> None:
     for i, label in enumerate(space.labels):
         A = value(space.tensor(tensor(np.eye(space.size)[i])))
         assert A[int(label[0]) - 1, int(label[1]) - 1] == 1 and np.abs(A).sum() == 1
-
-
-def test_scalar_space_is_one_number() -> None:
-    space = tensor_space("scalar", 2)
-    assert isinstance(space, TensorSpace) and space.is_scalar and space.size == 1
-    assert float(value(space.components(CF(3.0)))) == 3.0
-    assert float(value(space.tensor(tensor(np.array([4.0]))))) == 4.0
-
-
-def test_parts_of_a_tensor_are_three_dimensional(rng: np.random.Generator) -> None:
-    A = plane_strain(rng.standard_normal((3, 3)))
-    t = tensor(A)
-    assert value(sym(t)) + value(skw(t)) == pytest.approx(A, abs=1e-15)
-    assert value(skw(t)) == pytest.approx((A - A.T) / 2, abs=1e-15)
-    assert value(sph(t)) == pytest.approx((A[0, 0] + A[1, 1] + A[2, 2]) / 3 * np.eye(3), abs=1e-15)
-    assert np.trace(value(dev(t))) == pytest.approx(0, abs=1e-15)
-
-
-def test_plane_gradient_is_embedded_with_zero_third_row_and_column(rng: np.random.Generator) -> None:
-    G = rng.standard_normal((2, 2))
-    expected = np.zeros((3, 3))
-    expected[:2, :2] = G
-    assert value(embed_gradient(tensor(G), 2)) == pytest.approx(expected)
-    A = rng.standard_normal((3, 3))
-    assert value(embed_gradient(tensor(A), 3)) == pytest.approx(A)
 
 
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0, 0.75, -0.25, 2.5])

@@ -111,17 +111,6 @@ def test_rate_follows_the_integrated_distortion(name: str, creep: bool) -> None:
 
 
 @pytest.mark.parametrize("name", LISTS)
-def test_rate_is_linear_in_value_gradient_and_creep_rate(name: str) -> None:
-    variables = LISTS[name]
-    L, Pi, F_0 = motion(3, True)
-    M, P, _ = motion(4, True)
-    z = pack(variables, F_0)
-    both = rates(variables, z, 2 * L - 3 * M, 2 * Pi - 3 * P)
-    assert both == pytest.approx(2 * rates(variables, z, L, Pi) - 3 * rates(variables, z, M, P), abs=1e-12)
-    assert rates(variables, -2.5 * z, L, Pi) == pytest.approx(-2.5 * rates(variables, z, L, Pi), abs=1e-12)
-
-
-@pytest.mark.parametrize("name", LISTS)
 def test_creep_flag_says_whether_the_rate_reads_the_creep_rate(name: str) -> None:
     L, Pi, F_0 = motion(5, True)
     z = tensors(unpack(LISTS[name], pack(LISTS[name], F_0)))
@@ -248,41 +237,6 @@ def test_small_strain_follows_the_zaremba_jaumann_equation(creep: bool) -> None:
         assert result == pytest.approx(expected, abs=1e-9)
 
 
-def test_zaremba_jaumann_rate_is_objective() -> None:
-    """E* = Q(t) E Q(t)^T obeys the same equation with L* = Q L Q^T + Q' Q^T and Pi* = Q Pi Q^T."""
-    rng = np.random.default_rng(8)
-    L, Pi, F_0 = motion(8, True)
-    spin = rng.standard_normal((3, 3))
-    spin = spin - spin.T
-    Q = random_rotation(rng)
-    E = (F_0 + F_0.T) / 2
-    rate = rates([SmallStrain()], E.ravel(), L, Pi).reshape(3, 3)
-    # the derivative of Q E Q^T, where Q' = spin Q
-    expected = spin @ Q @ E @ Q.T + Q @ rate @ Q.T - Q @ E @ Q.T @ spin
-    E_star, L_star, Pi_star = Q @ E @ Q.T, Q @ L @ Q.T + spin, Q @ Pi @ Q.T
-    assert rates([SmallStrain()], E_star.ravel(), L_star, Pi_star).reshape(3, 3) == pytest.approx(
-        expected, abs=1e-12
-    )
-    # a rate without the spin is not objective: what the test above would see
-    assert np.abs(expected - ((L_star + L_star.T) / 2 - Pi_star)).max() > 0.1
-
-
-@pytest.mark.parametrize("name", [n for n in LISTS if n not in ("J", "A", "K")])
-def test_superposed_rotation_turns_the_left_leg_only(name: str) -> None:
-    """F* = Q(t) F with L* = Q L Q^T + Q' Q^T and the same Pi: H* = Q H for F- and cofactor-like ones."""
-    rng = np.random.default_rng(9)
-    L, Pi, F_0 = motion(9, True)
-    spin = rng.standard_normal((3, 3))
-    spin = spin - spin.T
-    Q = random_rotation(rng)
-    (variable,) = LISTS[name]
-    H = pack([variable], F_0).reshape(3, 3)
-    assert pack([variable], Q @ F_0).reshape(3, 3) == pytest.approx(Q @ H, abs=1e-12)
-    rate = rates([variable], H.ravel(), L, Pi).reshape(3, 3)
-    star = rates([variable], (Q @ H).ravel(), Q @ L @ Q.T + spin, Pi).reshape(3, 3)
-    assert star == pytest.approx(Q @ rate + spin @ Q @ H, abs=1e-12)
-
-
 # --- plane strain ------------------------------------------------------------------------------------
 
 
@@ -307,14 +261,6 @@ def test_plane_strain_components_reproduce_the_3d_rate(name: str) -> None:
         for array in (z[variable.name], dz[variable.name]):
             assert abs(array[2, 2]) > 1e-3
             assert value(space.tensor(space.components(tensor(array)))) == pytest.approx(array, abs=1e-14)
-
-
-def test_distortion_keeps_the_33_entry_in_plane_strain_creep() -> None:
-    """In-plane creep thins or thickens the body: F_33 follows exp(-Pi_33 t), and det F stays."""
-    Pi = np.diag([0.4, 0.2, -0.6])
-    F = transported([Distortion()], np.zeros((3, 3)), Pi, np.eye(3)).reshape(3, 3)
-    assert F[2, 2] == pytest.approx(np.exp(0.6 * TIME), rel=1e-10)
-    assert np.linalg.det(F) == pytest.approx(1.0, rel=1e-10)
 
 
 def test_conjugate_power_is_that_of_the_components() -> None:

@@ -7,7 +7,7 @@ from ngsolve import ET, VOL, IfPos, Integrate, IntegrationRule, Mesh, pi, x, y
 
 from ngvisco.errors import ParameterError
 from ngvisco.geometries import box, disc
-from ngvisco.shapes.fractions import fractions, share_of_simplex, subdivision, volumes
+from ngvisco.shapes.fractions import fractions, volumes
 from ngvisco.shapes.shape import Union, Where
 from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon
 
@@ -15,27 +15,6 @@ from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon
 def sampled(mesh, function):
     rules = {et: IntegrationRule(et, 6) for et in (ET.TRIG, ET.QUAD, ET.TET)}
     return np.asarray(function(mesh.MapToAllElements(rules, VOL)))
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("seed", range(3))
-def test_share_of_a_simplex_is_that_of_many_points(dim, seed):
-    random = np.random.default_rng(seed)
-    levels = random.normal(size=(40, dim + 1))
-    weights = random.dirichlet(np.ones(dim + 1), size=40_000)
-    counted = (weights @ levels.T > 0).mean(axis=0)
-    assert share_of_simplex(levels) == pytest.approx(counted, abs=0.015)
-    assert share_of_simplex(levels) + share_of_simplex(-levels) == pytest.approx(1, abs=1e-13)
-
-
-@pytest.mark.parametrize(("dim", "is_quad"), [(2, False), (2, True), (3, False)])
-def test_subdivision_fills_the_reference_cell_once(dim, is_quad):
-    corners, pieces = subdivision(dim, 3, is_quad)
-    edges = corners[pieces[:, 1:]] - corners[pieces[:, :1]]
-    sizes = abs(np.linalg.det(edges))
-    assert len(pieces) == 3**dim * (2 if is_quad else 1)
-    assert sizes == pytest.approx(3.0**-dim)
-    assert corners.min() == 0 and (corners.max() == 1 if is_quad else corners.sum(axis=1).max() <= 1 + 1e-15)
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])

@@ -58,12 +58,6 @@ def test_error_constant_is_that_of_a_short_step(scheme):
 
 
 @by_scheme
-def test_weights_are_affine(scheme):
-    assert np.allclose(scheme.starts.sum(axis=1), 1, rtol=0, atol=1e-14)
-    assert scheme.end.sum() == pytest.approx(1, abs=1e-14)
-
-
-@by_scheme
 def test_remainder_closes_the_identity_of_a_convex_energy(scheme):
     """E(u) = u^4/4 + u^2/2, u' = -E'(u): E_1 - E_0 + tau sum b_i |f_i|^2 + R = 0, R by distances alone."""
     tau = 0.3
