@@ -219,16 +219,6 @@ def with_F_tot(creep, m, maxh, dt, until):
     return run
 
 
-def test_total_distortion_is_the_elastic_one_without_creep():
-    """|F - F_tot| is the discretisation's error of F, in P_1 (F_tot is in P_2): of second order in h."""
-    gaps = []
-    for maxh in (0.4, 0.2):
-        run = with_F_tot(None, 1, maxh, 0.02, 0.1)
-        gaps.append(Integrate(square(run.fields["F"] - run.fields["F_tot"]), run.mesh) ** 0.5)
-    assert gaps[0] < 6e-3
-    assert np.log2(gaps[0] / gaps[1]) > 1.7
-
-
 def test_both_distortions_are_the_same_in_the_same_space():
     """The step and the passive fields have the same scheme: in P_2 they differ by rounding."""
     run = with_F_tot(None, 2, 0.4, 0.02, 0.1)

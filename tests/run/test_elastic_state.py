@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from ngsolve import CF, sin, y
+from ngsolve import CF
 from support import swirling
 
 import ngvisco as nv
@@ -12,9 +12,6 @@ from ngvisco.geometries import box
 from ngvisco.physics.tensors import dev, square, tr
 from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen
 from tests.verification.cases.winding import lid
-
-SCHEMES = {"backward-euler": 1, "midpoint": 2, "sdirk2": 2}
-"""Orders in tau."""
 
 TWO_FORMED = {
     "NeoHookean": lambda **state: nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, **state),
@@ -126,39 +123,6 @@ def test_B_stores_what_F_dissipates_in_the_step():
         stored.append(gap)
     assert stored[0] / stored[1] == pytest.approx(2, rel=0.25)  # of first order in tau
     assert abs(stored_by_B_and_by_F(0.02, "midpoint")[0]) < 0.02 * stored[0]
-
-
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_determinant_and_trace_of_B_at_the_order_of_the_scheme(scheme):
-    """Elastic simple shear at a rate that changes, to gamma = 1.17: det B = 1, tr B = 3 + gamma^2.
-
-    B is a polynomial of second degree in gamma; in t it is none, or the midpoint rule would be exact.  A body
-    force takes inertia away, so that the shear stays homogeneous.
-    """
-    errors = []
-    for steps in (10, 20):
-        model = nv.Model(
-            material=nv.NeoHookean(K_e=100.0, G_e=1.0, epsilon=0.1, elastic_state="B"),
-            viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
-            loads=[nv.Gravity((sin(2 * nv.time) * y, 0))],
-        )
-        nv.time.Set(0.0)
-        walls = {"top": nv.PrescribedTangential((1 + sin(nv.time) ** 2, 0.0)), "bottom": nv.NoSlip()}
-        run = nv.Simulation(
-            box((1, 1), 0.5, periodic="x"),
-            model,
-            dt=1 / steps,
-            walls=walls,
-            initial=nv.Initial(velocity=(y, 0)),
-            scheme=scheme,
-        )
-        run.run(1.0)
-        B = np.reshape(run.fields["B"](run.mesh(0.4, 0.4)), (3, 3))
-        gamma = 1.5 - np.sin(2) / 4
-        errors.append((abs(np.linalg.det(B) - 1), abs(np.trace(B) - 3 - gamma**2)))
-        assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
-    rates = np.log2(np.array(errors[0]) / np.array(errors[1]))
-    assert rates.min() > SCHEMES[scheme] - 0.2
 
 
 # --- what winds up says so ---------------------------------------------------------------------------

@@ -63,13 +63,6 @@ def test_vtk_series_holds_the_fields_with_labelled_components(tmp_path):
     assert arrays["von_mises"][0][:, 0] == pytest.approx(mises, rel=1e-9)
 
 
-def test_vtk_of_a_chosen_field_and_of_an_unknown_one(tmp_path):
-    small_run([nv.VTKSeries(tmp_path, every=9, fields=["density"])], steps=1)
-    assert set(read_vtu(tmp_path / "fields_000001.vtu")) == {"Points", "density"}
-    with pytest.raises(nv.UnknownNameError, match="'desity'; did you mean 'density'"):
-        small_run([nv.VTKSeries(tmp_path / "b", fields=["desity"])], steps=1)
-
-
 def test_nothing_half_written_stays_behind(tmp_path):
     series = nv.VTKSeries(tmp_path / "vtk")
     small_run([series, nv.LedgerCSV(tmp_path / "l.csv"), nv.Checkpoints(tmp_path / "r.h5")], steps=2)

@@ -8,7 +8,7 @@ from ngsolve import CF, x, y
 
 import ngvisco as nv
 from ngvisco.expressions import ExpressionError
-from ngvisco.geometries import annulus, box, disc
+from ngvisco.geometries import box, disc
 
 MATERIAL = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 VISCOSITY = nv.StokesViscosity(K_v=1.0, G_v=1.0)
@@ -92,23 +92,6 @@ def test_forces_neither_change_a_run_nor_stay_with_it():
     assert observed.integrator.carried == [observed.passive]
 
 
-def test_a_column_at_rest_carries_its_weight():
-    """A heavy fluid with p = rho^2 in equilibrium, 2 rho' = -g: the difference of forces is the weight."""
-    fluid = nv.BarotropicFluid(B=1.0, gamma=2.0, form="A")
-    model = nv.Model(material=fluid, viscosity=VISCOSITY, loads=[nv.Gravity((0.0, -1.0))])
-    density = 1 - 0.5 * y
-    forces = nv.WallForces()
-    initial = nv.Initial(density=density, values={"A": density})
-    run = nv.Simulation(box((2, 1), maxh=0.3), model, dt=1e-3, initial=initial, observers=[forces])
-    run.run(1e-3)
-    top, bottom = (forces.column(f"{wall}.force_2")[-1] for wall in ("top", "bottom"))
-    assert run.ledger.column("v_max")[-1] < 1e-10
-    assert (top, bottom) == pytest.approx((2 * 0.25, -2 * 1.0), rel=1e-10)
-    assert top + bottom == pytest.approx(-run.ledger.column("mass")[0], rel=1e-12)
-    left, right = (forces.column(f"{wall}.force_1")[-1] for wall in ("left", "right"))
-    assert (left, right) == pytest.approx((-7 / 12, 7 / 12), rel=1e-10)
-
-
 def test_torque_on_a_curved_wall_takes_the_angular_momentum():
     """A spinning disc is braked by the friction of its wall, where v.n = 0 is held by a multiplier."""
     model = nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), viscosity=VISCOSITY)
@@ -153,30 +136,6 @@ def test_torque_about_another_point_is_shifted_by_the_force():
     shift = about[0] * force[1] - about[1] * force[0]
     assert there.column("top.torque")[0] == pytest.approx(here.column("top.torque")[0] - shift, abs=1e-12)
     assert abs(shift) > 0.01
-
-
-def test_opposite_torques_on_two_cylinders_in_steady_flow():
-    """Couette flow of a fluid: both walls feel 4 pi mu A, A of v = A/r + B r."""
-    a, b, omega = 1.0, 2.0, 0.01
-    model = nv.Model(
-        material=nv.BarotropicFluid(B=1.0, gamma=1.4), viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0)
-    )
-    B = omega * b * b / (b * b - a * a)
-    A = -B * a * a
-    r2 = x * x + y * y
-    forces = nv.WallForces()
-    run = nv.Simulation(
-        annulus(a, b, 0.4),
-        model,
-        dt=1e-3,
-        initial=nv.Initial(density=1e-3, velocity=(-(A / r2 + B) * y, (A / r2 + B) * x)),
-        walls={"inner": nv.NoSlip(), "outer": nv.PrescribedTangential((-omega * y, omega * x))},
-        observers=[forces],
-    )
-    run.run(5e-3)
-    exact = 4 * math.pi * abs(A)
-    assert forces.column("inner.torque")[-1] == pytest.approx(exact, rel=0.02)
-    assert forces.column("outer.torque")[-1] == pytest.approx(-exact, rel=0.02)
 
 
 def test_a_resumed_table_is_that_of_the_uninterrupted_run(tmp_path):
