@@ -45,12 +45,17 @@ class LocalMatrix:
         self.per_cell = self.height // cells if cells else 0  # as on a rank without cells
         entries = matrix.tocoo()
         cell, row = np.divmod(entries.row, max(self.per_cell, 1))
-        keys, position = np.unique(cell.astype(np.int64) * self.width + entries.col, return_inverse=True)
-        of_cell, unknown = np.divmod(keys, max(self.width, 1))
-        counts = np.bincount(of_cell, minlength=cells)
+        # the unknowns that a cell sees, in their order
+        ends = matrix.indptr[:: max(self.per_cell, 1)]
+        seen = sp.csr_matrix((np.ones(matrix.nnz), matrix.indices, ends), (cells, self.width), copy=True)
+        seen.sum_duplicates()
+        counts, unknown = np.diff(seen.indptr), seen.indices
+        of_cell = np.repeat(np.arange(cells), counts)
         self.local = int(counts.max(initial=1))
-        first = np.cumsum(counts) - counts
-        place = np.arange(len(keys)) - first[of_cell]
+        first = seen.indptr[:-1]
+        place = np.arange(len(unknown)) - first[of_cell]
+        keys = of_cell * self.width + unknown
+        position = np.searchsorted(keys, cell.astype(np.int64) * self.width + entries.col)
         # cells with fewer unknowns are filled up with their first one and with zeros
         self.unknowns = np.zeros((cells, self.local), dtype=np.int64)
         self.unknowns[counts > 0] = unknown[first[counts > 0], None]
