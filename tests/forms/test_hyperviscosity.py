@@ -145,6 +145,21 @@ def test_residual_is_the_gradient_of_the_potential(case: Case) -> None:
 
 
 @by_case
+def test_dissipation_is_the_power_of_the_hyperstress(case: Case) -> None:
+    """<Psi'(v, a), (v, a)> is the ledger's entry, and >= p Psi where mu_1 and chi do not matter."""
+    step = step_of(case)
+    randomise(step, 3)
+    make_consistent(step)
+    power = rows(step)[of_velocity(step)] @ step.state.vec.FV().NumPy()[of_velocity(step)]
+    (entry,) = hyperviscosity(step).entries(step.now)
+    entered = step.quadrature.integrate_cells(entry.integrand.cells)
+    entered += step.quadrature.integrate_facets(entry.integrand.facets)
+    assert (entry.name, entry.kind) == ("dissipation_hyper", "dissipation")
+    assert entered == pytest.approx(power, rel=1e-12)
+    assert entered > 0
+
+
+@by_case
 def test_potential_is_convex_in_velocity_and_trace(case: Case) -> None:
     """The monotone map that Newton rests on: <Psi'(1) - Psi'(2), 1 - 2> > 0 for random pairs."""
     step = step_of(case)

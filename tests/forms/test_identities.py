@@ -1,4 +1,4 @@
-"""What the discrete forms mean, on random states; that they balance is held by ``run/test_ledger``."""
+"""Identities of the discrete forms, by the paper's labels, and what the forms mean, on random states."""
 
 import numpy as np
 import pytest
@@ -9,8 +9,9 @@ from ngvisco import StokesViscosity
 from ngvisco.forms.start.initial import complete
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand, Term
+from ngvisco.forms.terms.transport import transport_in_cells, transport_through_facets
 from ngvisco.physics.material import cauchy_stress
-from ngvisco.physics.tensors import embed_gradient, inner
+from ngvisco.physics.tensors import embed_gradient, inner, square
 
 CASES = [
     Case(),
@@ -42,6 +43,101 @@ def powers(step: Step, parts: list[Integrand]) -> np.ndarray:
 
 def coefficients(step: Step, name: str) -> np.ndarray:
     return block(step, step.state.vec.FV().NumPy(), name)
+
+
+def unit_test(step: Step) -> np.ndarray:
+    """Coefficients of q = 1, other tests 0."""
+    parts = parts_of(step)
+    kept = step.state.vec.FV().NumPy().copy()
+    step.state.vec[:] = 0.0
+    parts["rho"].Set(1.0)
+    one = step.state.vec.FV().NumPy().copy()
+    step.state.vec.FV().NumPy()[:] = kept
+    return one
+
+
+@by_case
+def test_continuity_conserves_mass_for_any_state(case: Case) -> None:
+    """With q = 1 only the storage is left, whatever v, rho and rho_hat are."""
+    step = step_of(case)
+    randomise(step, 1)
+    rate = rows(step, "Continuity") @ unit_test(step)
+    old, now = (step.quadrature.integrate_cells(f.rho) for f in (step.old, step.now))
+    tau = step.context.tau.Get()
+    assert rate == pytest.approx((now - old) / tau, abs=1e-13)
+    assert abs(now - old) > 1e-4  # the storage is not zero by itself
+
+
+@by_case
+def test_convection_is_powerless(case: Case) -> None:
+    step = step_of(case)
+    randomise(step, 2)
+    force = block(step, rows(step, "Convection"), "v")
+    assert np.abs(force).max() > 1e-4
+    assert force @ coefficients(step, "v") == pytest.approx(0, abs=1e-14)
+
+
+@by_case
+def test_inertia_returns_kinetic_energy_and_its_remainder(case: Case) -> None:
+    """tau <R, v> = kinetic - kinetic_old + 1/2 int rho_old |v - v_old|^2, for m_old = rho_old v_old."""
+    step = step_of(case)
+    randomise(step, 3)
+    power = block(step, rows(step, "Inertia"), "v") @ coefficients(step, "v")
+    u, old = step.now, step.old
+    energy = 0.5 * (u.rho * square(u.v) - old.rho * square(old.v) + old.rho * square(u.v - old.v))
+    assert step.context.tau.Get() * power == pytest.approx(step.quadrature.integrate_cells(energy), rel=1e-12)
+
+
+@by_case
+def test_elastic_force_is_the_adjoint_of_the_transport(case: Case) -> None:
+    """B_h(v; z, zeta) in the momentum equation cancels its copy in the kinematic one, facets included."""
+    step = step_of(case)
+    randomise(step, 4)
+    power = block(step, rows(step, "ElasticForce"), "v") @ coefficients(step, "v")
+    trial, test = step.layout.space.TnT()
+    u, w = step.layout.fields(trial), step.layout.fields(test)
+    transport = [Integrand(part) for part in transport_in_cells(u, u, w, "z")]
+    transport.append(Integrand(facets=transport_through_facets(u, u, w, "z")))
+    rate = block(step, powers(step, transport), "z") @ coefficients(step, "zeta")
+    assert abs(power) > 1e-3
+    assert rate == pytest.approx(power, rel=1e-12)
+
+
+@by_case
+def test_creep_power_is_a_square(case: Case) -> None:
+    """- int rate(z; 0, Pi) : zeta = int R |M|^2 with the projected conjugates."""
+    step = step_of(case)
+    randomise(step, 5)
+    trial, test = step.layout.space.TnT()
+    u, w = step.layout.fields(trial), step.layout.fields(test)
+    rates = step.context.rates
+    if not case.creep:
+        assert rates.creep(u) == []
+        return
+    creep = [Integrand(part) for part in rates.creep_power(u, rates.creep(u), w, "z")]
+    released = -block(step, powers(step, creep), "z") @ coefficients(step, "zeta")
+    R = step.model.creep.R
+    assert released > 1e-3
+    assert released == pytest.approx(
+        step.quadrature.integrate_cells(R * square(rates.mandel(step.now))), rel=1e-12
+    )
+
+
+@by_case
+def test_creep_leaves_the_jacobian_alone(case: Case) -> None:
+    step = step_of(case)
+    if not case.creep or "J" not in step.now.z_tensors:
+        return
+    randomise(step, 5)
+    trial, test = step.layout.space.TnT()
+    u, w = step.layout.fields(trial), step.layout.fields(test)
+    rates = step.context.rates
+    power = [Integrand(part) for part in rates.creep_power(u, rates.creep(u), w, "z")]
+    creep = block(step, powers(step, power), "z")
+    assert [v.name for v in step.model.material.variables] == ["F", "J"]
+    per_component = creep.reshape(-1, creep.size // step.now.z.dim)
+    assert np.abs(per_component[:-1]).max() > 1e-3  # F
+    assert np.abs(per_component[-1]).max() == 0  # J, the last component
 
 
 def test_both_sides_weigh_their_conjugates_to_one() -> None:

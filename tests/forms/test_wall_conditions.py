@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from ngsolve import BND, CF, Id, IfPos, Integrate, cos, dx, exp, pi, sin, specialcf, sqrt, x, y
+from ngsolve import BND, CF, Id, IfPos, Integrate, cos, exp, pi, sin, specialcf, sqrt, x, y
 from support import ROTATION, WALLS, assert_balanced, difference_times, jacobian_times, uncondensed
 
 import ngvisco as nv
-from ngvisco.forms.boundary.boundaries import facet_indicator
-from ngvisco.forms.context import inner_facets
 from ngvisco.forms.start.projections import set_traces
 from ngvisco.forms.system import Step
 from ngvisco.geometries import block_with_hole, box, channel, disc, refine_walls, sphere, spherical_shell
@@ -132,25 +130,6 @@ def test_curved_wall_is_impenetrable_in_the_mean_of_every_edge():
     assert np.log2(residues[0] / residues[1]) > 1.7
 
 
-def test_wall_multiplier_has_no_power_though_v_n_is_not_zero():
-    """int lambda (v.n) = 0 by the multiplier's own row; pointwise neither factor is small.
-
-    A gravity that turns makes the wall's stress vary along the wall, as in a rotation it does not.
-    """
-    loads = (nv.Gravity((0.0, -1.0)),)
-    initial = nv.Initial(density=1 + 0.3 * x, velocity=(-y * (1 + x), x * (1 + x)))
-    run = nv.Simulation(disc(1, 0.7), model(loads), dt=0.05, initial=initial)
-    for _ in range(3):
-        run.advance()
-        step = run.rothe_step
-        indicator, n = facet_indicator(run.mesh, ["wall"]), specialcf.normal(2)
-        power = indicator * step.now.wall_stress * (step.now.v * n)
-        total = step.quadrature.integrate_facets(power)
-        size = step.quadrature.integrate_facets(sqrt(power * power + 1e-30))
-        assert size > 1e-4 and abs(total) < 1e-12 * size
-    assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-12
-
-
 def projection_error(mesh, order, velocity, walls=None):
     """L2 error of an initial velocity that is tangential on the wall."""
     discretisation = nv.Discretisation(k=order)
@@ -182,14 +161,6 @@ def test_ledger_closes_on_a_sphere_and_a_shell():
         initial = nv.Initial(density=1 + 0.1 * x, velocity=(-y, x, 0 * x))
         ledger = nv.Simulation(mesh, model(loads), dt=0.02, initial=initial).run(0.04)
         assert_balanced(ledger, 1e-12, 1e-13)
-
-
-def test_lid_power_is_the_work_done():
-    """Energy and dissipation grow by what the wall does: no other power is there."""
-    run = nv.Simulation(channel(1, 1, 0.5), model(), dt=0.01, walls={"top": nv.PrescribedTangential((1, 0))})
-    row = run.run(0.01).rows[-1]
-    gained = row["kinetic"] + row["stored"] - run.ledger.rows[0]["stored"]
-    assert 0.01 * row["power_wall_top"] > gained > 0
 
 
 def test_normal_part_of_a_traction_is_powerless():
@@ -238,13 +209,6 @@ def test_wall_data_are_looked_at_over_the_run_s_time(wall):
     with pytest.raises(nv.ParameterError, match=r"walls\['top'\]"):
         run.run(0.4)
     assert run.number == 0
-
-
-def test_identified_facets_carry_and_walls_do_not():
-    mesh = channel(2, 1, 0.5)
-    facets = dx(element_boundary=True)
-    closed = Integrate(CF(1.0) * facets, mesh) - Integrate(inner_facets(mesh) * facets, mesh)
-    assert closed == pytest.approx(4.0)  # bottom and top, 2 m each
 
 
 def test_bisected_boundary_layer_runs():

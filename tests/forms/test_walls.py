@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from netgen.meshing import Element1D, Element2D, FaceDescriptor, MeshingStep, MeshPoint, Pnt
 from netgen.meshing import Mesh as NetgenMesh
-from ngsolve import CF, Integrate, Mesh, dx
+from ngsolve import Integrate, Mesh, dx
 from ngsolve.meshes import Make1DMesh, MakeStructured2DMesh, MakeStructured3DMesh
 
 from ngvisco import MeshError, Model, NeoHookean, NoSlip, ParameterError, UnknownNameError
@@ -204,15 +204,6 @@ def test_a_surface_mesh_is_refused() -> None:
 def test_a_one_dimensional_mesh_is_refused() -> None:
     with pytest.raises(MeshError, match="dimension 1: expected 2"):
         check_mesh(Make1DMesh(3))
-
-
-def test_constants_are_integrated_over_the_right_walls() -> None:
-    """The wall x = 0 of a 1 x 2 box has length 2: names and geometry belong together."""
-    from ngsolve import BND, Integrate
-
-    mesh = box((1, 2), 1.0)
-    assert Integrate(CF(1.0), mesh, BND, definedon=mesh.Boundaries("left")) == pytest.approx(2.0)
-    assert Integrate(CF(1.0), mesh, BND, definedon=mesh.Boundaries("top")) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -8,7 +8,7 @@ import pytest
 from materials import examples, table
 from ngsolve import CF, Mesh, Parameter, log, unit_square
 from scipy.linalg import expm
-from support import plane_strain, tensor, tensors, trace_free, value
+from support import plane_strain, random_rotation, tensor, tensors, trace_free, value
 
 import ngvisco as nv
 from ngvisco.physics.material import cauchy_stress, conjugates, mandel_stress, rate_power
@@ -105,6 +105,17 @@ def test_plane_strain_mandel_stress_is_the_projected_3d_one(name, rng):
     M = mandel(ALL[name], z, dim=2)
     assert mandel(ALL[name], z, dim=3) == pytest.approx(M, abs=1e-12)
     assert abs(M[2, 2]) > 1e-3 or "Barotropic" in name
+
+
+@pytest.mark.parametrize("name", STRAIN)
+def test_rotating_the_strain_rotates_the_stress_and_the_spin_is_powerless(name, rng):
+    """S : (W E - E W) = 0, so that T is symmetric (paper: E:WS=E:SW)."""
+    material, Q, z = STRAIN[name], random_rotation(rng), state(name, rng)
+    T, star = stress(material, z), {"E": Q @ z["E"] @ Q.T}
+    assert pytest.approx(T.T, abs=1e-11) == T
+    assert energy(material, star) == pytest.approx(energy(material, z), rel=1e-13)
+    assert stress(material, star) == pytest.approx(Q @ T @ Q.T, abs=1e-11)
+    assert mandel(material, star) == pytest.approx(Q @ mandel(material, z) @ Q.T, abs=1e-11)
 
 
 @pytest.mark.parametrize("dim", [2, 3])

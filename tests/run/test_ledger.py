@@ -5,7 +5,17 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from ngsolve import CF, Id, OuterProduct, sin, x, y
-from support import SWIRL, Case, parts_of, randomise, residual, small_box, uncondensed
+from support import (
+    SWIRL,
+    Case,
+    assert_balanced,
+    parts_of,
+    randomise,
+    residual,
+    small_box,
+    step_of,
+    uncondensed,
+)
 
 from ngvisco import (
     ClosureWarning,
@@ -74,6 +84,44 @@ def own_test(step: Step) -> np.ndarray:
     return test
 
 
+def power(step: Step, *terms: type) -> float:
+    trial, test = step.layout.space.TnT()
+    u, w = step.layout.fields(trial), step.layout.fields(test)
+    parts = [part for term in step.terms if isinstance(term, terms) for part in term.form(u, w)]
+    return float(residual(uncondensed(step, parts), step.state.vec) @ own_test(step))
+
+
+def entered(step: Step, *terms: type) -> dict[str, float]:
+    totals = {}
+    for term in step.terms:
+        if isinstance(term, terms):
+            for entry in term.entries(step.now):
+                totals[entry.name] = integral(step, entry.integrand)
+    return totals
+
+
+def integral(step: Step, integrand: Integrand) -> float:
+    total = 0.0
+    if integrand.cells is not None:
+        total += step.quadrature.integrate_cells(integrand.cells)
+    if integrand.facets is not None:
+        total += step.quadrature.integrate_facets(integrand.facets)
+    if integrand.nodes is not None:
+        total += step.quadrature.integrate_nodes(integrand.nodes)
+    return total
+
+
+@by_case
+def test_dissipations_are_the_powers_of_their_forms(case: Case) -> None:
+    step = step_of(case)
+    randomise(step, 1)
+    make_consistent(step)
+    for term in (Stokes, Hyperviscosity):
+        entries = entered(step, term)
+        assert (term is Hyperviscosity and case.p is None) or all(e > 0 for e in entries.values())
+        assert sum(entries.values()) == pytest.approx(power(step, term), rel=1e-12)
+
+
 @by_case
 def test_closure_is_the_residual_tested_by_the_solution(case: Case) -> None:
     """For any state, converged or not: closure = tau <R(u), (v, zeta)>; so it is zero for a solution."""
@@ -106,18 +154,37 @@ def test_closure_is_the_residual_tested_by_the_solution(case: Case) -> None:
 # --- runs --------------------------------------------------------------------------------------------
 
 
-def run_of(material: str) -> Simulation:
+def run_of(material: str, tau: float = 0.05, is_loaded: bool = True) -> Simulation:
     model = Model(
         material=Case(material=material).model.material,
         viscosity=StokesViscosity(K_v=0.02, G_v=0.01),
         hyperviscosity=HyperViscosity(mu=1e-3, p=4),
         creep=Creep(G_m=2.0),
-        loads=(Gravity((0.5 * sin(20 * time), -1.0 - time)),),
+        loads=(Gravity((0.5 * sin(20 * time), -1.0 - time)),) if is_loaded else (),
     )
     F = Id(3) + 0.1 * x * y * OuterProduct(CF((1, 0.5, 0)), CF((0, 1, 0)))
     initial = Initial(density=1 + 0.3 * x, velocity=SWIRL, F=F)
     newton = NewtonOptions(tolerance=1e-12)
-    return Simulation(box((1, 1), 0.6), model, dt=0.05, initial=initial, newton=newton)
+    return Simulation(box((1, 1), 0.6), model, dt=tau, initial=initial, newton=newton)
+
+
+@pytest.mark.parametrize("material", ["linear", "neo_hookean", "hardening"])
+def test_ledger_closes_to_rounding(material: str) -> None:
+    """With gravity that changes in time; every entry at work."""
+    ledger = run_of(material).run(until=0.2)
+    assert_balanced(ledger, 1e-12, 1e-13)
+    for row in ledger.rows[1:]:
+        assert row["inertial"] > 0 and row["bregman"] > 0 and abs(row["power_gravity"]) > 1e-4
+        assert all(row[name] > 0 for name in ledger.columns if name.startswith("dissipation_"))
+
+
+@pytest.mark.parametrize("material", ["linear", "neo_hookean"])
+@pytest.mark.parametrize("tau", [0.5, 5.0])
+def test_energy_never_rises_without_load(material: str, tau: float) -> None:
+    """Whatever the step (the paper's unconditional stability)."""
+    ledger = run_of(material, tau, is_loaded=False).run(until=3 * tau)
+    assert np.all(np.diff(ledger.column("kinetic") + ledger.column("stored")) < 0)
+    assert_balanced(ledger, 1e-12, 1e-13)
 
 
 def scaled(entries: Callable[..., list[Entry] | Entry], name: str, factor: float) -> Callable:
