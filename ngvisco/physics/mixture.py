@@ -33,7 +33,7 @@ from ngvisco.physics.bodies import AMOUNT, Amount, Body, Content, PlasticContent
 from ngvisco.physics.equilibrium import equilibrium
 from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
 from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.materials.thermal import Entropy, Thermal
+from ngvisco.physics.materials.thermal import Entropy
 from ngvisco.physics.mixed_heat import MixedHeat, heat_of
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, told_apart
 from ngvisco.physics.pointwise import Respond, Response, array_response
@@ -119,16 +119,10 @@ class Mixture(Material):
         _ = self.parameters  # refused where they differ
 
     @cached_property
-    def energies(self) -> tuple[ReferenceEnergy, ...]:
-        """psi_i of the bodies."""
-        found = []
-        for body in self.bodies:
-            warm = body.material if isinstance(body.material, Thermal) else None
-            cold = body.material if warm is None else warm.cold
-            is_gas = warm is not None and warm.material is None
-            owner = f"bodies[{body.name!r}].material"
-            found.append(ReferenceEnergy(material=cold, owner=owner, is_gas=is_gas))
-        return tuple(found)
+    def energies(self) -> dict[str, ReferenceEnergy]:
+        """psi_i by the bodies' names, without what heat adds to it."""
+        owners = {body.name: f"bodies[{body.name!r}].material" for body in self.bodies}
+        return {body.name: ReferenceEnergy.of(body.material, owners[body.name]) for body in self.bodies}
 
     @cached_property
     def heat(self) -> MixedHeat | None:
@@ -141,7 +135,8 @@ class Mixture(Material):
 
     def require(self) -> None:
         """Raise ParameterError for an energy that is not convex per reference volume."""
-        for body, psi in zip(self.bodies, self.energies, strict=True):
+        for body in self.bodies:
+            psi = self.energies[body.name]
             psi.require()
             if psi.reads_parameters_in_volume and not self.has_one_volume:
                 expected = "a bulk modulus that is a number, or bodies with one volumetric energy"
@@ -165,13 +160,9 @@ class Mixture(Material):
 
     def contents(self, body: str) -> tuple[Content, ...]:
         """X_i of a body, in the order of its energy's tensors."""
-        number = self.fractions.bodies.index(body)
-        found = []
-        for v in self.energies[number].tensors:
-            name = f"{v.name}_{body}"
-            tensor = replace(v, name=name, exponent=v.exponent - 1)
-            found.append(Content(name, v.kind, tensor, 1 / len(self.bodies)))
-        return tuple(found)
+        found = self.energies[body].tensors
+        own = (replace(v, name=f"{v.name}_{body}", exponent=v.exponent - 1) for v in found)
+        return tuple(Content(v.name, v.kind, v, 1 / len(self.bodies)) for v in own)
 
     @cached_property
     def plastic_contents(self) -> dict[str, PlasticContent]:
@@ -206,19 +197,21 @@ class Mixture(Material):
     @cached_property
     def has_one_volume(self) -> bool:
         """Whether U_i' is one function for all bodies, of J alone: V has an expression."""
-        first, *others = self.energies
+        first, *others = self.energies.values()
+        if not others:
+            return True
+        if any(psi.reads_parameters_in_volume for psi in self.energies.values()):
+            return False
         size = _SAME * abs(first.pressures).max()
         same = all(abs(psi.pressures - first.pressures).max() <= size for psi in others)
-        if self.heat is not None and not self.heat.has_one_pressure and others:
-            return False
-        return same and (not others or not any(psi.reads_parameters_in_volume for psi in self.energies))
+        return same and (self.heat is None or self.heat.has_one_pressure)
 
     @cached_property
     def stiffnesses(self) -> dict[str, float]:
         """U_i'' at rest by the bodies' names, with what heat adds to it, Pa."""
-        found = {b.name: psi.stiffness for b, psi in zip(self.bodies, self.energies, strict=True)}
         parts = {} if self.heat is None else self.heat.parts
-        return {name: K + (parts[name].stiffness if parts else 0.0) for name, K in found.items()}
+        of_heat = {name: each.stiffness for name, each in parts.items()}
+        return {name: psi.stiffness + of_heat.get(name, 0.0) for name, psi in self.energies.items()}
 
     def bounds(self, z: Values) -> dict[str, Values]:
         """What must be > 0: N; sum n_i/U_i'' at rest, less a tenth of its least value, where these differ, or
@@ -236,7 +229,7 @@ class Mixture(Material):
             found["the compliance of the bodies"] = above(0.1, [1 / K for K in self.stiffnesses.values()])
         if self.heat is not None:
             found["the heat capacity of the bodies"] = above(0.1, [b.c for b in self.heat.parts.values()])
-        nonlinear = not all(psi.is_linear for psi in self.energies)
+        nonlinear = not all(psi.is_linear for psi in self.energies.values())
         if nonlinear or self.plastic_contents:
             half = 0.5 * (TRACE if nonlinear else HARDENING_TRACE)
             found |= {f"{AMOUNT}{name} + {half:g} N": value + half * total for name, value in n.items()}
@@ -253,15 +246,15 @@ class Mixture(Material):
     def linear(self) -> tuple[str, ...]:
         """Names of variables that what is of shear is linear in."""
         found = list(self.linear_contents)
-        if all(psi.is_linear for psi in self.energies) and not self.plastic_contents:
+        if all(psi.is_linear for psi in self.energies.values()) and not self.plastic_contents:
             found += [AMOUNT + body.name for body in self.bodies]
         return tuple(found if self.heat is None else [*found, self.heat.entropy.name])
 
     @cached_property
     def linear_contents(self) -> dict[str, str]:
         """X_i of bodies whose energies are linear in it, by name, and the body's."""
-        each = zip(self.bodies, self.energies, strict=True)
-        return {X.name: body.name for body, psi in each if psi.is_linear for X in self.contents(body.name)}
+        linear = (name for name, psi in self.energies.items() if psi.is_linear)
+        return {X.name: name for name in linear for X in self.contents(name)}
 
     def taking_part(self, z: Values) -> Values:
         if len(self.bodies) == 1:
@@ -285,8 +278,8 @@ class Mixture(Material):
         """n_i f_i(X_i/n_i) by the bodies' names, with n_i phi_h(K_i/n_i) where they harden, Pa."""
         total, found = self.fractions.total(z), {}
         own = {v.name: z[v.name] for v in self.parameters}
-        for body, psi in zip(self.bodies, self.energies, strict=True):
-            n = z[AMOUNT + body.name]
+        for body in self.bodies:
+            psi, n = self.energies[body.name], z[AMOUNT + body.name]
             one = 1 + 0 * n
             X = {v.name: z[f"{v.name}_{body.name}"] for v in psi.tensors}
             if not X:
@@ -310,7 +303,7 @@ class Mixture(Material):
     def volumetric(self, body: str, z: Values) -> Any:
         """U_i(J), with u_i(S, J) of one with heat, Pa per reference volume, of the values J, S and those of
         parameters."""
-        found = self.energies[self.fractions.bodies.index(body)].volumetric(z)
+        found = self.energies[body].volumetric(z)
         return found if self.heat is None else found + self.heat.energy(body, z["S"], z["J"])
 
     def volumes(self, z: Values, J: Any) -> dict[str, Any]:
@@ -355,24 +348,20 @@ class _InEquilibrium:
             return reduce(add, mixture.shears(z).values(), 0.0 * mixture.fractions.total(z))
 
         self.heat, slices = mixture.heat, mixture.states(dim).slices
-        own = [slices[v.name].start for v in mixture.parameters]
+        self.parameters = [slices[v.name].start for v in mixture.parameters]
         self.amounts = {b.name: slices[AMOUNT + b.name].start for b in mixture.bodies}
         self.shared = [] if self.heat is None else [slices[self.heat.entropy.name].start]
         self.shears = array_response(_Part(shear, mixture.variables), dim, mixture.linear)
-        self.volumes = []
-        shared = (Jacobian("J"), *(Entropy("S") for _ in self.shared))
-        for name in self.amounts:
-            part = _Part(partial(mixture.volumetric, name), (*shared, *mixture.parameters))
-            self.volumes.append((array_response(part, dim), own))
+        of_volume = (Jacobian("J"), *(Entropy("S") for _ in self.shared), *mixture.parameters)
+        parts = (_Part(partial(mixture.volumetric, name), of_volume) for name in self.amounts)
+        self.volumes = [array_response(part, dim) for part in parts]
 
     def __call__(self, states: np.ndarray) -> Response:
         size = 1 + len(self.shared)
 
         def energies(y: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ...]:
-            found = [
-                response(np.column_stack([y[:, i], states[np.ix_(points, own)]]))
-                for i, (response, own) in enumerate(self.volumes)
-            ]
+            own = states[np.ix_(points, self.parameters)]
+            found = [of(np.column_stack([y[:, i], own])) for i, of in enumerate(self.volumes)]
             psi, slope = (np.stack([getattr(f, name) for f in found], axis=1) for name in ("energy", "slope"))
             return psi, slope[..., :size], np.stack([f.hessian[:, :size, :size] for f in found], axis=1)
 

@@ -6,6 +6,8 @@ by n psi(X/n, alpha/n) (``ngvisco.physics.mixture``), which is convex where psi 
 convex in (B, J) are no energies of bodies.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -16,6 +18,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import ParameterError
 from ngvisco.physics.convexity import StateSampling, check_convexity
 from ngvisco.physics.material import Material
+from ngvisco.physics.materials.thermal import Thermal
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, substituted
 from ngvisco.physics.pointwise import respond
 from ngvisco.physics.tensors import IDENTITY, log
@@ -55,6 +58,13 @@ class ReferenceEnergy(Material):
     owner: str = field(compare=False)
     is_gas: bool = False
 
+    @classmethod
+    def of(cls, material: Material, owner: str) -> ReferenceEnergy:
+        """That of a body's material, without what heat adds to it."""
+        if not isinstance(material, Thermal):
+            return cls(material=material, owner=owner)
+        return cls(material=material.cold, owner=owner, is_gas=material.material is None)
+
     def __post_init__(self) -> None:
         of_volume = (Jacobian, ReciprocalJacobian, LogJacobian)
         for v in self.material.variables:
@@ -84,14 +94,14 @@ class ReferenceEnergy(Material):
     def energy(self, z: Values) -> CoefficientFunction:
         J, own = z["J"], {}
         for v in self.material.variables:
-            if isinstance(v, DistortionTensor):
-                own[v.name] = (1 / J) * z[v.name] if _is_density(v) else z[v.name]
-            elif isinstance(v, Jacobian):
+            if isinstance(v, Jacobian):
                 own[v.name] = J
             elif isinstance(v, ReciprocalJacobian):
                 own[v.name] = 1 / J
+            elif isinstance(v, LogJacobian):
+                own[v.name] = log(J) / J
             else:
-                own[v.name] = log(J) / J if isinstance(v, LogJacobian) else z[v.name]
+                own[v.name] = (1 / J) * z[v.name] if _is_density(v) else z[v.name]
         return J * substituted(self.material, lambda expression: expression.at(z)).energy(own)
 
     def volumetric(self, z: Values) -> CoefficientFunction:
@@ -160,6 +170,6 @@ class ReferenceEnergy(Material):
             )
 
 
-def _is_density(variable: DistortionTensor) -> bool:
-    """Whether the power of J makes it one per actual volume."""
-    return variable.exponent <= -1.0
+def _is_density(variable: Variable) -> bool:
+    """Whether it is a tensor of which a power of J makes one per actual volume."""
+    return isinstance(variable, DistortionTensor) and variable.exponent <= -1.0

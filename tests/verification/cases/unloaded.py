@@ -36,7 +36,7 @@ CASES = Cases("Bodies and their interfaces")
 STIFF, SOFT, BULK = 50.0, 0.5, 10.0
 """Moduli G_e and K_e, Pa."""
 STRETCH = 0.05
-MEETING, MET, WRONG, THROWN, LIGHT, SHORT = 0.04, 1.4, 0.2, 0.02, 1e-3, (6.25e-4, 3.125e-4)
+MEETING, MET, WRONG, THROWN, LIGHT, SHORT = 0.04, 1.4, 0.2, 0.005, 1e-3, (6.25e-4, 3.125e-4)
 """Of discs that meet: steps, and until when, by backward Euler, the control and the midpoint rule, s; the
 medium's density, kg/m^3; the midpoint rule's steps, s."""
 EULER, MIDPOINT = 0.02, (0.0025, 0.00125)
