@@ -14,7 +14,7 @@ from ngvisco.physics.arrays import Array
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Fractions, Mixture
 from ngvisco.physics.variables import Jacobian
-from tests.verification.cases.unloaded import control
+from tests.verification.cases.discs import control
 
 STOKES = nv.StokesViscosity(K_v=0.05, G_v=0.05)
 SOLID = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)

@@ -8,7 +8,7 @@ from scipy.special import jn_zeros, jv, spherical_jn
 import ngvisco as nv
 from ngvisco.geometries import box
 from tests.verification.case import VerificationError
-from tests.verification.cases.creep_gradient import independent
+from tests.verification.cases.manufactured import independent
 from tests.verification.radial_creep import RadialCreep
 
 T, TAU = 0.3, 0.05

@@ -18,9 +18,9 @@ from ngvisco import (
     StokesViscosity,
 )
 from ngvisco.geometries import box
-from tests.verification.cases.maxwell import MYR, ROCK, relaxed_stress
-from tests.verification.cases.necking import growth
-from tests.verification.cases.sloshing import DEPTH, GRAVITY, SHEARS, K, mode
+from tests.verification.cases.bands import growth
+from tests.verification.cases.layers import DEPTH, GRAVITY, SHEARS, K, mode
+from tests.verification.cases.shear import MYR, ROCK, relaxed_stress
 from tests.verification.models import KINDS
 
 SCALED = {"G": 1.0, "eta": 1.0, "tau_0": 2e-3, "duration": 7.9, "size": 1.0, "rho": 1.0}

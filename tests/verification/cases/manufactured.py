@@ -1,13 +1,29 @@
-"""Manufactured solutions: rates in space, of the transport alone and of the whole system."""
+"""Manufactured solutions: rates in space of transport, the whole system, creep with a gradient."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
+import numpy as np
+from ngsolve import CF, VOL, CoefficientFunction, x, y, z
+
+import ngvisco as nv
+from ngvisco.forms.context import time
+from ngvisco.forms.mesh.points import CellPoints
+from ngvisco.geometries import box, disc, sphere
 from tests.verification.case import Cases, Curve, Outcome, Plot, Table, each, measured
 from tests.verification.convergence import coupled_rates, transport_rates
-from tests.verification.sources import TakingPartWholly
+from tests.verification.differences import mismatch
+from tests.verification.models import KINDS as MODELS
+from tests.verification.models import RULES, coefficients, model
+from tests.verification.radial_creep import RadialCreep
+from tests.verification.rates import RateTable
+from tests.verification.setups import KINDS
+from tests.verification.sources import Sources, TakingPartWholly
 
 CASES = Cases("Convergence: manufactured solutions")
+
+# --- transport, the whole system, two bodies -----------------------------------------------------------
 
 NAMES = {"linear": "linearised", "neo-hookean": "finite"}
 LABELS = {"linear": "Euler-small-viscoelastodyn+disc", "neo-hookean": "Euler-large-viscoelastodyn+disc"}
@@ -162,3 +178,213 @@ def _bodies() -> Outcome:
     wrong = coupled_rates("two bodies", 2, None, 2, 1, 0.4, 3, sources=TakingPartWholly)
     values["rate of z, control"] = wrong.last("z")
     return measured(values, *tables, wrong.table("h, m"), _FIRST)
+
+
+# --- creep with a gradient term, nu > 0 ----------------------------------------------------------------
+
+CASES.theme = "Creep with a gradient"
+
+NU = 0.1
+LABEL = {
+    "linear": "Euler-small-flow-rule",
+    "neo-hookean": "ED-Euler-large3, Euler-large-viscoelastodyn+4disc",
+}
+
+# --- the whole system -----------------------------------------------------------------------------------
+
+MESHES = {
+    2: (0.4, 3, "unit square, 0.4 m refined twice"),
+    3: (1.0, 3, "unit cube, 12 tetrahedra refined twice"),
+}
+AGREES = 1e-6
+"""Of differences of eighth order with the analytic sources, relative."""
+
+
+def manufactured(kind: str, dim: int) -> Outcome:
+    """Sources against finite differences, and rates in space."""
+    tau, t = 0.05, 0.3
+    sources = Sources(model(kind, dim, 4.0, True, nu=NU), dim, tau)
+    mesh, right = box((1,) * dim, 1.0), coefficients(kind, 4.0, True, NU)
+    wrong = coefficients(kind, 4.0, True, 1.01 * NU)
+    differences = mismatch(right, sources, kind, t, mesh)
+    control = mismatch(wrong, sources, kind, t, mesh)["Pi"]
+    maxh, levels, _ = MESHES[dim]
+    table = coupled_rates(kind, dim, 4.0, 2, 1, maxh, levels, regularised=True, nu=NU)
+    rows: list[list[str | float]] = [[name, value] for name, value in differences.items()]
+    return measured(
+        {
+            "largest difference of a source and its independent residual": max(differences.values()),
+            "difference of the flow rule with a nu that is 1 % off": control,
+            **{f"rate of {name}": table.last(name) for name in ("v", "rho", "z", "Pi")},
+        },
+        Table("relative differences at eight random points", "equation | difference", rows),
+        table.table("h, m"),
+        table.plot("h, m", "L2 error"),
+    )
+
+
+for kind in NAMES:
+    for dim in (2, 3):
+        name = NAMES[kind]
+        CASES(f"""creep-gradient-{dim}d-{name}
+            With nu > 0 the whole system of {KINDS[name]} with all its terms converges in space in {dim}D, the
+              creep rate too; its source is the independent residual.
+            label: {LABEL[kind]}, {LABELS[kind]}
+            setting: {TERMS}, nu = {NU} with q = 4; {MESHES[dim][2]}; k = 2, m = 1, two steps of 0.05 s with
+              the discrete time derivative in the sources; Pi of order 1 with (n . grad) Pi = 0.
+            - largest difference of a source and its independent residual <= {AGREES}: differences
+            - difference of the flow rule with a nu that is 1 % off >= {10 * AGREES}: the negative control
+            - rate of [v; rho; z; Pi] >= 1.7: order 2 of the penalty with p = 4 and of m = 1
+            """)(partial(manufactured, kind, dim))
+
+
+# --- flow rules of a potential that is not quadratic ------------------------------------------------------
+
+NONLINEAR = ("Norton", "Eyring", "Perzyna")
+FIELDS = {"linear": "E", "neo-hookean": "F", "by B": "B"}
+
+
+class Stiffer(Sources):
+    """Those of a psi' that is a tenth larger."""
+
+    @property
+    def creep(self) -> CoefficientFunction:
+        rule, residual = self.model.creep, super().creep
+        assert rule is not None and residual is not None
+        return residual + 0.1 * rule.force(self.new.Pi, self.new.values)
+
+
+@CASES(f"""creep-gradient-flow-rules
+    With nu > 0 and a creep rate that varies in space, flow rules whose potential is not quadratic converge in
+      space, by E, by F and by B; their sources are the literature's formulas.
+    label: Euler-small-flow-rule, ED-Euler-large3, Euler-large-viscoelastodyn+4disc
+    setting: Norton (n = 3), Eyring, Perzyna (n = 2, psi smoothed below |Pi| = 1e-4/s); |Pi| from 0 at a
+      point, where psi'' of the first is infinite and psi' of the last jumps, to 0.6/s; nu = {NU}, q = 4;
+      creep, gravity, Stokes viscosity; unit square, 0.4 m refined twice; k = 2, m = 1, two steps of 0.05 s.
+    - largest difference of a source and its independent residual <= {AGREES}: differences
+    - least difference of a flow rule with a constant that is 1 % off >= {10 * AGREES}: the negative control
+      of the formulas
+    - least rate of v >= 2.5: k + 1 of v, but not above Pi's by half; m + 1
+    - least rate of [rho; z; Pi] >= 1.75: k + 1 of v, but not above Pi's by half; m + 1
+    - largest rate of Pi where psi' is a tenth off <= 1.0: the negative control
+    """)
+def of_rules() -> Outcome:
+    """Rates in space for every rule and material, and the rules against their formulas by differences."""
+    tau, t, mesh = 0.05, 0.3, box((1, 1), 1.0)
+    largest, least, controls, tables, plots = 0.0, np.inf, [], [], []
+    found: dict[str, list[float]] = {name: [] for name in ("v", "rho", "z", "Pi")}
+    for rule in NONLINEAR:
+        for kind in MODELS:
+            sources = Sources(model(kind, 2, None, nu=NU, rule=rule), 2, tau)
+            right = coefficients(kind, None, nu=NU, rule=rule)
+            largest = max(largest, *mismatch(right, sources, kind, t, mesh).values())
+            for name in RULES[rule][1]:
+                wrong = replace(right, **{name: 1.01 * getattr(right, name)})
+                least = min(least, mismatch(wrong, sources, kind, t, mesh)["Pi"])
+        for kind, tensor in FIELDS.items():
+            table = coupled_rates(kind, 2, None, 2, 1, 0.4, 3, nu=NU, rule=rule)
+            for name in found:
+                found[name].append(table.last(name))
+            tables.append(table.table("h, m"))
+            tables[-1] = replace(tables[-1], title=f"{rule} by {tensor}")
+        control = coupled_rates("neo-hookean", 2, None, 2, 1, 0.4, 3, nu=NU, rule=rule, sources=Stiffer)
+        controls.append(control.last("Pi"))
+        plots.append(table.plot("h, m", "L2 error"))
+    return measured(
+        {
+            "largest difference of a source and its independent residual": largest,
+            "least difference of a flow rule with a constant that is 1 % off": least,
+            **{f"least rate of {name}": min(rates) for name, rates in found.items()},
+            "largest rate of Pi where psi' is a tenth off": max(controls),
+        },
+        *tables,
+        *plots[:1],
+    )
+
+
+# --- an independent creep rate -----------------------------------------------------------------------------
+
+G_E, G_M, Q = 1.0, 2.0, 4.0
+DIRECTION = np.array([[1.0, 0.5, 0.0], [0.5, -0.4, 0.0], [0.0, 0.0, -0.6]])
+DIRECTION /= np.linalg.norm(DIRECTION)
+CELLS = "(|Omega|/cells)^(1/d), m"
+STRENGTH = 0.3
+"""nu, W/m^3 (m s)^4: it halves the creep rate at the centre."""
+
+
+def profile(square: Any) -> Any:
+    """The strain's size for r^2, of an array or a coefficient function."""
+    return 0.5 - 2.0 * square + 1.2 * square * square
+
+
+def solved(dim: int, maxh: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Pi (points, 9), r and weights at quadrature points after one step of 1e-8 s, in which nothing moves.
+
+    The last is the cells' size, (|Omega|/cells)^(1/dim), m: a mesher's 0.4 m makes twice as many cells of a
+    ball as its 0.8 m, not eight times.
+    """
+    mesh = disc(1.0, maxh) if dim == 2 else sphere(1.0, maxh)
+    square = x * x + y * y + (z * z if dim == 3 else 0.0)
+    E = profile(square) * CF(tuple(DIRECTION.ravel().tolist()), dims=(3, 3))
+    time.Set(0.0)
+    run = nv.Simulation(
+        mesh,
+        nv.Model(material=nv.LinearElastic(K_e=1.0, G_e=G_E), creep=nv.Creep(G_m=G_M, nu=STRENGTH, q=Q)),
+        dt=1e-8,
+        initial=nv.Initial(values={"E": E}),
+        discretisation=nv.Discretisation(k=2, m=2),
+    )
+    run.advance()
+    points = CellPoints(mesh, 4)
+    at = mesh.MapToAllElements(points.rules, VOL)
+    r = np.sqrt(np.asarray(square(at)).ravel())
+    size = float((points.weights.sum() / mesh.ne) ** (1 / dim))
+    return np.asarray(run.rothe_step.now.Pi(at)).reshape(-1, 9), r, points.weights, size
+
+
+def independent(dim: int, sizes: tuple[float, ...]) -> Outcome:
+    """Pi of M = m(r) D against the minimiser in one dimension."""
+
+    def driving(r: np.ndarray) -> np.ndarray:
+        return np.asarray(2 * G_E * profile(r * r))
+
+    nodes, a = RadialCreep(dim, 1.0, G_M, STRENGTH, Q, driving).solve()
+    table = RateTable(f"Pi against the radial reference, {dim}D, m = 2")
+    for maxh in sizes:
+        Pi, r, weights, h = solved(dim, maxh)
+        exact = np.interp(r, nodes, a)
+        gap = Pi - exact[:, None] * DIRECTION.ravel()
+        size = float((weights * exact**2).sum())
+        table.add(h, Pi=float(((weights[:, None] * gap**2).sum() / size) ** 0.5))
+        without = driving(r) / G_M - exact
+        distance = float(((weights * without**2).sum() / size) ** 0.5)
+    at = np.linspace(0, 1, 51)
+    curves = [
+        Curve("reference", at, np.interp(at, nodes, a), "-"),
+        Curve("without the gradient, M/G_m", at, driving(at) / G_M, "--"),
+    ]
+    return measured(
+        {
+            "relative L2 error of Pi on the finest mesh": table.errors["Pi"][-1],
+            "rate of Pi": table.last("Pi"),
+            "relative L2 distance of M/G_m from the reference": distance,
+        },
+        table.table(CELLS),
+        table.plot(CELLS, "relative L2 error"),
+        Plot("creep rate over the radius", "r, m", "1/s", curves),
+    )
+
+
+for dim, sizes, largest, rate in ((2, (0.5, 0.25, 0.125), 2e-3, 1.7), (3, (0.8, 0.4, 0.3), 0.06, 1.5)):
+    shape = "disc" if dim == 2 else "ball"
+    CASES(f"""creep-gradient-{shape}{" (reduced)" * (dim == 2)}
+        The creep rate of a driving stress that varies along the radius of a {shape} is the minimiser of its
+          potential, found in one dimension without the package.
+        label: ED-Euler-large3, Euler-large-viscoelastodyn+4disc
+        setting: Unit {shape}, E = (0.5 - 2 r² + 1.2 r⁴) D, G_e = 1 Pa, G_m = 2 Pa s, nu = {STRENGTH}, q = 4;
+          one step of 1e-8 s; k = 2, m = 2, curved cells of {", ".join(map(str, sizes))} m.
+        - relative L2 error of Pi on the finest mesh <= {largest}: a few cells over the radius
+        - rate of Pi >= {rate}: a' is like r^(1/3) at the centre and like (1 - r)^(1/3) at the wall: two, not
+          three
+        - relative L2 distance of M/G_m from the reference >= 0.2: nu is not small: the control
+        """)(partial(independent, dim, sizes))
