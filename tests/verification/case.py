@@ -11,7 +11,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -98,13 +98,21 @@ class Outcome:
     remarks: Sequence[str] = ()
 
 
-def measured(values: Mapping[str, float], *shown: Table | Plot | str) -> Outcome:
-    """An outcome with its tables, plots and remarks, which are texts, in any order."""
+Measured = Iterable[tuple[str, Any] | Table | Plot | str]
+"""What a case's function gives: numbers with their quantities, tables, plots, and remarks, in any order."""
+
+
+def collected(parts: Measured) -> Outcome:
+    """The outcome of all that a case's function gives; raises VerificationError for a quantity twice."""
+    found = list(parts)
+    values = [one for one in found if isinstance(one, tuple)]
+    if len(dict(values)) < len(values):
+        raise VerificationError(f"two numbers for one quantity among {[name for name, _ in values]}")
     return Outcome(
-        values=values,
-        tables=[one for one in shown if isinstance(one, Table)],
-        plots=[one for one in shown if isinstance(one, Plot)],
-        remarks=[one for one in shown if isinstance(one, str)],
+        values={name: float(value) for name, value in values},
+        tables=[one for one in found if isinstance(one, Table)],
+        plots=[one for one in found if isinstance(one, Plot)],
+        remarks=[one for one in found if isinstance(one, str)],
     )
 
 
@@ -139,12 +147,14 @@ class Case:
         return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:16]
 
 
-Run = Callable[[], Outcome]
+Run = Callable[[], Measured]
 _BOUND = re.compile(r"(.+?) (<=|>=) ([-+.\de]+): (.*)")
 
 
 class Cases(list[Case]):
-    """Cases of a theme in the report's order, each declared by a text above the function that measures it.
+    """Cases of a theme in the report's order, each declared by a text above what measures it.
+
+    That is a function of no argument, mostly a generator: what it yields is ``Measured``.
 
     ::
 
@@ -183,7 +193,8 @@ class Cases(list[Case]):
         name, reduced = head.removesuffix(" (reduced)"), head.endswith(" (reduced)")
 
         def add(run: Run) -> Run:
-            self.append(Case(name=name, bounds=bounds, run=run, reduced=reduced, theme=self.theme, **said))
+            case = Case(name=name, bounds=bounds, run=lambda: collected(run()), reduced=reduced, **said)
+            self.append(replace(case, theme=self.theme))
             return run
 
         return add

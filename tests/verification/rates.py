@@ -49,6 +49,16 @@ class RateTable:
         """The rate of the finest pair."""
         return float(self.rates(name)[-1])
 
+    def lasts(self, quantity: str = "rate of {}") -> list[tuple[str, float]]:
+        """The rate of the finest pair of every column, by a quantity with the column's name in it."""
+        return [(quantity.format(name), self.last(name)) for name in self.errors]
+
+    def shown(
+        self, size: str, error: str = "error", slope: float | None = None, of: str = ""
+    ) -> tuple[Table, Plot]:
+        """``table`` and ``plot``."""
+        return self.table(size), self.plot(size, error, slope, of)
+
     def table(self, size: str = "h") -> Table:
         """Sizes, errors and rates, a row for each size."""
         columns = [size]

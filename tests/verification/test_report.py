@@ -5,6 +5,7 @@ import math
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from ngvisco.run.ledger import Ledger
@@ -23,7 +24,7 @@ from tests.verification.case import (
     Table,
     VerificationError,
     each,
-    measured,
+    collected,
 )
 from tests.verification.cases import all_cases, select
 from tests.verification.rates import RateTable
@@ -39,7 +40,9 @@ def case(name, value, limit=1.0, **options):
         number = value() if callable(value) else value
         curve = Curve("a", [1.0, 2.0], [1.0, 4.0])
         table = Table("a table", "x | |y|", [[1.0, "a|b<i>"]])
-        return measured({"the number": number}, table, Plot("a plot", "x", "y", [curve], "xy"), "A remark.")
+        return collected(
+            [("the number", number), table, Plot("a plot", "x", "y", [curve], "xy"), "A remark."]
+        )
 
     bounds = (Bound("the number", "<=", limit, "a reason"),)
     said = {"theme": "T", "statement": f"{name} & so on", "label": "L", "setting": "S"}
@@ -131,14 +134,16 @@ TEXT = """limit-tau (reduced)
 
 def test_case_is_declared_by_a_text_above_the_function_that_measures_it():
     cases = Cases("T")
-    cases(TEXT)(len)
+    cases(TEXT)(lambda: (("a", np.float64(number)) for number in (1, 2)))
     (one,) = cases
-    assert (one.name, one.theme, one.reduced, one.run) == ("limit-tau", "T", True, len)
+    assert (one.name, one.theme, one.reduced) == ("limit-tau", "T", True)
     assert one.explanation == "None."
     assert (one.statement, one.label) == ("Two runs agree: they do.", "L1, L2")
     assert one.setting == "A box; two steps <= 1 s."
     rates = [Bound(f"rate of {name} in tau", ">=", 0.9, "first order") for name in ("v", "rho")]
     assert one.bounds == (*rates, CLOSURE) and each(rates).startswith("- rate of v in tau >= 0.9: first")
+    with pytest.raises(VerificationError, match="two numbers for one quantity"):
+        one.run()
     for wrong, message in {
         "    label: L1, L2\n": "a case without label",
         " >= 0.9": "expected 'quantity <= limit: reason'",
@@ -241,7 +246,7 @@ def test_resume_runs_errors_and_changed_cases_again(cases, tmp_path):
 
 def test_result_survives_json():
     plot = Plot("p", "x", "y", [Curve("c", [1.0], [2.0])])
-    outcome = measured({"a": math.inf}, Table("t", ["x"], [[1.5], ["text"]]), plot, "said")
+    outcome = collected([("a", math.inf), Table("t", ["x"], [[1.5], ["text"]]), plot, "said"])
     result = Result(name="n", fingerprint="f", version="1", status="fails", seconds=1.5, outcome=outcome)
     again = Result.from_json(result.to_json())
     assert again == result and again.outcome.plots[0].curves[0].y == [2.0]

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.setups import fluid, layers
 
 CASES = Cases("Exact solutions: flow rules")
@@ -102,7 +102,7 @@ def band(run: nv.Simulation) -> tuple[float, np.ndarray, float]:
     - least power of creep, W/m3 >= 0.0: M : Pi
     - closure
     """)
-def _band() -> Outcome:
+def _band() -> Measured:
     rows, runs, across, angles = [], [], [], []
     for h in (0.1, 0.07, 0.05):
         run = compressed(h)
@@ -120,28 +120,25 @@ def _band() -> Outcome:
     lines = [Curve("largest |Pi|", place, AT, "o")]
     for name, value in theory.items():
         lines.append(Curve(f"{name}, {value:.1f}", start + AT / math.tan(math.radians(value)), AT, "-"))
-    return measured(
-        {
-            "how far it is beyond Coulomb's and Roscoe's angles, degrees": max(
-                COULOMB - angle, angle - ROSCOE, 0.0
-            ),
-            "distance to Rudnicki and Rice's angle, degrees": abs(angle - theory["Rudnicki and Rice"]),
-            "change of the angle on the finest mesh, degrees": abs(angle - angles[-2]),
-            "rate in the band over the median": contrast,
-            "least power of creep, W/m3": min(
-                float(run.ledger.column("creep_power_min").min()) for run in runs
-            ),
-        },
-        Table(
-            "at the largest load",
-            "h, m | cells | t, s | load, Pa | angle, degrees | rate over the median",
-            rows,
-        ),
-        Plot("the band on the finest mesh", "x, m", "y, m", lines),
-        Plot("across it at y = 0.5 m", "x, m", "|Pi| over the rate of shortening", across),
+    yield (
+        "how far it is beyond Coulomb's and Roscoe's angles, degrees",
+        max(COULOMB - angle, angle - ROSCOE, 0.0),
+    )
+    yield "distance to Rudnicki and Rice's angle, degrees", abs(angle - theory["Rudnicki and Rice"])
+    yield "change of the angle on the finest mesh, degrees", abs(angle - angles[-2])
+    yield "rate in the band over the median", contrast
+    yield "least power of creep, W/m3", min(float(run.ledger.column("creep_power_min").min()) for run in runs)
+    yield Table(
+        "at the largest load",
+        "h, m | cells | t, s | load, Pa | angle, degrees | rate over the median",
+        rows,
+    )
+    yield Plot("the band on the finest mesh", "x, m", "y, m", lines)
+    yield Plot("across it at y = 0.5 m", "x, m", "|Pi| over the rate of shortening", across)
+    yield (
         "The bound between Coulomb and Roscoe was stated before any run, that of Rudnicki and Rice "
         "after one with h = 0.07 m had shown that the band turns as it ages: on that mesh from 40.3 "
-        "degrees at the largest load to 46 degrees at a shortening of 0.01, where further bands appear.",
+        "degrees at the largest load to 46 degrees at a shortening of 0.01, where further bands appear."
     )
 
 
@@ -243,7 +240,7 @@ def _amplitude(run: nv.Simulation) -> float:
     - least distance to theory's with another n >= 0.7: the negative control
     - closure
     """)
-def _necks() -> Outcome:
+def _necks() -> Measured:
     rows, curves = [], []
     distance: dict[tuple[float, float], list[float]] = {}
     others = math.inf
@@ -263,17 +260,15 @@ def _necks() -> Outcome:
         wrong = [abs(found - growth(m, ratio, WAVE, TOP)) for m, _ in LAYERS if m != n]
         others = min(others, *wrong)
     coarse, fine = (max(each[i] for each in distance.values()) for i in range(2))
-    return measured(
-        {
-            "largest distance of a growth rate from theory's": fine,
-            "the same of n = 5, R = 20": distance[UNSEEN][-1],
-            "relative error of the largest one, n = 10": distance[10.0, 50.0][-1] / growth(10, 50, WAVE, TOP),
-            "distance on finer cells over that on coarser": fine / coarse,
-            "least distance to theory's with another n": others,
-        },
-        Table("growth rates over e", "n | R | cells, m | triangles | found | linear theory", rows),
-        Plot("Necks of a layer that is stretched", "strain", "A, m", curves),
+    yield "largest distance of a growth rate from theory's", fine
+    yield "the same of n = 5, R = 20", distance[UNSEEN][-1]
+    yield "relative error of the largest one, n = 10", distance[10.0, 50.0][-1] / growth(10, 50, WAVE, TOP)
+    yield "distance on finer cells over that on coarser", fine / coarse
+    yield "least distance to theory's with another n", others
+    yield Table("growth rates over e", "n | R | cells, m | triangles | found | linear theory", rows)
+    yield Plot("Necks of a layer that is stretched", "strain", "A, m", curves)
+    yield (
         "Bounds were written after trials of 6 to 8 steps with n = 1, 3 and 10, R = 50 and a medium as "
         "dense as the layer: 0.08, 0.08 to 0.10 and 0.03 off on the finer cells.  n = 5 with R = 20 had "
-        "not been run.",
+        "not been run."
     )

@@ -20,7 +20,7 @@ from scipy.optimize import curve_fit
 import ngvisco as nv
 from ngvisco.geometries import structured_box
 from ngvisco.physics.signals import time
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.setups import fluid, released, stokes
 
 CASES = Cases("Bodies and their interfaces")
@@ -146,38 +146,37 @@ def _swing(modulus: float, bent: float) -> tuple[np.ndarray, np.ndarray, np.ndar
     - drift
     - closure
     """)
-def _cantilever() -> Outcome:
+def _cantilever() -> Measured:
     found = {one: _swing(*one) for one in RUNS}
     fits = {one: (float(fit[0]), float(fit[2]) / BAR.omega(1.0)) for one, (*_, fit) in found.items()}
     free, held, _ = RUNS
     times, deflection, fit = found[free]
     static = fits[free][0]
-    return measured(
-        {
-            "static deflection over the beam's, less one": abs(static - 1),
-            "frequency over the beam's": fits[free][1],
-            "distance of the swing from an oscillator's": float(
-                np.abs(released(times, *fit) - deflection).max() / static
-            ),
-            "stiffness that a medium of 1e-2 G adds": static / fits[held][0] - 1,
-        },
-        Table(
-            "the medium's stiffness, and how far the bar bends",
-            "G of the medium over the bar's | tip, m | mean deflection over the beam's | omega over it",
-            [[*one, *fits[one]] for one in RUNS],
-        ),
-        Plot(
-            "A bar released under its weight",
-            "t, s",
-            "mean deflection over the beam's at rest",
-            [
-                Curve((f"medium of {m:g} G" if m else "fluid") + f", tip {bent:g} m", t, w)
-                for (m, bent), (t, w, _) in found.items()
-            ],
-        ),
+    yield "static deflection over the beam's, less one", abs(static - 1)
+    yield "frequency over the beam's", fits[free][1]
+    yield (
+        "distance of the swing from an oscillator's",
+        np.abs(released(times, *fit) - deflection).max() / static,
+    )
+    yield "stiffness that a medium of 1e-2 G adds", static / fits[held][0] - 1
+    yield Table(
+        "the medium's stiffness, and how far the bar bends",
+        "G of the medium over the bar's | tip, m | mean deflection over the beam's | omega over it",
+        [[*one, *fits[one]] for one in RUNS],
+    )
+    yield Plot(
+        "A bar released under its weight",
+        "t, s",
+        "mean deflection over the beam's at rest",
+        [
+            Curve((f"medium of {m:g} G" if m else "fluid") + f", tip {bent:g} m", t, w)
+            for (m, bent), (t, w, _) in found.items()
+        ],
+    )
+    yield (
         "The bounds are those that were written first, for a tip that bends by 2 %: then the static "
         "deflection is 1.42 of the beam's, and it does not hold.  There the interface moves by 0.2 cells "
-        "and becomes a mixture over a part of the two rows; bent by 0.02 % it does not.",
+        "and becomes a mixture over a part of the two rows; bent by 0.02 % it does not."
     )
 
 
@@ -239,7 +238,7 @@ def _between_windows(cells: tuple[int, int], dt: float) -> tuple[np.ndarray, np.
     - drift
     - closure
     """)
-def _free_bar() -> Outcome:
+def _free_bar() -> Measured:
     rows, curves = [], []
     for cells, dt in ROWS_OF_CELLS:
         t, w = _between_windows(cells, dt)
@@ -248,22 +247,20 @@ def _free_bar() -> Outcome:
         rows.append([cells[0], dt, omega / (2 * math.pi), over[0], 1e3 * static, over[1]])
         curves.append(Curve(f"{cells[0]} cells, {dt:g} s", t, 1e3 * w, "."))
     curves.append(Curve("beam theory", t, 1e3 * _undamped(t, DEFLECTION, OMEGA), "k-"))
-    return measured(
-        {
-            "frequency over the beam's, less one": abs(over[0]),
-            "deflection over the beam's, less one": abs(over[1]),
-            "frequency over CSM3's, less one": abs(omega / (2 * math.pi) / FREQUENCY - 1),
-            "amplitude over CSM3's, less one": abs(static / AMPLITUDE - 1),
-            "mean over CSM3's, less one": abs(static / MEAN - 1),
-        },
-        Table(
-            "a bar released under its weight",
-            "cells along | dt, s | frequency, Hz | over theory | mean of the tip, mm | over theory",
-            rows,
-        ),
-        Plot("The tip, a thousand times", "t, s", "mm", curves),
+    yield "frequency over the beam's, less one", abs(over[0])
+    yield "deflection over the beam's, less one", abs(over[1])
+    yield "frequency over CSM3's, less one", abs(omega / (2 * math.pi) / FREQUENCY - 1)
+    yield "amplitude over CSM3's, less one", abs(static / AMPLITUDE - 1)
+    yield "mean over CSM3's, less one", abs(static / MEAN - 1)
+    yield Table(
+        "a bar released under its weight",
+        "cells along | dt, s | frequency, Hz | over theory | mean of the tip, mm | over theory",
+        rows,
+    )
+    yield Plot("The tip, a thousand times", "t, s", "mm", curves)
+    yield (
         "The bounds' reasons are those of theory; a trial (18 cells, 0.02 s: 1.0786 Hz, 0.997 of "
-        "the beam's deflection) was seen before they were written.",
+        "the beam's deflection) was seen before they were written."
     )
 
 
@@ -304,7 +301,7 @@ def _through_a_medium(share: float) -> tuple[nv.Simulation, nv.Bodies]:
     - drift
     - closure
     """)
-def _csm3() -> Outcome:
+def _csm3() -> Measured:
     rows, curves = [], []
     for share in ROWS:
         run, table = _through_a_medium(share)
@@ -317,23 +314,21 @@ def _csm3() -> Outcome:
     swing = MEAN - AMPLITUDE * np.cos(2 * math.pi * FREQUENCY * t)
     curves.append(Curve("CSM3", t, 1e3 * swing, "k-"))
     small, whole = rows
-    return measured(
-        {
-            "a hundredth: frequency over CSM3's, less one": abs(small[2] / FREQUENCY - 1),
-            "all: frequency over CSM3's, less one": abs(whole[2] / FREQUENCY - 1),
-            "all: mean of the tip over CSM3's, less one": abs(whole[4] / 1e3 / MEAN - 1),
-        },
-        Table(
-            "a bar that swings through a light medium",
-            "share of the weight | cells | frequency, Hz | damping, 1/s | mean of the tip, mm | "
-            "its lowest point, mm | rejected steps",
-            rows,
-        ),
-        Plot("The tip over the share of the weight, by the centroid", "t, s", "mm", curves),
-        "Bounds were written after trials (0.985 Hz and 69.6 mm of all the weight, 1.06 Hz of a hundredth).",
+    yield "a hundredth: frequency over CSM3's, less one", abs(small[2] / FREQUENCY - 1)
+    yield "all: frequency over CSM3's, less one", abs(whole[2] / FREQUENCY - 1)
+    yield "all: mean of the tip over CSM3's, less one", abs(whole[4] / 1e3 / MEAN - 1)
+    yield Table(
+        "a bar that swings through a light medium",
+        "share of the weight | cells | frequency, Hz | damping, 1/s | mean of the tip, mm | "
+        "its lowest point, mm | rejected steps",
+        rows,
+    )
+    yield Plot("The tip over the share of the weight, by the centroid", "t, s", "mm", curves)
+    yield "Bounds were written after trials (0.985 Hz and 69.6 mm of all the weight, 1.06 Hz of a hundredth)."
+    yield (
         "The whole swing is damped by 1.5/s on these cells: its lowest point was 91 mm in place of CSM3's "
         "128.8 mm, to which no bound is held.  Steps are rejected where a cell's mean density turns negative "
-        "beside the bar.  With another bulk modulus, 1 kPa, the first step's iteration stalls at 7e-4.",
+        "beside the bar.  With another bulk modulus, 1 kPa, the first step's iteration stalls at 7e-4."
     )
 
 
@@ -383,7 +378,7 @@ AT_REST = SLAB.mean((HEAVY - LIGHTER) * FALL * SLAB.height)
     - drift
     - closure
     """)
-def _bending() -> Outcome:
+def _bending() -> Measured:
     rock = nv.ReferentialNeoHookean(K_e=OF_ALL, G_e=OF_ROCK / 2)
     weak = nv.StokesViscosity(K_v=0.0, G_v=OF_MEDIUM)
     run, table = SLAB.in_a_medium(
@@ -400,24 +395,20 @@ def _bending() -> Outcome:
     times, deflection = np.round(table.column("time") / KYR, 6), _sinks(table)
     n, stored = int(np.searchsorted(times, LOADED)), run.ledger.column("stored")
     bent = float(deflection[n])
-    return measured(
-        {
-            "mean deflection when gravity ends, m": bent,
-            "mean deflection over the beam's at rest": bent / AT_REST,
-            "what is left of it at the end": float(deflection[-1]) / bent,
-            "largest step downwards after gravity, m": float(np.diff(deflection[n:]).max()),
-            "kinetic over stored energy": float(run.ledger.column("kinetic").max() / stored[n]),
-        },
-        Table(
-            "the slab",
-            "t, kyr | mean deflection, m | stored in the slab, J/m",
-            list(zip(times, deflection, table.column("bar_stored"), strict=True)),
-        ),
-        Plot(
-            "A slab in a weak medium",
-            "t, kyr",
-            "mean deflection, m",
-            [Curve("gravity until 20 kyr", times, deflection)],
-        ),
-        f"The beam's mean deflection at rest under its weight in the medium is {AT_REST:.1f} m.",
+    yield "mean deflection when gravity ends, m", bent
+    yield "mean deflection over the beam's at rest", bent / AT_REST
+    yield "what is left of it at the end", float(deflection[-1]) / bent
+    yield "largest step downwards after gravity, m", np.diff(deflection[n:]).max()
+    yield "kinetic over stored energy", run.ledger.column("kinetic").max() / stored[n]
+    yield Table(
+        "the slab",
+        "t, kyr | mean deflection, m | stored in the slab, J/m",
+        list(zip(times, deflection, table.column("bar_stored"), strict=True)),
     )
+    yield Plot(
+        "A slab in a weak medium",
+        "t, kyr",
+        "mean deflection, m",
+        [Curve("gravity until 20 kyr", times, deflection)],
+    )
+    yield f"The beam's mean deflection at rest under its weight in the medium is {AT_REST:.1f} m."

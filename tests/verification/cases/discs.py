@@ -20,7 +20,7 @@ from ngvisco.physics.pointwise import Respond, energy_and_slope, respond
 from ngvisco.physics.tensors import IDENTITY
 from ngvisco.physics.variables import Values
 from ngvisco.run.ledger import NUMERICAL
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.setups import SWIRL, fluid, stokes
 
 CASES = Cases("Bodies and their interfaces")
@@ -111,7 +111,7 @@ class Overlap(nv.Observer):
     - change of the masses <= 1e-10: conserved
     - closure
     """)
-def _collision() -> Outcome:
+def _collision() -> Measured:
     run, table = discs()
     overlap = Overlap()
     run.observers.append(overlap)
@@ -134,38 +134,38 @@ def _collision() -> Outcome:
         float(np.abs(table.column(f"{n}_mass") / table.column(f"{n}_mass")[0] - 1).max()) for n in PLACES
     )
     total = np.abs(momenta["left"] + momenta["right"]).max()
-    return measured(
-        {
-            "least gap, m": float(gap.min()),
-            "how far they part again, m": float(distance[-1] - distance.min()),
-            "coefficient of restitution": rebound,
-            "energy lost less that dissipated, over the first": abs(lost - dissipated - scheme)
-            / float(kinetic[0] + stored[0]),
-            "dissipated by scheme and limiter over all": abs(scheme) / abs(lost),
-            "largest overlap over a disc's area": max(overlap.values),
-            "largest total momentum over a disc's": float(total) / first,
-            "largest asymmetry of places, m": float(np.abs(sides["left"] + sides["right"]).max()),
-            "change of the masses": mass,
-        },
-        Table(
-            "the discs",
-            "t, s | distance of centroids, m | gap, m | momentum of the left, kg m/s | overlap",
-            list(zip(times, distance, gap, momenta["left"], overlap.values, strict=True))[::4],
-        ),
-        Plot(
-            "Two discs that meet",
-            "t, s",
-            "momentum, energies over first values",
-            [
-                Curve("left", times, momenta["left"] / first),
-                Curve("right", times, momenta["right"] / first, "s-"),
-                Curve("kinetic", times, kinetic / kinetic[0], "k-"),
-                Curve("stored", times, stored / kinetic[0], "k--"),
-            ],
-        ),
+    yield "least gap, m", gap.min()
+    yield "how far they part again, m", distance[-1] - distance.min()
+    yield "coefficient of restitution", rebound
+    yield (
+        "energy lost less that dissipated, over the first",
+        abs(lost - dissipated - scheme) / float(kinetic[0] + stored[0]),
+    )
+    yield "dissipated by scheme and limiter over all", abs(scheme) / abs(lost)
+    yield "largest overlap over a disc's area", max(overlap.values)
+    yield "largest total momentum over a disc's", float(total) / first
+    yield "largest asymmetry of places, m", np.abs(sides["left"] + sides["right"]).max()
+    yield "change of the masses", mass
+    yield Table(
+        "the discs",
+        "t, s | distance of centroids, m | gap, m | momentum of the left, kg m/s | overlap",
+        list(zip(times, distance, gap, momenta["left"], overlap.values, strict=True))[::4],
+    )
+    yield Plot(
+        "Two discs that meet",
+        "t, s",
+        "momentum, energies over first values",
+        [
+            Curve("left", times, momenta["left"] / first),
+            Curve("right", times, momenta["right"] / first, "s-"),
+            Curve("kinetic", times, kinetic / kinetic[0], "k-"),
+            Curve("stored", times, stored / kinetic[0], "k--"),
+        ],
+    )
+    yield (
         "The bounds were written after a trial of the same run until 0.65 s.  What is lost less that "
         "dissipated was over the kinetic energy once, 1.2e-10; closures are relative to all energy, of "
-        "which that is a sixty-fifth.",
+        "which that is a sixty-fifth."
     )
 
 
@@ -338,7 +338,7 @@ def _order(midpoint: list[Balance]) -> dict[str, float]:
     - order of the largest remainder, midpoint >= 2.5: three in theory
     - closure
     """)
-def _translation() -> Outcome:
+def _translation() -> Measured:
     def found(strained: str, scheme: Scheme = "backward-euler", tau: float = EULER) -> Balance:
         until = 0.5 if scheme == "backward-euler" else 0.1
         name = f"{scheme}, {strained} strained"
@@ -348,17 +348,17 @@ def _translation() -> Outcome:
     midpoint = [found("soft", "midpoint", tau) for tau in MIDPOINT]
     with control():
         wrong = [found(strained) for strained in ("stiff", "soft")]
-    return measured(
-        {
-            **_euler(euler, wrong),
-            **_order(midpoint),
-        },
-        Table(_TITLE, COLUMNS, [b.row() for b in (*euler, *midpoint, *wrong)]),
+    yield from _euler(euler, wrong).items()
+    yield from _order(midpoint).items()
+    yield Table(_TITLE, COLUMNS, [b.row() for b in (*euler, *midpoint, *wrong)])
+    yield (
         "One set of variables for all bodies with an energy mixed by fractions, as the package once had "
-        "it, gained energy in 25 of 25 steps of such a run, 14 times the elastic excess in all.",
+        "it, gained energy in 25 of 25 steps of such a run, 14 times the elastic excess in all."
+    )
+    yield (
         "The control's rows are the last two.  For the midpoint rule a remainder of 1e-6 was written "
         "first; with 0.02 s it is 1.4e-3, by the waves that start where the strain jumps.  The order of "
-        "it, which stands here instead, is 2.28 from 0.005 to 0.0025 s until 0.5 s: not small yet.",
+        "it, which stands here instead, is 2.28 from 0.005 to 0.0025 s until 0.5 s: not small yet."
     )
 
 
@@ -374,7 +374,7 @@ def _translation() -> Outcome:
     - order of the largest remainder, midpoint >= 2.5: three in theory
     - closure
     """)
-def _disc() -> Outcome:
+def _disc() -> Measured:
     bulks = {"one volumetric energy": K_E, "bulk moduli 4 : 1": 4 * K_E}
     euler = [
         Balance(f"backward Euler, {name}", disc_in_a_solid(EULER, "backward-euler", bulk), 0.3)
@@ -384,15 +384,11 @@ def _disc() -> Outcome:
     with control():
         run = disc_in_a_solid(EULER, "backward-euler", maxh=0.25)
         wrong = Balance("control, cells of 0.25 m", run, 0.2)
-    return measured(
-        {
-            **_euler(euler, [wrong]),
-            "largest rise in a step, midpoint": max(b.rise for b in midpoint),
-            **_order(midpoint),
-        },
-        Table(_TITLE, COLUMNS, [b.row() for b in (*euler, *midpoint, wrong)]),
-        "The bounds were written after trials on 34 triangles and with other steps.",
-    )
+    yield from _euler(euler, [wrong]).items()
+    yield "largest rise in a step, midpoint", max(b.rise for b in midpoint)
+    yield from _order(midpoint).items()
+    yield Table(_TITLE, COLUMNS, [b.row() for b in (*euler, *midpoint, wrong)])
+    yield "The bounds were written after trials on 34 triangles and with other steps."
 
 
 @CASES(f"""unloaded-collision
@@ -408,7 +404,7 @@ def _disc() -> Outcome:
     - least gap, m <= 0.1: they meet: less than a cell between them
     - closure
     """)
-def _unloaded_collision() -> Outcome:
+def _unloaded_collision() -> Measured:
     run, table = discs("backward-euler", MEETING, thickness=0.0, light=LIGHTEST)
     euler, ledger = Balance("backward Euler", run, MET), run.ledger
     gap = table.column("right_x_min") - table.column("left_x_max")
@@ -418,20 +414,18 @@ def _unloaded_collision() -> Outcome:
     with control():
         run = discs("backward-euler", MEETING, thickness=0.0, light=LIGHTEST)[0]
         wrong = Balance("control", run, WRONG)
-    return measured(
-        {
-            **_euler([euler], [wrong]),
-            **_order(midpoint),
-            "rejected steps": float(ledger.column("rejections").sum()),
-            "least gap, m": float(gap.min()),
-        },
-        Table(_TITLE, COLUMNS, [b.row() for b in (euler, *midpoint, wrong)]),
+    yield from _euler([euler], [wrong]).items()
+    yield from _order(midpoint).items()
+    yield "rejected steps", ledger.column("rejections").sum()
+    yield "least gap, m", gap.min()
+    yield Table(_TITLE, COLUMNS, [b.row() for b in (euler, *midpoint, wrong)])
+    yield (
         "The bounds were written before it was run, but that of rejected steps, after a trial by backward "
         "Euler until 1.4 s, and that of the control, which has none of its parts negative but at points: "
         "what is strained is stiffer than what takes its place, so that both factors of theta (tr X - 3 N) "
         "mostly fall together.  The largest remainder of the midpoint rule is that of the first step, in "
         "which the discs are thrown: its order is 1.98 from 2.5 to 1.25 ms, which were to be the steps, "
-        "2.27 to 0.625 ms, and here.",
+        "2.27 to 0.625 ms, and here."
     )
 
 
@@ -507,7 +501,7 @@ def lost(run: nv.Simulation) -> np.ndarray:
     - change of its mass <= 1e-10: conserved
     - closure
     """)
-def _jelly() -> Outcome:
+def _jelly() -> Measured:
     run, table = dropped(SETTLED)
     ledger, times, height = run.ledger, table.column("time"), table.column("jelly_y")
     first, kinetic = float(np.interp(FALLING, times, height)), ledger.column("kinetic")
@@ -515,30 +509,28 @@ def _jelly() -> Outcome:
     masses = table.column("jelly_mass")
     weight = GRAVITY * float(masses[0]) * (0.5 - R_JELLY)
     free = 0.5 - GRAVITY * FALLING**2 / 2
-    return measured(
-        {
-            "height at 0.2 s over free fall's, less one": abs(first / free - 1),
-            "how far it rises again, m": float(height[low:].max() - height[low]),
-            "kinetic energy at the end over the largest": float(kinetic[-1] / kinetic.max()),
-            "rejected steps": float(ledger.column("rejections").sum()),
-            "largest rise of the total energy in a step": float(-lost(run).min()) / weight,
-            "bregman's negative parts": float(-np.minimum(ledger.column("bregman")[1:], 0).sum()) / weight,
-            "limiter's negative parts": float(-np.minimum(ledger.column("limiter")[1:], 0).sum()) / weight,
-            "change of its mass": float(np.abs(masses / masses[0] - 1).max()),
-        },
-        Table(
-            "the jelly",
-            "t, s | height of the centroid, m | kinetic energy, J/m | iterations | limited cells",
-            [[times[i], height[i], kinetic[i], *_efforts(run, i)] for i in range(0, len(times), 40)],
-        ),
-        Plot(
-            "A jelly in a light medium",
-            "t, s",
-            "height of the centroid, m",
-            [Curve("jelly", times, height, "-")],
-        ),
+    yield "height at 0.2 s over free fall's, less one", abs(first / free - 1)
+    yield "how far it rises again, m", height[low:].max() - height[low]
+    yield "kinetic energy at the end over the largest", kinetic[-1] / kinetic.max()
+    yield "rejected steps", ledger.column("rejections").sum()
+    yield "largest rise of the total energy in a step", float(-lost(run).min()) / weight
+    yield "bregman's negative parts", float(-np.minimum(ledger.column("bregman")[1:], 0).sum()) / weight
+    yield "limiter's negative parts", float(-np.minimum(ledger.column("limiter")[1:], 0).sum()) / weight
+    yield "change of its mass", np.abs(masses / masses[0] - 1).max()
+    yield Table(
+        "the jelly",
+        "t, s | height of the centroid, m | kinetic energy, J/m | iterations | limited cells",
+        [[times[i], height[i], kinetic[i], *_efforts(run, i)] for i in range(0, len(times), 40)],
+    )
+    yield Plot(
+        "A jelly in a light medium",
+        "t, s",
+        "height of the centroid, m",
+        [Curve("jelly", times, height, "-")],
+    )
+    yield (
         "The bounds were written after trials until 4.2 s without the energy's column, that of the "
-        "limiter after one until 5 s.",
+        "limiter after one until 5 s."
     )
 
 

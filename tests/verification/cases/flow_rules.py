@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.geometries import annulus, box, channel
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.cases.rheology import BY_B, NAMES, G, deviator, material, shear_stress, start
 from tests.verification.cases.shear import sheared
 from tests.verification.rates import RateTable
@@ -108,7 +108,7 @@ def _sheared(kind: str, rule: nv.FlowRule, steps: int, scheme: str = "backward-e
     - least distance to rates smaller by a fifth >= 1e-2: a wrong rate is told from the right
     - closure
     """)
-def _point() -> Outcome:
+def _point() -> Measured:
     rows: list[list[str | float]] = []
     largest, mistaken = 0.0, math.inf
     for name, (rule, rate) in RULES.items():
@@ -119,16 +119,12 @@ def _point() -> Outcome:
             errors = [abs(value / exact - 1) for value in (*found, extrapolated)]
             largest, mistaken = max(largest, errors[-1]), min(mistaken, abs(extrapolated / wrong - 1))
             rows.append([name, kind, exact, *errors])
-    return measured(
-        {
-            "largest error, extrapolated": largest,
-            "least distance to rates smaller by a fifth": mistaken,
-        },
-        Table(
-            "T_12 after a shear of one",
-            ["rule", "model", "exact, Pa", *(f"error, {n} steps" for n in STEPS), "extrapolated"],
-            rows,
-        ),
+    yield "largest error, extrapolated", largest
+    yield "least distance to rates smaller by a fifth", mistaken
+    yield Table(
+        "T_12 after a shear of one",
+        ["rule", "model", "exact, Pa", *(f"error, {n} steps" for n in STEPS), "extrapolated"],
+        rows,
     )
 
 
@@ -145,7 +141,7 @@ MIDPOINT = {"linear": True, "Norton, n = 3": True, "Bingham": False, "linear har
       with the place of it
     - closure
     """)
-def _midpoint() -> Outcome:
+def _midpoint() -> Measured:
     """Errors of T_12 after the start-up of shear, over the steps of the midpoint rule."""
     tables, curves = [], []
     least = {True: math.inf, False: math.inf}
@@ -165,14 +161,10 @@ def _midpoint() -> Outcome:
             least[is_smooth] = min(least[is_smooth], order)
             curves.append(Curve(f"{name}, {kind}", sizes, errors[name]))
         tables.append(table.table("tau, s"))
-    return measured(
-        {
-            "least order of a rate with a derivative": least[True],
-            "least order with yield": least[False],
-        },
-        *tables,
-        Plot("Start-up of shear by the midpoint rule", "tau, s", "error of T_12, Pa", curves, log="xy"),
-    )
+    yield "least order of a rate with a derivative", least[True]
+    yield "least order with yield", least[False]
+    yield from tables
+    yield Plot("Start-up of shear by the midpoint rule", "tau, s", "error of T_12, Pa", curves, log="xy")
 
 
 @CASES("""norton-relaxation
@@ -183,7 +175,7 @@ def _midpoint() -> Outcome:
     - error at the finest step <= 0.02: first order, tau = 0.0125 s
     - closure
     """)
-def _relaxation() -> Outcome:
+def _relaxation() -> Measured:
     """|E|^(1-n) grows linearly: d|E|/dt = -A (2 G |E|)^n in a body that cannot move."""
     A, n, until, begin = 0.3, 3, 1.0, 0.5
     table = RateTable("error of |E|, relative to its start")
@@ -196,13 +188,9 @@ def _relaxation() -> Outcome:
         run.run(until)
         E = np.array(run.fields["E"](run.mesh(0.3, 0.4)))
         table.add(until / steps, E=abs(float(np.linalg.norm(E)) - exact) / begin)
-    return measured(
-        {
-            "rate of |E|": table.last("E"),
-            "error at the finest step": table.errors["E"][-1],
-        },
-        table.table("tau, s"),
-    )
+    yield "rate of |E|", table.last("E")
+    yield "error at the finest step", table.errors["E"][-1]
+    yield table.table("tau, s")
 
 
 @CASES("""viscoplastic-flow-curve
@@ -212,7 +200,7 @@ def _relaxation() -> Outcome:
     - largest relative error of T_12 <= 1e-3: what is elastic turns by (T_12/G)^2 and less
     - closure
     """)
-def _flow_curve() -> Outcome:
+def _flow_curve() -> Measured:
     """T_12 = sigma_Y/sqrt(3) + G_m rate/2 of Bingham's fluid, and the like with an exponent."""
     stiff, sigma_Y, rows, largest = 200.0, 1.5, [], 0.0
     for n in (1.0, 2.5):
@@ -232,10 +220,8 @@ def _flow_curve() -> Outcome:
             error = abs(float(values[-1, 1]) / exact - 1)
             largest = max(largest, error)
             rows.append([n, rate, float(values[-1, 1]), exact, error])
-    return measured(
-        {"largest relative error of T_12": largest},
-        Table("steady shear", "n | rate, 1/s | T_12, Pa | exact, Pa | error", rows),
-    )
+    yield "largest relative error of T_12", largest
+    yield Table("steady shear", "n | rate, 1/s | T_12, Pa | exact, Pa | error", rows)
 
 
 # --- steady flows between walls ------------------------------------------------------------------------
@@ -268,7 +254,7 @@ def profile(y: np.ndarray, tau_Y: float) -> np.ndarray:
     return FORCE / (2 * ETA) * near * (2 * sheared - near)
 
 
-def _channel(kind: str) -> Outcome:
+def _channel(kind: str) -> Measured:
     at = np.linspace(0, 1, 81)
     exact, fastest = profile(at, TAU_Y), float(profile(at, TAU_Y).max())
     table, curves = RateTable("errors, relative to the largest of v and of the stress"), []
@@ -290,16 +276,12 @@ def _channel(kind: str) -> Outcome:
         curves.append(Curve(f"h = {h:g} m", at, v, "."))
     curves.append(Curve("closed form", at, exact, "k-"))
     stronger = float(np.sqrt(np.mean((v - profile(at, 1.1 * TAU_Y)) ** 2))) / fastest
-    return measured(
-        {
-            "error of v on the finest mesh": table.errors["v"][-1],
-            "error of T_12 on the finest mesh": table.errors["T_12"][-1],
-            "rate of v": table.last("v"),
-            "distance to a yield stress larger by a tenth": stronger,
-        },
-        table.table("h, m"),
-        Plot("Bingham's fluid between plates", "y, m", "v, m/s", curves),
-    )
+    yield "error of v on the finest mesh", table.errors["v"][-1]
+    yield "error of T_12 on the finest mesh", table.errors["T_12"][-1]
+    yield "rate of v", table.last("v")
+    yield "distance to a yield stress larger by a tenth", stronger
+    yield table.table("h, m")
+    yield Plot("Bingham's fluid between plates", "y, m", "v, m/s", curves)
 
 
 # --- between cylinders, the inner one of which turns ----------------------------------------------------
@@ -316,7 +298,7 @@ def turning(r: np.ndarray, tau_Y: float = TAU_Y) -> np.ndarray:
     return torque / (2 * ETA) * (1 / r**2 - 1 / edge**2) - tau_Y / ETA * np.log(edge / r)
 
 
-def _couette(kind: str) -> Outcome:
+def _couette(kind: str) -> Measured:
     r = np.linspace(1.05, 1.95, 19)
     exact, exact_T = r * turning(r), TAU_Y * R_Y**2 / r**2
     Omega = float(turning(np.array(R_I)))
@@ -334,17 +316,13 @@ def _couette(kind: str) -> Outcome:
         rows.append([h, mesh.ne, errors[-1], of_T])
         curves.append(Curve(f"h = {h:g} m", r, v, "o"))
     curves.append(Curve("closed form", r, exact, "k-"))
-    return measured(
-        {
-            "largest error of v on the finer mesh, of the wall's": errors[-1],
-            "largest relative error of the shear stress where it flows": of_T,
-            "error of v on the finer / on the coarser mesh": errors[-1] / errors[0],
-            "largest |v| beyond 1.6 m, of the wall's": float(np.abs(v[r > 1.6]).max()) / Omega,
-        },
-        Table("at 19 radii", "h, m | cells | error of v | error of the stress", rows),
-        Plot("Bingham's fluid between cylinders", "r, m", "v, m/s", curves),
-        "With h = 0.5 and 0.25 m, as first run, v was 0.073 off and the stress 0.060: finer cells since.",
-    )
+    yield "largest error of v on the finer mesh, of the wall's", errors[-1]
+    yield "largest relative error of the shear stress where it flows", of_T
+    yield "error of v on the finer / on the coarser mesh", errors[-1] / errors[0]
+    yield "largest |v| beyond 1.6 m, of the wall's", float(np.abs(v[r > 1.6]).max()) / Omega
+    yield Table("at 19 radii", "h, m | cells | error of v | error of the stress", rows)
+    yield Plot("Bingham's fluid between cylinders", "r, m", "v, m/s", curves)
+    yield "With h = 0.5 and 0.25 m, as first run, v was 0.073 off and the stress 0.060: finer cells since."
 
 
 for kind in BINGHAMS:
@@ -387,7 +365,7 @@ for kind in BINGHAMS:
     - largest error of the exponent <= 2e-3: the same
     - closure
     """)
-def _creep() -> Outcome:
+def _creep() -> Measured:
     """Shear by a traction on the wall: rate = 2 A (sqrt(2) tau)^(n-1) tau."""
     A, rows, of_rate, of_n = 0.3, [], 0.0, 0.0
     for kind in BINGHAMS:
@@ -408,10 +386,6 @@ def _creep() -> Outcome:
                 of_rate = max(of_rate, error)
                 rows.append([kind, n, tau, rates[-1], exact, error])
             of_n = max(of_n, abs(math.log(rates[2] / rates[0]) / math.log(4) - n))
-    return measured(
-        {
-            "largest relative error of the rate": of_rate,
-            "largest error of the exponent": of_n,
-        },
-        Table("steady creep", "model | n | stress, Pa | rate, 1/s | exact, 1/s | error", rows),
-    )
+    yield "largest relative error of the rate", of_rate
+    yield "largest error of the exponent", of_n
+    yield Table("steady creep", "model | n | stress, Pa | rate, 1/s | exact, 1/s | error", rows)

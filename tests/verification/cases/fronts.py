@@ -9,7 +9,7 @@ from ngsolve import CF, Det, erf, pi, sin, x, y
 import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.geometries import annulus, box, disc
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.cases.rheology import NAMES
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
@@ -21,7 +21,7 @@ CASES = Cases("Exact solutions: layers and fronts")
 # --- the first Stokes problem --------------------------------------------------------------------------
 
 
-def _stokes(creeping: bool) -> Outcome:
+def _stokes(creeping: bool) -> Measured:
     """Viscosity 1e-2 Pa s, as a Stokes viscosity or as the creep of a Maxwell fluid (lambda = 1 ms)."""
     eta, top, begin, end = 1e-2, 0.1, 0.25, 1.0
     # exact fluid at t = 0.25 s: the wall's jump has become a layer of 0.05 m
@@ -51,14 +51,10 @@ def _stokes(creeping: bool) -> Outcome:
         v = [run.fields["velocity"](mesh(0.05, min(s, 1 - 1e-12)))[0] for s in ys]
         curves.append(Curve(f"{steps} steps", ys, v, "."))
     curves.append(Curve("exact", ys, [top * math.erf(s / 0.2) for s in ys], "k-"))
-    return measured(
-        {
-            "rate in tau": table.last("v"),
-            "relative error, extrapolated": abs(2 * table.errors["v"][-1] - table.errors["v"][-2]),
-        },
-        table.table("tau, s"),
-        Plot("First Stokes problem at t = 1 s", "y, m", "v_1, m/s", curves),
-    )
+    yield "rate in tau", table.last("v")
+    yield "relative error, extrapolated", abs(2 * table.errors["v"][-1] - table.errors["v"][-2])
+    yield table.table("tau, s")
+    yield Plot("First Stokes problem at t = 1 s", "y, m", "v_1, m/s", curves)
 
 
 for name, what, creeping in (
@@ -94,7 +90,7 @@ def _steepest(profiles: np.ndarray, line: np.ndarray) -> float:
     return float(np.abs(profiles[..., 2:] - profiles[..., :-2]).max() / (line[2] - line[0]))
 
 
-def _pulse(kind: str) -> Outcome:
+def _pulse(kind: str) -> Measured:
     """A pulse that steepens: rho J and rho det F should stay rho_0 = 1, rho be the Lagrangian one."""
     actual = kind == "J and det F"
     material = (
@@ -136,25 +132,21 @@ def _pulse(kind: str) -> Outcome:
     rows.append(["Lagrangian", float(exact.max()), slope, times[when], "-"])
     label = f"Lagrangian, t = {times[when]:.2g} s"
     curves.append(Curve(label, line, exact[when], "k--"))
-    return measured(
-        {
-            "rate of rho J − rho_0 in h ~ tau": table.last("rho J"),
-            "rate of rho det F − rho_0 in h ~ tau": table.last("rho det F"),
-            "rate of rho in h ~ tau": table.last("rho"),
-            "largest compression rho/rho_0": compression,
-            "steepest slope of rho/rho_0, extrapolated, relative error": abs(
-                2 * slopes[-1] - slopes[-2] - slope
-            )
-            / slope,
-        },
-        table.table("h, m"),
-        Table(
-            "the front, and the largest defect until 0.4 s",
-            "h, m | max rho/rho_0 | steepest slope, 1/m | at t, s | max of the L2 defect of rho det F",
-            rows,
-        ),
-        Plot("Density of the pulse where it is steepest", "x, m", "kg/m3", curves),
+    yield "rate of rho J − rho_0 in h ~ tau", table.last("rho J")
+    yield "rate of rho det F − rho_0 in h ~ tau", table.last("rho det F")
+    yield "rate of rho in h ~ tau", table.last("rho")
+    yield "largest compression rho/rho_0", compression
+    yield (
+        "steepest slope of rho/rho_0, extrapolated, relative error",
+        abs(2 * slopes[-1] - slopes[-2] - slope) / slope,
     )
+    yield table.table("h, m")
+    yield Table(
+        "the front, and the largest defect until 0.4 s",
+        "h, m | max rho/rho_0 | steepest slope, 1/m | at t, s | max of the L2 defect of rho det F",
+        rows,
+    )
+    yield Plot("Density of the pulse where it is steepest", "x, m", "kg/m3", curves)
 
 
 for name, what in (("neo-hookean", "J and det F"), ("referential", "J and J^(-5/6) F")):
@@ -206,7 +198,7 @@ def rotating(kind: str, h: float, steps: int) -> tuple[nv.Simulation, dict[str, 
     return run, {"v": error_v, "z": distance(tensor, exact, run.mesh)}
 
 
-def _rotation(kind: str) -> Outcome:
+def _rotation(kind: str) -> Measured:
     """The linearised model over meshes and steps; the finite-strain model over steps."""
     tables, values = [], {}
     in_tau = RateTable("errors after a quarter of a turn, over tau, h = 0.4 m")
@@ -225,7 +217,9 @@ def _rotation(kind: str) -> Outcome:
             in_h.add(h, **errors)
         tables.append(in_h.table("h, m"))
         values |= {"rate of v in h": in_h.last("v"), "rate of E in h": in_h.last("z")}
-    return measured({**values}, *tables, in_tau.plot("tau, s", "L2 error"))
+    yield from values.items()
+    yield from tables
+    yield in_tau.plot("tau, s", "L2 error")
 
 
 for kind in KINDS:
@@ -252,7 +246,7 @@ COUETTE = {"linearised": (0.5, 0.25), "finite": (0.7, 0.35), "finite-b": (0.7, 0
 R_I, R_O, TURN, MODULUS, ETA = 1.0, 2.0, 0.05, 10.0, 1.0
 
 
-def _couette(kind: str) -> Outcome:
+def _couette(kind: str) -> Measured:
     """Steady shear stress between a resting and a rotating cylinder, at small Weissenberg number."""
     r = np.linspace(1.1, 1.9, 9)
     exact = 2 * ETA * TURN * R_O**2 / (R_O**2 - R_I**2) * R_I**2 / r**2
@@ -270,14 +264,10 @@ def _couette(kind: str) -> Outcome:
         rows.append([h, mesh.ne, errors[-1], closure(run)])
         curves.append(Curve(f"h = {h:g} m", r, found, "o"))
     curves.append(Curve("closed form", r, exact, "k-"))
-    return measured(
-        {
-            "largest relative error of the shear stress on the finer mesh": errors[-1],
-            "error on the finer / on the coarser mesh": errors[-1] / errors[0],
-        },
-        Table("shear stress at nine radii", "h, m | cells | largest error | closure", rows),
-        Plot("Couette flow between cylinders", "r, m", "shear stress, Pa", curves),
-    )
+    yield "largest relative error of the shear stress on the finer mesh", errors[-1]
+    yield "error on the finer / on the coarser mesh", errors[-1] / errors[0]
+    yield Table("shear stress at nine radii", "h, m | cells | largest error | closure", rows)
+    yield Plot("Couette flow between cylinders", "r, m", "shear stress, Pa", curves)
 
 
 for kind in NAMES:

@@ -15,7 +15,7 @@ from scipy.linalg import eig
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.physics.variables import Jacobian
-from tests.verification.case import Cases, Outcome, Table, each, measured
+from tests.verification.case import Cases, Measured, Table, each
 from tests.verification.convergence import coupled_rates, free_solution, separation
 from tests.verification.rates import RateTable
 from tests.verification.sources import Sources
@@ -146,7 +146,7 @@ def _rolls(plates: Plates, Ra: float, amplitude: float, h: float = 0.25) -> np.n
     return np.array(found)
 
 
-def _onset(plates: Plates) -> Outcome:
+def _onset(plates: Plates) -> Measured:
     """Growth below and above the onset, of half of the difference of two runs: linear in the roll."""
     rows, size = [], plates.wave**2 + math.pi**2
     for Ra in plates.numbers:
@@ -156,13 +156,9 @@ def _onset(plates: Plates) -> Outcome:
         expected = _mode(plates, Ra).growth
         rows.append([Ra, found, expected, abs(found - expected) / size])
     root = float(np.interp(0.0, [row[1] for row in rows], np.sqrt(plates.numbers)))
-    return measured(
-        {
-            "error of the growth, of k^2 + pi^2": max(row[3] for row in rows),
-            "error of the critical Rayleigh number": abs(root**2 / plates.critical - 1),
-        },
-        Table("growth of a roll", "Ra | growth, 1/s | theory, 1/s | error", rows),
-    )
+    yield "error of the growth, of k^2 + pi^2", max(row[3] for row in rows)
+    yield "error of the critical Rayleigh number", abs(root**2 / plates.critical - 1)
+    yield Table("growth of a roll", "Ra | growth, 1/s | theory, 1/s | error", rows)
 
 
 _SETTING = (
@@ -202,18 +198,17 @@ class WithoutItsHeat(Sources):
         return CF(0.0)
 
 
-def _in_space(p: float | None) -> Outcome:
+def _in_space(p: float | None) -> Measured:
     right, wrong = (
         coupled_rates(KIND, 2, p, 2, 1, 0.4, 3, regularised=p is not None, delta=False, sources=sources)
         for sources in (Sources, WithoutItsHeat)
     )
     wrong.title += ", sources without heat"
     values = {f"rate of {name}": right.last(name) for name in right.errors}
-    return measured(
-        values | {"rate of z where the sources have no heat": wrong.last("z")},
-        right.table("h, m"),
-        wrong.table("h, m"),
-    )
+    yield from values.items()
+    yield "rate of z where the sources have no heat", wrong.last("z")
+    yield right.table("h, m")
+    yield wrong.table("h, m")
 
 
 def _space(name: str, p: float | None, terms: str, least: dict[str, float]) -> None:
@@ -245,7 +240,7 @@ _space(
       runs of 4, 8, 16, 32 steps in 0.1 s.
     {each(f"- rate of {name} >= 1.9: second order" for name in ("v", "rho", "z"))}
     """)
-def _in_time() -> Outcome:
+def _in_time() -> Measured:
     runs = [
         free_solution(
             KIND, steps, 0.1, p=2.0, driven=True, delta=False, scheme="midpoint", velocity_scale=3e5
@@ -255,8 +250,6 @@ def _in_time() -> Outcome:
     table = RateTable("differences of successive steps")
     for steps, (coarse, fine) in zip((4, 8, 16), pairwise(runs), strict=True):
         table.add(0.1 / steps, **separation(fine, coarse))
-    return measured(
-        {f"rate of {name}": table.last(name) for name in table.errors},
-        table.table("tau, s"),
-        "The upwinding is smooth up to 30 m/s: with 0.3 m/s rho has the rate 1.4, with 3 m/s 1.8.",
-    )
+    yield from table.lasts()
+    yield table.table("tau, s")
+    yield "The upwinding is smooth up to 30 m/s: with 0.3 m/s rho has the rate 1.4, with 3 m/s 1.8."

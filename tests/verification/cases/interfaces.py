@@ -9,7 +9,7 @@ from ngsolve import CoefficientFunction, IfPos, Mesh, cos, pi, sin, x, y
 
 from ngvisco.geometries import box, disc
 from ngvisco.shapes.shape import Where
-from tests.verification.case import Cases, Outcome, Table, measured
+from tests.verification.case import Cases, Measured, Table
 from tests.verification.interfaces import Carrier, Level, carried
 
 CASES = Cases("Bodies and their interfaces")
@@ -73,7 +73,7 @@ CARRIED: tuple[tuple[Carrier, int], ...] = (
 )
 
 
-def _smear(name: str) -> Outcome:
+def _smear(name: str) -> Measured:
     test, rows, found = TESTS[name], [], {}
     mesh = test.mesh()
     for carrier, m in CARRIED:
@@ -94,16 +94,12 @@ def _smear(name: str) -> Outcome:
         rows.append((carrier, m, *numbers))
     amounts = found["amounts", 1]
     columns = ("carried as", "m", "L1 error/area", "width, cells", "least", "largest", "change of area")
-    return measured(
-        {
-            "L1 error of amounts, m = 1": amounts.error,
-            "width of amounts, m = 1, cells": amounts.width,
-            "largest excess over [0, 1]": max(-amounts.least, amounts.largest - 1),
-            "change of the area, m = 1": abs(amounts.drift),
-            "L1 error of the reference map, m = 1": found["reference map", 1].error,
-        },
-        Table(f"{name}: what is left of the body", columns, rows),
-    )
+    yield "L1 error of amounts, m = 1", amounts.error
+    yield "width of amounts, m = 1, cells", amounts.width
+    yield "largest excess over [0, 1]", max(-amounts.least, amounts.largest - 1)
+    yield "change of the area, m = 1", abs(amounts.drift)
+    yield "L1 error of the reference map, m = 1", found["reference map", 1].error
+    yield Table(f"{name}: what is left of the body", columns, rows)
 
 
 _LIMITS = {"rotation": (0.5, 3.0, 0.25), "zalesak": (0.9, 3.0, 0.6), "vortex": (0.5, 3.5, 0.3)}

@@ -13,7 +13,7 @@ from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, Values, Variable
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.problems import distance, refinements
 from tests.verification.rates import RateTable
 from tests.verification.setups import KINDS, LABELS, SETTING, block, closure, separation, square_mesh, stokes
@@ -68,7 +68,7 @@ def in_h_and_tau(material: nv.Material, with_delta: bool) -> tuple[RateTable, li
     return table, runs
 
 
-def defects_of(material: nv.Material) -> Outcome:
+def defects_of(material: nv.Material) -> Measured:
     """The three refinements."""
     plain, runs = in_h_and_tau(material, with_delta=False)
     together, more = in_h_and_tau(material, with_delta=True)
@@ -78,24 +78,21 @@ def defects_of(material: nv.Material) -> Outcome:
         run = _run(material, LEVELS[1], delta)
         more.append(run)
         alone.add(delta, **{name: abs(value - rest[name]) for name, value in defects(run).items()})
-    return measured(
-        {
-            **{f"last rate of {name}, tau and h": plain.last(name) for name in plain.errors},
-            **{f"last rate of {name}, delta, tau and h": together.last(name) for name in together.errors},
-            **{f"last rate of {name}, delta alone": alone.last(name) for name in alone.errors},
-            "least J": min(_least(run) for run in runs),
-        },
-        plain.table("h, m"),
-        together.table("h, m"),
-        alone.table("delta, m2/s"),
-        *[table.plot("h, m", "defect in L2", 1.0) for table in (plain, together)],
-        *[
+    yield from plain.lasts("last rate of {}, tau and h")
+    yield from together.lasts("last rate of {}, delta, tau and h")
+    yield from alone.lasts("last rate of {}, delta alone")
+    yield "least J", min(_least(run) for run in runs)
+    yield plain.table("h, m")
+    yield together.table("h, m")
+    yield alone.table("delta, m2/s")
+    for table in (plain, together):
+        yield table.plot("h, m", "defect in L2", 1.0)
+    if "J - det F" in plain.errors:
+        yield (
             "In plane strain H_33 is the only entry of Cof F that is not linear in F: both defects are "
             "one (in space they differ: dependent-cofactor-3d).  Of the coarsest mesh, two cells a "
             "side, no rate is to be taken."
-        ]
-        * ("J - det F" in plain.errors),
-    )
+        )
 
 
 def _least(run: nv.Simulation) -> float:
@@ -132,7 +129,7 @@ class PrintedMooneyRivlin(nv.MooneyRivlin):
     - difference over the sum of the defects <= 2.0: one, but for the two runs' own F
     - largest |closure| <= 1e-10: both rows are in the balance
     """)
-def measure_printed() -> Outcome:
+def measure_printed() -> Measured:
     """Two runs, by the printed row of H and by ours, as tau and h go to zero.
 
     By the coupled solver: the split one takes rates to be linear in the variables; the printed one is not.
@@ -147,15 +144,12 @@ def measure_printed() -> Outcome:
             ours=defects(ours)["H - Cof F"],
             printed=defects(printed)["H - Cof F"],
         )
-    return measured(
-        {
-            **{f"last rate of {name}": table.last(name) for name in table.errors},
-            "difference over the sum of the defects": table.errors["difference"][-1]
-            / (table.errors["ours"][-1] + table.errors["printed"][-1]),
-        },
-        table.table("h, m"),
-        table.plot("h, m", "distance in L2"),
+    yield from table.lasts("last rate of {}")
+    yield (
+        "difference over the sum of the defects",
+        table.errors["difference"][-1] / (table.errors["ours"][-1] + table.errors["printed"][-1]),
     )
+    yield from table.shown("h, m", "distance in L2")
 
 
 for name, (a, b), label, of in (
@@ -198,7 +192,7 @@ SPATIAL = (
     - closure
     - least J >= 0.5: far from folding over
     """)
-def measure_in_space() -> Outcome:
+def measure_in_space() -> Measured:
     """J - det F and H - Cof F as tau and h go to zero together, in three dimensions."""
     table, least = RateTable("defects as tau and h go to zero, in 3D"), []
     for h, mesh in refinements(3, 1.0, 3):
@@ -208,15 +202,10 @@ def measure_in_space() -> Outcome:
         run.run(DURATION)
         table.add(h, **defects(run))
         least.append(_least(run))
-    return measured(
-        {
-            **{f"last rate of {name}": table.last(name) for name in table.errors},
-            "least J": min(least),
-        },
-        table.table("h, m"),
-        table.plot("h, m", "defect in L2", 1.0, "H - Cof F"),
-        "Twelve tetrahedra do not see the motion; the rate is that of the other two meshes.",
-    )
+    yield from table.lasts("last rate of {}")
+    yield "least J", min(least)
+    yield from table.shown("h, m", "defect in L2", 1.0, "H - Cof F")
+    yield "Twelve tetrahedra do not see the motion; the rate is that of the other two meshes."
 
 
 # --- mass, and the range of density and Jacobian -------------------------------------------------------
@@ -232,7 +221,7 @@ REGULARISATIONS = {
 }
 
 
-def mass(kind: str) -> Outcome:
+def mass(kind: str) -> Measured:
     """Mass after every step, with each of the scheme's terms that move it."""
     curves = []
     rows: list[list[str | float]] = []
@@ -250,13 +239,9 @@ def mass(kind: str) -> Outcome:
             drift = np.abs(ledger.column("mass_drift"))
             rows.append([name, tau, float(drift.max()), closure(run)])
             curves.append(Curve(f"{name}, tau = {tau:g} s", range(7), drift))
-    return measured(
-        {
-            "largest relative drift of the mass": max(float(row[2]) for row in rows),
-        },
-        Table("mass", "regularisation | tau, s | largest drift | closure", rows),
-        Plot("|mass drift| after each step", "step", "relative", curves, log="y"),
-    )
+    yield "largest relative drift of the mass", max(float(row[2]) for row in rows)
+    yield Table("mass", "regularisation | tau, s | largest drift | closure", rows)
+    yield Plot("|mass drift| after each step", "step", "relative", curves, log="y")
 
 
 RHO_MAX = 1.0
@@ -295,7 +280,7 @@ CUT_OFF_RUNS = (
 """Name, delta, h, tau and m."""
 
 
-def cut_off(kind: str) -> Outcome:
+def cut_off(kind: str) -> Measured:
     """The tube with the cut-off, the delta-term resolved, too weak and absent; and without a cut-off."""
     rows: list[list[str | float]] = []
     curves = []
@@ -312,26 +297,24 @@ def cut_off(kind: str) -> Outcome:
         curves.append(Curve(name, ledger.column("time"), highest))
     curves.append(Curve("rho_max + 1", [0.0, 0.3], [RHO_MAX + 1] * 2, "k--"))
     cut, without = rows[:-1], rows[-1]
-    return measured(
-        {
-            "largest rho": max(float(row[5]) for row in cut),
-            "smallest rho": min(float(row[4]) for row in cut),
-            "share of the volume where the cut-off acts": min(float(row[6]) for row in cut),
-            "runs that ended early": float(sum(bool(row[9]) for row in cut)),
-            "largest rho without the cut-off": float(without[5]),
-        },
-        Table(
-            f"range of the density; rho_max = {RHO_MAX:g}, cut-off from 1 to 0 over rho_max to rho_max + 1",
-            "run | delta | h, m | tau, s | min rho | max rho | volume cut | cells limited | closure | end",
-            rows,
-        ),
-        Plot("Largest density", "t, s", "kg/m3", curves),
+    yield "largest rho", max(float(row[5]) for row in cut)
+    yield "smallest rho", min(float(row[4]) for row in cut)
+    yield "share of the volume where the cut-off acts", min(float(row[6]) for row in cut)
+    yield "runs that ended early", sum(bool(row[9]) for row in cut)
+    yield "largest rho without the cut-off", without[5]
+    yield Table(
+        f"range of the density; rho_max = {RHO_MAX:g}, cut-off from 1 to 0 over rho_max to rho_max + 1",
+        "run | delta | h, m | tau, s | min rho | max rho | volume cut | cells limited | closure | end",
+        rows,
+    )
+    yield Plot("Largest density", "t, s", "kg/m3", curves)
+    yield (
         "The flux between cells is monotone in the densities of both sides, so that nothing flows into "
-        "a full cell; with m = 1 the limiter keeps the bound at points. The delta-term is not needed.",
+        "a full cell; with m = 1 the limiter keeps the bound at points. The delta-term is not needed."
     )
 
 
-def positivity(kind: str) -> Outcome:
+def positivity(kind: str) -> Measured:
     """Smallest rho and J of a strong compression and extension under refinement of h and tau together."""
     rows: list[list[str | float]] = []
     curves, lows = [], []
@@ -356,11 +339,9 @@ def positivity(kind: str) -> Outcome:
     if kind == "finite":
         values["smallest J"] = min(J for _, J in lows)
         values["fall of min J from the coarser to the finest mesh"] = lows[-2][1] - lows[-1][1]
-    return measured(
-        values,
-        Table("extrema", "h, m | tau, s | min rho | min J | max rho", rows),
-        Plot("Smallest density and Jacobian", "t, s", "", curves),
-    )
+    yield from values.items()
+    yield Table("extrema", "h, m | tau, s | min rho | min J | max rho", rows)
+    yield Plot("Smallest density and Jacobian", "t, s", "", curves)
 
 
 for kind in KINDS:
@@ -450,7 +431,7 @@ def refinement(kind: str) -> Table:
     return Table("refinement of h, mu = 1e-4", columns, rows)
 
 
-def hyperviscous(kind: str) -> Outcome:
+def hyperviscous(kind: str) -> Measured:
     """mu -> 0 for p = 2 and p = 4 against no hyperviscosity; then p from 1.5 to 4."""
     without = run_of(kind, None)
     rows: list[list[str | float]] = [["none", "", *describe(without)]]
@@ -469,19 +450,17 @@ def hyperviscous(kind: str) -> Outcome:
         rows.append([p, 1e-3, *describe(run)])
     refined = refinement(kind)
     columns = ["p", "mu", "share of the energy", "|∇v| in L2", "min rho", "Newton its", "closure"]
-    return measured(
-        {
-            **values,
-            "smallest rho": min(float(r[i]) for table, i in ((rows, 4), (refined.rows, 3)) for r in table),
-        },
-        *tables,
-        Table("all runs", columns, rows),
-        refined,
-        *plots,
+    yield from values.items()
+    yield "smallest rho", min(float(r[i]) for table, i in ((rows, 4), (refined.rows, 3)) for r in table)
+    yield from tables
+    yield Table("all runs", columns, rows)
+    yield refined
+    yield from plots
+    yield (
         "The analysis needs p > 3, so that grad v is bounded in L1(I; L-infinity) and rho, J stay "
         "positive; the scheme runs, and its ledger closes, with any p > 1 and without hyperviscosity. "
         "The last table refines h: what is bounded without it on this problem, which the analysis says "
-        "nothing of.",
+        "nothing of."
     )
 
 

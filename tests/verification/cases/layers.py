@@ -9,7 +9,7 @@ from scipy.optimize import brentq, curve_fit
 
 import ngvisco as nv
 from ngvisco.geometries import box, structured_box
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.setups import fluid, layers, stokes
 
 CASES = Cases("Bodies and their interfaces")
@@ -118,7 +118,7 @@ def _height(run: nv.Simulation) -> float:
     - drift
     - closure
     """)
-def _relaxation() -> Outcome:
+def _relaxation() -> Measured:
     rows, curves = [], []
     for maxh in CELLS_OF:
         run = relaxation(maxh)
@@ -133,26 +133,22 @@ def _relaxation() -> Outcome:
         curves.append(Curve(f"cells of {maxh / 1e3:g} km", times, heights))
     exact = [HEIGHT * math.exp(RATE * t * KYR) for t in curves[0].x]
     coarse, fine = (abs(float(row[4])) for row in rows)
-    return measured(
-        {
-            "relative error of the rate, cells of 50 km": coarse,
-            "relative error of the rate, cells of 25 km": fine,
-            "relative error of the time to 1/e, cells of 25 km": abs(float(rows[1][6])),
-            "error of the rate on finer cells over that on coarser": fine / coarse,
-        },
-        Table(
-            "topography",
-            "cells, m | triangles | first, m | rate, 1/s | its error | to 1/e, kyr | its error",
-            rows,
-        ),
-        Plot(
-            "Relaxation of topography",
-            "t, kyr",
-            "height of the wave, m",
-            [*curves, Curve("exp(-0.2139e-11 t/s)", curves[0].x, exact, "k--")],
-        ),
-        "The bounds were written after trials until 10 kyr, with mean rates 3.3 % and 2 % too slow.",
+    yield "relative error of the rate, cells of 50 km", coarse
+    yield "relative error of the rate, cells of 25 km", fine
+    yield "relative error of the time to 1/e, cells of 25 km", abs(float(rows[1][6]))
+    yield "error of the rate on finer cells over that on coarser", fine / coarse
+    yield Table(
+        "topography",
+        "cells, m | triangles | first, m | rate, 1/s | its error | to 1/e, kyr | its error",
+        rows,
     )
+    yield Plot(
+        "Relaxation of topography",
+        "t, kyr",
+        "height of the wave, m",
+        [*curves, Curve("exp(-0.2139e-11 t/s)", curves[0].x, exact, "k--")],
+    )
+    yield "The bounds were written after trials until 10 kyr, with mean rates 3.3 % and 2 % too slow."
 
 
 def _profile(run: nv.Simulation) -> np.ndarray:
@@ -185,7 +181,7 @@ def _depth(run: nv.Simulation) -> float:
     - drift
     - closure
     """)
-def _rising() -> Outcome:
+def _rising() -> Measured:
     run = rising(PLUME_MAXH)
     times, profiles, places = [0.0], [_profile(run)], [_depth(run)]
     while times[-1] < RISEN - 1e-9:
@@ -194,34 +190,34 @@ def _rising() -> Outcome:
         places.append(_depth(run))
     heights = [float(profile.max()) for profile in profiles]
     last = profiles[-1]
-    return measured(
-        {
-            "height at 3 Myr over the lower published one": heights[-1] / min(PUBLISHED),
-            "height at 3 Myr over the higher published one": heights[-1] / max(PUBLISHED),
-            "where it is highest, from the axis, m": float(np.argmax(last)) * LENGTH / 2 / 56,
-        },
-        Table(
-            "the surface and the plume",
-            "t, Myr | highest, m | lowest, m | plume's centroid above the bottom, m",
-            [
-                [float(np.interp(t, times, values)) for values in (times, heights, lows, places)]
-                for lows in ([float(profile.min()) for profile in profiles],)
-                for t in (0.025, 0.05, 0.1, 0.2, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-            ],
-        ),
-        Plot(
-            "Topography above a plume",
-            "t, Myr",
-            "height, m",
-            [
-                Curve("ngvisco", times, heights),
-                Curve("ASPECT, Underworld", [RISEN, RISEN], list(PUBLISHED), "ko"),
-            ],
-        ),
+    yield "height at 3 Myr over the lower published one", heights[-1] / min(PUBLISHED)
+    yield "height at 3 Myr over the higher published one", heights[-1] / max(PUBLISHED)
+    yield "where it is highest, from the axis, m", float(np.argmax(last)) * LENGTH / 2 / 56
+    yield Table(
+        "the surface and the plume",
+        "t, Myr | highest, m | lowest, m | plume's centroid above the bottom, m",
+        [
+            [float(np.interp(t, times, values)) for values in (times, heights, lows, places)]
+            for lows in ([float(profile.min()) for profile in profiles],)
+            for t in (0.025, 0.05, 0.1, 0.2, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+        ],
+    )
+    yield Plot(
+        "Topography above a plume",
+        "t, Myr",
+        "height, m",
+        [
+            Curve("ngvisco", times, heights),
+            Curve("ASPECT, Underworld", [RISEN, RISEN], list(PUBLISHED), "ko"),
+        ],
+    )
+    yield (
         "The bounds were written during the first tenth of a megayear of a run on cells of 25 km, tau = "
-        "0.05 Myr, which gave 395.7 m at 3 Myr, 398.8 m with 16 and 407.4 m with 24 cosines.",
+        "0.05 Myr, which gave 395.7 m at 3 Myr, 398.8 m with 16 and 407.4 m with 24 cosines."
+    )
+    yield (
         "Early, as the lithosphere bends, the surface is lower than Underworld's: 197 m at 0.09 Myr on "
-        "these cells and 245 m in the curve.",
+        "these cells and 245 m in the curve."
     )
 
 
@@ -337,38 +333,34 @@ def _swing(t: np.ndarray, omega: float, damping: float) -> np.ndarray:
     - drift
     - closure
     """)
-def _sloshing() -> Outcome:
+def _sloshing() -> Measured:
     found = {(rows, *of): sloshing(rows, *of) for rows, of in RUNS}
     errors = {key: float(fit[0]) / frequency(key[1]) - 1 for key, (*_, fit) in found.items()}
     still = found[(16, *STILL)]
-    return measured(
-        {
-            "error of the frequency, 1e-3, 16 rows": abs(errors[(16, *STILL)]),
-            "error of the frequency, 1e-2, 12 rows": abs(errors[(12, *MOVING)]),
-        },
-        Table(
-            "a period",
-            "rows | medium's density | and viscosity, Pa s | velocity, m/s | frequency, error | "
-            "damping, 1/s | rejections",
-            [
-                [*key, errors[key], fit[1], run.ledger.column("rejections").sum()]
-                for key, (run, _, _, fit) in found.items()
-            ],
-        ),
-        Plot(
-            "Sloshing beside a light medium",
-            "t, s",
-            "share of the first velocity",
-            [
-                *(
-                    Curve(f"{rows} rows, {ratio:g}, {thin:g} Pa s", t, v, ".")
-                    for (rows, ratio, thin, _), (_, t, v, _) in found.items()
-                ),
-                Curve("linear theory", still[1], np.cos(frequency(1e-3) * still[1]), "k-"),
-            ],
-        ),
-        "The bounds were written after trials with 8 rows: -0.8 % still, -5 % moving.",
+    yield "error of the frequency, 1e-3, 16 rows", abs(errors[(16, *STILL)])
+    yield "error of the frequency, 1e-2, 12 rows", abs(errors[(12, *MOVING)])
+    yield Table(
+        "a period",
+        "rows | medium's density | and viscosity, Pa s | velocity, m/s | frequency, error | "
+        "damping, 1/s | rejections",
+        [
+            [*key, errors[key], fit[1], run.ledger.column("rejections").sum()]
+            for key, (run, _, _, fit) in found.items()
+        ],
     )
+    yield Plot(
+        "Sloshing beside a light medium",
+        "t, s",
+        "share of the first velocity",
+        [
+            *(
+                Curve(f"{rows} rows, {ratio:g}, {thin:g} Pa s", t, v, ".")
+                for (rows, ratio, thin, _), (_, t, v, _) in found.items()
+            ),
+            Curve("linear theory", still[1], np.cos(frequency(1e-3) * still[1]), "k-"),
+        ],
+    )
+    yield "The bounds were written after trials with 8 rows: -0.8 % still, -5 % moving."
 
 
 @CASES(f"""sloshing-of-a-gel
@@ -384,7 +376,7 @@ def _sloshing() -> Outcome:
     - drift
     - closure
     """)
-def _gel() -> Outcome:
+def _gel() -> Measured:
     rows: list[list[float]] = []
     curves, errors = [], []
     for shear in SHEARS:
@@ -395,14 +387,10 @@ def _gel() -> Outcome:
             rows.append([shear, cells, omega, omega / frequency(STILL[0]), errors[-1], float(damping)])
             curves.append(Curve(f"{shear:g} Pa, {cells} rows", omega * t, v, "."))
     curves.append(Curve("linear theory", omega * t, np.cos(omega * t), "k-"))
-    return measured(
-        {
-            "error of the frequency, 16 rows": max(errors[1::2]),
-            "least frequency over that without elasticity": min(row[3] for row in rows),
-        },
-        Table("a period", "G, Pa | rows | omega, 1/s | over that of a fluid | error | damping, 1/s", rows),
-        Plot("A gel beside a light medium", "omega t", "share of the first velocity", curves),
-    )
+    yield "error of the frequency, 16 rows", max(errors[1::2])
+    yield "least frequency over that without elasticity", min(row[3] for row in rows)
+    yield Table("a period", "G, Pa | rows | omega, 1/s | over that of a fluid | error | damping, 1/s", rows)
+    yield Plot("A gel beside a light medium", "omega t", "share of the first velocity", curves)
 
 
 # --- Rayleigh–Taylor of an elastic layer over a fluid --------------------------------------------------
@@ -499,34 +487,30 @@ def _grown(ratio: float) -> tuple[np.ndarray, float]:
     - drift
     - closure
     """)
-def _rayleigh_taylor() -> Outcome:
+def _rayleigh_taylor() -> Measured:
     found = {ratio: _grown(ratio) for ratio in MODULI}
     squares = [found[ratio][1] for ratio in MODULI]
     slope, level = np.polyfit(MODULI, squares, 1)
     times = [n * TAU for n in range(STEPS + 1)]
-    return measured(
-        {
-            "s^2 at 0.8 of the threshold, 1/s^2": squares[1],
-            "s^2 at 1.2 of the threshold, 1/s^2": squares[2],
-            "relative error of the threshold": abs(float(-level / slope) - 1),
-        },
-        Table(
-            "growth",
-            "G over the threshold | drho g h/G | s^2, 1/s^2 | amplitude at the end",
-            [
-                [ratio, (1 - LIGHT_FLUID) * G * DEEP / (ratio * CRITICAL), square, a[-1]]
-                for ratio, (a, square) in found.items()
-            ],
-        ),
-        Plot(
-            "A heavy layer over a fluid",
-            "t, s",
-            "amplitude of v",
-            [Curve(f"G = {ratio:g} G_c", times, a) for ratio, (a, _) in found.items()],
-        ),
-        f"s^2 fitted by a line in G vanishes at {float(-level / slope):.4f} of the threshold.",
-        "The bounds were written after trial runs at 0.5 and 1.5 of it.",
+    yield "s^2 at 0.8 of the threshold, 1/s^2", squares[1]
+    yield "s^2 at 1.2 of the threshold, 1/s^2", squares[2]
+    yield "relative error of the threshold", abs(float(-level / slope) - 1)
+    yield Table(
+        "growth",
+        "G over the threshold | drho g h/G | s^2, 1/s^2 | amplitude at the end",
+        [
+            [ratio, (1 - LIGHT_FLUID) * G * DEEP / (ratio * CRITICAL), square, a[-1]]
+            for ratio, (a, square) in found.items()
+        ],
     )
+    yield Plot(
+        "A heavy layer over a fluid",
+        "t, s",
+        "amplitude of v",
+        [Curve(f"G = {ratio:g} G_c", times, a) for ratio, (a, _) in found.items()],
+    )
+    yield f"s^2 fitted by a line in G vanishes at {float(-level / slope):.4f} of the threshold."
+    yield "The bounds were written after trial runs at 0.5 and 1.5 of it."
 
 
 # --- Rayleigh–Taylor of viscous layers -----------------------------------------------------------------
@@ -608,7 +592,7 @@ def _of_face(run: nv.Simulation) -> float:
     - drift
     - closure
     """)
-def _growth() -> Outcome:
+def _growth() -> Measured:
     rows, errors = [], {}
     for ratio in RATIOS:
         for maxh in SIZES:
@@ -621,13 +605,9 @@ def _growth() -> Outcome:
             errors[ratio, maxh] = abs(found / factor(ratio) - 1)
             count = float(run.ledger.column("newton_iterations").sum())
             rows.append([ratio, maxh, found, factor(ratio), errors[ratio, maxh], count])
-    return measured(
-        {
-            "relative error, viscosities 1e13 and 1e19 Pa s": errors[RATIOS[-1], SIZES[-1]],
-            "largest relative error": max(errors.values()),
-        },
-        Table(
-            "growth factor", "eta_1/eta_2 | cells, m | found | analytic | relative error | iterations", rows
-        ),
-        "The bounds were written after trials with A = 10 m and 50 m of three steps.",
+    yield "relative error, viscosities 1e13 and 1e19 Pa s", errors[RATIOS[-1], SIZES[-1]]
+    yield "largest relative error", max(errors.values())
+    yield Table(
+        "growth factor", "eta_1/eta_2 | cells, m | found | analytic | relative error | iterations", rows
     )
+    yield "The bounds were written after trials with A = 10 m and 50 m of three steps."

@@ -13,7 +13,7 @@ import ngvisco as nv
 from ngvisco.physics.tensors import IDENTITY, dev, square
 from ngvisco.physics.variables import SmallStrain
 from ngvisco.run.closure import ClosureWarning
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.functionals import DeltaTerms
 from tests.verification.problems import distance
 from tests.verification.rates import RateTable
@@ -43,7 +43,7 @@ LONG = 5
 
 def energies(
     kind: str, gravity: float, mesh: Mesh | None = None, taus: Sequence[float] = TAUS, steps: int = LONG
-) -> Outcome:
+) -> Measured:
     """Energy, with the weight's potential, after every step, for every tau."""
     rows: list[list[str | float]] = []
     curves, rises, closures, remainders, unsolved = [], [], [], [], 0
@@ -71,24 +71,20 @@ def energies(
         curves.append(Curve(f"tau = {tau:g} s", range(len(energies)), [e / scale for e in energies]))
         defect = run.ledger.rows[-1]["J_defect"] if run.ledger.rows else np.nan
         rows.append([tau, len(energies) - 1, energies[-1] / scale, rise, closures[-1], defect, failure])
-    return measured(
-        {
-            "largest relative rise of the energy in a step": max(rises),
-            "steps without a solution": unsolved,
-            "smallest numerical dissipation of a step, relative": min(remainders),
-        },
-        Table(
-            "energy at the end, relative to the start",
-            "tau, s | steps | energy | largest rise | closure | ‖J − det F‖ | failure",
-            rows,
-        ),
-        Plot("Energy after each step", "step", "energy / initial energy", curves),
-        *[
+    yield "largest relative rise of the energy in a step", max(rises)
+    yield "steps without a solution", unsolved
+    yield "smallest numerical dissipation of a step, relative", min(remainders)
+    yield Table(
+        "energy at the end, relative to the start",
+        "tau, s | steps | energy | largest rise | closure | ‖J − det F‖ | failure",
+        rows,
+    )
+    yield Plot("Energy after each step", "step", "energy / initial energy", curves)
+    if kind == "finite":
+        yield (
             "Stable is not accurate: in the finite-strain model J and det F part where tau is longer "
             "than the motion, and the stored energy of (F, J) then falls below that of a body at rest."
-        ]
-        * (kind == "finite"),
-    )
+        )
 
 
 BOUNDS = """- largest relative rise of the energy in a step <= 1e-12: rounding
@@ -121,19 +117,14 @@ DISTANCE = "distance in L2"
 YOSIDA_SIZES = (1e-2, 1e-3, 1e-4, 1e-5)
 
 
-def in_tau(kind: str) -> Outcome:
+def in_tau(kind: str) -> Measured:
     """Runs with tau, tau/2, ... against the next finer one, and what they dissipate numerically."""
     table, losses, _ = _halved(lambda tau: block(kind, tau, creep=2.0, gravity=1.0), (8, 16, 32, 64, 128))
-    return measured(
-        {
-            **{f"last rate of {name}": table.last(name) for name in table.errors},
-            "last rate of the numerical dissipation": losses.last("inertial_and_bregman"),
-        },
-        table.table("tau, s"),
-        losses.table("tau, s"),
-        table.plot("tau, s", DISTANCE, 1.0),
-        losses.plot("tau, s", "share of the energy", 1.0),
-    )
+    yield from table.lasts("last rate of {}")
+    yield "last rate of the numerical dissipation", losses.last("inertial_and_bregman")
+    yield from table.shown("tau, s", DISTANCE, 1.0)
+    yield losses.table("tau, s")
+    yield losses.plot("tau, s", "share of the energy", 1.0)
 
 
 def _halved(
@@ -187,7 +178,7 @@ def smeared(tau: float, fades: bool = False) -> nv.Simulation:
     )
 
 
-def in_yosida(kind: str, of: nv.Material) -> Outcome:
+def in_yosida(kind: str, of: nv.Material) -> Measured:
     """Runs with the Yosida approximations of a material, of decreasing size, against its own."""
     dt, mesh, name = DURATION / 8, square_mesh(0.35), "epsilon, 1/Pa"
     without = block(kind, dt, mesh=mesh, creep=2.0, gravity=1.0, of=of)
@@ -197,13 +188,8 @@ def in_yosida(kind: str, of: nv.Material) -> Outcome:
         run = block(kind, dt, mesh=mesh, creep=2.0, gravity=1.0, of=nv.Yosida(material=of, eps=size))
         run.run(DURATION)
         table.add(size, **separation(run, without))
-    return measured(
-        {
-            **{f"last rate of {field}": table.last(field) for field in table.errors},
-        },
-        table.table(name),
-        table.plot(name, DISTANCE, 1.0),
-    )
+    yield from table.lasts("last rate of {}")
+    yield from table.shown(name, DISTANCE, 1.0)
 
 
 DELTAS, TAU, STEPS = (1e-2, 1e-3, 1e-4, 1e-5), 0.02, 8
@@ -216,7 +202,7 @@ def gradients(run: nv.Simulation) -> tuple[float, ...]:
     return tuple(float(Integrate(f, run.mesh, order=8)) ** s for f, s in ((rho * rho, 0.25), (z, 0.5)))
 
 
-def in_delta_terms(kind: str) -> Outcome:
+def in_delta_terms(kind: str) -> Measured:
     """L2(I x Omega) norms of the delta-terms, and the gradients that they leave bounded."""
     norms = RateTable("largest gradients of rho, in L4, and of z, in L2")
     table = RateTable("delta-terms of rho and z in L2(I x Omega), compensating force in L4(I; L4/3(Omega))")
@@ -234,18 +220,14 @@ def in_delta_terms(kind: str) -> Outcome:
             force += TAU * terms.compensating_force() ** 4
         table.add(delta, rho=math.sqrt(squares[0]), z=math.sqrt(squares[1]), force=force**0.25)
         norms.add(delta, rho=steepest[0], z=steepest[1])
-    return measured(
-        {
-            "least rate of div(delta|∇rho|^{r-2}∇rho)": min(table.rates("rho")),
-            "least rate of delta Laplace z": min(table.rates("z")),
-            "least rate of delta|∇rho|^{r-2}(∇v)∇rho": min(table.rates("force")),
-            **{f"growth of ∇{name} over two decades": g[-1] / g[-3] for name, g in norms.errors.items()},
-        },
-        table.table("delta"),
-        norms.table("delta"),
-        table.plot("delta", "norm", 0.5, "z"),
-        "On one mesh the norms end up proportional to delta, which is better than the bound.",
-    )
+    yield "least rate of div(delta|∇rho|^{r-2}∇rho)", min(table.rates("rho"))
+    yield "least rate of delta Laplace z", min(table.rates("z"))
+    yield "least rate of delta|∇rho|^{r-2}(∇v)∇rho", min(table.rates("force"))
+    for name, g in norms.errors.items():
+        yield f"growth of ∇{name} over two decades", g[-1] / g[-3]
+    yield from table.shown("delta", "norm", 0.5, "z")
+    yield norms.table("delta")
+    yield "On one mesh the norms end up proportional to delta, which is better than the bound."
 
 
 QUARTIC = nv.CustomMaterial(
@@ -317,25 +299,20 @@ CASES(f"""limit-yosida-quartic
     - last rate of z, control <= 0.5: no limit
     - closure
     """)
-def in_tau_of_bodies() -> Outcome:
+def in_tau_of_bodies() -> Measured:
     """Runs of ``smeared`` with tau, tau/2, ..., and the same of its control."""
     counts = (16, 32, 64, 128, 256)
     table, losses, runs = _halved(smeared, counts, 2 * DURATION)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ClosureWarning)
         control, _, _ = _halved(partial(smeared, fades=True), counts, 2 * DURATION)
-    return measured(
-        {
-            **{f"last rate of {name}": table.last(name) for name in table.errors},
-            "last rate of z, control": control.last("z"),
-            "largest |closure|": closure(*runs),
-        },
-        table.table("tau, s"),
-        losses.table("tau, s"),
-        control.table("tau, s"),
-        table.plot("tau, s", DISTANCE, 1.0),
-        "The bounds were written after trials with 8 to 128 steps.",
-    )
+    yield from table.lasts("last rate of {}")
+    yield "last rate of z, control", control.last("z")
+    yield "largest |closure|", closure(*runs)
+    yield from table.shown("tau, s", DISTANCE, 1.0)
+    yield losses.table("tau, s")
+    yield control.table("tau, s")
+    yield "The bounds were written after trials with 8 to 128 steps."
 
 
 # --- the models against each other: small strains, Kelvin–Voigt and Jeffreys ---------------------------
@@ -358,7 +335,7 @@ SMALL = {kind: elastic(kind, 10.0, 5.0) for kind in KINDS}
     - relative difference of v at the smallest speed <= 0.02: strains below 1 %
     - closure
     """)
-def small_strain() -> Outcome:
+def small_strain() -> Measured:
     """Relative differences of velocity and stress, over the initial speed."""
     table, strains = RateTable("relative difference at t = 0.1 s"), []
     mesh, orders = square_mesh(MAXH), nv.Discretisation(k=3, m=2)
@@ -379,18 +356,16 @@ def small_strain() -> Outcome:
             stress=distance(S, T, mesh) / distance(S, zero, mesh),
         )
         strains.append(distance(linear["E"], zero, mesh))
-    return measured(
-        {
-            "last rate of v": table.last("v"),
-            "last rate of the stress": table.last("stress"),
-            "relative difference of v at the smallest speed": table.errors["v"][-1],
-        },
-        table.table("speed, m/s"),
-        table.plot("initial speed, m/s", "relative difference", 1.0, "v"),
-        f"Strains |E| in L2 from {strains[0]:.2g} down to {strains[-1]:.2g}.",
+    yield "last rate of v", table.last("v")
+    yield "last rate of the stress", table.last("stress")
+    yield "relative difference of v at the smallest speed", table.errors["v"][-1]
+    yield table.table("speed, m/s")
+    yield table.plot("initial speed, m/s", "relative difference", 1.0, "v")
+    yield f"Strains |E| in L2 from {strains[0]:.2g} down to {strains[-1]:.2g}."
+    yield (
         "On one mesh the difference stops at that of the two models' errors in space: with k = 2, m "
         "= 1 and "
-        "the same cells at 0.5 % of v, with k = 3, m = 2 it is not seen.",
+        "the same cells at 0.5 % of v, with k = 3, m = 2 it is not seen."
     )
 
 
@@ -400,7 +375,7 @@ def _run(kind: str, dt: float, steps: int, creep: float | None, gravity: float =
     return run
 
 
-def kelvin_voigt(kind: str) -> Outcome:
+def kelvin_voigt(kind: str) -> Measured:
     """G_m -> infinity is Kelvin–Voigt; with creep the deviatoric stress relaxes under a lasting load."""
     solid = _run(kind, 0.02, 8, None)
     table = RateTable("distance to Kelvin–Voigt at t = 0.16 s")
@@ -421,17 +396,15 @@ def kelvin_voigt(kind: str) -> Outcome:
             sizes.append(distance(S, 0 * S, run.mesh))
         deviators[name] = sizes[-1]
         curves.append(Curve(name, [0.25 * (i + 1) for i in range(16)], sizes))
-    return measured(
-        {
-            "last rate of v in 1/G_m": table.last("v"),
-            "last rate of z in 1/G_m": table.last("z"),
-            "stress deviator at 4 s, Jeffreys / Kelvin–Voigt": deviators["Jeffreys"]
-            / deviators["Kelvin–Voigt"],
-        },
-        table.table("1/G_m"),
-        table.plot("1/G_m, 1/(Pa s)", "distance in L2", 1.0, "z"),
-        Plot("Stress deviator under gravity", "t, s", "Pa m", curves, log="y"),
+    yield "last rate of v in 1/G_m", table.last("v")
+    yield "last rate of z in 1/G_m", table.last("z")
+    yield (
+        "stress deviator at 4 s, Jeffreys / Kelvin–Voigt",
+        deviators["Jeffreys"] / deviators["Kelvin–Voigt"],
     )
+    yield table.table("1/G_m")
+    yield table.plot("1/G_m, 1/(Pa s)", "distance in L2", 1.0, "z")
+    yield Plot("Stress deviator under gravity", "t, s", "Pa m", curves, log="y")
 
 
 for kind in KINDS:

@@ -11,7 +11,7 @@ import ngvisco as nv
 from ngvisco.forms.context import time
 from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.geometries import box, disc, sphere
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, each, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table, each
 from tests.verification.convergence import coupled_rates, transport_rates
 from tests.verification.differences import mismatch
 from tests.verification.models import KINDS as MODELS
@@ -30,7 +30,7 @@ LABELS = {"linear": "Euler-small-viscoelastodyn+disc", "neo-hookean": "Euler-lar
 TERMS = "creep, gravity, Stokes viscosity, hyperviscosity p = 4, delta (r = 4) and epsilon (p = 4)"
 
 
-def _transport(kind: str, dim: int, orders: tuple[int, ...], maxh: float, levels: int) -> Outcome:
+def _transport(kind: str, dim: int, orders: tuple[int, ...], maxh: float, levels: int) -> Measured:
     values, tables, curves = {}, [], []
     for m in orders:
         table = transport_rates(kind, dim, m, maxh, levels)
@@ -39,7 +39,9 @@ def _transport(kind: str, dim: int, orders: tuple[int, ...], maxh: float, levels
             values[f"rate of {name}, m = {m}"] = table.last(name)
             curves.append(Curve(f"{name}, m = {m}", table.sizes, table.errors[name]))
     plot = Plot(f"Transport alone, {kind}, {dim}D", "h, m", "L2 error", curves, log="xy")
-    return measured(values, *tables, plot)
+    yield from values.items()
+    yield from tables
+    yield plot
 
 
 for kind, name, label in (
@@ -101,7 +103,7 @@ SERIES = (
 )
 
 
-def _measure(kind: str, series: Series) -> Outcome:
+def _measure(kind: str, series: Series) -> Measured:
     values: dict[str, float] = {}
     tables, curves = [], []
     summary: list[list[str | float]] = []
@@ -118,7 +120,10 @@ def _measure(kind: str, series: Series) -> Outcome:
         summary.append([k, m, *(f"{table.last(name):.2f}" for name in ("v", "rho", "z"))])
     title = "rates between the two finest meshes"
     plot = Plot(f"All terms, {kind}, {series.dim}D, k = {series.k}", "h, m", "L2 error", curves, log="xy")
-    return measured(values, Table(title, "k | m | v | rho | z", summary), *tables, plot)
+    yield from values.items()
+    yield Table(title, "k | m | v | rho | z", summary)
+    yield from tables
+    yield plot
 
 
 for kind in NAMES:
@@ -168,7 +173,7 @@ _FIRST = "For rho and z m + 0.8 was written first, of which rho with m = 2 had 2
     {each(f"- rate of [rho; z], k = {k}, m = {m} >= {m + 0.7}: {_AS_ELSEWHERE}" for k, m in _BODIES)}
     - rate of z, control <= 1.0: another equation
     """)
-def _bodies() -> Outcome:
+def _bodies() -> Measured:
     values: dict[str, float] = {}
     tables = []
     for k, m in _BODIES:
@@ -177,7 +182,10 @@ def _bodies() -> Outcome:
         values |= {f"rate of {name}, k = {k}, m = {m}": table.last(name) for name in table.errors}
     wrong = coupled_rates("two bodies", 2, None, 2, 1, 0.4, 3, sources=TakingPartWholly)
     values["rate of z, control"] = wrong.last("z")
-    return measured(values, *tables, wrong.table("h, m"), _FIRST)
+    yield from values.items()
+    yield from tables
+    yield wrong.table("h, m")
+    yield _FIRST
 
 
 # --- creep with a gradient term, nu > 0 ----------------------------------------------------------------
@@ -200,7 +208,7 @@ AGREES = 1e-6
 """Of differences of eighth order with the analytic sources, relative."""
 
 
-def manufactured(kind: str, dim: int) -> Outcome:
+def manufactured(kind: str, dim: int) -> Measured:
     """Sources against finite differences, and rates in space."""
     tau, t = 0.05, 0.3
     sources = Sources(model(kind, dim, 4.0, True, nu=NU), dim, tau)
@@ -211,16 +219,12 @@ def manufactured(kind: str, dim: int) -> Outcome:
     maxh, levels, _ = MESHES[dim]
     table = coupled_rates(kind, dim, 4.0, 2, 1, maxh, levels, regularised=True, nu=NU)
     rows: list[list[str | float]] = [[name, value] for name, value in differences.items()]
-    return measured(
-        {
-            "largest difference of a source and its independent residual": max(differences.values()),
-            "difference of the flow rule with a nu that is 1 % off": control,
-            **{f"rate of {name}": table.last(name) for name in ("v", "rho", "z", "Pi")},
-        },
-        Table("relative differences at eight random points", "equation | difference", rows),
-        table.table("h, m"),
-        table.plot("h, m", "L2 error"),
-    )
+    yield "largest difference of a source and its independent residual", max(differences.values())
+    yield "difference of the flow rule with a nu that is 1 % off", control
+    for name in ("v", "rho", "z", "Pi"):
+        yield f"rate of {name}", table.last(name)
+    yield Table("relative differences at eight random points", "equation | difference", rows)
+    yield from table.shown("h, m", "L2 error")
 
 
 for kind in NAMES:
@@ -268,7 +272,7 @@ class Stiffer(Sources):
     - least rate of [rho; z; Pi] >= 1.75: k + 1 of v, but not above Pi's by half; m + 1
     - largest rate of Pi where psi' is a tenth off <= 1.0: the negative control
     """)
-def of_rules() -> Outcome:
+def of_rules() -> Measured:
     """Rates in space for every rule and material, and the rules against their formulas by differences."""
     tau, t, mesh = 0.05, 0.3, box((1, 1), 1.0)
     largest, least, controls, tables, plots = 0.0, np.inf, [], [], []
@@ -290,16 +294,13 @@ def of_rules() -> Outcome:
         control = coupled_rates("neo-hookean", 2, None, 2, 1, 0.4, 3, nu=NU, rule=rule, sources=Stiffer)
         controls.append(control.last("Pi"))
         plots.append(table.plot("h, m", "L2 error"))
-    return measured(
-        {
-            "largest difference of a source and its independent residual": largest,
-            "least difference of a flow rule with a constant that is 1 % off": least,
-            **{f"least rate of {name}": min(rates) for name, rates in found.items()},
-            "largest rate of Pi where psi' is a tenth off": max(controls),
-        },
-        *tables,
-        *plots[:1],
-    )
+    yield "largest difference of a source and its independent residual", largest
+    yield "least difference of a flow rule with a constant that is 1 % off", least
+    for name, rates in found.items():
+        yield f"least rate of {name}", min(rates)
+    yield "largest rate of Pi where psi' is a tenth off", max(controls)
+    yield from tables
+    yield from plots[:1]
 
 
 # --- an independent creep rate -----------------------------------------------------------------------------
@@ -342,7 +343,7 @@ def solved(dim: int, maxh: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, f
     return np.asarray(run.rothe_step.now.Pi(at)).reshape(-1, 9), r, points.weights, size
 
 
-def independent(dim: int, sizes: tuple[float, ...]) -> Outcome:
+def independent(dim: int, sizes: tuple[float, ...]) -> Measured:
     """Pi of M = m(r) D against the minimiser in one dimension."""
 
     def driving(r: np.ndarray) -> np.ndarray:
@@ -363,16 +364,11 @@ def independent(dim: int, sizes: tuple[float, ...]) -> Outcome:
         Curve("reference", at, np.interp(at, nodes, a), "-"),
         Curve("without the gradient, M/G_m", at, driving(at) / G_M, "--"),
     ]
-    return measured(
-        {
-            "relative L2 error of Pi on the finest mesh": table.errors["Pi"][-1],
-            "rate of Pi": table.last("Pi"),
-            "relative L2 distance of M/G_m from the reference": distance,
-        },
-        table.table(CELLS),
-        table.plot(CELLS, "relative L2 error"),
-        Plot("creep rate over the radius", "r, m", "1/s", curves),
-    )
+    yield "relative L2 error of Pi on the finest mesh", table.errors["Pi"][-1]
+    yield "rate of Pi", table.last("Pi")
+    yield "relative L2 distance of M/G_m from the reference", distance
+    yield from table.shown(CELLS, "relative L2 error")
+    yield Plot("creep rate over the radius", "r, m", "1/s", curves)
 
 
 for dim, sizes, largest, rate in ((2, (0.5, 0.25, 0.125), 2e-3, 1.7), (3, (0.8, 0.4, 0.3), 0.06, 1.5)):

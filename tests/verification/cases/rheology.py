@@ -19,7 +19,7 @@ from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.geometries import channel, structured_box
 from ngvisco.physics.flow_rules import CreepLaw
 from ngvisco.physics.materials import FENEP
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.cases.shear import sheared, stresses
 from tests.verification.rates import RateTable
 from tests.verification.setups import KINDS, elastic, stokes
@@ -105,7 +105,7 @@ def creep_ode(kind: str, traction: float, t: np.ndarray) -> np.ndarray:
     return np.array([solution.y[9], stress]).T
 
 
-def startup(kind: str, scheme: str = "backward-euler") -> Outcome:
+def startup(kind: str, scheme: str = "backward-euler") -> Measured:
     rate, until = 1.0, 4.0
     table, curves = RateTable("largest error over the run, relative to G"), []
     for steps in (20, 40, 80):
@@ -117,18 +117,14 @@ def startup(kind: str, scheme: str = "backward-euler") -> Outcome:
         table.add(until / steps, T_12=float(errors[0]), N_1=float(errors[1]))
         curves.append(Curve(f"{steps} steps", rows[:, 0], rows[:, 1] + G_V * rate, "."))
     curves.append(Curve("ODE", rows[:, 0], exact[:, 0] + G_V * rate, "k-"))
-    return measured(
-        {
-            "rate of T_12": table.last("T_12"),
-            "rate of T_11 − T_22": table.last("N_1"),
-            "error at the finest step": max(table.errors["T_12"][-1], table.errors["N_1"][-1]),
-        },
-        table.table("tau, s"),
-        Plot("Start-up of shear of a Jeffreys material", "t, s", "shear stress, Pa", curves),
-    )
+    yield "rate of T_12", table.last("T_12")
+    yield "rate of T_11 − T_22", table.last("N_1")
+    yield "error at the finest step", max(table.errors["T_12"][-1], table.errors["N_1"][-1])
+    yield table.table("tau, s")
+    yield Plot("Start-up of shear of a Jeffreys material", "t, s", "shear stress, Pa", curves)
 
 
-def _creep(kind: str) -> Outcome:
+def _creep(kind: str) -> Measured:
     traction, until, density = 0.5, 4.0, 1e-4
     table, curves = RateTable("largest error over the run"), []
     for steps in (20, 40, 80):
@@ -150,18 +146,14 @@ def _creep(kind: str) -> Outcome:
         table.add(dt, shear=float(errors[0]), T_12=float(errors[1]))
         curves.append(Curve(f"{steps} steps", found[:, 0], found[:, 1], "."))
     curves.append(Curve("ODE", found[:, 0], exact[:, 0], "k-"))
-    return measured(
-        {
-            "rate of the shear": table.last("shear"),
-            "rate of T_12": table.last("T_12"),
-            "error of the shear at the finest step": table.errors["shear"][-1],
-        },
-        table.table("tau, s"),
-        Plot("Creep of a Jeffreys material under constant shear stress", "t, s", "shear", curves),
-    )
+    yield "rate of the shear", table.last("shear")
+    yield "rate of T_12", table.last("T_12")
+    yield "error of the shear at the finest step", table.errors["shear"][-1]
+    yield table.table("tau, s")
+    yield Plot("Creep of a Jeffreys material under constant shear stress", "t, s", "shear", curves)
 
 
-def _upper_convected(kind: str) -> Outcome:
+def _upper_convected(kind: str) -> Measured:
     """The finite-strain Maxwell fluid at small Weissenberg number is the upper-convected one."""
     table, curves = RateTable("deviation from the upper-convected Maxwell fluid at t = 4 s, relative"), []
     against_ode = 0.0
@@ -181,17 +173,15 @@ def _upper_convected(kind: str) -> Outcome:
         table.add(wi, T_12=deviation[0], N_1=deviation[1])
         curves.append(Curve(f"Wi = {wi:g}", t, rows[:, 1] / (eta * rate), "."))
     curves.append(Curve("upper-convected", t, 1 - decay, "k-"))
-    return measured(
-        {
-            "rate of the deviation of T_12 in Wi": table.last("T_12"),
-            "rate of the deviation of T_11 − T_22 in Wi": table.last("N_1"),
-            "deviation of T_12 at Wi = 0.05": table.errors["T_12"][-1],
-            "relative error against the ODE, extrapolated": against_ode,
-        },
-        table.table("Wi"),
-        Plot("Start-up of shear, finite-strain Maxwell", "t, s", "T_12 / (eta rate)", curves),
+    yield "rate of the deviation of T_12 in Wi", table.last("T_12")
+    yield "rate of the deviation of T_11 − T_22 in Wi", table.last("N_1")
+    yield "deviation of T_12 at Wi = 0.05", table.errors["T_12"][-1]
+    yield "relative error against the ODE, extrapolated", against_ode
+    yield table.table("Wi")
+    yield Plot("Start-up of shear, finite-strain Maxwell", "t, s", "T_12 / (eta rate)", curves)
+    yield (
         "F Pi F^T = (F dev(F^T F) F^T) G/G_m is (b² − tr b/3 b) G/G_m, which is the upper-convected "
-        "(b − I)/(2 lambda) only to first order in b − I: the two fluids agree as Wi = lambda rate -> 0.",
+        "(b − I)/(2 lambda) only to first order in b − I: the two fluids agree as Wi = lambda rate -> 0."
     )
 
 
@@ -299,7 +289,7 @@ def _curves(exact: Curves, numbers: Sequence[float], found: Sequence[Sequence[fl
     ]
 
 
-def _steady(name: str) -> Outcome:
+def _steady(name: str) -> Measured:
     material, law, exact, _ = FLUIDS[name]
     rows, errors, found = [], [0.0, 0.0], []
     for wi in WEISSENBERG:
@@ -309,14 +299,10 @@ def _steady(name: str) -> Outcome:
         found.append((T, N))
         errors = [max(errors[0], abs(T / T_exact - 1)), max(errors[1], abs(N / N_exact - 1))]
         rows.append([wi, T, T_exact, N, N_exact, float(run.ledger.column("closure_relative").max())])
-    return measured(
-        {
-            "largest relative error of T_12": errors[0],
-            "largest relative error of N_1": errors[1],
-        },
-        Table("steady stresses, Pa", "Wi | T_12 | exact | N_1 | exact | closure", rows),
-        Plot(f"Steady shear, {name}", "Wi", "Pa", _curves(exact, WEISSENBERG, found), log="xy"),
-    )
+    yield "largest relative error of T_12", errors[0]
+    yield "largest relative error of N_1", errors[1]
+    yield Table("steady stresses, Pa", "Wi | T_12 | exact | N_1 | exact | closure", rows)
+    yield Plot(f"Steady shear, {name}", "Wi", "Pa", _curves(exact, WEISSENBERG, found), log="xy")
 
 
 for name in FLUIDS:
@@ -340,7 +326,7 @@ for name in FLUIDS:
     - smallest rate in tau >= 0.8: implicit Euler
     - closure
     """)
-def _leonov() -> Outcome:
+def _leonov() -> Measured:
     """Extrapolated: Pi is trace-free, so that what the start-up's steps lose of det B = 1 stays lost."""
     material, dt, until = nv.OldroydB(K_e=100.0, G_e=G_E), 0.1, 12.0
     rows, errors, rates, found = [], [0.0, 0.0], [], []
@@ -356,19 +342,15 @@ def _leonov() -> Outcome:
         found.append((float(T), float(N)))
         rows.append([wi, float(C[0]), float(T), float(exact[0]), float(N), float(exact[1]), rates[-1]])
     curves = _curves(leonov, WEISSENBERG[:3], found)
-    return measured(
-        {
-            "relative error of T_12, extrapolated": float(errors[0]),
-            "relative error of N_1, extrapolated": float(errors[1]),
-            "smallest rate in tau": min(rates),
-        },
-        Table(
-            "steady stresses, Pa",
-            "Wi | T_12, tau = 0.025 s | extrapolated | exact | N_1 | exact | rate",
-            rows,
-        ),
-        Plot("Steady shear, Leonov", "Wi", "Pa", curves, log="xy"),
+    yield "relative error of T_12, extrapolated", errors[0]
+    yield "relative error of N_1, extrapolated", errors[1]
+    yield "smallest rate in tau", min(rates)
+    yield Table(
+        "steady stresses, Pa",
+        "Wi | T_12, tau = 0.025 s | extrapolated | exact | N_1 | exact | rate",
+        rows,
     )
+    yield Plot("Steady shear, Leonov", "Wi", "Pa", curves, log="xy")
 
 
 def channel_startup(t: np.ndarray, heights: np.ndarray, eta_s: float, modes: int = 40) -> np.ndarray:
@@ -417,7 +399,7 @@ def _in_and_out(eta_s: float) -> tuple[Mesh, Conditions]:
     return structured_box((2.0, 1.0), (12, 7)), {"left": inlet, "right": nv.Open(density=1.0)}
 
 
-def _waters_king(domain: Callable[[float], tuple[Mesh, Conditions]], place: float) -> Outcome:
+def _waters_king(domain: Callable[[float], tuple[Mesh, Conditions]], place: float) -> Measured:
     """The velocity across the channel at x = ``place``."""
     eta_s, until = 0.1, 4.0
     heights = np.linspace(0.05, 0.95, 19)
@@ -446,15 +428,11 @@ def _waters_king(domain: Callable[[float], tuple[Mesh, Conditions]], place: floa
         curves.append(Curve(f"{steps} steps", t, found[-1][:, 9], "."))
     extrapolated = (8 * found[2][3::4] - 6 * found[1][1::2] + found[0]) / 3
     curves.append(Curve("series", t, exact[:, 9], "k-"))
-    return measured(
-        {
-            "rate in tau": table.last("v"),
-            "error, extrapolated": float(np.abs(extrapolated - exact[3::4]).max() / largest),
-            "overshoot of the exact solution": float(exact[:, 9].max() / exact[-1, 9]),
-        },
-        table.table("tau, s"),
-        Plot("Start-up of channel flow, Oldroyd-B", "t, s", "v in the middle, m/s", curves),
-    )
+    yield "rate in tau", table.last("v")
+    yield "error, extrapolated", np.abs(extrapolated - exact[3::4]).max() / largest
+    yield "overshoot of the exact solution", exact[:, 9].max() / exact[-1, 9]
+    yield table.table("tau, s")
+    yield Plot("Start-up of channel flow, Oldroyd-B", "t, s", "v in the middle, m/s", curves)
 
 
 _STARTUP = """- rate in tau >= 0.8: implicit Euler, with an inertial start
@@ -566,7 +544,7 @@ def _past_cylinder(mesh: Mesh, wi: float, forces: nv.WallForces) -> nv.Simulatio
     - drift
     - closure
     """)
-def _cylinder() -> Outcome:
+def _cylinder() -> Measured:
     mesh, runs = half_channel(), list[nv.Simulation]()
     rows, curves = list[list[float]](), list[Curve]()
     for wi, published in PUBLISHED.items():
@@ -582,18 +560,14 @@ def _cylinder() -> Outcome:
         rows.append([wi, drag[-1], published, drag[-1] / published - 1, change, limited])
         curves.append(Curve(f"Wi = {wi:g}", forces.column("time"), drag, "."))
     found = [row[1] for row in rows]
-    return measured(
-        {
-            "largest relative distance from the published drag": max(abs(row[3]) for row in rows),
-            "change of the drag in the last step": max(row[4] for row in rows),
-            "least fall of the drag from one to the next": min(a - b for a, b in pairwise(found)),
-            "drag at Wi = 0.6 over the Newtonian one": found[-1] / NEWTONIAN,
-        },
-        Table(
-            f"{mesh.ne} cells",
-            "Wi | drag, N/m | published | distance | change in the last step | limited cells",
-            [[float(np.round(v, 12)) for v in row] for row in rows],
-        ),
-        Plot("Drag of an Oldroyd-B fluid on a cylinder", "t, s", "N/m", curves),
-        "The bounds were written after trials: -0.5 % at Wi = 0.3 (2 s), -0.3 % at 0.5, -0.2 % at 0.6.",
+    yield "largest relative distance from the published drag", max(abs(row[3]) for row in rows)
+    yield "change of the drag in the last step", max(row[4] for row in rows)
+    yield "least fall of the drag from one to the next", min(a - b for a, b in pairwise(found))
+    yield "drag at Wi = 0.6 over the Newtonian one", found[-1] / NEWTONIAN
+    yield Table(
+        f"{mesh.ne} cells",
+        "Wi | drag, N/m | published | distance | change in the last step | limited cells",
+        [[float(np.round(v, 12)) for v in row] for row in rows],
     )
+    yield Plot("Drag of an Oldroyd-B fluid on a cylinder", "t, s", "N/m", curves)
+    yield "The bounds were written after trials: -0.5 % at Wi = 0.3 (2 s), -0.3 % at 0.5, -0.2 % at 0.6."

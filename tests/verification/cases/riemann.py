@@ -14,7 +14,7 @@ from ngvisco.geometries import structured_box
 from ngvisco.physics.materials.thermal import rest_stress_and_modulus
 from ngvisco.physics.tensors import log, square
 from ngvisco.physics.variables import Cofactor, Distortion, Jacobian
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.manufactured import NUMERIC, SYMBOLIC, Functions
 from tests.verification.rates import RateTable
 
@@ -147,7 +147,7 @@ def solved(mach: float, cells: int, scheme: str = "backward-euler") -> nv.Simula
     - rejected steps of the midpoint rule <= 0.0: nor where the flow turns round at rest
     - closure
     """)
-def _measure() -> Outcome:
+def _measure() -> Measured:
     rows: list[list[str | float]] = []
     curves, worst, drifts = [], 0.0, {"backward-euler": 0.0, "midpoint": 0.0}
     rejections = {"backward-euler": 0.0, "midpoint": 0.0}
@@ -167,19 +167,15 @@ def _measure() -> Outcome:
         values = [density(run.mesh(p, 0.3 / CELLS)) for p in places]
         curves.append(Curve(f"{mach:g} c, {scheme}", places, values, "-"))
     columns = ["", "U/c", "scheme", "exact stretch", *star.errors, "rho J/rho_0 - 1"]
-    return measured(
-        {
-            "largest error of a star state": worst,
-            "|rho J/rho_0 - 1| by backward Euler": drifts["backward-euler"],
-            "|rho J/rho_0 - 1| by midpoint": drifts["midpoint"],
-            "most iterations": iterations,
-            "rejected steps of backward Euler": rejections["backward-euler"],
-            "rejected steps of the midpoint rule": rejections["midpoint"],
-        },
-        Table("star states: relative errors", columns, rows),
-        Plot("Density at the end", "x, m", "kg/m3", curves),
-        "The drift of rho J is an error of time: both are carried by one velocity, by other rates.",
-    )
+    yield "largest error of a star state", worst
+    yield "|rho J/rho_0 - 1| by backward Euler", drifts["backward-euler"]
+    yield "|rho J/rho_0 - 1| by midpoint", drifts["midpoint"]
+    yield "most iterations", iterations
+    yield "rejected steps of backward Euler", rejections["backward-euler"]
+    yield "rejected steps of the midpoint rule", rejections["midpoint"]
+    yield Table("star states: relative errors", columns, rows)
+    yield Plot("Density at the end", "x, m", "kg/m3", curves)
+    yield "The drift of rho J is an error of time: both are carried by one velocity, by other rates."
 
 
 # --- with heat -----------------------------------------------------------------------------------------
@@ -288,7 +284,7 @@ def _samples(reference: dict[str, np.ndarray], places: np.ndarray) -> dict[str, 
     - error of the entropy without its heat in the reference >= 0.1: the negative control
     - closure
     """)
-def _profiles() -> Outcome:
+def _profiles() -> Measured:
     places = (np.arange(400) + 0.5) / 400
     coarse, fine = (_samples(_lagrangian(n), places) for n in (400, 800))
     names = ("density", "temperature", "velocity", "entropy")
@@ -309,20 +305,19 @@ def _profiles() -> Outcome:
         table.add(1 / cells, **errors)
         curves = [Curve(n, places, values[n], "-") for n in ("temperature", "entropy")]
     curves += [Curve(f"{n}, reference", places, exact[n], "k:") for n in ("temperature", "entropy")]
-    return measured(
-        {
-            **{f"rate of {name}": table.last(name) for name in names},
-            "largest error at 100 cells": max(errors.values()),
-            "the reference's own step, of the entropy": float(
-                abs(fine["entropy"] - coarse["entropy"]).mean() / np.ptp(exact["entropy"])
-            ),
-            "error of the entropy without its heat in the reference": float(
-                abs(values["entropy"] - cold["entropy"]).mean() / np.ptp(exact["entropy"])
-            ),
-        },
-        table.table("h, m"),
-        Plot("At the end", "x, m", "K, J/(m3 K)", curves),
+    for name in names:
+        yield f"rate of {name}", table.last(name)
+    yield "largest error at 100 cells", max(errors.values())
+    yield (
+        "the reference's own step, of the entropy",
+        abs(fine["entropy"] - coarse["entropy"]).mean() / np.ptp(exact["entropy"]),
     )
+    yield (
+        "error of the entropy without its heat in the reference",
+        abs(values["entropy"] - cold["entropy"]).mean() / np.ptp(exact["entropy"]),
+    )
+    yield table.table("h, m")
+    yield Plot("At the end", "x, m", "K, J/(m3 K)", curves)
 
 
 # --- star states, against the shock relations and the fan --------------------------------------------------
@@ -405,7 +400,7 @@ def _mean(run: nv.Simulation, value: CoefficientFunction, middle: float) -> floa
     - that of 100 cells over it >= 1.3: 2 in the limit; seen: 1.47
     - closure
     """)
-def _stars() -> Outcome:
+def _stars() -> Measured:
     rows: list[list[str | float]] = []
     worst, U = [], MACH * WARM_SOUND
     shock = warm_impact(U).entropy
@@ -427,17 +422,15 @@ def _stars() -> Outcome:
             rows.append([name, cells, *errors, (entropy - star.entropy) / shock])
             largest = max(largest, *errors)
         worst.append(largest)
-    return measured(
-        {
-            "largest error of a star state, 200 cells": worst[1],
-            "that of 100 cells over it": worst[0] / worst[1],
-        },
-        Table(
-            "relative errors; what there is of entropy beside the exact one, of the shock's",
-            " | cells | density | F_11 | temperature | stress | entropy",
-            rows,
-        ),
+    yield "largest error of a star state, 200 cells", worst[1]
+    yield "that of 100 cells over it", worst[0] / worst[1]
+    yield Table(
+        "relative errors; what there is of entropy beside the exact one, of the shock's",
+        " | cells | density | F_11 | temperature | stress | entropy",
+        rows,
+    )
+    yield (
         "Shocks of this strength make little entropy, fans none: what viscosity makes while the jumps "
         "spread, like h/x at a distance x from the plane, is more on these meshes. That it is what "
-        "it should be is measured by heat-impact.",
+        "it should be is measured by heat-impact."
     )

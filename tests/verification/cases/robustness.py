@@ -12,7 +12,7 @@ from ngsolve import Mesh, cos, pi, sin, x, y
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.stepping import Accepted, FixedStepper
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.setups import KINDS, LABELS, block, closure, drift, elastic, lid_driven
 
 CASES = Cases("Robustness of the scheme")
@@ -120,7 +120,7 @@ def attempt(kind: str, stiffness: float, ratio: float, viscosity: float, tau: fl
 AXES = {"stiffness, Pa": STIFFNESS, "K_e/G_e": RATIOS, "viscosity, Pa s": VISCOSITIES, "tau, s": TAUS}
 
 
-def measure(kind: str) -> Outcome:
+def measure(kind: str) -> Measured:
     """The whole grid, summed along each of its axes."""
     sums = {(name, value): Tally() for name, values in AXES.items() for value in values}
     total = Tally()
@@ -143,16 +143,12 @@ def measure(kind: str) -> Outcome:
     tables = [Table("shares of the steps, summed over the other parameters", columns, rows)]
     if failures:
         tables.append(Table("what fails", [*AXES, "steps solved", "why"], failures))
-    return measured(
-        {
-            "share of the steps solved at the first try": total.row[1],
-            "share of the steps solved": total.row[2],
-            "largest CFL number": total.cfl,
-        },
-        *tables,
-        Plot("Steps solved, over tau", "tau, s", "share", curves, log="x"),
-        *([LATER] + ([ROUNDING] if kind == "finite" else [])),
-    )
+    yield "share of the steps solved at the first try", total.row[1]
+    yield "share of the steps solved", total.row[2]
+    yield "largest CFL number", total.cfl
+    yield from tables
+    yield Plot("Steps solved, over tau", "tau, s", "share", curves, log="x")
+    yield from [LATER] + ([ROUNDING] if kind == "finite" else [])
 
 
 for kind in KINDS:
@@ -198,7 +194,7 @@ def cavity(scheme: str, limiter: bool) -> nv.Simulation:
     - largest |mass drift| <= 1e-11: rounding, and the transport's tolerance
     - most iterations of a solve <= 30.0: an impulsive start and none harder after it
     """)
-def _measured() -> Outcome:
+def _measured() -> Measured:
     rows: list[list[str | float]] = []
     curves, worst = [], dict.fromkeys(("closure", "mass", "iterations"), 0.0)
     reached, ended = END, 0.0
@@ -222,21 +218,19 @@ def _measured() -> Outcome:
                 worst["closure"], worst["mass"] = max(worst["closure"], off), max(worst["mass"], mass)
                 worst["iterations"] = max(worst["iterations"], float(its.max()) / stages)
                 curves.append(Curve(scheme, ledger.column("time")[1:], column["limited_cells"], ".-"))
-    return measured(
-        {
-            "time reached with a limiter, s": reached,
-            "latest time reached without, s": ended,
-            "largest |closure|": worst["closure"],
-            "largest |mass drift|": worst["mass"],
-            "most iterations of a solve": worst["iterations"],
-        },
-        Table(
-            "runs with and without",
-            "scheme | limiter | t reached, s | iterations: first step | median | most | limited cells | "
-            "limiter, J | |closure| | |mass drift|",
-            rows,
-        ),
-        Plot("Cells that were limited", "time, s", "cells", curves),
+    yield "time reached with a limiter, s", reached
+    yield "latest time reached without, s", ended
+    yield "largest |closure|", worst["closure"]
+    yield "largest |mass drift|", worst["mass"]
+    yield "most iterations of a solve", worst["iterations"]
+    yield Table(
+        "runs with and without",
+        "scheme | limiter | t reached, s | iterations: first step | median | most | limited cells | "
+        "limiter, J | |closure| | |mass drift|",
+        rows,
+    )
+    yield Plot("Cells that were limited", "time, s", "cells", curves)
+    yield (
         "Limited cells are counted once for each step. Without a limiter a run ends with the first "
-        "solution that is not positive at a point.",
+        "solution that is not positive at a point."
     )

@@ -13,7 +13,7 @@ import ngvisco as nv
 from ngvisco.forms.context import time
 from ngvisco.geometries import box, channel
 from ngvisco.timestepping.scheme import scheme_of
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.cases.rheology import startup
 from tests.verification.cases.waves import G_E, standing_wave
 from tests.verification.convergence import free_solution, separation
@@ -42,7 +42,7 @@ def numerical(run: nv.Simulation) -> float:
 # --- waves -----------------------------------------------------------------------------------------------
 
 
-def _standing(scheme: str) -> Outcome:
+def _standing(scheme: str) -> Measured:
     """Five periods without any viscosity: what the scheme leaves of amplitude and energy."""
     k, periods = 2.0, 5
     omega = k * math.sqrt(G_E)
@@ -67,11 +67,10 @@ def _standing(scheme: str) -> Outcome:
             "rate of the amplitude in tau": table.last("amplitude"),
             "energy drift in five periods of 40 steps": table.errors["drift"][1],
         }
-    return measured(
-        {"deviation from the scheme's own formula": deviation, **rates},
-        table.table("tau, s"),
-        Plot(f"Elastic standing wave by {scheme}", "t, s", "relative velocity amplitude", curves),
-    )
+    yield "deviation from the scheme's own formula", deviation
+    yield from rates.items()
+    yield table.table("tau, s")
+    yield Plot(f"Elastic standing wave by {scheme}", "t, s", "relative velocity amplitude", curves)
 
 
 CASES("""standing-wave
@@ -108,7 +107,7 @@ for scheme in SECOND_ORDER:
     - sdirk2: relative energy drift <= 0.2: its formula: 0.13
     - closure
     """)
-def _hundred_periods() -> Outcome:
+def _hundred_periods() -> Measured:
     """A wave without viscosity over 100 periods of 20 steps: energy and phase."""
     k, periods, per_period = 2.0, 100, 20
     omega = k * math.sqrt(G_E)
@@ -135,11 +134,9 @@ def _hundred_periods() -> Outcome:
     slip = cmath.phase(z) / (omega * dt) - 1
     rows.append(["backward-euler", "", abs(z) ** (2 * periods * per_period) - 1, slip, ""])
     head = ["scheme", "energy drift", "its formula", "relative slip of the phase", "deviation from formula"]
-    return measured(
-        {**values},
-        Table("after 100 periods of 20 steps", head, rows),
-        Plot("Energy of an elastic wave over 100 periods", "t, s", "relative to the start", curves),
-    )
+    yield from values.items()
+    yield Table("after 100 periods of 20 steps", head, rows)
+    yield Plot("Energy of an elastic wave over 100 periods", "t, s", "relative to the start", curves)
 
 
 LIMIT = 0.20386
@@ -171,7 +168,7 @@ def swirl(scheme: str, dt: float) -> nv.Simulation:
     - numerical dissipation of midpoint, dt = 0.02 s, J <= 1e-5: of the 0.25 J of motion
     - closure
     """)
-def _swirl() -> Outcome:
+def _swirl() -> Measured:
     rows: list[list[str | float]] = []
     error = {}
     for scheme, steps in (
@@ -188,16 +185,12 @@ def _swirl() -> Outcome:
             if (scheme, dt) == ("midpoint", 0.02):
                 lost = abs(numerical(run))
     head = ["scheme", "dt, s", "iterations", "kinetic energy, J", "error", "numerical, J", "closure"]
-    return measured(
-        {
-            "error of midpoint, dt = 0.04 s": error["midpoint", 0.04],
-            "error of midpoint, dt = 0.02 s": error["midpoint", 0.02],
-            "error of backward Euler, dt = 0.000625 s": error["backward-euler", 0.000625],
-            "numerical dissipation of midpoint, dt = 0.02 s, J": lost,
-        },
-        Table("kinetic energy at 0.2 s", head, rows),
-        "The limit is 0.20386 J, extrapolated from the two finest midpoint runs.",
-    )
+    yield "error of midpoint, dt = 0.04 s", error["midpoint", 0.04]
+    yield "error of midpoint, dt = 0.02 s", error["midpoint", 0.02]
+    yield "error of backward Euler, dt = 0.000625 s", error["backward-euler", 0.000625]
+    yield "numerical dissipation of midpoint, dt = 0.02 s, J", lost
+    yield Table("kinetic energy at 0.2 s", head, rows)
+    yield "The limit is 0.20386 J, extrapolated from the two finest midpoint runs."
 
 
 def channel_velocity(y: np.ndarray, t: float, nu: float, speed: float) -> np.ndarray:
@@ -209,7 +202,7 @@ def channel_velocity(y: np.ndarray, t: float, nu: float, speed: float) -> np.nda
     return speed * (math.sin(t) ** 2 * y + (2 * (-1.0) ** n / (math.pi * n) * modes * memory).sum(axis=0))
 
 
-def _couette(scheme: str) -> Outcome:
+def _couette(scheme: str) -> Measured:
     """A lid that is accelerated smoothly over a Newtonian channel, against Fourier's series."""
     nu, speed, until = 0.2, 0.1, 1.5
     table = RateTable("largest error of v_1 on a line, relative to the wall's speed")
@@ -231,20 +224,15 @@ def _couette(scheme: str) -> Outcome:
         v = np.array([run.fields["velocity"](run.mesh(0.21, s))[0] for s in y])
         exact = channel_velocity(y, until, nu, speed)
         table.add(until / steps, v=float(np.abs(v - exact).max() / speed))
-    return measured(
-        {
-            "rate of v in tau": table.last("v"),
-            "error at 24 steps": table.errors["v"][-1],
-        },
-        table.table("tau, s"),
-        table.plot("tau, s", "error"),
-    )
+    yield "rate of v in tau", table.last("v")
+    yield "error at 24 steps", table.errors["v"][-1]
+    yield from table.shown("tau, s", "error")
 
 
 # --- manufactured solutions, the swirl ---------------------------------------------------------------------
 
 
-def _manufactured(scheme: str, kind: str) -> Outcome:
+def _manufactured(scheme: str, kind: str) -> Measured:
     """One mesh, sources that drive all terms, steps tau to tau/4 against tau/8 extrapolated by the order."""
     duration, coarsest = 0.1, 4
     runs = [
@@ -254,12 +242,9 @@ def _manufactured(scheme: str, kind: str) -> Outcome:
     table = RateTable(f"differences of successive steps, {kind}")
     for n, (coarse, fine) in zip((1, 2, 4), pairwise(runs), strict=True):
         table.add(duration / (n * coarsest), **separation(fine, coarse))
-    return measured(
-        {f"rate of {name}": table.last(name) for name in table.errors},
-        table.table("tau, s"),
-        table.plot("tau, s", "difference in L2"),
-        "The upwinding is smooth here (0.3 m/s): a sharp one makes v piecewise smooth in time.",
-    )
+    yield from table.lasts()
+    yield from table.shown("tau, s", "difference in L2")
+    yield "The upwinding is smooth here (0.3 m/s): a sharp one makes v piecewise smooth in time."
 
 
 for scheme in SECOND_ORDER:

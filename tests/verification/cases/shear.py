@@ -11,7 +11,7 @@ from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.context import time
 from ngvisco.geometries import box, channel
 from ngvisco.physics.flow_rules import CreepLaw
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.rates import RateTable
 from tests.verification.setups import stokes
 
@@ -51,7 +51,7 @@ def relaxed_stress(
     - rate in tau >= 0.9: implicit Euler
     - relative error at 250 kyr, extrapolated <= 0.01: two extrapolations
     """)
-def _relaxation() -> Outcome:
+def _relaxation() -> Measured:
     exact = ROCK["tau_0"] * math.exp(-ROCK["G"] * ROCK["duration"] / ROCK["eta"])
     errors, curves, formula = [], [], 0.0
     counts = [64, 128, 256]
@@ -66,16 +66,12 @@ def _relaxation() -> Outcome:
     table = RateTable("relative error of the stress at 250 kyr", [1 / n for n in counts], {"stress": errors})
     curves.append(Curve("exact", [0.0, 250e3], [ROCK["tau_0"], exact], "k--"))
     extrapolated = abs((4 * 2 * errors[2] - 6 * errors[1] + errors[0]) / 3)
-    return measured(
-        {
-            "exact stress at 250 kyr, Pa": exact,
-            "deviation from the implicit Euler formula": formula,
-            "rate in tau": table.last("stress"),
-            "relative error at 250 kyr, extrapolated": extrapolated,
-        },
-        table.table("tau / 250 kyr"),
-        Plot("Stress relaxation of a Maxwell body", "years", "Pa", curves, log="y"),
-    )
+    yield "exact stress at 250 kyr, Pa", exact
+    yield "deviation from the implicit Euler formula", formula
+    yield "rate in tau", table.last("stress")
+    yield "relative error at 250 kyr, extrapolated", extrapolated
+    yield table.table("tau / 250 kyr")
+    yield Plot("Stress relaxation of a Maxwell body", "years", "Pa", curves, log="y")
 
 
 AMPLITUDE, OMEGA = 1e-3, PI / 2
@@ -111,7 +107,7 @@ def oscillating(steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     - error, extrapolated <= 2e-3: two extrapolations
     - closure
     """)
-def _oscillation() -> Outcome:
+def _oscillation() -> Measured:
     table, curves = RateTable("largest error, relative to eta gamma_0"), []
     for steps in (40, 80, 160):
         t, found, exact = oscillating(steps)
@@ -119,14 +115,10 @@ def _oscillation() -> Outcome:
         curves.append(Curve(f"{steps} steps", t, found, "."))
     curves.append(Curve("exact", t, exact, "k-"))
     a, b, c = table.errors["tau_12"]
-    return measured(
-        {
-            "rate in tau": table.last("tau_12"),
-            "error, extrapolated": abs(8 * c - 6 * b + a) / 3,
-        },
-        table.table("tau, s"),
-        Plot("Oscillatory shear of a Maxwell material", "t, s", "stress / (eta gamma_0)", curves),
-    )
+    yield "rate in tau", table.last("tau_12")
+    yield "error, extrapolated", abs(8 * c - 6 * b + a) / 3
+    yield table.table("tau, s")
+    yield Plot("Oscillatory shear of a Maxwell material", "t, s", "stress / (eta gamma_0)", curves)
 
 
 # --- simple shear --------------------------------------------------------------------------------------
@@ -195,7 +187,7 @@ def stresses(run: nv.Simulation) -> tuple[float, float, float]:
     - largest relative error of tau_11 <= 2e-3: ASPECT documents 0.9 to 2 %
     - closure
     """)
-def _jaumann() -> Outcome:
+def _jaumann() -> Measured:
     material = nv.LinearElastic(K_e=2 * G, G_e=G)
     rows, largest = [], [0.0, 0.0]
     for dt, times in ((0.01, (0.01, 0.02, 0.1)), (0.125, (0.25, 0.5, 1.0, 2.0))):
@@ -213,23 +205,19 @@ def _jaumann() -> Outcome:
     curve_12 = scale * (1 - decay * (np.cos(r * fine) - r * np.sin(r * fine)))
     curve_11 = scale * (r - decay * (r * np.cos(r * fine) + np.sin(r * fine)))
     marks = np.array(rows).T
-    return measured(
-        {
-            "largest relative error of tau_12": largest[0],
-            "largest relative error of tau_11": largest[1],
-        },
-        Table("stresses, Pa", "t, s | tau_12 | table | error | tau_11 | table | error", rows),
-        Plot(
-            "Zaremba–Jaumann Maxwell fluid in simple shear",
-            "t, s",
-            "Pa",
-            [
-                Curve("tau_12, exact", fine, curve_12, "-"),
-                Curve("tau_11, exact", fine, curve_11, "-"),
-                Curve("tau_12", marks[0], marks[1], "o"),
-                Curve("tau_11", marks[0], marks[4], "s"),
-            ],
-        ),
+    yield "largest relative error of tau_12", largest[0]
+    yield "largest relative error of tau_11", largest[1]
+    yield Table("stresses, Pa", "t, s | tau_12 | table | error | tau_11 | table | error", rows)
+    yield Plot(
+        "Zaremba–Jaumann Maxwell fluid in simple shear",
+        "t, s",
+        "Pa",
+        [
+            Curve("tau_12, exact", fine, curve_12, "-"),
+            Curve("tau_11, exact", fine, curve_11, "-"),
+            Curve("tau_12", marks[0], marks[1], "o"),
+            Curve("tau_11", marks[0], marks[4], "s"),
+        ],
     )
 
 
@@ -247,7 +235,7 @@ def _jaumann() -> Outcome:
     - distance to the law without spin >= 1.0: negative control
     - closure
     """)
-def _start_up() -> Outcome:
+def _start_up() -> Measured:
     """Errors are over the viscous stress eta rate/sqrt(1 + W^2) that the oscillation is about."""
     modulus, relaxation, rate, until = 20.0, 1.0, 5.0, 2.0
     viscosity, W = modulus * relaxation, rate * relaxation
@@ -277,28 +265,26 @@ def _start_up() -> Outcome:
         error_11 = np.abs(rows[:, 3] - sigma_11).max() / unit
         table.add(until / steps, sigma_12=float(error_12), sigma_11=float(error_11))
     unturned = viscosity * rate * (1 - np.exp(-t / relaxation))
-    return measured(
-        {
-            "rate of sigma_12": table.last("sigma_12"),
-            "rate of sigma_11": table.last("sigma_11"),
-            "largest error of sigma_12": table.errors["sigma_12"][-1],
-            "largest error of sigma_11": table.errors["sigma_11"][-1],
-            "distance to the law without spin": float(np.abs(rows[:, 1] - unturned).max() / unit),
-        },
-        table.table("tau, s"),
-        Plot(
-            "Zaremba–Jaumann start-up shear, W = 5",
-            "t, s",
-            "Pa",
-            [
-                Curve("sigma_12, exact", t, sigma_12, "k-"),
-                Curve("sigma_12", t, rows[:, 1], "."),
-                Curve("sigma_11, exact", t, sigma_11, "k--"),
-                Curve("sigma_11", t, rows[:, 3], "."),
-            ],
-        ),
+    yield "rate of sigma_12", table.last("sigma_12")
+    yield "rate of sigma_11", table.last("sigma_11")
+    yield "largest error of sigma_12", table.errors["sigma_12"][-1]
+    yield "largest error of sigma_11", table.errors["sigma_11"][-1]
+    yield "distance to the law without spin", np.abs(rows[:, 1] - unturned).max() / unit
+    yield table.table("tau, s")
+    yield Plot(
+        "Zaremba–Jaumann start-up shear, W = 5",
+        "t, s",
+        "Pa",
+        [
+            Curve("sigma_12, exact", t, sigma_12, "k-"),
+            Curve("sigma_12", t, rows[:, 1], "."),
+            Curve("sigma_11, exact", t, sigma_11, "k--"),
+            Curve("sigma_11", t, rows[:, 3], "."),
+        ],
+    )
+    yield (
         "The error of the midpoint rule for exp(a t), a = (−1 + iW)/lambda, is (|a| tau)²/12 times "
-        "|a| t exp(−t/lambda), at most |a| lambda/e: 4.1e-4 with 200 steps; bounds are twice that.",
+        "|a| t exp(−t/lambda), at most |a| lambda/e: 4.1e-4 with 200 steps; bounds are twice that."
     )
 
 
@@ -310,7 +296,7 @@ def _start_up() -> Outcome:
     - largest relative error of T_11 - T_22 <= 1e-8: exact for any step
     - closure
     """)
-def _neo_hookean() -> Outcome:
+def _neo_hookean() -> Measured:
     material = nv.NeoHookean(K_e=3.0, G_e=0.7, epsilon=0.2)
     _, rows = sheared(material, 0.1, 2.0, rate=1.0, viscosity=0.1)
     gamma = rows[1:, 0]
@@ -322,11 +308,7 @@ def _neo_hookean() -> Outcome:
         Curve("T_11 - T_22", gamma, rows[1:, 2], "s"),
         Curve("2 G gamma²", gamma, 1.4 * gamma * gamma, "k--"),
     ]
-    return measured(
-        {
-            "largest relative error of T_12": float(error_12),
-            "largest relative error of T_11 - T_22": float(error_n),
-        },
-        Plot("Neo-Hookean simple shear", "gamma", "Pa", curves),
-        "The implicit step is exact here: L is nilpotent, so (I − tau L)⁻¹ = I + tau L.",
-    )
+    yield "largest relative error of T_12", error_12
+    yield "largest relative error of T_11 - T_22", error_n
+    yield Plot("Neo-Hookean simple shear", "gamma", "Pa", curves)
+    yield "The implicit step is exact here: L is nilpotent, so (I − tau L)⁻¹ = I + tau L."

@@ -12,7 +12,7 @@ from scipy.special import spherical_jn
 
 import ngvisco as nv
 from ngvisco.geometries import box, sphere, structured_box
-from tests.verification.case import Cases, Curve, Outcome, Plot, Table, measured
+from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.problems import distance
 from tests.verification.setups import KINDS, drift, elastic
 
@@ -76,7 +76,7 @@ def exponent(a: np.ndarray, dt: float) -> complex:
 WAVE_NUMBERS = (1.0, 2.0, 5.0, 10.0)
 
 
-def _dispersion(kind: str, wave: str) -> Outcome:
+def _dispersion(kind: str, wave: str) -> Measured:
     rows, speeds, decays = [], [], []
     for k in WAVE_NUMBERS:
         exact = dispersion(k, wave, MU)
@@ -91,30 +91,26 @@ def _dispersion(kind: str, wave: str) -> Outcome:
     relation = [dispersion(float(k), wave, MU) for k in fine]
     exact_speeds = [abs(s.imag) / k for s, k in zip(relation, fine, strict=True)]
     head = ["k, 1/m", "speed, m/s", "exact", "error", "decay, 1/s", "exact", "error"]
-    return measured(
-        {
-            "largest relative error of the phase speed": max(speeds),
-            "largest relative error of the decay": max(decays),
-        },
-        Table("phase speed and decay", head, rows),
-        Plot(
-            f"{wave} wave: phase speed and decay",
-            "k, 1/m",
-            "m/s and 1/s",
-            [
-                Curve("phase speed, exact", fine, exact_speeds, "-"),
-                Curve("decay, exact", fine, [-s.real for s in relation], "-"),
-                Curve("phase speed", WAVE_NUMBERS, [row[1] for row in rows], "o"),
-                Curve("decay", WAVE_NUMBERS, [row[4] for row in rows], "s"),
-            ],
-            log="xy",
-        ),
-        *[
+    yield "largest relative error of the phase speed", max(speeds)
+    yield "largest relative error of the decay", max(decays)
+    yield Table("phase speed and decay", head, rows)
+    yield Plot(
+        f"{wave} wave: phase speed and decay",
+        "k, 1/m",
+        "m/s and 1/s",
+        [
+            Curve("phase speed, exact", fine, exact_speeds, "-"),
+            Curve("decay, exact", fine, [-s.real for s in relation], "-"),
+            Curve("phase speed", WAVE_NUMBERS, [row[1] for row in rows], "o"),
+            Curve("decay", WAVE_NUMBERS, [row[4] for row in rows], "s"),
+        ],
+        log="xy",
+    )
+    if kind == "finite":
+        yield (
             "At finite strain the upwinding also keeps the jumps of F small: with amplitudes below its "
             "smoothed width the fluxes are central, and the errors of the short waves grow to 1 to 2 %."
-        ]
-        * (kind == "finite"),
-    )
+        )
 
 
 for kind in KINDS:
@@ -193,7 +189,7 @@ def _frequency(run: nv.Simulation, t: np.ndarray, v: np.ndarray, omega: float) -
     - least bregman by backward Euler, over the energy >= 0.0: a square of w - w_old
     - closure
     """)
-def _foundation() -> Outcome:
+def _foundation() -> Measured:
     rows, errors, curves = [], [], []
     for share in STIFFNESSES:
         k = share * MODULUS
@@ -213,19 +209,15 @@ def _foundation() -> Outcome:
     slow = omega * math.sqrt(1 - DAMPING**2)
     exact = np.exp(-DAMPING * omega * t) * (np.cos(slow * t) - DAMPING * omega / slow * np.sin(slow * t))
     curves += [Curve("block with a dashpot", omega * t, v, "."), Curve("oscillator", omega * t, exact, "k-")]
-    return measured(
-        {
-            "largest relative error of the frequency": max(errors),
-            "distance of the damped block from an oscillator": float(np.abs(v - exact).max()),
-            "least bregman by backward Euler, over the energy": least,
-        },
-        Table(
-            "bars on springs",
-            "k L/M | omega, 1/s | error | springs' largest share of the energy | change of it",
-            rows,
-        ),
-        Plot("A bar on springs", "omega t", "velocity over the start's", curves),
+    yield "largest relative error of the frequency", max(errors)
+    yield "distance of the damped block from an oscillator", np.abs(v - exact).max()
+    yield "least bregman by backward Euler, over the energy", least
+    yield Table(
+        "bars on springs",
+        "k L/M | omega, 1/s | error | springs' largest share of the energy | change of it",
+        rows,
     )
+    yield Plot("A bar on springs", "omega t", "velocity over the start's", curves)
 
 
 # --- toroidal modes of a ball --------------------------------------------------------------------------
@@ -324,7 +316,7 @@ def oscillation(degree: int, maxh: float, material: nv.Material) -> Oscillation:
     - change of the energy <= 1e-4: a linear problem, but for the upwinding
     - closure
     """)
-def _toroidal() -> Outcome:
+def _toroidal() -> Measured:
     degrees, linear = (2, 3, 4), nv.LinearElastic(K_e=K_E, G_e=G_E)
     rows, curves, errors, kept = [], [], {}, []
     for degree in degrees:
@@ -347,17 +339,16 @@ def _toroidal() -> Outcome:
     coarse, best = SIZES
     # by what the error shrinks; the meshes' cells are smaller by (984/265)^(1/3) = 1.55
     gains = [errors[degree, coarse] / errors[degree, best] for degree in degrees]
-    return measured(
-        {
-            **{f"relative error of 0T{degree}": errors[degree, best] for degree in degrees},
-            "least ratio of the errors of both meshes": min(gains),
-            "finite against small strain, 0T2": abs(finite.frequency / of_linear - 1),
-            "change of the energy": max(kept),
-        },
-        Table("frequencies", "mode | tetrahedra | omega, 1/s | exact | error | decay, 1/s", rows),
-        Plot("Toroidal modes, finer mesh", "t, periods of each", "amplitude of v", curves),
+    for degree in degrees:
+        yield f"relative error of 0T{degree}", errors[degree, best]
+    yield "least ratio of the errors of both meshes", min(gains)
+    yield "finite against small strain, 0T2", abs(finite.frequency / of_linear - 1)
+    yield "change of the energy", max(kept)
+    yield Table("frequencies", "mode | tetrahedra | omega, 1/s | exact | error | decay, 1/s", rows)
+    yield Plot("Toroidal modes, finer mesh", "t, periods of each", "amplitude of v", curves)
+    yield (
         "In the picture the values fall behind by the midpoint rule's own error of the phase, "
-        "(omega tau)²/12 = 1.3 % at 16 steps a period; the table's frequencies are without it.",
+        "(omega tau)²/12 = 1.3 % at 16 steps a period; the table's frequencies are without it."
     )
 
 
@@ -415,7 +406,7 @@ def _run(maxh: float, levels: int) -> tuple[nv.Simulation, float, float]:
     - largest |mass drift| <= 1e-13: exact
     - closure
     """)
-def _pulse() -> Outcome:
+def _pulse() -> Measured:
     rows: list[list[float | str]] = []
     found = {}
     for name, maxh, levels in (("coarse", 0.125, 0), ("fine", 0.0625, 0), ("refined", 0.25, 2)):
@@ -426,16 +417,14 @@ def _pulse() -> Outcome:
         rows.append([name, cells, error, float(taken.sum()) / energy])
         found[name] = run, cells, error, taken / energy
     run, cells, error, taken = found["refined"]
-    return measured(
-        {
-            "cells over those of the fine mesh": cells / found["fine"][1],
-            "error over that of the fine mesh": error / found["fine"][2],
-            "relative error of v": error,
-            "energy that transfers take, over all": float(taken.sum()),
-            "energy that one transfer gives, over all": float(-taken.min()),
-            "largest |mass drift|": drift(run),
-        },
-        Table("meshes", "mesh | cells in the mean | relative error of v | by transfers", rows),
+    yield "cells over those of the fine mesh", cells / found["fine"][1]
+    yield "error over that of the fine mesh", error / found["fine"][2]
+    yield "relative error of v", error
+    yield "energy that transfers take, over all", taken.sum()
+    yield "energy that one transfer gives, over all", -taken.min()
+    yield "largest |mass drift|", drift(run)
+    yield Table("meshes", "mesh | cells in the mean | relative error of v | by transfers", rows)
+    yield (
         "Numbers of one trial (0.31, 0.87) were seen before the bounds were written; that the error is "
-        "the same with a third of the cells was asked for before it.",
+        "the same with a third of the cells was asked for before it."
     )

@@ -14,7 +14,7 @@ from ngvisco.forms.term import tested
 from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import dev, square, sym
 from ngvisco.run.simulation import Simulation
-from tests.verification.case import CLOSURE, Bound, Cases, Curve, Outcome, Plot, Table, each, measured
+from tests.verification.case import CLOSURE, Bound, Cases, Curve, Measured, Plot, Table, each
 from tests.verification.cases import limits as plane
 from tests.verification.cases.invariants import COFACTORS
 from tests.verification.problems import distance
@@ -200,7 +200,7 @@ POWERS = {
 
 def estimates(
     kind: str, meshes: Mapping[float, Mesh] | None = None, sizes: Sequence[float] = SIZES, steps: int = STEPS
-) -> Outcome:
+) -> Measured:
     """All norms for a sequence of epsilon = delta, on meshes by their h, m (default: of ``MESHES``)."""
     meshes = meshes or {h: square_mesh(h) for h in MESHES}
     found: dict[tuple[float, float], dict[str, float]] = {}
@@ -231,11 +231,9 @@ def estimates(
     for name in (*bounded, *powers):
         rows += [[name, h, *(found[h, size][name] for size in sizes)] for h in meshes]
     curves = [Curve(name, sizes, [found[fine, size][name] for size in sizes]) for name in (*bounded, *powers)]
-    return measured(
-        values,
-        Table("norms", ["norm", "h, m", *(f"eps = delta = {size:g}" for size in sizes)], rows),
-        Plot(f"Norms over eps = delta, h = {fine:g} m", "eps = delta", "norm", curves, log="xy"),
-    )
+    yield from values.items()
+    yield Table("norms", ["norm", "h, m", *(f"eps = delta = {size:g}" for size in sizes)], rows)
+    yield Plot(f"Norms over eps = delta, h = {fine:g} m", "eps = delta", "norm", curves, log="xy")
 
 
 def bounds(kind: str) -> tuple[Bound, ...]:
@@ -340,7 +338,7 @@ def sequence(
     meshes: Mapping[float, Mesh] | None = None,
     numbers: Sequence[int] = COUNTS,
     sizes: Sequence[float] = (),
-) -> Outcome:
+) -> Measured:
     """Limits in tau, in delta, and without it in epsilon, on meshes by their h, m."""
     meshes, sizes = meshes or {h: square_mesh(h) for h in LIMIT_MESHES}, sizes or LIMIT_SIZES[kind]
     values: dict[str, float] = {}
@@ -376,7 +374,9 @@ def sequence(
     for name, rates in least.items():
         values |= {f"last rate of {field} in {name}": rate for field, rate in rates.items()}
     values["largest rho"] = max(float(run.ledger.column("rho_max").max()) for run in everything)
-    return measured(values, *tables, *plots)
+    yield from values.items()
+    yield from tables
+    yield from plots
 
 
 RATES = {
@@ -503,17 +503,17 @@ SPACE_TAUS = {"linearised": (1e-3, 1e-1, 10.0), "finite": (1e-3, 1e-2, 1e-1)}
 SPACE_SIZES = (1e-2, 1e-3)
 
 
-def stable(kind: str) -> Outcome:
+def stable(kind: str) -> Measured:
     """``stability`` on a cube."""
     return plane.energies(kind, 0.0, cube_mesh(FINE), SPACE_TAUS[kind], 3)
 
 
-def estimated(kind: str) -> Outcome:
+def estimated(kind: str) -> Measured:
     """``whole_scheme`` on cubes."""
     return estimates(kind, {h: cube_mesh(h) for h in (COARSE, FINE)}, SPACE_SIZES, 4)
 
 
-def limits(kind: str) -> Outcome:
+def limits(kind: str) -> Measured:
     """``sequence`` on a cube."""
     return sequence(
         kind,

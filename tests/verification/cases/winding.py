@@ -12,7 +12,7 @@ from ngvisco.forms.context import time
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import dev, square, sym, tr
 from ngvisco.physics.variables import Distortion, Jacobian, LeftCauchyGreen, Values
-from tests.verification.case import Cases, Outcome, Table, measured
+from tests.verification.case import Cases, Measured, Table
 from tests.verification.rates import RateTable
 from tests.verification.setups import closure
 
@@ -84,7 +84,7 @@ TABLE = (
     - runs by F that warned >= 3: each of them
     - closure
     """)
-def _side_by_side() -> Outcome:
+def _side_by_side() -> Measured:
     rows: list[list[str | float]] = []
     gaps, ends, warned = {"F": [0.0], "B": [0.0]}, "", {"F": 0, "B": 0}
     for state, maxh, dt, times in TABLE:
@@ -107,21 +107,17 @@ def _side_by_side() -> Outcome:
                 numbers = [low, high, trace, *J, last["stored"], last["defect_rms"], closure(run)]
                 rows.append([state, maxh, dt, until, *numbers])
         warned[state] += sum(issubclass(w.category, nv.DefectWarning) for w in caught)
-    return measured(
-        {
-            "largest |det B − 1|": max(gaps["B"]),
-            "smallest |det J^(−2/3) F Fᵀ − 1| by F at 1 s": min(gaps["F"][1:]),
-            "runs by F that warned": float(warned["F"]),
-        },
-        Table(
-            "a creeping neo-Hookean body under a lid; A = J^(−2/3) F Fᵀ, or B",
-            "form | h, m | tau, s | t, s | det A from | to | largest tr A | J from | to | "
-            "stored, J | defect | closure",
-            rows,
-        ),
-        "The ledger closes in every row: closure is not correctness.",
-        *([ends] if ends else []),
+    yield "largest |det B − 1|", max(gaps["B"])
+    yield "smallest |det J^(−2/3) F Fᵀ − 1| by F at 1 s", min(gaps["F"][1:])
+    yield "runs by F that warned", warned["F"]
+    yield Table(
+        "a creeping neo-Hookean body under a lid; A = J^(−2/3) F Fᵀ, or B",
+        "form | h, m | tau, s | t, s | det A from | to | largest tr A | J from | to | "
+        "stored, J | defect | closure",
+        rows,
     )
+    yield "The ledger closes in every row: closure is not correctness."
+    yield from [ends] if ends else []
 
 
 @CASES("""creeping-cavity
@@ -136,7 +132,7 @@ def _side_by_side() -> Outcome:
     - Maxwell times of the first run >= 100: what is claimed
     - closure
     """)
-def _cavity() -> Outcome:
+def _cavity() -> Measured:
     """Small Maxwell times at one viscosity: the stress of the Navier-Stokes flow of G_v + G_m/2."""
     G_m, maxh, dt, until = 0.02, 0.125, 0.05, 5.0
     fluid = lid(material("none"), maxh, dt, viscosity=VISCOSITY + G_m / 2)
@@ -160,20 +156,16 @@ def _cavity() -> Outcome:
         error = float(np.linalg.norm(weight * stress) / np.linalg.norm(weight * reference))
         table.add(maxwell_time, stress=error)
         rows.append([maxwell_time, until / maxwell_time, low, high, error, closure(run)])
-    return measured(
-        {
-            "largest |det B − 1|": max(gaps),
-            "rate of the stress in the Maxwell time": table.last("stress"),
-            "error of the stress at the smallest one": table.errors["stress"][-1],
-            "Maxwell times of the first run": until / 0.05,
-        },
-        Table(
-            f"stress against G_m dev ε(v) of the viscous flow (of size {size:.3g} Pa m)",
-            "Maxwell time, s | Maxwell times | det B from | to | stress, relative | closure",
-            rows,
-        ),
-        table.plot("Maxwell time, s", "stress, relative"),
+    yield "largest |det B − 1|", max(gaps)
+    yield "rate of the stress in the Maxwell time", table.last("stress")
+    yield "error of the stress at the smallest one", table.errors["stress"][-1]
+    yield "Maxwell times of the first run", until / 0.05
+    yield Table(
+        f"stress against G_m dev ε(v) of the viscous flow (of size {size:.3g} Pa m)",
+        "Maxwell time, s | Maxwell times | det B from | to | stress, relative | closure",
+        rows,
     )
+    yield table.plot("Maxwell time, s", "stress, relative")
 
 
 def _cell_means(A: CoefficientFunction, run: nv.Simulation) -> np.ndarray:
