@@ -22,8 +22,9 @@ SHORT = 1e-6
 """Difference in time of the sources, s, where the order in time is measured: its error is of this size."""
 
 
-def transport_rates(kind: str, dim: int, m: int, maxh: float, levels: int, tau: float = 0.25) -> RateTable:
-    """Density and E / F / J alone, with the exact velocity given, after two steps of length ``tau``."""
+def transport_rates(kind: str, dim: int, m: int, maxh: float, levels: int) -> RateTable:
+    """Density and E / F / J alone, with the exact velocity given, after two steps of 0.25 s."""
+    tau = 0.25
     system = nv.Model(material=material(kind))
     sources = Sources(system, dim, tau)
     load = Source(
@@ -63,13 +64,11 @@ def coupled_rates(
     nu: float = 0.0,
     rule: str = "linear",
     curved: bool = False,
-    tau: float = 0.05,
-    steps: int = 2,
     sources: Callable[..., Sources] = Sources,
 ) -> RateTable:
     """The whole system: creep, gravity, viscosity, hyperviscosity (unless p is None), and delta- and
     epsilon-terms if ``regularised``, without delta if not ``delta``; creep's gradient with nu > 0, by one of
-    ``RULES``; in the unit ball if ``curved``; errors in L2 after ``steps`` steps, space only.  Other
+    ``RULES``; in the unit ball if ``curved``; errors in L2 after two steps of 0.05 s, space only.  Other
     ``sources`` than those of the exact fields are for negative controls."""
     system = model(kind, dim, p, regularised, delta, nu, rule)
     terms = (", all terms" if delta else ", all terms but delta") if regularised else ""
@@ -81,14 +80,14 @@ def coupled_rates(
         simulation = nv.Simulation(
             mesh,
             system,
-            dt=tau,
+            dt=0.05,
             initial=nv.Initial(velocity=start.v, **({} if system.bodies else given)),
             discretisation=nv.Discretisation(k=k, m=m),
-            sources=sources(system, dim, tau, curved),
+            sources=sources(system, dim, 0.05, curved),
         )
         if system.bodies:
             _mix(simulation, start)
-        for _ in range(steps):
+        for _ in range(2):
             simulation.advance()
         table.add(h, **errors(simulation, exact))
     return table
@@ -121,7 +120,6 @@ def free_solution(
     kind: str,
     steps: int,
     duration: float,
-    maxh: float = 0.6,
     *,
     p: float | None = None,
     driven: bool = False,
@@ -140,7 +138,7 @@ def free_solution(
     initial = nv.Initial(density=exact.rho, velocity=exact.v, values=exact.values)
     sources = Sources(system, 2, SHORT) if driven else None
     simulation = nv.Simulation(
-        box((1, 1), maxh), system, dt=duration / steps, initial=initial, sources=sources, **options
+        box((1, 1), 0.6), system, dt=duration / steps, initial=initial, sources=sources, **options
     )
     simulation.run(duration)
     return simulation

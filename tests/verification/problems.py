@@ -57,14 +57,11 @@ class PartialLayout(Layout):
         super().__init__(mesh, model.material, discretisation, terms, Walls(mesh).dirichlet)
         self._make([name for name in self.names if name in names])
 
-    def with_given(self, parts: Sequence[Any], exact: Exact | None) -> Fields:
+    def with_given(self, parts: Sequence[Any], exact: Exact) -> Fields:
         """Fields of this layout's blocks, completed by the exact ones."""
-        known = dict(zip(self.names, parts, strict=True))
-        if exact is not None:
-            given = {name: getattr(exact, name) for name in ("v", "rho", "z") if name not in self.names}
-            known |= given
-        fields = Fields(self, known)
-        if exact is not None and "v" not in self.names:
+        given = {name: getattr(exact, name) for name in ("v", "rho", "z") if name not in self.names}
+        fields = Fields(self, dict(zip(self.names, parts, strict=True)) | given)
+        if "v" not in self.names:
             fields.grad_v = exact.grad_v
         return fields
 
@@ -93,18 +90,15 @@ class Problem:
         names: Sequence[str],
         terms: Sequence[Term],
         tau: float,
-        given: bool = True,
     ) -> None:
-        """``terms`` are those of the equations; fields not in ``names`` are the exact ones if ``given``."""
+        """``terms`` are those of the equations; fields not in ``names`` are the exact ones."""
         self.mesh, self.tau = mesh, tau
         self.layout = layout = PartialLayout(mesh, model, discretisation, names)
         self.state, self.state_old = GridFunction(layout.space), GridFunction(layout.space)
-        new = Exact(model, mesh.dim, time) if given else None
-        old = Exact(model, mesh.dim, time - tau) if given else None
+        new, old = Exact(model, mesh.dim, time), Exact(model, mesh.dim, time - tau)
         self.now = layout.with_given(self.state.components, new)
-        self.context = layout.context = Context(
-            mesh, model, layout.with_given(self.state_old.components, old), Exact(model, mesh.dim, time).v
-        )
+        before = layout.with_given(self.state_old.components, old)
+        self.context = layout.context = Context(mesh, model, before, new.v)
         self.context.tau.Set(tau)
         self.context.eta.Set(1e-4)
         self.quadrature = Quadrature.for_orders(mesh, discretisation.k, discretisation.m)

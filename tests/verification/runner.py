@@ -13,7 +13,6 @@ Every file is written beside its name and renamed.
 """
 
 import json
-import sys
 import time as clock
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -22,7 +21,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -130,7 +129,6 @@ def run_cases(
     version: str,
     keep: Callable[[Result], None] = lambda result: None,
     known: Callable[[Case], Result | None] = lambda case: None,
-    stream: TextIO | None = None,
     jobs: int = 1,
 ) -> list[Result]:
     """Run the cases that are not known yet, with a line for each before and after it.
@@ -144,8 +142,6 @@ def run_cases(
         Gets every new result at once, so that nothing is lost by an interruption.
     known : callable
         The earlier result of a case, or None.
-    stream : text stream, optional
-        Default ``sys.stdout``.
     jobs : int
         How many cases of the registry run at once, each in a process of its own; 1 (default) in this one.
     """
@@ -156,7 +152,7 @@ def run_cases(
     }
 
     def say(case: Case, what: str) -> None:
-        print(f"{heads[case.name]}{what}", file=stream or sys.stdout, flush=True)
+        print(f"{heads[case.name]}{what}", flush=True)
 
     for case in cases:
         if (earlier := known(case)) is not None:

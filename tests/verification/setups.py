@@ -167,6 +167,18 @@ def separation(one: nv.Simulation, other: nv.Simulation) -> dict[str, float]:
     return {name: distance(a[name], b[name], one.mesh) for name in a}
 
 
+def followed(
+    run: nv.Simulation, steps: int, of: Callable[[nv.Simulation], Any]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times, s, and what a function gives of a run, at its start and after each of its next steps."""
+    times, values = [run.t], [of(run)]
+    for _ in range(steps):
+        run.advance()
+        times.append(run.t)
+        values.append(of(run))
+    return np.array(times), np.array(values)
+
+
 def released(t: np.ndarray, static: float, damping: float, omega: float) -> np.ndarray:
     """An oscillator under a weight that acts from t = 0."""
     swing = np.cos(omega * t) + damping / omega * np.sin(omega * t)

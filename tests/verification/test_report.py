@@ -23,8 +23,8 @@ from tests.verification.case import (
     Result,
     Table,
     VerificationError,
-    each,
     collected,
+    each,
 )
 from tests.verification.cases import all_cases, select
 from tests.verification.rates import RateTable

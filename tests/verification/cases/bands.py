@@ -9,7 +9,7 @@ from scipy.linalg import expm
 import ngvisco as nv
 from ngvisco.geometries import box
 from tests.verification.case import Cases, Curve, Measured, Plot, Table
-from tests.verification.setups import fluid, layers
+from tests.verification.setups import fluid, followed, layers
 
 CASES = Cases("Exact solutions: flow rules")
 
@@ -249,11 +249,10 @@ def _necks() -> Measured:
         distance[n, ratio] = []
         for maxh in CELLS:
             run = stretched(n, ratio, maxh)
-            sizes = [_amplitude(run), *((run.advance(), _amplitude(run))[1] for _ in range(STEPS))]
+            times, sizes = followed(run, STEPS, _amplitude)
             found = math.log(sizes[-1] / sizes[FROM]) / ((STEPS - FROM) * TAU)
             distance[n, ratio].append(abs(found - theory))
             rows.append([n, ratio, maxh, run.mesh.ne, found, theory])
-        times = TAU * np.arange(STEPS + 1)
         curves.append(Curve(f"n = {n:g}, R = {ratio:g}", times, sizes))
         from_there = sizes[FROM] * np.exp(theory * (times[FROM:] - times[FROM]))
         curves.append(Curve("linear theory", times[FROM:], from_there, "k--"))

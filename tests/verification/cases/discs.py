@@ -453,21 +453,19 @@ THOUSANDTH, R_JELLY, GRAVITY = 1e-3, 0.2, 1.0
 TAU_JELLY, SETTLED, FALLING = 0.005, 5.0, 0.2
 
 
-def dropped(
-    until: float, ratio: float = THOUSANDTH, tau: float = TAU_JELLY
-) -> tuple[nv.Simulation, nv.Bodies]:
-    """The run until a time, s, with a medium of density ``ratio``, and its table."""
+def dropped(until: float) -> tuple[nv.Simulation, nv.Bodies]:
+    """The run until a time, s, and its table."""
     jelly, thin = nv.Ball((0.5, 0.5), R_JELLY), stokes(VISCOSITY)
     solid = nv.ReferentialNeoHookean(K_e=K_JELLY, G_e=G_JELLY)
     bodies = (
         nv.Body(name="jelly", where=jelly, material=solid, viscosity=thin, density=1.0),
-        nv.Body(name="medium", material=fluid(K_JELLY), viscosity=thin, density=ratio),
+        nv.Body(name="medium", material=fluid(K_JELLY), viscosity=thin, density=THOUSANDTH),
     )
     table = nv.Bodies()
     run = nv.Simulation(
         box((1, 1), 0.1),
         nv.Model(bodies=bodies, loads=(nv.Gravity((0.0, -GRAVITY)),)),
-        time=nv.TimeSteps(dt=tau, velocity_scale=1.0),
+        time=nv.TimeSteps(dt=TAU_JELLY, velocity_scale=1.0),
         discretisation=nv.Discretisation(k=3),  # P_2 locks where volumes are stiff
         observers=[table],
     )

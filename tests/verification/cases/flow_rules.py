@@ -290,12 +290,11 @@ R_I, R_O, R_Y = 1.0, 2.0, 1.5
 """Radii of the walls and of where the shear stress TAU_Y R_Y^2/r^2 is at yield, m."""
 
 
-def turning(r: np.ndarray, tau_Y: float = TAU_Y) -> np.ndarray:
+def turning(r: np.ndarray) -> np.ndarray:
     """The angular velocity, 1/s, of the shear stress TAU_Y R_Y^2/r^2."""
     torque = TAU_Y * R_Y**2
-    edge = math.sqrt(torque / tau_Y)
-    r = np.minimum(r, edge)
-    return torque / (2 * ETA) * (1 / r**2 - 1 / edge**2) - tau_Y / ETA * np.log(edge / r)
+    r = np.minimum(r, R_Y)
+    return torque / (2 * ETA) * (1 / r**2 - 1 / R_Y**2) - TAU_Y / ETA * np.log(R_Y / r)
 
 
 def _couette(kind: str) -> Measured:

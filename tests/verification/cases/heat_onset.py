@@ -18,6 +18,7 @@ from ngvisco.physics.variables import Jacobian
 from tests.verification.case import Cases, Measured, Table, each
 from tests.verification.convergence import coupled_rates, free_solution, separation
 from tests.verification.rates import RateTable
+from tests.verification.setups import followed
 from tests.verification.sources import Sources
 
 CASES = Cases("Heat")
@@ -99,7 +100,7 @@ def _at_height(polynomial: Polynomial) -> CoefficientFunction:
     return value
 
 
-def _rolls(plates: Plates, Ra: float, amplitude: float, h: float = 0.25) -> np.ndarray:
+def _rolls(plates: Plates, Ra: float, amplitude: float) -> np.ndarray:
     """Amplitudes step by step, 0.01 s each, of half of a roll that starts in its mode, m/s.
 
     A nearly incompressible fluid: expansion 3e-3/K, 1 K between the plates, g/K_e < 1e-3/m, of isentropic
@@ -127,7 +128,7 @@ def _rolls(plates: Plates, Ra: float, amplitude: float, h: float = 0.25) -> np.n
         temperature=middle + warmer,
         velocity=(-amplitude / k * slope * sin(k * x), amplitude * W * cos(k * x)),
     )
-    mesh = box((math.pi / k, 1), maxh=h)
+    mesh = box((math.pi / k, 1), maxh=0.25)
     run = nv.Simulation(
         mesh,
         model,
@@ -139,11 +140,8 @@ def _rolls(plates: Plates, Ra: float, amplitude: float, h: float = 0.25) -> np.n
         discretisation=nv.Discretisation(k=3, m=2),
         newton=nv.NewtonOptions(tolerance=1e-7),  # pressures round to 1e-16 K_e
     )
-    found = []
-    for _ in range(15):
-        run.advance()
-        found.append(Integrate(run.fields["velocity"][1] * cos(k * x) * W, mesh, order=10))
-    return np.array(found)
+    rising = run.fields["velocity"][1] * cos(k * x) * W
+    return followed(run, 15, lambda run: Integrate(rising, mesh, order=10))[1][1:]
 
 
 def _onset(plates: Plates) -> Measured:

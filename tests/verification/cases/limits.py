@@ -26,6 +26,7 @@ from tests.verification.setups import (
     closure,
     elastic,
     fluid,
+    followed,
     material,
     potential,
     separation,
@@ -375,6 +376,12 @@ def _run(kind: str, dt: float, steps: int, creep: float | None, gravity: float =
     return run
 
 
+def _deviator(run: nv.Simulation) -> float:
+    """Size of the stress's, Pa m."""
+    S = dev(run.fields["cauchy_stress"])
+    return distance(S, 0 * S, run.mesh)
+
+
 def kelvin_voigt(kind: str) -> Measured:
     """G_m -> infinity is Kelvin–Voigt; with creep the deviatoric stress relaxes under a lasting load."""
     solid = _run(kind, 0.02, 8, None)
@@ -389,13 +396,9 @@ def kelvin_voigt(kind: str) -> Measured:
         run = block(
             kind, 0.25, mesh=square_mesh(MAXH), of=SMALL[kind], creep=creep, gravity=2.0, initial=initial
         )
-        sizes = []
-        for _ in range(16):
-            run.advance()
-            S = dev(run.fields["cauchy_stress"])
-            sizes.append(distance(S, 0 * S, run.mesh))
+        t, sizes = followed(run, 16, _deviator)
         deviators[name] = sizes[-1]
-        curves.append(Curve(name, [0.25 * (i + 1) for i in range(16)], sizes))
+        curves.append(Curve(name, t[1:], sizes[1:]))
     yield "last rate of v in 1/G_m", table.last("v")
     yield "last rate of z in 1/G_m", table.last("z")
     yield (

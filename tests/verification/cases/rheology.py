@@ -21,8 +21,8 @@ from ngvisco.physics.flow_rules import CreepLaw
 from ngvisco.physics.materials import FENEP
 from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.cases.shear import sheared, stresses
-from tests.verification.rates import RateTable
-from tests.verification.setups import KINDS, elastic, stokes
+from tests.verification.rates import RateTable, extrapolated
+from tests.verification.setups import KINDS, elastic, followed, stokes
 
 CASES = Cases("Exact solutions: rheology")
 
@@ -134,13 +134,12 @@ def _creep(kind: str) -> Measured:
         run = nv.Simulation(
             channel(1, 1, maxh=0.5), model, dt=dt, walls=walls, initial=nv.Initial(density=density)
         )
-        rows, shear = [(0.0, 0.0, 0.0)], 0.0
-        for _ in range(steps):
-            run.advance()
-            # the wall's displacement over the height
-            shear += dt * float(run.fields["velocity"](run.mesh(0.4, 1.0))[0])
-            rows.append((run.t, shear, stresses(run)[0]))
-        found = np.array(rows)
+        t, at_wall = followed(
+            run, steps, lambda run: (run.fields["velocity"](run.mesh(0.4, 1.0))[0], stresses(run)[0])
+        )
+        at_wall[0] = 0.0
+        # the wall's displacement over the height
+        found = np.column_stack([t, dt * np.cumsum(at_wall[:, 0]), at_wall[:, 1]])
         exact = creep_ode(kind, traction, found[:, 0])
         errors = np.abs(found[:, 1:] - exact).max(axis=0)
         table.add(dt, shear=float(errors[0]), T_12=float(errors[1]))
@@ -159,10 +158,9 @@ def _upper_convected(kind: str) -> Measured:
     against_ode = 0.0
     for wi in (0.4, 0.2, 0.1, 0.05):
         rate, until, dt = wi / LAMBDA, 4.0, 0.1
-        (_, a), (_, b), (_, c) = (
-            sheared(material(kind), dt / n, until, rate=rate, G_m=G_M) for n in (1, 2, 4)
+        rows = extrapolated(
+            *(sheared(material(kind), dt / n, until, rate=rate, G_m=G_M)[1][::n] for n in (1, 2, 4))
         )
-        rows = (8 * c[::4] - 6 * b[::2] + a) / 3
         t = rows[:, 0]
         ode = startup_ode(kind, rate, t)
         against_ode = max(against_ode, float(np.abs(rows[-1, 1:3] / ode[-1] - 1).max()))
@@ -331,12 +329,12 @@ def _leonov() -> Measured:
     material, dt, until = nv.OldroydB(K_e=100.0, G_e=G_E), 0.1, 12.0
     rows, errors, rates, found = [], [0.0, 0.0], [], []
     for wi in WEISSENBERG[:3]:
-        a, b, c = (
-            sheared(material, dt / n, until, rate=wi / RELAXATION, G_m=G_M_FLUID, law="leonov")
+        A, B, C = (
+            sheared(material, dt / n, until, rate=wi / RELAXATION, G_m=G_M_FLUID, law="leonov")[1][-1, 1:3]
             for n in (1, 2, 4)
         )
-        (A, B, C), exact = (part[1][-1, 1:3] for part in (a, b, c)), np.array(leonov(wi))
-        T, N = (8 * C - 6 * B + A) / 3
+        exact = np.array(leonov(wi))
+        T, N = extrapolated(A, B, C)
         errors = [max(errors[0], abs(T / exact[0] - 1)), max(errors[1], abs(N / exact[1] - 1))]
         rates.append(float(np.log2(abs(B - exact) / abs(C - exact)).min()))
         found.append((float(T), float(N)))
@@ -353,24 +351,24 @@ def _leonov() -> Measured:
     yield Plot("Steady shear, Leonov", "Wi", "Pa", curves, log="xy")
 
 
-def channel_startup(t: np.ndarray, heights: np.ndarray, eta_s: float, modes: int = 40) -> np.ndarray:
+def channel_startup(t: np.ndarray, heights: np.ndarray, eta_s: float) -> np.ndarray:
     """v(t, y) of an Oldroyd-B fluid of density 1 under a unit force from rest, (times, heights).
 
     rho v_t = eta_s v_yy + tau_y + 1, lambda tau_t = eta_p v_y - tau (Waters and King 1970), for each sine in
     y an equation for two numbers with constant coefficients, solved by the matrix exponential.
     """
     v = np.zeros((len(t), len(heights)))
-    for n in range(1, 2 * modes, 2):
+    for n in range(1, 80, 2):
         A, steady = _of_sine(n, eta_s)
         amplitudes = [(steady - expm(A * s) @ steady)[0] for s in t]
         v += np.outer(amplitudes, np.sin(n * np.pi * heights))
     return v
 
 
-def startup_velocity(eta_s: float, modes: int = 8) -> CoefficientFunction:
+def startup_velocity(eta_s: float) -> CoefficientFunction:
     """The same as a function of y and ``ngvisco.time``, by the eigenvectors of each sine's equation."""
     v = CF(0.0)
-    for n in range(1, 2 * modes, 2):
+    for n in range(1, 16, 2):
         A, steady = _of_sine(n, eta_s)
         rates, vectors = np.linalg.eig(A.astype(complex))
         amplitude = CF(float(steady[0]))
@@ -403,6 +401,7 @@ def _waters_king(domain: Callable[[float], tuple[Mesh, Conditions]], place: floa
     """The velocity across the channel at x = ``place``."""
     eta_s, until = 0.1, 4.0
     heights = np.linspace(0.05, 0.95, 19)
+    x0 = 0 * heights + place
     table, curves = RateTable("largest error of the velocity, relative to the steady maximum"), []
     found = []
     largest = 1 / (8 * (eta_s + 2 * G_E * RELAXATION))
@@ -417,19 +416,16 @@ def _waters_king(domain: Callable[[float], tuple[Mesh, Conditions]], place: floa
         walls = {"bottom": nv.NoSlip(), "top": nv.NoSlip(), **dict(ends)}
         orders = nv.Discretisation(k=2, m=1)
         run = nv.Simulation(mesh, model, dt=until / steps, walls=walls, discretisation=orders)
-        rows = []
-        for _ in range(steps):
-            run.advance()
-            rows.append(run.fields["velocity"](mesh(0 * heights + place, heights))[:, 0])
+        _, v = followed(run, steps, lambda run: run.fields["velocity"](run.mesh(x0, heights))[:, 0])
         t = run.dt * np.arange(1, steps + 1)
         exact = channel_startup(t, heights, eta_s)
-        found.append(np.array(rows))
-        table.add(run.dt, v=float(np.abs(np.array(rows) - exact).max() / largest))
+        found.append(v[1:])
+        table.add(run.dt, v=float(np.abs(v[1:] - exact).max() / largest))
         curves.append(Curve(f"{steps} steps", t, found[-1][:, 9], "."))
-    extrapolated = (8 * found[2][3::4] - 6 * found[1][1::2] + found[0]) / 3
+    best = extrapolated(found[0], found[1][1::2], found[2][3::4])
     curves.append(Curve("series", t, exact[:, 9], "k-"))
     yield "rate in tau", table.last("v")
-    yield "error, extrapolated", np.abs(extrapolated - exact[3::4]).max() / largest
+    yield "error, extrapolated", np.abs(best - exact[3::4]).max() / largest
     yield "overshoot of the exact solution", exact[:, 9].max() / exact[-1, 9]
     yield table.table("tau, s")
     yield Plot("Start-up of channel flow, Oldroyd-B", "t, s", "v in the middle, m/s", curves)

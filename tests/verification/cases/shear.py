@@ -12,8 +12,8 @@ from ngvisco.forms.context import time
 from ngvisco.geometries import box, channel
 from ngvisco.physics.flow_rules import CreepLaw
 from tests.verification.case import Cases, Curve, Measured, Plot, Table
-from tests.verification.rates import RateTable
-from tests.verification.setups import stokes
+from tests.verification.rates import RateTable, extrapolated
+from tests.verification.setups import followed, stokes
 
 CASES = Cases("Exact solutions: shear and relaxation")
 
@@ -35,11 +35,8 @@ def relaxed_stress(
     )
     initial = nv.Initial(density=rho, values={"E": E_0})
     run = nv.Simulation(box((size, size), 0.6 * size), model, dt=duration / steps, initial=initial)
-    E, stresses = run.fields["E"], []
-    for _ in range(steps):
-        run.advance()
-        stresses.append(2 * G * E(run.mesh(0.2 * size, 0.3 * size))[0])
-    return stresses, run
+    _, E_11 = followed(run, steps, lambda run: run.fields["E"](run.mesh(0.2 * size, 0.3 * size))[0])
+    return list(2 * G * E_11[1:]), run
 
 
 @CASES("""maxwell-relaxation (reduced)
@@ -65,11 +62,10 @@ def _relaxation() -> Measured:
         curves.append(Curve(f"{steps} steps", years, stresses, "-"))
     table = RateTable("relative error of the stress at 250 kyr", [1 / n for n in counts], {"stress": errors})
     curves.append(Curve("exact", [0.0, 250e3], [ROCK["tau_0"], exact], "k--"))
-    extrapolated = abs((4 * 2 * errors[2] - 6 * errors[1] + errors[0]) / 3)
     yield "exact stress at 250 kyr, Pa", exact
     yield "deviation from the implicit Euler formula", formula
     yield "rate in tau", table.last("stress")
-    yield "relative error at 250 kyr, extrapolated", extrapolated
+    yield "relative error at 250 kyr, extrapolated", abs(extrapolated(*errors))
     yield table.table("tau / 250 kyr")
     yield Plot("Stress relaxation of a Maxwell body", "years", "Pa", curves, log="y")
 
@@ -89,11 +85,7 @@ def oscillating(steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     run = nv.Simulation(
         channel(1, 1, maxh=0.5), model, dt=8 / steps, walls={"top": wall, "bottom": nv.NoSlip()}
     )
-    rows = []
-    for _ in range(steps):
-        run.advance()
-        rows.append((run.t, stresses(run)[0] / AMPLITUDE))
-    t, found = np.array(rows).T
+    t, found = (values[1:] for values in followed(run, steps, lambda run: stresses(run)[0] / AMPLITUDE))
     exact = (np.sin(OMEGA * t) - OMEGA * np.cos(OMEGA * t) + OMEGA * np.exp(-t)) / (1 + OMEGA**2)
     return t, found, exact
 
@@ -114,9 +106,8 @@ def _oscillation() -> Measured:
         table.add(8 / steps, tau_12=float(np.abs(found - exact).max()))
         curves.append(Curve(f"{steps} steps", t, found, "."))
     curves.append(Curve("exact", t, exact, "k-"))
-    a, b, c = table.errors["tau_12"]
     yield "rate in tau", table.last("tau_12")
-    yield "error, extrapolated", abs(8 * c - 6 * b + a) / 3
+    yield "error, extrapolated", abs(extrapolated(*table.errors["tau_12"]))
     yield table.table("tau, s")
     yield Plot("Oscillatory shear of a Maxwell material", "t, s", "stress / (eta gamma_0)", curves)
 
@@ -145,7 +136,6 @@ def sheared(
     G_m: float | None = None,
     creep: nv.FlowRule | None = None,
     viscosity: float = 0.0,
-    density: float = 1.0,
     mesh: Mesh | None = None,
     scheme: str = "backward-euler",
     law: CreepLaw = "mandel",
@@ -161,15 +151,12 @@ def sheared(
         viscosity=stokes(viscosity) if viscosity else None,
     )
     walls: Conditions = {"top": nv.PrescribedTangential((rate, 0.0)), "bottom": nv.NoSlip()}
-    initial = nv.Initial(velocity=(rate * y, 0), density=density)
+    initial = nv.Initial(velocity=(rate * y, 0), density=1.0)
     run = nv.Simulation(
         mesh or channel(1, 1, maxh=0.5), model, dt=dt, walls=walls, initial=initial, scheme=scheme
     )
-    rows = [(0.0, 0.0, 0.0, 0.0)]
-    while run.t < until - dt / 2:
-        run.advance()
-        rows.append((run.t, *stresses(run)))
-    return run, np.array(rows)
+    t, found = followed(run, round(until / dt), stresses)
+    return run, np.column_stack([t, found])
 
 
 def stresses(run: nv.Simulation) -> tuple[float, float, float]:
@@ -192,8 +179,7 @@ def _jaumann() -> Measured:
     rows, largest = [], [0.0, 0.0]
     for dt, times in ((0.01, (0.01, 0.02, 0.1)), (0.125, (0.25, 0.5, 1.0, 2.0))):
         runs = [sheared(material, dt / n, times[-1], rate=RATE, G_m=2 * ETA) for n in (1, 2, 4)]
-        a, b, c = (values for _, values in runs)
-        curve = (8 * c[::4] - 6 * b[::2] + a) / 3
+        curve = extrapolated(*(values[:: 2**n] for n, (_, values) in enumerate(runs)))
         for t in times:
             tau_12, tau_11 = curve[round(t / dt)][[1, 3]]
             exact = TABLE[t]

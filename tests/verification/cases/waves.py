@@ -14,7 +14,7 @@ import ngvisco as nv
 from ngvisco.geometries import box, sphere, structured_box
 from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.problems import distance
-from tests.verification.setups import KINDS, drift, elastic
+from tests.verification.setups import KINDS, drift, elastic, followed
 
 CASES = Cases("Exact solutions: waves")
 
@@ -25,10 +25,10 @@ AMPLITUDE = 1e-2
 """m/s: strains of at most 1 %, and well above the width of the smoothed upwinding (1e-4 m/s)."""
 
 
-def dispersion(k: float, wave: str, mu: float, viscous: bool = True) -> complex:
+def dispersion(k: float, wave: str, mu: float) -> complex:
     """s of rho s² + (D k² + mu k⁴) s + M k² = 0, rho = 1: the decay is −Re s, the phase speed |Im s|/k."""
     M = G_E if wave == "shear" else K_E + 4 / 3 * G_E
-    D = (G_V if wave == "shear" else K_V + 4 / 3 * G_V) if viscous else 0.0
+    D = G_V if wave == "shear" else K_V + 4 / 3 * G_V
     return complex(np.roots([1.0, D * k**2 + mu * k**4, M * k**2])[0])
 
 
@@ -59,12 +59,11 @@ def standing_wave(
         initial=nv.Initial(velocity=CF(velocity)),
         discretisation=nv.Discretisation(k=3, m=2),
     )
-    component, values = 1 if wave == "shear" else 0, [1.0]
-    for _ in range(steps):
-        run.advance()
-        moment = Integrate(run.fields["velocity"][component] * shape, mesh, order=8)
-        values.append(float(moment) / (AMPLITUDE * length**2 / 8))
-    return run, np.array(values)
+    v = run.fields["velocity"][1 if wave == "shear" else 0]
+    _, moments = followed(run, steps, lambda run: Integrate(v * shape, mesh, order=8))
+    values = moments / (AMPLITUDE * length**2 / 8)
+    values[0] = 1.0
+    return run, values
 
 
 def exponent(a: np.ndarray, dt: float) -> complex:
@@ -289,12 +288,10 @@ def oscillation(degree: int, maxh: float, material: nv.Material) -> Oscillation:
         initial=nv.Initial(velocity=FASTEST / fastest * shape),
         discretisation=nv.Discretisation(k=2, m=1),
     )
-    values = []
-    for n in range(PERIODS * PER_PERIOD + 1):
-        if n:
-            run.advance()
-        values.append(float(Integrate(InnerProduct(run.fields["velocity"], shape), mesh, order=8)))
-    a = np.array(values) / values[0]
+    v = run.fields["velocity"]
+    steps = PERIODS * PER_PERIOD
+    _, values = followed(run, steps, lambda run: Integrate(InnerProduct(v, shape), mesh, order=8))
+    a = values / values[0]
     b = np.linalg.lstsq(np.array([a[1:-1], a[:-2]]).T, a[2:], rcond=None)[0]
     q = complex(np.roots([1.0, -b[0], -b[1]])[0])
     s = 2 / tau * (q - 1) / (q + 1)
