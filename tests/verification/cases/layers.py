@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Id, IfPos, Integrate, cos, cosh, pi, sin, sinh, x, y
@@ -98,6 +99,18 @@ def rising(maxh: float) -> nv.Simulation:
     return _layered(maxh, lambda s: SURFACE, STICKY, time, plume=True)
 
 
+def _until(
+    end: float, run: nv.Simulation, of: Callable[[nv.Simulation], Any]
+) -> tuple[np.ndarray, np.ndarray]:
+    """``followed`` until a time, s, as steps that find no solution are halved."""
+    times, values = [run.t], [of(run)]
+    while run.t < end * (1 - 1e-9):
+        run.advance()
+        times.append(run.t)
+        values.append(of(run))
+    return np.array(times), np.array(values)
+
+
 def _height(run: nv.Simulation) -> float:
     """Of the surface's wave, m, from the fraction of air."""
     air = run.fields["air_fraction"]
@@ -122,7 +135,7 @@ def _relaxation() -> Measured:
     rows, curves = [], []
     for maxh in CELLS_OF:
         run = relaxation(maxh)
-        times, heights = followed(run, round(END / TAU_KYR), _height)
+        times, heights = _until(END * KYR, run, _height)
         logarithms, kyr = np.log(heights / heights[0]), times / KYR
         age = float(np.interp(1.0, -logarithms, kyr))
         rate = float(np.polyfit(times, logarithms, 1)[0])
@@ -175,7 +188,7 @@ def _depth(run: nv.Simulation) -> float:
     """)
 def _rising() -> Measured:
     run = rising(PLUME_MAXH)
-    times, found = followed(run, round(RISEN / STEP), lambda run: (*_profile(run), _depth(run)))
+    times, found = _until(RISEN * MYR, run, lambda run: (*_profile(run), _depth(run)))
     profiles, places, times = found[:, :-1], found[:, -1], times / MYR
     heights, lows, last = profiles.max(axis=1), profiles.min(axis=1), profiles[-1]
     yield "height at 3 Myr over the lower published one", heights[-1] / min(PUBLISHED)
@@ -575,8 +588,8 @@ def _growth() -> Measured:
     for ratio in RATIOS:
         for maxh in SIZES:
             run = overturn(ratio, maxh)
-            *_, before, after = followed(run, OVERTURNING, _of_face)[1]
-            rate = (1 - before / after) / TAU_OVERTURN
+            times, faces = followed(run, OVERTURNING, _of_face)
+            rate = (1 - faces[-2] / faces[-1]) / (times[-1] - times[-2])
             found = rate * 2 * STRONG / ((HEAVY - LIGHT) * PULL * THICK)
             errors[ratio, maxh] = abs(found / factor(ratio) - 1)
             count = float(run.ledger.column("newton_iterations").sum())
